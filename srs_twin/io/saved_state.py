@@ -22,7 +22,6 @@ import copy
 import hashlib
 import importlib
 import json
-import warnings
 from collections import deque
 from collections.abc import Mapping
 from concurrent.futures import Executor, Future
@@ -49,16 +48,6 @@ _MAX_DOCUMENT = 16 << 20
 """Largest number of characters of the JSON document."""
 
 _PACKAGE = __name__.partition(".")[0] + "."
-
-
-def names(*attributes: str) -> tuple[str, ...]:
-    """Return a tuple of names; deprecated, `state_attributes` is a plain tuple now."""
-    warnings.warn(
-        "names() is deprecated: write a tuple of names",
-        DeprecationWarning,
-        stacklevel=2,
-    )
-    return attributes
 
 
 class DeepCopied:
@@ -116,16 +105,6 @@ class Stateful(DeepCopied):
     """
 
     state_attributes: ClassVar[tuple[str, ...]] = ()
-
-    def __init_subclass__(cls, **options: Any) -> None:
-        super().__init_subclass__(**options)
-        if "memory" in vars(cls):
-            message = (
-                f"{cls.__name__}.memory is now {cls.__name__}.state_attributes, a tuple"
-                " of names"
-            )
-            warnings.warn(message, DeprecationWarning, stacklevel=2)
-            cls.state_attributes = vars(cls)["memory"]
 
     def state_dict(self) -> dict[str, object]:
         """Return a copy of the state, attribute name → value or nested state."""
@@ -224,14 +203,6 @@ class SavedState:
     owner: Mapping[str, object]
     content: Mapping[str, Any]
     version: int = VERSION
-
-    @property
-    def of(self) -> Mapping[str, object]:
-        """Deprecated name of `owner`."""
-        warnings.warn(
-            "SavedState.of is now SavedState.owner", DeprecationWarning, stacklevel=2
-        )
-        return self.owner
 
     def check(self, label: str, owner: Mapping[str, Any]) -> None:
         """Check that an object can restore this state.

@@ -24,9 +24,11 @@ from srs_twin.recordings.recorded_file import (
 )
 from srs_twin.recordings.signals.units import (
     TIMES,
+    Meaning,
     bracketed,
     clean,
     is_clock,
+    stated_unit,
     symbol,
     unit_of,
 )
@@ -160,15 +162,11 @@ class CsvTable:
             InputError: as `RecordedFile.rows`.
         """
         places = [column.place for column in columns]
-        values, notes = self.file.rows(
-            self.file.header_lines, places, len(self.file.names)
-        )
+        file = self.file
+        values, notes = file.rows(file.header_lines, places, len(file.names))
         with np.errstate(over="ignore"):  # callers check for values that are too large
-            return values * [column.factor for column in columns], [
-                *self.file.notes,
-                *self.notes,
-                *notes,
-            ]
+            values = values * [column.factor for column in columns]
+        return values, [*file.notes, *self.notes, *notes]
 
     def read_timed(
         self,
@@ -181,15 +179,15 @@ class CsvTable:
         Raises:
             InputError: as `RecordedFile.times`.
         """
-        values, notes = self.read(columns) if columns else (np.empty((0, 0)), [])
+        values, notes = self.read(columns)
         if clock is None:
             rate = rate_hz or 1.0
             counted = f"frames counted, {rate:g} per second"
-            return TimedRows(
-                np.arange(len(values)) / rate, values, [*notes, counted], None
-            )
-        time, noted, epoch_ns = self.file.times(clock.place, clock.unit)
-        return TimedRows(time, values, list(dict.fromkeys([*notes, *noted])), epoch_ns)
+            time = np.arange(len(values)) / rate
+            return TimedRows(time, values, [*notes, counted], None)
+        times = self.file.times(clock.place, clock.unit)
+        notes = list(dict.fromkeys([*notes, *times.notes]))
+        return TimedRows(times.time, values, notes, times.epoch_ns)
 
 
 def not_used(names: Sequence[str]) -> list[str]:
@@ -200,24 +198,10 @@ def not_used(names: Sequence[str]) -> list[str]:
     return []
 
 
-class Meaning(NamedTuple):
-    """Meaning of a column with another name, from a map.
-
-    Attributes:
-        name: ``pressure_plus_1``, ``time``.
-        default: unit if the name of the column states none.
-        unit: unit of the column; empty if the map does not state it.
-    """
-
-    name: str
-    default: str = ""
-    unit: str = ""
-
-
 def read_table(
     file: RecordedFile,
     known: Mapping[str, Mapping[str, float]],
-    names: Mapping[str, Meaning] | None = None,
+    meanings: Mapping[str, Meaning] | None = None,
 ) -> CsvTable:
     """Read the header of a plain table.
 
@@ -225,82 +209,81 @@ def read_table(
         file: the table, with or without its layout.
         known: base name → its units (name → factor to SI); empty if the quantity has no
             unit.
-        names: column → meaning, for other names.
+        meanings: column → meaning, from a map.
 
     Raises:
-        UnknownNameError: a column in `names` does not exist.
+        UnknownNameError: a column in `meanings` does not exist.
         InputError: there is no header, a name occurs twice, or a unit is unknown.
     """
     file = laid_out(file)
+    line = file.header_lines or 1
     if file.problem:
         raise file.error(file.problem, file.header_lines + (not file.names))
-    meanings = {clean(name): meaning for name, meaning in (names or {}).items()}
-    for name in meanings:
+    mapped = {clean(name): meaning for name, meaning in (meanings or {}).items()}
+    for name in mapped:
         if name not in file.names:
             raise UnknownNameError("column", name, file.names)
-    taken = {meaning.name for meaning in meanings.values()}
-    if "time" in known.keys() - taken:
-        clocks = [
-            text for text in file.names if is_clock(text) and text not in meanings
-        ]
-        clock = min(
-            clocks, key=lambda text: text.lower() not in ("time", "t"), default=""
-        )
-        meanings |= {clock: Meaning("time")} if clock else {}
-    seen: dict[tuple[str, int], CsvColumn] = {}
+    taken = {meaning.key for meaning in mapped.values()}
+    if "time" in known and "time" not in taken:
+        clocks = [name for name in file.names if is_clock(name) and name not in mapped]
+        usual = [name for name in clocks if name.lower() in ("time", "t")]
+        mapped |= dict.fromkeys([*usual, *clocks][:1], Meaning("time", "time"))
+    columns: dict[tuple[str, int], CsvColumn] = {}
     unused = []
     notes = []
-    for index, text in enumerate(file.names):
-        meaning = meanings.get(text)
-        # A column that the map does not mention is ignored if the map gives its
-        # quantity to another column.
-        own = meaning is None and bracketed(text)[0] not in taken
+    for place, text in enumerate(file.names):
         try:
-            column, note = (
-                _column(index, text, known, meaning) if meaning or own else (None, "")
-            )
+            if meaning := mapped.get(text):
+                column, note = _mapped_column(place, text, known, meaning)
+                notes += [note] if note else []
+            elif bracketed(text)[0] in taken:  # the map gives this quantity
+                column = None
+            else:
+                column = _own_column(place, text, known)
         except InputError as error:
-            raise file.error(str(error), file.header_lines or 1, index + 1) from error
-        notes += [note] if note else []
+            raise file.error(str(error), line, place + 1) from error
         if column is None:
             unused.append(text[:40])
             continue
-        first = seen.setdefault((column.name, column.number), column)
+        first = columns.setdefault((column.name, column.number), column)
         if first is not column:
             problem = f"{text}: the same as column '{file.names[first.place]}'"
-            raise file.error(problem, file.header_lines or 1, index + 1)
-    return CsvTable(file, tuple(seen.values()), tuple(unused), tuple(notes))
+            raise file.error(problem, line, place + 1)
+    return CsvTable(file, tuple(columns.values()), tuple(unused), tuple(notes))
 
 
-def _column(
-    place: int,
-    text: str,
-    known: Mapping[str, Mapping[str, float]],
-    meaning: Meaning | None,
-) -> tuple[CsvColumn | None, str]:
-    """Return a known column, and a note on its unit."""
+def _own_column(
+    place: int, text: str, known: Mapping[str, Mapping[str, float]]
+) -> CsvColumn | None:
+    """Return a column with a known name: x_1, x_1_mm, bend_1 (deg)."""
     bare, bracket = bracketed(text)
-    match = _NAME.fullmatch(meaning.name if meaning else bare)
-    name, number, trailing = match.groups() if match else [""] * 3
-    unit = trailing or bracket or ""
-    note = ""
-    if name.lower() not in known and trailing and number is None:
-        name, unit = (
-            f"{name}_{trailing}",
-            bracket,
-        )  # the last word of the name, not a unit
-    units = known.get(name.lower())
-    if units is None or (meaning is None and name.lower() == "time"):
-        return None, ""
-    if meaning is not None and units:
-        unit, note = unit_of(text, units, meaning.default, meaning.unit)
-    elif meaning is None and unit and not symbol(unit, units):
+    match = _NAME.fullmatch(bare)
+    if match is None:
+        return None
+    name, number, trailing = match[1].lower(), match[2], match[3]
+    if name not in known and trailing and number is None:
+        # The last word of the name, not a unit.
+        name = f"{name}_{trailing.lower()}"
+        trailing = None
+    if name not in known or name == "time":
+        return None
+    units = known[name]
+    stated = trailing or bracket
+    unit = symbol(stated, units)
+    if stated and not unit:
         raise InputError(
-            f"{text}: unit '{unit}' is not known; allowed: {', '.join(units) or 'none'}"
+            f"{text}: unit '{stated}' is not known;"
+            f" allowed: {', '.join(units) or 'none'}"
         )
-    unit = symbol(unit, units)
-    number = int(number or 0)
-    return (
-        CsvColumn(place, name.lower(), number, unit, units.get(unit, 1.0), text),
-        note,
-    )
+    factor = units.get(unit, 1.0)
+    return CsvColumn(place, name, int(number or 0), unit, factor, text)
+
+
+def _mapped_column(
+    place: int, text: str, known: Mapping[str, Mapping[str, float]], meaning: Meaning
+) -> tuple[CsvColumn, str]:
+    """Return a column of a map, and a note on its unit."""
+    units = known[meaning.name]
+    unit, note = unit_of(text, stated_unit(text, units), units, meaning)
+    factor = units.get(unit, 1.0)
+    return CsvColumn(place, meaning.name, meaning.number, unit, factor, text), note

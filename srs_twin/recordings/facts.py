@@ -14,7 +14,7 @@ from pydantic import ConfigDict, Field, TypeAdapter
 
 from srs_twin.io.validation import StrictModel
 from srs_twin.recordings.body.floor import Up
-from srs_twin.recordings.recording_map import LOG_NAME, canonical_key
+from srs_twin.recordings.recording_map import canonical_key, log_meaning
 
 
 def _unit(unit: str) -> object:
@@ -209,14 +209,14 @@ def proposed_map(facts: Sequence[RecordingFacts]) -> str:
         if signal.looks_like != "text"
     ]
     keys = [canonical_key(signal.name) for signal in logged]
-    if any(map(LOG_NAME.fullmatch, keys)):
+    if any(map(log_meaning, keys)):
         lines.append("log:")
     elif logged:
         lines.append(
             "# log:  # assign valve_plus_1, pressure_kpa_plus_1, … of each segment"
         )
     for key, signal in zip(keys, logged, strict=True):
-        key = key if LOG_NAME.fullmatch(key) else "# valve_plus_1"
+        key = key if log_meaning(key) else "# valve_plus_1"
         comment = f"{signal.looks_like}, {signal.low or 0:g} to {signal.high or 0:g}"
         lines.append(f"  {key}: {json.dumps(signal.name)}  # {comment}")
     return "\n".join(lines) + "\n"

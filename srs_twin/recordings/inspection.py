@@ -28,7 +28,7 @@ from srs_twin.recordings.body.layout import (
 )
 from srs_twin.recordings.body.shape import marker_noise
 from srs_twin.recordings.body.tracking import pairwise_distances
-from srs_twin.recordings.csv_table import CLOCK, Meaning, read_table
+from srs_twin.recordings.csv_table import CLOCK, read_table
 from srs_twin.recordings.facts import (
     DistanceFacts,
     HeadFacts,
@@ -55,11 +55,10 @@ from srs_twin.recordings.recording import (
     robot_tracks,
 )
 from srs_twin.recordings.recording_map import (
-    LOG_NAME,
-    QUANTITIES,
     RecordingMap,
     canonical_key,
     given_map,
+    log_meaning,
     read_map,
 )
 from srs_twin.recordings.signals.gaps import (
@@ -70,11 +69,11 @@ from srs_twin.recordings.signals.gaps import (
     runs,
 )
 from srs_twin.recordings.signals.units import (
-    ABSOLUTE,
     ANGLES,
     PRESSURES,
+    QUANTITIES,
+    Meaning,
     clean,
-    looks_absolute,
     stated_unit,
     symbol,
 )
@@ -90,10 +89,17 @@ _DISTANCE_FRAMES = 2000
 """Number of frames from which distances are computed."""
 _MIN_CRAWLED = 0.3
 """Smallest forward distance that indicates the head, in distances of neighbours, 1."""
-_MIN_CARRIER_HZ = 10.0
-"""Smallest switching rate of a carrier, Hz; a gait is slower."""
 _MAX_SIGNALS = 200
 """Largest number of signals that are described."""
+_QUANTITY_TEXTS = {
+    "time": "time",
+    "valve": "valve states",
+    "duty": "duty",
+    "pressure": "pressure, without a unit",
+    "setpoint": "pressure, without a unit",
+    "bend": "angle, without a unit",
+}
+"""Quantity of a signal whose unit is not stated → its description."""
 _MAX_NEIGHBOUR_M = 2.0
 """Distance of neighbours above which the unit of length is probably wrong, m."""
 
@@ -168,14 +174,14 @@ def _file_facts(
         if not axis_columns(file.names):
             return _table_facts(file, map), None
     topics = read_topics(path)
-    markers = topics.markers if topics else None
-    if topics is not None and markers is None and topics.signals:
+    if topics is None:
+        table = read_markers(path, map.unstated)
+    elif topics.markers is None and topics.signals:
         return _topics_facts(topics, kind, map), None
-    table = (
-        read_markers(path, map.unstated)
-        if markers is None
-        else in_unit(markers, map.units)
-    )
+    elif topics.markers is None:
+        table = read_markers(path, map.unstated)
+    else:
+        table = in_unit(topics.markers, map.units)
     facts, scene = _motion_facts(map.applied(table), map)
     if spec is not None:
         facts.robot = _robot_facts(path, map, spec)
@@ -191,7 +197,7 @@ def _topics_facts(
     signals = list(topics.signals.items())[:_MAX_SIGNALS]
     time = max((times for _, (times, _) in signals), key=len, default=np.zeros(0))
     signal_facts = [_signal_facts(name, *series, map) for name, series in signals]
-    return _log_facts(topics, kind, signal_facts, topics.notes, time)
+    return _log_facts(topics, kind, signal_facts, time)
 
 
 def _motion_facts(
@@ -269,28 +275,29 @@ def _body_facts(
         )
     tracks, notes = robot_tracks(table, slots, LONGEST_GAP / frames.period, 2 * near)
     facts.notes += notes
-    lasting = np.flatnonzero(
-        (~np.isnan(tracks.points[..., 0])).mean(axis=0) >= MIN_COVERAGE
-    )
+    lasting = (~np.isnan(tracks.points[..., 0])).mean(axis=0) >= MIN_COVERAGE
     places = tracks.points[:, lasting]
-    count = len(lasting)
+    count = places.shape[1]
     names = _marker_names(tracks.columns[:, lasting], table.labels, facts)
     facts.tracks = count
     facts.positions_of_nothing = tracks.unassigned
+    scene = Scene(places, names, (), ())
     complete = places[np.isfinite(places[..., 0]).all(axis=1)]
     if len(complete) < MIN_FRAMES or count < 2:
         facts.notes.append(f"{len(complete)} frames have all {count} lasting markers")
-        return Scene(places, names, (), ())
-    noise, (median, spread) = marker_noise(places), distance_statistics(complete)
+        return scene
+    facts.layouts = _possible_layouts(count, bodies=table.bodies)
+    noise = marker_noise(places)
+    facts.noise_mm = 1e3 * noise
+    median, spread = distance_statistics(complete)
     pairs = _rigid_pairs(median, spread, noise)
+    facts.rigid_pairs = [[names[a], names[b]] for a, b in pairs]
     try:
         order = tuple(body_order(complete).tolist())
     except InputError as error:
         facts.notes.append(str(error))
         order = ()
-    facts.noise_mm = 1e3 * noise
     facts.order = [names[k] for k in order]
-    facts.rigid_pairs = [[names[a], names[b]] for a, b in pairs]
     facts.distances = [
         DistanceFacts(
             markers=[names[a], names[b]],
@@ -299,22 +306,23 @@ def _body_facts(
         )
         for a, b in pairwise(order)
     ]
-    facts.layouts = {"pair": count}  # two points of each rigid body
-    if not table.bodies:
-        connectors = {
-            layout: divmod(count - size.extra, size.per_connector)
-            for layout, size in LAYOUT_SIZES.items()
-        }
-        facts.layouts = {
-            layout: whole for layout, (whole, rest) in connectors.items() if rest == 0
-        }
-    heads = (
-        _heads(complete[:, list(order)], frames.period, order, pairs, near)
-        if len(order) > 2
-        else []
-    )
-    facts.head = [HeadFacts(marker=names[end], why=reason) for end, reason in heads]
-    return Scene(places, names, order, pairs)
+    facts.head = []
+    if len(order) > 2:
+        body = complete[:, list(order)]
+        heads = _heads(body, frames.period, order, pairs, near)
+        facts.head = [HeadFacts(marker=names[end], why=reason) for end, reason in heads]
+    return replace(scene, order=order, rigid=pairs)
+
+
+def _possible_layouts(markers: int, *, bodies: bool) -> dict[str, int]:
+    """Return the layouts with this number of markers, and their numbers of connectors."""
+    if bodies:
+        return {"pair": markers}  # two points of each rigid body
+    connectors = {
+        layout: divmod(markers - size.extra, size.per_connector)
+        for layout, size in LAYOUT_SIZES.items()
+    }
+    return {layout: whole for layout, (whole, rest) in connectors.items() if rest == 0}
 
 
 def _rigid_pairs(
@@ -392,19 +400,18 @@ def _robot_facts(path: StrPath, map: RecordingMap, spec: RobotSpec) -> RobotFact
 
 def _table_facts(file: RecordedFile, map: RecordingMap) -> RecordingFacts:
     """Return the facts of a table of numbers over time."""
-    times = map.meanings(["time"])
     timed = {
-        name: meaning for name, meaning in times.items() if clean(name) in file.names
+        name: meaning
+        for name, meaning in map.meanings(["time"]).items()
+        if clean(name) in file.names
     }
     clock = next(iter(read_table(file, CLOCK, timed).columns), None)
-    notes = [*file.notes]
-    time = None
-    epoch_ns = None
+    times = None
     unit = "no time"
     if clock is not None:
-        time, time_notes, epoch_ns = file.times(clock.place, clock.unit)
-        notes += time_notes
+        times = file.times(clock.place, clock.unit)
         unit = f"time in {clock.unit}" if clock.unit else "time without a unit"
+    time = None if times is None else times.time
     signals: list[SignalFacts] = []
     for k, name in enumerate(file.names[:_MAX_SIGNALS]):
         if clock is not None and k == clock.place:
@@ -416,17 +423,20 @@ def _table_facts(file: RecordedFile, map: RecordingMap) -> RecordingFacts:
             if "is not a number" not in str(error):
                 raise
             signals.append(SignalFacts(name=name, looks_like="text", understood=False))
-    notes.insert(0, f"a log of {len(signals)} signals, {unit}")
-    return _log_facts(file, PlainCsv.name, signals, notes, time, (epoch_ns or 0) / 1e9)
+    facts = _log_facts(file, PlainCsv.name, signals, time)
+    facts.notes = [f"a log of {len(signals)} signals, {unit}", *file.notes]
+    if times is not None:
+        facts.notes += times.notes
+        if facts.starts_s is not None:
+            facts.starts_s += (times.epoch_ns or 0) / 1e9
+    return facts
 
 
 def _log_facts(
     source: RecordedFile | RecordedTopics,
     kind: str,
     signals: Sequence[SignalFacts],
-    notes: Sequence[str],
     time: np.ndarray | None,
-    beginning: float = 0.0,
 ) -> RecordingFacts:
     """Return the facts of a log; start, duration, rate and rows are left out if it has less than two rows."""
     facts = RecordingFacts(
@@ -436,11 +446,11 @@ def _log_facts(
         sha256=source.sha256,
         signals=list(signals),
         proposals=[],
-        notes=list(notes),
+        notes=list(source.notes),
     )
     if time is not None and len(time) > 1:
         step = np.diff(time)
-        facts.starts_s = beginning + float(time[0])
+        facts.starts_s = float(time[0])
         facts.duration_s = float(np.ptp(time))
         facts.rows = len(time)
         facts.steps_back = int((step < 0).sum())
@@ -453,67 +463,41 @@ def _log_facts(
 def _signal_facts(
     name: str, time: np.ndarray | None, values: np.ndarray, map: RecordingMap
 ) -> SignalFacts:
-    """Return range, suggested quantity and switching rate of a signal; no rate without times."""
+    """Return range, stated quantity and switching rate of a signal; no rate without times."""
     known = values[np.isfinite(values)]
     if not known.size:
         return SignalFacts(name=name, looks_like="nothing", understood=False)
+    own = log_meaning(canonical_key(name))
+    meaning = map.meanings(QUANTITIES).get(name, own)
     facts = SignalFacts(
         name=name,
-        looks_like=_looks_like(name, known, map),
-        understood=bool(LOG_NAME.fullmatch(canonical_key(name))),
+        looks_like=_stated_quantity(name, known, meaning),
+        understood=own is not None,
         low=float(known.min()),
         high=float(known.max()),
         distinct=(distinct := len(np.unique(known))),
     )
     if distinct <= 3 and time is not None:
         opened = time[1:][(values[1:] == known.max()) & (values[:-1] != known.max())]
-        rate = (
-            float(1 / np.median(np.diff(opened)))
-            if len(opened) > 2 and np.ptp(opened) > 0
-            else 0.0
-        )
-        facts.openings_per_s = rate
-        if rate > _MIN_CARRIER_HZ:
-            facts.looks_like += f", switched by a carrier of about {rate:.0f} Hz"
+        facts.openings_per_s = 0.0
+        if len(opened) > 2 and np.ptp(opened) > 0:
+            facts.openings_per_s = float(1 / np.median(np.diff(opened)))
     return facts
 
 
-def _looks_like(name: str, values: np.ndarray, map: RecordingMap) -> str:
-    """Return the quantity of a signal, known by a unit or by a word in its name or in the map.
+def _stated_quantity(name: str, values: np.ndarray, meaning: Meaning | None) -> str:
+    """Return the quantity that the unit or the name of a signal, or the map, states."""
 
-    The values alone do not tell a quantity: a force of 40 N and a pressure of 40 kPa
-    look alike.
-    """
-    meaning = map.meanings(QUANTITIES).get(name, Meaning(""))
-    text = f"{name} {meaning.name}".lower()
-    if unit := _stated_unit(name, meaning, PRESSURES):
-        return _pressure(unit, values, map)
-    if unit := _stated_unit(name, meaning, ANGLES):
+    def unit_in(units: Mapping[str, float]) -> str:
+        given = (meaning.unit or meaning.default) if meaning else ""
+        return stated_unit(name, units) or symbol(given, units)
+
+    if unit := unit_in(PRESSURES):
+        low, high = np.array([values.min(), values.max()]) * PRESSURES[unit] / 1e3
+        return f"pressure, {unit}: {low:g} to {high:g} kPa"
+    if unit := unit_in(ANGLES):
         return f"angle, {unit}"
-    if "press" in text or "setpoint" in text:
-        return "pressure, without a unit"
-    if "duty" in text or "pwm" in text:
-        return "duty" if values.max() <= 1 else "duty, per cent"
-    if "valve" in text or "solenoid" in text:
-        return "valve states" if values.min() < 0 else "valve states, 0 venting"
-    if any(word in text for word in ("bend", "angle", "theta")):
-        return "angle, without a unit"
-    return "unknown"
-
-
-def _stated_unit(name: str, meaning: Meaning, units: Mapping[str, float]) -> str:
-    return stated_unit(name, units) or symbol(meaning.unit or meaning.default, units)
-
-
-def _pressure(unit: str, values: np.ndarray, map: RecordingMap) -> str:
-    """Return a text on a pressure, with its range in kPa."""
-    pressures = PRESSURES[unit] * values
-    low = pressures.min() / 1e3
-    high = pressures.max() / 1e3
-    text = f"pressure, {unit}: {low:g} to {high:g} kPa"
-    if not map.ambient and looks_absolute(pressures):
-        text += f"; {ABSOLUTE}"
-    return text
+    return _QUANTITY_TEXTS[meaning.kind] if meaning else "unknown"
 
 
 def markers_view(scene: Scene) -> Figure:

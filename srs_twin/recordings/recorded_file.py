@@ -89,6 +89,20 @@ AS_FOUND = Dialect()
 """Dialect that is detected."""
 
 
+class Times(NamedTuple):
+    """Times of the rows of a table.
+
+    Attributes:
+        time: shape (rows,), s.
+        notes: notes on the times.
+        epoch_ns: value subtracted from times since 1970, ns; None for other times.
+    """
+
+    time: np.ndarray
+    notes: list[str]
+    epoch_ns: int | None
+
+
 @dataclass(frozen=True)
 class RecordedFile:
     """Recorded file in memory.
@@ -161,7 +175,7 @@ class RecordedFile:
         Raises:
             InputError: the lines are longer than any header, or are not CSV.
         """
-        start = self._start_of(after)
+        start = self.offset_of(after)
         split = self.raw[start : start + MAX_HEADER_BYTES].split(b"\n", lines)
         if len(split) <= lines and len(self.raw) > start + MAX_HEADER_BYTES:
             problem = (
@@ -180,7 +194,7 @@ class RecordedFile:
             rows.append([cell.strip() for cell in cells])
         return rows
 
-    def _start_of(self, line: int) -> int:
+    def offset_of(self, line: int) -> int:
         """Return the position of a line, counted from 0; the end of the file if there are fewer lines."""
         start = 0
         for _ in range(line):
@@ -216,7 +230,7 @@ class RecordedFile:
                 cells, or a cell is not a number.
         """
         raw = self.raw
-        start = self._start_of(header_lines)
+        start = self.offset_of(header_lines)
         notes = []
         stop = self._end_of(start, section=section)
         if stop < len(raw) and not section:
@@ -244,17 +258,12 @@ class RecordedFile:
         end = _EMPTY_LINE.search(self.raw, start) if section else None
         return max(start, end.start() if end else self.raw.rfind(b"\n") + 1)
 
-    def times(self, clock: int, unit: str) -> tuple[np.ndarray, list[str], int | None]:
+    def times(self, clock: int, unit: str) -> Times:
         """Read the times of the rows of a plain table; times since 1970 are converted to begin at 0.
 
         Args:
             clock: column of the times, which are numbers or dates, counted from 0.
-            unit: unit of numbers; empty means s, or the unit in which they are times
-                since 1970.
-
-        Returns:
-            Times, shape (rows,), s; notes; and the value subtracted from times since
-            1970, ns, or None.
+            unit: unit of numbers; empty means s.
 
         Raises:
             InputError: as `rows`, or a row has no time.
@@ -262,52 +271,32 @@ class RecordedFile:
         import pyarrow as pa
 
         top = self.header_lines
-        start = self._start_of(self.header_lines)
         width = len(self.names)
+        start = self.offset_of(top)
         cut = memoryview(self.raw)[start : self._end_of(start)]
-        notes = list[str]()
-        first = _cells(
-            bytes(cut[:_BLOCK]).split(b"\n", 1)[0].decode("utf-8", "replace"),
-            self.separator,
-        )
-        exact: list[Any] = []
+        first = self.head(1, top)[0]
         if clock < len(first) and _DATE.match(first[clock]):
-            kind = pa.timestamp("ns", "UTC" if _ZONE.search(first[clock]) else None)
-            unit = "ns"
-            exact = (
-                self._parsed(cut, top, [clock], width, kind)[0]
-                .cast(pa.int64())
-                .to_pylist()
-            )
-            time = np.array(exact, dtype=float)
-        else:
-            values, notes = self.rows(top, [clock], width)
-            time = values[:, 0]
-        if (missing := np.isnan(time)).any():
-            raise self.error(
-                "the row has no time", top + 1 + int(missing.argmax()), clock + 1
-            )
-        if not exact:
-            since_1970 = _epoch_unit(time, unit)
-            if not since_1970:
-                with np.errstate(over="ignore"):
-                    return time * TIMES[unit or "s"], notes, None
-            # Use exact numbers: a double resolves times since 1970 only to 256 ns.
-            (texts,), unit = (
-                self._parsed(cut, top, [clock], width, pa.string()),
-                since_1970,
-            )
-            exact = [
-                Decimal(text.replace(self.decimal, ".")) for text in texts.to_pylist()
-            ]
-        origin = min(exact)
-        since = np.array([float(value - origin) for value in exact]) * TIMES[unit]
-        epoch_ns = round(origin * round(TIMES[unit] * 1e9))
-        notes.append(
-            f"time since 1970 in {unit}: {epoch_ns // 10**9}.{epoch_ns % 10**9:09d} s"
-            " subtracted"
-        )
-        return since, notes, epoch_ns
+            zone = "UTC" if _ZONE.search(first[clock]) else None
+            kind = pa.timestamp("ns", zone)
+            (dates,) = self._parsed(cut, top, [clock], width, kind)
+            exact = dates.cast(pa.int64()).to_pylist()
+            self._check_times([value is None for value in exact], clock)
+            return _since_1970(exact, "ns", [])
+        values, notes = self.rows(top, [clock], width)
+        time = values[:, 0]
+        self._check_times(np.isnan(time).tolist(), clock)
+        if not _are_since_1970(time, unit):
+            with np.errstate(over="ignore"):
+                return Times(time * TIMES[unit or "s"], notes, None)
+        # Use exact numbers: a double resolves times since 1970 only to 256 ns.
+        (texts,) = self._parsed(cut, top, [clock], width, pa.string())
+        numbers = (text.replace(self.decimal, ".") for text in texts.to_pylist())
+        return _since_1970([*map(Decimal, numbers)], unit or "s", notes)
+
+    def _check_times(self, missing: list[bool], clock: int) -> None:
+        if any(missing):
+            line = self.header_lines + 1 + missing.index(True)
+            raise self.error("the row has no time", line, clock + 1)
 
     def _parsed(
         self,
@@ -482,76 +471,109 @@ def laid_out(file: RecordedFile, dialect: Dialect = AS_FOUND) -> RecordedFile:
         line.decode("utf-8", "replace").strip("\r")
         for line in start[:_MAX_COMMENT_LINES]
     ]
-    top = next(
-        (
-            k
-            for k, line in enumerate(lines)
-            if line.strip() and not _COMMENT.match(line)
-        ),
-        0,
+    named = (
+        k for k, line in enumerate(lines) if line.strip() and not _COMMENT.match(line)
     )
-    header = lines[top]
+    top = next(named, 0)
     row = next(filter(str.strip, lines[top + 1 :]), "")
-    comments = [line.lstrip("# ") for line in lines[:top] if line.strip()]
-    separator = dialect.separator or _separator(header, row)
-    notes = []
-    problem = ""
+    separator = dialect.separator or _separator(lines[top], row)
+    header = _header(lines, top, separator, dialect.columns)
+    if separator == " ":
+        body = b"\n".join(b" ".join(line.split()) for line in file.raw.split(b"\n"))
+        file = replace(file, body=body)
+    decimal = dialect.decimal or _decimal(file, separator, header.lines)
+    notes = list(header.notes)
+    problem = header.problem
     if len(start) == 1 and len(file.raw) > MAX_HEADER_BYTES:
         problem = f"the header, or a line, is longer than {MAX_HEADER_BYTES >> 20} MB"
-    names = _cells(header, separator)
-    header_lines = top + 1
-    numbers = [bool(_NUMBER.fullmatch(cell)) for cell in names if cell.strip()]
-    if any(numbers) if dialect.columns else numbers and all(numbers):
-        above = _cells(comments[-1], separator) if comments else []
-        header_lines = top
-        if dialect.columns:
-            names = list(dialect.columns)
-        elif len(above) == len(names) and not any(map(_NUMBER.fullmatch, above)):
-            names = above
-            comments = comments[:-1]
-        else:
-            example = "--columns time,x_1,y_1,… (columns: [time, …] in a map)"
-            problem = f"{len(names)} numbers but no names of columns; give {example}"
-            names = []
-    elif dialect.columns:
-        notes.append(
-            "the file names its columns: the names of --columns or of the map are not"
-            " used"
-        )
-    if comments:
-        notes.append(f"{len(comments)} lines of comments above the names skipped")
-    if separator == " ":
-        file = replace(
-            file,
-            body=b"\n".join(b" ".join(line.split()) for line in file.raw.split(b"\n")),
-        )
-    rows = file._start_of(header_lines)
-    decimal = dialect.decimal or "."
-    if not dialect.decimal and separator != "," and file.raw.find(b",", rows) >= 0:
-        decimal = ","
-        if not _DECIMAL_COMMA.search(file.raw, rows):
-            problem = problem or (
-                "commas in numbers may be decimal marks or separate thousands: give"
-                " --decimal ',' or '.'"
-            )
-    if separator == decimal and '"' not in row:
+    elif separator == decimal and '"' not in row:
         problem = (
             f"'{decimal}' cannot separate cells and decimals: give another --separator"
         )
-    if separator + decimal != ",.":
-        notes.append(
-            f"cells separated by {_SEPARATOR_NAMES[separator]}, "
-            f"decimal {'commas' if decimal == ',' else 'points'}"
+    elif not decimal:
+        decimal = ","
+        problem = problem or (
+            "commas in numbers may be decimal marks or separate thousands: give"
+            " --decimal ',' or '.'"
         )
+    if separator + decimal != ",.":
+        marks = "commas" if decimal == "," else "points"
+        cells = _SEPARATOR_NAMES[separator]
+        notes.append(f"cells separated by {cells}, decimal {marks}")
     return replace(
         file,
         separator=separator,
         decimal=decimal,
-        names=tuple(clean(name) for name in names),
-        header_lines=header_lines,
+        names=tuple(clean(name) for name in header.names),
+        header_lines=header.lines,
         notes=tuple(notes),
         problem=problem,
     )
+
+
+class _Header(NamedTuple):
+    """Header of a plain table.
+
+    Attributes:
+        names: names of its columns; empty if it has none.
+        lines: number of lines above the rows.
+        notes: notes on names and comments.
+        problem: reason why it cannot be read; empty if it can.
+    """
+
+    names: Sequence[str]
+    lines: int
+    notes: Sequence[str] = ()
+    problem: str = ""
+
+
+def _header(
+    lines: Sequence[str], top: int, separator: str, columns: Sequence[str]
+) -> _Header:
+    """Return the header of a plain table.
+
+    Args:
+        lines: first lines of the file.
+        top: first line that is not a comment, counted from 0.
+        separator: separator of cells.
+        columns: given names, for a file whose first line has none.
+    """
+    comments = [line.lstrip("# ") for line in lines[:top] if line.strip()]
+    cells = _cells(lines[top], separator)
+    numbers = [bool(_NUMBER.fullmatch(cell)) for cell in cells if cell.strip()]
+    if columns:
+        has_names = not any(numbers)
+    else:
+        has_names = not numbers or not all(numbers)
+    above = _cells(comments[-1], separator) if comments else []
+    names_above = len(above) == len(cells) and not any(map(_NUMBER.fullmatch, above))
+    if not has_names and not columns and names_above:
+        columns = above
+        comments = comments[:-1]
+    notes = []
+    if comments:
+        notes.append(f"{len(comments)} lines of comments above the names skipped")
+    if has_names:
+        if columns:
+            notes.insert(
+                0,
+                "the file names its columns: the names of --columns or of the map are"
+                " not used",
+            )
+        return _Header(cells, top + 1, notes)
+    if columns:
+        return _Header(columns, top, notes)
+    example = "--columns time,x_1,y_1,… (columns: [time, …] in a map)"
+    problem = f"{len(cells)} numbers but no names of columns; give {example}"
+    return _Header((), top, notes, problem)
+
+
+def _decimal(file: RecordedFile, separator: str, header_lines: int) -> str:
+    """Return the decimal mark of the rows; empty if it is ambiguous."""
+    start = file.offset_of(header_lines)
+    if separator == "," or file.raw.find(b",", start) < 0:
+        return "."
+    return "," if _DECIMAL_COMMA.search(file.raw, start) else ""
 
 
 def _cells(line: str, separator: str) -> list[str]:
@@ -581,11 +603,23 @@ def _separator(header: str, row: str) -> str:
     return next(fitting, "," if "," in present else (*present, ",")[0])
 
 
-def _epoch_unit(time: np.ndarray, stated: str) -> str:
-    """Return the unit of times since 1970, stated or by their size and steps; empty for other times."""
-    step = 0.0 if stated or len(time) < 2 else float(np.median(np.diff(np.sort(time))))
-    for unit in [stated] if stated else ("s", "ms", "us", "ns"):
-        low, high = (limit / TIMES[unit] for limit in _EPOCH_RANGE)
-        if low <= time.min() <= high and step * TIMES[unit] < _MAX_EPOCH_STEP:
-            return unit
-    return ""
+def _are_since_1970(time: np.ndarray, unit: str) -> bool:
+    """Return whether times are since 1970, by their size; without a stated unit also by their steps."""
+    scale = TIMES[unit or "s"]
+    low, high = _EPOCH_RANGE
+    in_range = low <= float(time.min()) * scale <= high
+    if not in_range or unit or len(time) < 2:
+        return in_range
+    return bool(np.median(np.diff(np.sort(time))) < _MAX_EPOCH_STEP)
+
+
+def _since_1970(
+    exact: Sequence[int] | Sequence[Decimal], unit: str, notes: list[str]
+) -> Times:
+    """Return times since 1970 relative to the first one."""
+    origin = min(exact)
+    since = np.array([float(value - origin) for value in exact]) * TIMES[unit]
+    epoch_ns = round(origin * round(TIMES[unit] * 1e9))
+    seconds, rest = divmod(epoch_ns, 10**9)
+    note = f"time since 1970 in {unit}: {seconds}.{rest:09d} s subtracted"
+    return Times(since, [*notes, note], epoch_ns)

@@ -411,34 +411,24 @@ def bodies_as_pairs(table: MarkerTable) -> MarkerTable:
         return table
     from scipy.spatial.transform import Rotation
 
-    points = list[np.ndarray]()
-    owners = list[int]()
-    for k in range(len(table.labels)):
-        rotations = table.rotations[:, k]
-        position = table.points[:, k]
-        known = np.isfinite(rotations).all(axis=1)
-        offset = np.zeros((1, 3))
-        if known.any():
-            axes = np.full((len(rotations), 3, 3), np.nan)
-            axes[known] = Rotation.from_quat(rotations[known]).as_matrix()
-            most_variable = int(np.nanvar(axes, axis=0).sum(axis=0).argmax())
-            offset = axes[..., most_variable] * _BODY_MARKER_OFFSET
-        if known.any():
-            ends = [position + offset, position - offset]
-        else:
-            ends = [position]
-        points = points + ends
-        owners = owners + [k] * len(ends)
-    labels = tuple(table.labels[k] for k in owners)
-    if table.places:
-        places = tuple(table.places[k] for k in owners)
-    else:
-        places = ()
+    known = np.isfinite(table.rotations).all(axis=2)
+    owners = np.repeat(np.arange(len(table.labels)), 1 + known.any(axis=0))
+    points = table.points[:, owners]
+    for k in np.flatnonzero(known.any(axis=0)):
+        axes = np.full((len(points), 3, 3), np.nan)
+        axes[known[:, k]] = Rotation.from_quat(
+            table.rotations[known[:, k], k]
+        ).as_matrix()
+        most_variable = int(np.nanvar(axes, axis=0).sum(axis=0).argmax())
+        offset = _BODY_MARKER_OFFSET * axes[..., most_variable]
+        front, rear = np.flatnonzero(owners == k)
+        points[:, front] += offset
+        points[:, rear] -= offset
     return replace(
         table,
-        points=np.stack(points, axis=1),
-        labels=labels,
-        places=places,
+        points=points,
+        labels=tuple(table.labels[k] for k in owners),
+        places=tuple(table.places[k] for k in owners) if table.places else (),
         rotations=None,
         bodies=True,
     )

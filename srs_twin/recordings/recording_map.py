@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -14,32 +14,15 @@ from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.io.documents import Document
 from srs_twin.io.validation import StrictModel, load_model, validate
 from srs_twin.recordings.body.floor import Up
-from srs_twin.recordings.csv_table import Meaning
 from srs_twin.recordings.formats.base import MarkerTable, Unstated
 from srs_twin.recordings.recorded_file import Dialect
-from srs_twin.recordings.signals.units import (
-    ANGLES,
-    PRESSURES,
-    SHARES,
-    TIMES,
-    bracketed,
-    symbol,
-)
+from srs_twin.recordings.signals.units import QUANTITIES, Meaning, bracketed, symbol
 
-LOG_NAME = re.compile(
-    r"(?:(valve|duty|pressure|setpoint)(?:_([^\W_]+))?_(plus|minus)|(bend)(?:_([a-z]+))?)_(\d{1,3})"
+_LOG_NAME = re.compile(
+    r"(?P<kind>valve|duty|pressure|setpoint|bend)"
+    r"(?:_(?P<unit>(?!plus|minus)[^\W_]+))?"
+    r"(?P<side>_plus|_minus)?_(?P<number>\d{1,3})"
 )
-"""Keys of a log: valve_plus_1, duty_minus_2, pressure_kpa_plus_1, setpoint_kpa_plus_1, bend_deg_1."""
-
-QUANTITIES: dict[str, dict[str, float]] = {
-    "time": TIMES,
-    "valve": {},
-    "duty": SHARES,
-    "pressure": PRESSURES,
-    "setpoint": PRESSURES,
-    "bend": ANGLES,
-}
-"""Quantities of a log → their units."""
 
 _NUMBERS = ("carrier_hz", "ambient_kpa")
 _LOG_KEYS = (
@@ -47,7 +30,10 @@ _LOG_KEYS = (
     " bend_1"
 )
 _SEPARATORS = {"tab": "\t", "space": " "}
-_PLACE = re.compile(r"(connector|middle) (\d{1,3})(?: (ahead|behind|left|right))?")
+_PLACE = re.compile(
+    r"ignore|(?P<kind>connector|middle) (?P<number>\d{1,3})"
+    r"(?: (?P<side>ahead|behind|left|right))?"
+)
 
 
 class MarkerPlace(StrictModel):
@@ -106,43 +92,18 @@ class RecordingMap(StrictModel):
     decimal: Literal[".", ","] | None = None
     """Decimal mark of a plain file (default: detected)."""
 
-    def contradictions(self) -> list[tuple[tuple[str, ...], str]]:
-        """Return invalid keys of the log, unknown units, and markers without exactly one place."""
-        problems: list[tuple[tuple[str, ...], str]] = []
+    def contradictions(self) -> Iterator[tuple[tuple[str, str], str]]:
+        """Yield invalid keys of the log, unknown units, and markers without exactly one place."""
         for key, value in self.log.items():
-            kind, name, default = log_meaning(key)
-            if key not in _NUMBERS and not name:
-                problems.append(
-                    (("log", key), f"this is not a key of a log; allowed: {_LOG_KEYS}")
-                )
-                continue
-            if (key in _NUMBERS) != isinstance(value, float):
-                expected = "a number" if key in _NUMBERS else "the name of a column"
-                problems.append((("log", key), f"the value must be {expected}"))
-            units = QUANTITIES.get(kind, {})
-            allowed = ", ".join(QUANTITIES.get(kind, {})) or "none"
-            for unit in filter(
-                None, (default, value.unit if isinstance(value, LogColumn) else "")
-            ):
-                if not symbol(unit, units):
-                    problems.append(
-                        (
-                            ("log", key),
-                            f"unit '{unit}' is not known; allowed: {allowed}",
-                        )
-                    )
+            for problem in _log_problems(key, value):
+                yield ("log", key), problem
         for block, places in (("markers", self.markers), ("bodies", self.bodies)):
             for name, place in places.items():
-                if isinstance(place, MarkerPlace) and (place.connector is None) == (
-                    place.middle is None
-                ):
-                    problems.append(
-                        (
-                            (block, name),
-                            "give either connector or middle, counted from the head",
-                        )
-                    )
-        return problems
+                if place == "ignore":
+                    continue
+                if (place.connector is None) == (place.middle is None):
+                    problem = "give either connector or middle, counted from the head"
+                    yield (block, name), problem
 
     @property
     def carrier_hz(self) -> float | None:
@@ -175,12 +136,13 @@ class RecordingMap(StrictModel):
         """Return column → meaning, for the columns of a log with these quantities."""
         meanings = {}
         for key, value in self.log.items():
-            kind, name, default = log_meaning(key)
-            if kind in kinds and not isinstance(value, float):
-                column = (
-                    value if isinstance(value, LogColumn) else LogColumn(column=value)
-                )
-                meanings[column.column] = Meaning(name, default, column.unit)
+            meaning = log_meaning(key)
+            if meaning is None or meaning.kind not in kinds:
+                continue
+            if isinstance(value, LogColumn):
+                meanings[value.column] = meaning._replace(unit=value.unit)
+            elif isinstance(value, str):
+                meanings[value] = meaning
         return meanings
 
     def applied(self, table: MarkerTable) -> MarkerTable:
@@ -224,17 +186,35 @@ NO_MAP = RecordingMap()
 """Map without entries."""
 
 
-def log_meaning(key: str) -> tuple[str, str, str]:
-    """Return quantity, name and unit of a key of the log: pressure_kpa_plus_1 is pressure_plus_1 in kPa."""
+def _log_problems(key: str, value: str | float | LogColumn) -> Iterator[str]:
+    """Yield what is wrong with an entry of a log."""
+    meaning = log_meaning(key)
+    if key in _NUMBERS:
+        if not isinstance(value, float):
+            yield "the value must be a number"
+        return
+    if meaning is None:
+        yield f"this is not a key of a log; allowed: {_LOG_KEYS}"
+        return
+    if isinstance(value, float):
+        yield "the value must be the name of a column"
+    units = QUANTITIES[meaning.kind]
+    given = value.unit if isinstance(value, LogColumn) else ""
+    for unit in (meaning.default, given):
+        if unit and not symbol(unit, units):
+            allowed = ", ".join(units) or "none"
+            yield f"unit '{unit}' is not known; allowed: {allowed}"
+
+
+def log_meaning(key: str) -> Meaning | None:
+    """Return the meaning of a key of the log: pressure_kpa_plus_1 is pressure_plus_1 in kPa."""
     if key == "time":
-        return key, key, ""
-    match = LOG_NAME.fullmatch(key)
-    if match is None:
-        return "", "", ""
-    kind = match[1] or match[4]
-    unit = match[2] or match[5] or ""
-    side = match[3]
-    return kind, "_".join(filter(None, [kind, side, match[6]])), unit
+        return Meaning("time", "time")
+    match = _LOG_NAME.fullmatch(key)
+    if match is None or (match["kind"] == "bend") == bool(match["side"]):
+        return None
+    name = match["kind"] + (match["side"] or "")
+    return Meaning(match["kind"], name, int(match["number"]), match["unit"] or "")
 
 
 def given_map(
@@ -263,18 +243,16 @@ def given_map(
     for option in markers:
         name, _, place = option.rpartition("=")
         match = _PLACE.fullmatch(place.strip())
-        if not name or not (match or place.strip() == "ignore"):
+        if not name or not match:
             allowed = (
                 "NAME=connector 1, NAME=middle 1, NAME=connector 1 ahead (behind, left,"
                 " right) or NAME=ignore"
             )
             raise InputError(f"--marker: '{option}' is not allowed; use {allowed}")
-        entry: Any = "ignore"
-        if match:
-            entry = {
-                match[1]: int(match[2]),
-                **({"side": match[3]} if match[3] else {}),
-            }
+        entry: object = "ignore"
+        if match["kind"]:
+            side = {"side": match["side"]} if match["side"] else {}
+            entry = {match["kind"]: int(match["number"]), **side}
         data["markers"] = {**data.get("markers", {}), name: entry}
     return data
 

@@ -17,7 +17,7 @@ from subsets import first_by_default
 
 from srs_twin import AnalyticalSnake, Gait, InputError, TwinSnake, load_robot, rollout
 from srs_twin.control.base import Controller
-from srs_twin.io.saved_state import SavedState, names
+from srs_twin.io.saved_state import SavedState
 from srs_twin.plants.base import Plant, SnakeState
 from srs_twin.pneumatics.valves import StuckValve
 from srs_twin.scenario.loading import parse_scenario
@@ -234,21 +234,6 @@ def test_three_differences_are_named_and_the_rest_counted():
         with pytest.raises(InputError) as error:
             SavedState(owner, {}).check("plant", owner | dict.fromkeys(changed, 2))
         assert str(error.value) == named + rest
-
-
-def test_old_declaration_of_the_state_is_deprecated():
-    with pytest.warns(DeprecationWarning, match="tuple of names"):
-
-        class Old(Gait):
-            memory = names("count")
-
-    assert Old.state_attributes == ("count",)
-
-
-def test_old_name_of_the_owner_is_deprecated():
-    state = SavedState({"plant": "twin"}, {})
-    with pytest.warns(DeprecationWarning, match="SavedState.owner"):
-        assert state.of is state.owner
 
 
 def test_state_of_another_plant_or_robot_is_rejected():

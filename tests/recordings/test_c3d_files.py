@@ -274,10 +274,8 @@ def test_units_of_points_are_converted(tmp_path):
     expected = points * [[1e-3], [1e-2], [1.0]]
     assert np.abs(read_markers(tmp_path / "mixed.c3d").points - expected).max() < 1e-4
     (tmp_path / "none.c3d").write_bytes(by_hand(points, 84, units=""))
-    assert (
-        "POINT:UNITS is missing: mm assumed"
-        in same(tmp_path / "none.c3d", points).corrections
-    )
+    with pytest.raises(InputError, match="POINT:UNITS is missing; give --units"):
+        read_markers(tmp_path / "none.c3d")
     by_ezc3d(tmp_path / "odd.c3d", points, units=("furlong",))
     with pytest.raises(
         InputError, match="odd.c3d: unit of length 'furlong' is not known"

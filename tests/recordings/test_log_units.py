@@ -96,14 +96,13 @@ HEADERS = {
     "P1 (mmHg)": "mmHg",
     "P1 (Pa)": "Pa",
     "p1_pa": "Pa",
-    "pbar": "bar",
     "P1 (kPa gauge)": "kPa",
 }
 
 
 @pytest.mark.parametrize(("header", "unit"), HEADERS.items())
 @pytest.mark.parametrize(
-    "key", ["pressure_plus_1", "pressure_kpa_plus_1", "setpoint_psi_plus_1"]
+    "key", ["pressure_Pa_plus_1", "pressure_kpa_plus_1", "setpoint_psi_plus_1"]
 )
 def test_unit_in_the_header_has_precedence_over_the_key(tmp_path, header, unit, key):
     unit = unit or "bar"
@@ -114,7 +113,7 @@ def test_unit_in_the_header_has_precedence_over_the_key(tmp_path, header, unit, 
     found = read_valves(path, MODULE, given)
     expected = PASCALS[unit] * scale * RAW
     assert found.values[:, 0, 0] == pytest.approx(expected, rel=1e-6)
-    default = {"kpa": 1e3, "psi": 6894.757}.get(key.split("_")[1], PASCALS[unit])
+    default = {"kpa": 1e3, "psi": 6894.757, "Pa": 1}[key.split("_")[1]]
     assert any("according to its name" in note for note in found.corrections) == (
         PASCALS[unit] != default
     )
@@ -161,7 +160,7 @@ def test_unknown_and_ambiguous_units_are_refused(tmp_path, header):
         ("MPa", "pressure_kpa_plus_1", 1e6),
         ("", "pressure_kpa_plus_1", 1e3),
         ("", "pressure_mbar_plus_1", 1e2),
-        ("", "pressure_plus_1", 1.0),
+        ("", "pressure_Pa_plus_1", 1.0),
         ("", "pressure_hpa_plus_1", 1e2),
         ("", "pressure_MPa_plus_1", 1e6),
     ],
@@ -171,15 +170,24 @@ def test_map_gives_the_unit_that_the_header_lacks(tmp_path, unit, key, factor):
     found = read_valves(
         log(tmp_path, "time,P1,P2"),
         MODULE,
-        mapped(**{key: column, "pressure_minus_1": "P2"}),
+        mapped(**{key: column, "pressure_Pa_minus_1": "P2"}),
     )
     assert found.values[:, 0, 0] == pytest.approx(factor * RAW)
+
+
+@pytest.mark.parametrize("kind", ["pressure", "setpoint"])
+def test_pressure_without_a_stated_unit_is_refused(tmp_path, kind):
+    given = mapped(**{f"{kind}_plus_1": "P1", f"{kind}_kpa_minus_1": "P2"})
+    with pytest.raises(
+        InputError, match=r"log.csv:1:2: the unit of column 'P1' is not known .*give it"
+    ):
+        read_valves(log(tmp_path, "time,P1,P2"), MODULE, given)
 
 
 def test_conflict_of_header_and_map_names_both_units(tmp_path):
     path = log(tmp_path, "time,P1 (bar),P2")
     given = mapped(
-        pressure_plus_1={"column": "P1 (bar)", "unit": "kpa"}, pressure_minus_1="P2"
+        pressure_plus_1={"column": "P1 (bar)", "unit": "kpa"}, pressure_Pa_minus_1="P2"
     )
     with pytest.raises(
         InputError,
@@ -373,15 +381,9 @@ def facts_of(path, text, **known):
         ("P1 (mbar)", [0.0, 300.0], "pressure, mbar: 0 to 30 kPa"),
         ("P1_psi", [0.0, 4.4], "pressure, psi: 0 to 30.3"),
         ("P1 (bar)", [0.0, 1.0], "pressure, bar: 0 to 100 kPa"),
-        (
-            "P1 (kPa)",
-            [101.0, 131.0],
-            "pressure, kPa: 101 to 131 kPa; they look absolute: subtract the ambient",
-        ),
         ("P1", [101.0, 131.0], "unknown"),
-        ("P1 (bar)", [1.01, 1.31], "pressure, bar: 101 to 131 kPa; they look absolute"),
         ("bend_1_deg", [0.0, 1.0], "angle, deg"),
-        ("pressure", [0.0, 0.3], "pressure, without a unit"),
+        ("pressure", [0.0, 0.3], "unknown"),
     ],
 )
 def test_inspect_prefers_units_in_the_header(tmp_path, column, values, said):
@@ -458,17 +460,16 @@ def test_signals_of_a_bag_have_the_unit_of_the_map(tmp_path):
         ("kpa_", "", 1e3),
         ("", "mbar", 1e2),
         ("MPa_", "", 1e6),
-        ("", "", 1),
     ):
         plus = {"column": "/p.data[0]", "unit": unit} if unit else "/p.data[0]"
         given = mapped(
-            **{f"pressure_{key}plus_1": plus, f"pressure_{key}minus_1": "/p.data[1]"}
+            **{f"pressure_{key}plus_1": plus, "pressure_kpa_minus_1": "/p.data[1]"}
         )
         found = read_valves(path, spec, given)
         assert found.values[:, 0, 0] == pytest.approx(factor * RAW)
-        assert (
-            "pressures without a unit are assumed to be in Pa" in found.corrections
-        ) == (not key)
+    given = mapped(pressure_plus_1="/p.data[0]", pressure_minus_1="/p.data[1]")
+    with pytest.raises(InputError, match=r"unit of column '/p.data\[0\]' is not known"):
+        read_valves(path, spec, given)
 
 
 @pytest.mark.parametrize("names", ["P{} (bar)", "pressure_{}_1_bar"])

@@ -61,10 +61,10 @@ CLOCKS = {
     "epoch_s": ("timestamp", 1.7e9 + TIME),
     "epoch_ms": ("Time (ms)", 1_700_000_000_000 + np.rint(1e3 * TIME).astype(np.int64)),
     "epoch_us": (
-        "timestamp",
+        "timestamp_us",
         1_700_000_000_000_000 + np.rint(1e6 * TIME).astype(np.int64),
     ),
-    "epoch_ns": ("timestamp", ORIGIN_NS + np.rint(1e9 * TIME).astype(np.int64)),
+    "epoch_ns": ("timestamp_ns", ORIGIN_NS + np.rint(1e9 * TIME).astype(np.int64)),
     "dates in UTC": (
         "time",
         pd.to_datetime(ORIGIN_NS + np.rint(1e9 * TIME).astype(np.int64), utc=True),
@@ -90,7 +90,8 @@ def test_tables_of_pandas_are_read(tmp_path, clock, separator, decimal, index):
     digits = 6 if index else 9
     form = None if clock in ("epoch_s",) else f"%.{digits}f"
     if clock == "dates in UTC" and decimal == ",":
-        table[name] = table[name].astype("int64")
+        name = "time_ns"
+        table = table.rename(columns={"time": name}).astype({name: "int64"})
     table.to_csv(path, sep=separator, decimal=decimal, index=index, float_format=form)
     found = check(path, digits)
     since = {
@@ -125,7 +126,8 @@ def test_times_since_1970_keep_their_resolution(tmp_path, unit):
         )
         lines.append(",".join([time, *(f"{v:.9f}" for v in row)]))
     path = tmp_path / "x.csv"
-    path.write_text("\n".join([",".join(["timestamp", *NAMES]), *lines, ""]))
+    head = ",".join([f"timestamp_{unit}", *NAMES])
+    path.write_text("\n".join([head, *lines, ""]))
     found = read_markers(path)
     assert found.epoch_ns == ORIGIN_NS
     assert (
@@ -349,9 +351,8 @@ VALVES = "time,valve_plus_1,valve_minus_1\n"
     ("unit", "name"),
     [
         (1, "time"),
-        (1e3, "time"),
-        (1e6, "t"),
-        (1e9, "timestamp"),
+        (1e6, "t_us"),
+        (1e9, "timestamp_ns"),
         (1e3, "time_ms"),
         (1e9, "stamp [ns]"),
     ],
@@ -375,12 +376,13 @@ def test_logs_with_times_since_1970_are_read(tmp_path, unit, name):
         [1.2e9 + 1e7 * k for k in range(20)],  # ns since a start
         [1.7e15 + 1e9 * k for k in range(20)],  # no unit fits
         [5e9 + k for k in range(20)],
+        [1.7e12 + 100 * k for k in range(20)],  # ms since 1970, but not stated
     ],
 )
 def test_counters_are_not_times_since_1970(tmp_path, times):
     path = tmp_path / "log.csv"
     path.write_text(VALVES + "".join(f"{t:.0f},1,0\n" for t in times))
-    with pytest.raises(InputError, match="is the unit right"):
+    with pytest.raises(InputError, match="is the unit right. State it in the name of"):
         read_valves(path, MODULE)
 
 

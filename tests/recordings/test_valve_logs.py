@@ -30,6 +30,9 @@ PSI = (
 )
 
 
+DUTY = np.array([0.0, 0.1, 0.25, 0.3, 0.5, 0.8, 0.95, 1.0])
+
+
 def log(folder, text):
     path = folder / "valves.csv"
     path.write_text(text)
@@ -194,19 +197,37 @@ def test_valve_states_hold_until_the_next_row(tmp_path):
     assert "sorted" in said and "1 rows repeat the time" in said
 
 
+def duties(folder, full):
+    path = folder / "duties.csv"
+    rows = [
+        ",".join(f"{each:g}" for each in (time, *(full * DUTY))) for time in (0.0, 2.0)
+    ]
+    unit = "_%" if full == 100 else ""
+    head = (
+        HEAD.replace("valve", "duty").replace(",", f"{unit},").replace("time_%", "time")
+    )
+    path.write_text("\n".join([head + unit, *rows, ""]), "utf-8")
+    return path
+
+
 @pytest.mark.parametrize("full", [1.0, 100.0], ids=["shares", "percent"])
 def test_valves_fill_for_the_duty_of_each_carrier_period(tmp_path, full):
-    duty = np.array([0.0, 0.1, 0.25, 0.3, 0.5, 0.8, 0.95, 1.0])
-    rows = [
-        ",".join(f"{each:g}" for each in (time, *(full * duty))) for time in (0.0, 2.0)
-    ]
-    path = tmp_path / "duties.csv"
-    path.write_text("\n".join([HEAD.replace("valve", "duty"), *rows, ""]), "utf-8")
+    path = duties(tmp_path, full)
     found = read_valves(path, SPEC, RecordingMap(log={"carrier_hz": 10.0}))
     filling = found.at(np.arange(0.0005, 2.0, 0.001)) == 1
     for period in filling.reshape(20, 100, 8):
-        assert period.mean(axis=0) == pytest.approx(duty, abs=0.011)
+        assert period.mean(axis=0) == pytest.approx(DUTY, abs=0.011)
         assert (np.diff(period.astype(int), axis=0) <= 0).all()  # filling comes first
+
+
+def test_duties_above_1_need_the_unit_per_cent(tmp_path):
+    path = duties(tmp_path, 100)
+    path.write_text(path.read_text().replace("_%", ""))
+    with pytest.raises(
+        InputError,
+        match=r":2:3: duty_minus_1: 10 is not allowed; .* state per cent by the unit %",
+    ):
+        read_valves(path, SPEC, RecordingMap(log={"carrier_hz": 10.0}))
 
 
 def test_states_0_and_1_mean_venting_and_filling(tmp_path):

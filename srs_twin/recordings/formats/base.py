@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -34,11 +34,13 @@ _AXIS_LAST = re.compile(
 _AXIS_FIRST = re.compile(
     r"(?P<axis>[xyz])[ _.:\-](?P<name>\w.*?)(?:[ _]+" + _UNIT + ")?", re.IGNORECASE
 )
-_NOT_A_POSITION = set(
-    "rot rotation orientation orient quat quaternion q euler angle angles ang angular"
-    " acc accel acceleration gyro gyr gyroscope mag magnetometer magnetic vel velocity"
-    " speed omega force moment torque momentum jerk twist linear wrench dir direction"
-    " normal std sd var cov err error residual imu".split()
+_NOT_A_POSITION = re.compile(
+    r"rot|rotation|orientation|orient|quat|quaternion|q|euler|angle|angles|"
+    r"ang|angular|acc|accel|acceleration|gyro|gyr|gyroscope|mag|magnetometer|"
+    r"magnetic|vel|velocity|speed|omega|force|moment|torque|momentum|jerk|"
+    r"twist|linear|wrench|dir|direction|normal|std|sd|var|cov|err|error|"
+    r"residual|imu",
+    re.IGNORECASE,
 )
 """Words in names of columns with axes that are not positions."""
 
@@ -156,9 +158,8 @@ def axis_columns(cells: Sequence[str]) -> dict[str, dict[str, CsvColumn]]:
                 continue
             bare = f"{bare} {bracket}"
         match = _AXIS_LAST.fullmatch(bare) or _AXIS_FIRST.fullmatch(bare)
-        if match and not _NOT_A_POSITION & {
-            word.lower() for word in re.findall(r"[A-Z]*[a-z]+|[A-Z]+", match["name"])
-        }:
+        words = re.findall(r"[A-Z]*[a-z]+|[A-Z]+", match["name"]) if match else []
+        if match and not any(map(_NOT_A_POSITION.fullmatch, words)):
             axis = match["axis"].lower()
             unit = unit or symbol(match["unit"] or "", LENGTHS)
             markers.setdefault(match["name"].strip(" _.:-") or "marker", {}).setdefault(
@@ -296,7 +297,7 @@ def marker_table(
     notes: Sequence[str],
     *,
     unit: str | Sequence[str] = "m",
-    **more: Any,
+    rotations: np.ndarray | None = None,
 ) -> MarkerTable:
     """Return a marker table in m, without implausible points and with printable names.
 
@@ -308,7 +309,7 @@ def marker_table(
         names: names of the markers.
         notes: notes on the file.
         unit: unit of all lengths, or of those of each marker.
-        **more: attributes of `MarkerTable`.
+        rotations: as in `MarkerTable`.
 
     Raises:
         InputError: there are no frames.
@@ -316,42 +317,40 @@ def marker_table(
     if not len(time):
         raise file.error("the recording has no frames; record or export it again")
     units = [unit] if isinstance(unit, str) else unit
-    converted = ", ".join(sorted({*units} - {"m"}))
-    if converted:
-        notes = [*notes, f"lengths converted from {converted} to m"]
+    notes = list(notes)
+    if converted := ", ".join(sorted({*units} - {"m"})):
+        notes.append(f"lengths converted from {converted} to m")
     points = points * np.array([[LENGTHS[symbol]] for symbol in units])
-    rotations = more.get("rotations")
     unseen = _unseen(points, rotations)
-    if unseen.any():
-        points = np.where(unseen[..., None], np.nan, points)
-        notes = [
-            *notes,
-            f"{int(unseen.sum())} positions are exactly 0, 0, 0: read as missing",
-        ]
-    incomplete = ~np.isfinite(points).all(axis=-1) & np.isfinite(points).any(axis=-1)
+    points[unseen] = np.nan
+    finite = np.isfinite(points)
+    incomplete = ~finite.all(axis=-1) & finite.any(axis=-1)
     with np.errstate(invalid="ignore"):
         far = (np.abs(points) > MAX_DISTANCE).any(axis=-1)
-    points = np.where((incomplete | far)[..., None], np.nan, points)
-    reasons = (
+    points[incomplete | far] = np.nan
+    for samples, reason in (
+        (unseen, "are exactly 0, 0, 0"),
         (incomplete, "lack a coordinate"),
         (far, f"are over {MAX_DISTANCE:g} m away"),
-    )
-    for samples, reason in reasons:
+    ):
         if samples.any():
-            notes = [
-                *notes,
-                f"{int(samples.sum())} positions {reason}: read as missing",
-            ]
+            notes.append(f"{int(samples.sum())} positions {reason}: read as missing")
     if rotations is not None:
         missing = np.isnan(points[..., :1] + rotations.sum(axis=-1, keepdims=True))
-        more["rotations"] = np.where(missing, np.nan, rotations)
-    labels = tuple(
-        escape_unprintable(name) or f"point {k}"
-        for k, name in enumerate(names, start=1)
-    )
-    more["unit"] = ", ".join(sorted({*units}))
+        rotations = np.where(missing, np.nan, rotations)
     return MarkerTable(
-        file.name, file.sha256, kind, time, points, labels, tuple(notes), **more
+        file.name,
+        file.sha256,
+        kind,
+        time,
+        points,
+        tuple(
+            escape_unprintable(name) or f"point {k}"
+            for k, name in enumerate(names, start=1)
+        ),
+        tuple(notes),
+        rotations=rotations,
+        unit=", ".join(sorted({*units})),
     )
 
 

@@ -8,7 +8,7 @@ capitals; the first one is used.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, NamedTuple, final
 
 import numpy as np
@@ -220,16 +220,8 @@ class C3d(Format):
         time = (np.arange(len(samples)) + max(frames.first - 1, 0)) / rate
         points = np.where(samples[..., 3:] <= -1, np.nan, samples[..., :3])[:, chosen]
         labels = [names[k] for k in chosen]
-        return marker_table(
-            file,
-            self.name,
-            time,
-            points,
-            labels,
-            notes,
-            unit=units,
-            header_frames=frames.announced,
-        )
+        table = marker_table(file, self.name, time, points, labels, notes, unit=units)
+        return replace(table, header_frames=frames.announced)
 
 
 def _units(
@@ -244,20 +236,20 @@ def _units(
     The file has one unit, or one for each point.
     """
     stated = [unit.lower() for unit in contents.strings("POINT:UNITS") if unit]
+    if not stated and not given:
+        raise file.error("POINT:UNITS is missing; give --units, or `units` in a map")
     if not stated:
-        assumed = given or "mm"
-        return [assumed] * len(chosen), [f"POINT:UNITS is missing: {assumed} assumed"]
+        return [given or ""] * len(chosen), [f"POINT:UNITS is missing: {given} used"]
     of_points = [stated[k if len(stated) >= count else 0] for k in chosen]
     unknown = sorted({unit for unit in of_points if not symbol(unit, LENGTHS)})
+    notes = []
     if given and unknown:
-        note = (
+        of_points = [given if unit in unknown else unit for unit in of_points]
+        notes.append(
             f"POINT:UNITS {', '.join(unknown)} is not a known unit: {given} used, as"
             " given"
         )
-        return [
-            given if unit in unknown else length_unit(file, unit) for unit in of_points
-        ], [note]
-    return [length_unit(file, unit) for unit in of_points], []
+    return [length_unit(file, unit) for unit in of_points], notes
 
 
 class _Frames(NamedTuple):

@@ -14,6 +14,7 @@ from srs_twin.io.files import escape_unprintable
 from srs_twin.recordings.formats.base import (
     Format,
     MarkerTable,
+    Rows,
     Unstated,
     announced,
     frame_rate,
@@ -74,66 +75,67 @@ class Motive(Format):
             raise file.error(
                 f"Format Version '{version[:20]}' cannot be read; {allowed}", 1, 2
             )
-        top, positions, quaternions = _columns(file, lines)
-        kind, notes = _kind_to_read(file, positions, top)
+        columns = _columns(file, lines)
+        kind, notes = _kind_to_read(file, columns)
         unit = length_unit(file, header.get("Length Units", ""), 1)
         stated = header.get("Export Frame Rate") or header.get("Capture Frame Rate")
-        rate = frame_rate(file, stated, 1) if stated else None
-        markers = [column for column in positions if column.kind == kind]
-        rotation_columns = {
+        markers = [column for column in columns.positions if column.kind == kind]
+        quaternions = {
             column.name: column.place
-            for column in quaternions
+            for column in columns.quaternions
             if column.kind == kind == MOTIVE_KINDS[-1]
         }
-        rotated = [
-            k for k, column in enumerate(markers) if column.name in rotation_columns
-        ]
-        others = [
-            rotation_columns[markers[k].name] + axis
-            for k in rotated
-            for axis in range(4)
-        ]
-        first = [column.place for column in markers]
-        width = len(lines[top - 1])
+        rotated = [k for k, column in enumerate(markers) if column.name in quaternions]
+        first_cells = (quaternions[markers[k].name] for k in rotated)
         rows = marker_rows(
-            file, top, width, first, clock=(0, 1), rate=rate, others=others
+            file,
+            columns.header_lines,
+            len(lines[columns.header_lines - 1]),
+            [column.place for column in markers],
+            clock=(0, 1),
+            rate=frame_rate(file, stated, 1) if stated else None,
+            others=[first + axis for first in first_cells for axis in range(4)],
         )
         rotations = None
         if rotated:
-            rotations = np.full((len(rows.time), len(markers), 4), np.nan)
+            rotations = np.full((*rows.points.shape[:2], 4), np.nan)
             rotations[:, rotated] = rows.others.reshape(len(rows.time), -1, 4)
-        frames = announced(header.get("Total Exported Frames", ""))
-        names = [column.name for column in markers]
-        notes = rows.notes + notes
-        return marker_table(
+        table = marker_table(
             file,
             f"{self.name} {version}",
             rows.time,
             rows.points,
-            names,
-            notes,
+            [column.name for column in markers],
+            rows.notes + notes,
             unit=unit,
-            header_frames=frames,
             rotations=rotations,
         )
+        frames = announced(header.get("Total Exported Frames", ""))
+        return replace(table, header_frames=frames)
 
 
-def _kind_to_read(
-    file: RecordedFile, positions: list[_Column], top: int
-) -> tuple[str, list[str]]:
+class _Columns(NamedTuple):
+    """Number of header lines, and the columns of positions and of quaternions."""
+
+    header_lines: int
+    positions: list[_Column]
+    quaternions: list[_Column]
+
+
+def _kind_to_read(file: RecordedFile, columns: _Columns) -> tuple[str, list[str]]:
     """Return the type of the columns that are read, and notes on the others.
 
     Raises:
         InputError: no column has a type that can be on the robot.
     """
-    kinds = Counter(column.kind or "no type" for column in positions)
+    kinds = Counter(column.kind or "no type" for column in columns.positions)
     kind = next((name for name in MOTIVE_KINDS if name in kinds), None)
     if kind is None:
-        types = ", ".join(sorted({column.kind for column in positions})) or "none"
+        types = ", ".join(sorted(kinds)) or "none"
         raise file.error(
             f"the header has no positions of markers (types with positions: {types};"
             f" allowed: {', '.join(MOTIVE_KINDS)})",
-            top,
+            columns.header_lines,
         )
     skipped = sorted((other, count) for other, count in kinds.items() if other != kind)
     notes = [
@@ -147,10 +149,7 @@ def _kind_to_read(
     return kind, notes
 
 
-def _columns(
-    file: RecordedFile, lines: list[list[str]]
-) -> tuple[int, list[_Column], list[_Column]]:
-    """Return the number of header lines, and the columns of positions and of quaternions."""
+def _columns(file: RecordedFile, lines: list[list[str]]) -> _Columns:
     last = next((k for k, cells in enumerate(lines) if cells[:1] == ["Frame"]), None)
     if last is None:
         count = len(lines) if lines[-1] else len(lines) - 1
@@ -181,7 +180,7 @@ def _columns(
         ]
         for group, quantity in (("XYZ", "Position"), ("XYZW", "Rotation"))
     )
-    return last + 1, positions, quaternions
+    return _Columns(last + 1, positions, quaternions)
 
 
 _SECTIONS = (
@@ -233,35 +232,25 @@ class Vicon(Format):
         if not positions:
             raise file.error(f"no columns {','.join(position_axes)}", above + 3)
         lengths = [length_unit(file, units[k], above + 4, k + 1) for k in positions]
-        # The rotation of an object precedes its position: RX, RY, RZ, or a quaternion
-        # with RW.
-        rotation_starts = {
-            k: axes.index("RX", max(k - 4, 2), k)
-            for k in positions
-            if "RX" in axes[max(k - 4, 2) : k]
-        }
-        others = [
-            column for k, begin in rotation_starts.items() for column in range(begin, k)
-        ]
+        rotations = _rotation_columns(axes, positions)
         rows = marker_rows(
-            file, above + 4, width, positions, rate=1.0, others=others, section=True
+            file,
+            above + 4,
+            width,
+            positions,
+            rate=1.0,
+            others=[column for columns in rotations.values() for column in columns],
+            section=True,
         )
-        rotations = None
         notes = rows.notes + notes
-        if rotation_starts:
+        if rotations:
             notes.append(
                 "RX, RY, RZ read as a rotation vector, or with RW as a quaternion"
             )
-            rotations = np.full((*rows.points.shape[:2], 4), np.nan)
-            end = 0
-            for k, begin in rotation_starts.items():
-                rotation = rows.others[:, end : end + k - begin]
-                end = end + k - begin
-                rotations[:, positions.index(k)] = _quaternions(rotation, units[begin])
+        firsts = [rotations[k].start if k in rotations else k for k in positions]
         labels = [
-            names[rotation_starts.get(k, k)].removeprefix("Global Angle ")
-            or f"column {k + 1}"
-            for k in positions
+            names[first].removeprefix("Global Angle ") or f"column {k + 1}"
+            for first, k in zip(firsts, positions, strict=True)
         ]
         return marker_table(
             file,
@@ -271,8 +260,43 @@ class Vicon(Format):
             labels,
             notes,
             unit=lengths,
-            rotations=rotations,
+            rotations=_object_rotations(rows, positions, rotations, units),
         )
+
+
+def _object_rotations(
+    rows: Rows, positions: list[int], rotations: dict[int, range], units: list[str]
+) -> np.ndarray | None:
+    """Return the quaternions of all objects, as in `MarkerTable`.
+
+    Args:
+        rows: rows with the columns of all rotations.
+        positions: first column of the position of each object.
+        rotations: first column of a position → columns of the rotation.
+        units: unit of each column.
+    """
+    if not rotations:
+        return None
+    quaternions = np.full((*rows.points.shape[:2], 4), np.nan)
+    first = 0
+    for k, columns in rotations.items():
+        rotation = rows.others[:, first : first + len(columns)]
+        unit = units[columns.start]
+        quaternions[:, positions.index(k)] = _quaternions(rotation, unit)
+        first += len(columns)
+    return quaternions
+
+
+def _rotation_columns(axes: list[str], positions: list[int]) -> dict[int, range]:
+    """Return the columns of the rotation that precede the position of an object.
+
+    They are RX, RY, RZ, or a quaternion with RW.
+    """
+    return {
+        k: range(axes.index("RX", max(k - 4, 2), k), k)
+        for k in positions
+        if "RX" in axes[max(k - 4, 2) : k]
+    }
 
 
 def _vicon_section(file: RecordedFile) -> tuple[str, int, list[str]]:
@@ -304,6 +328,13 @@ def _quaternions(rotation: np.ndarray, unit: str) -> np.ndarray:
     return np.asarray(
         Rotation.from_rotvec(rotation * ANGLES.get(unit.lower(), 1.0)).as_quat()
     )
+
+
+def _qtm_header_lines(file: RecordedFile) -> int:
+    """Return the number of lines of the header of a Qualisys export."""
+    lines = file.raw[:MAX_HEADER_BYTES].split(b"\n", _QTM_HEADER_LINES)
+    rows = (k for k, line in enumerate(lines) if not _QTM_LINE.match(line))
+    return next(rows, len(lines))
 
 
 _QTM_LINE = re.compile(rb"(?!NULL|NAN)[A-Z][A-Z0-9_]+[\t\r ]|Frame\t")
@@ -339,11 +370,8 @@ class Qualisys(Format):
                 and line.
         """
         file = replace(file, separator="\t")
-        lines = file.raw[:MAX_HEADER_BYTES].split(b"\n", _QTM_HEADER_LINES)
-        header = next(
-            (k for k, line in enumerate(lines) if not _QTM_LINE.match(line)), len(lines)
-        )
-        *above, row = file.head(header + 1)
+        *above, row = file.head(_qtm_header_lines(file) + 1)
+        header = len(above)
         fields = {cells[0]: [*cells[1:], ""] for cells in reversed(above)}
         kind = fields.get("DATA_INCLUDED", ["3D"])[0]
         if not fields.keys().isdisjoint({"NO_OF_BODIES", "BODY_NAMES"}):
@@ -364,31 +392,29 @@ class Qualisys(Format):
         width = len(row)
         count = 3 * len(names)
         # A row may end in a tab, and begin with the frame and the time.
-        first = {0: 0, 1: 0, 2: 2, 3: 2}.get(width - count)
-        if first is None:
+        if not 0 <= width - count <= 3:
             required = (
                 f"rows must have {count} cells, or {count + 2} with Frame and Time"
             )
             raise file.error(
                 f"{width} cells for {len(names)} markers; {required}", header + 1
             )
+        first = 2 if width - count >= 2 else 0
         given = fields.get("FREQUENCY", [""])[0]
         if given in ("EXT", "") and unstated.rate_hz:
             given = str(unstated.rate_hz)
-        if first and given == "EXT":
-            rate = None
-        else:
-            rate = frame_rate(file, given)
-        places = range(first, first + count, 3)
-        clock = range(first)
+        timed = first and given == "EXT"
         time, points, _, notes = marker_rows(
-            file, header, width, places, clock=clock, rate=rate
+            file,
+            header,
+            width,
+            range(first, first + count, 3),
+            clock=range(first),
+            rate=None if timed else frame_rate(file, given),
         )
-        points[(points == 0).all(axis=-1)] = (
-            np.nan
-        )  # also on a single frame, by the format's definition
+        # By the definition of the format, also on a single frame.
+        points[(points == 0).all(axis=-1)] = np.nan
         notes.append("0,0,0 read as missing")
+        table = marker_table(file, self.name, time, points, names, notes, unit="mm")
         frames = announced(fields.get("NO_OF_FRAMES", [""])[0])
-        return marker_table(
-            file, self.name, time, points, names, notes, unit="mm", header_frames=frames
-        )
+        return replace(table, header_frames=frames)

@@ -66,26 +66,21 @@ class Trc(Format):
         row = lines[min(header, len(lines) - 1)]
         width = len(row)
         required = 2 + 3 * len(names)
-        if (
-            not names or width < required or any(row[required:])
-        ):  # a row may end in tabs
+        # A row may end in tabs.
+        if not names or width < required or any(row[required:]):
             raise file.error(
                 f"{width} cells for {len(names)} markers; rows must have {required}"
                 " cells",
                 header + 1,
             )
-        if fields.get("DataRate"):
-            rate = frame_rate(file, fields["DataRate"], 3)
-        else:
-            rate = None
+        stated = fields.get("DataRate")
+        rate = frame_rate(file, stated, 3) if stated else None
         unit = length_unit(file, fields.get("Units") or unstated.unit or "", 3)
         time, points, _, notes = marker_rows(
             file, header, width, range(2, required, 3), clock=(0, 1), rate=rate
         )
-        frames = announced(fields.get("NumFrames", ""))
-        return marker_table(
-            file, self.name, time, points, names, notes, unit=unit, header_frames=frames
-        )
+        table = marker_table(file, self.name, time, points, names, notes, unit=unit)
+        return replace(table, header_frames=announced(fields.get("NumFrames", "")))
 
 
 _COMMENTS = re.compile(rb"(?:[ \t]*#[^\n]*\n|[ \t\r]*\n)*")
@@ -117,25 +112,22 @@ class Tum(Format):
         _, points, quaternions, notes = marker_rows(
             file, file.header_lines, 8, [1], others=range(4, 8)
         )
-        time, clock_notes, epoch = file.times(0, "")
-        notes += clock_notes
+        times = file.times(0, "s")
         if (np.abs(np.linalg.norm(quaternions, axis=-1) - 1) > _MAX_NORM_ERROR).any():
             raise file.error(
                 "eight numbers per line are read as time, x, y, z and a quaternion, but"
                 " its norm is not 1"
             )
-        rotations = quaternions[:, None]
-        names = [Path(file.name).stem]
-        return marker_table(
+        table = marker_table(
             file,
             self.name,
-            time,
+            times.time,
             points,
-            names,
-            notes,
-            rotations=rotations,
-            epoch_ns=epoch,
+            [Path(file.name).stem],
+            notes + times.notes,
+            rotations=quaternions[:, None],
         )
+        return replace(table, epoch_ns=times.epoch_ns)
 
 
 MIN_LIKELIHOOD = 0.6
@@ -163,26 +155,8 @@ class DeepLabCut(Format):
         Raises:
             InputError: rate or scale are not given, or the file is damaged.
         """
-        rate_hz, unit, scale_m, _ = unstated
-        if rate_hz:
-            missing = []
-        else:
-            missing = ["`rate_hz` (frames per second of the video)"]
-        pixels = unit in (None, "px")
-        if pixels and not scale_m:
-            missing.append(
-                "`scale_m` (m per pixel; or `unit`, if the coordinates are lengths)"
-            )
-        if missing:
-            raise file.error(
-                "DeepLabCut files have frames and pixels only; give"
-                f" {' and '.join(missing)}"
-            )
-        rate = frame_rate(file, str(rate_hz))
-        if pixels:
-            factor = float(scale_m or 0.0)
-        else:
-            factor = LENGTHS[length_unit(file, unit or "")]
+        factor = _dlc_scale(file, unstated)
+        rate = frame_rate(file, str(unstated.rate_hz))
         lines = {cells[0]: cells for cells in file.head(4) if cells}
         if not {"bodyparts", "coords"} <= lines.keys():
             raise file.error(
@@ -190,18 +164,21 @@ class DeepLabCut(Format):
                 " and coords",
                 2,
             )
-        top = 4 if "individuals" in lines else 3
         coords = lines["coords"]
+        parts = lines["bodyparts"]
+        animals = lines.get("individuals")
+        top = 4 if animals else 3
         width = len(coords)
         if width < 4 or coords[1:] != ["x", "y", "likelihood"] * (width // 3):
             raise file.error("each body part must have the columns x,y,likelihood", top)
-        time, samples, _, notes = marker_rows(
-            file, top, width, range(1, width, 3), rate=rate
-        )
+        if len(parts) != width or (animals and len(animals) != width):
+            raise file.error(f"the rows of the header must have {width} cells", top)
+        places = range(1, width, 3)
+        names = [f"{animals[k]}:{parts[k]}" if animals else parts[k] for k in places]
+        time, samples, _, notes = marker_rows(file, top, width, places, rate=rate)
         points = samples[..., :2] * [factor, -factor]
-        unlikely = ~(samples[..., 2] >= MIN_LIKELIHOOD) & np.isfinite(points).all(
-            axis=-1
-        )
+        seen = np.isfinite(points).all(axis=-1)
+        unlikely = seen & ~(samples[..., 2] >= MIN_LIKELIHOOD)
         points[unlikely] = np.nan
         notes += [
             (
@@ -211,17 +188,32 @@ class DeepLabCut(Format):
             "y reversed, because it points down in images",
             f"coordinates multiplied by {factor:g} to m",
         ]
-        parts = lines["bodyparts"]
-        animals = lines.get("individuals")
-        if len(parts) != width or (animals and len(animals) != width):
-            raise file.error(f"the rows of the header must have {width} cells", top)
-        names = [
-            f"{animals[k]}:{parts[k]}" if animals else parts[k]
-            for k in range(1, width, 3)
-        ]
-        return replace(
-            marker_table(file, self.name, time, points, names, notes), unit=unit or "px"
+        table = marker_table(file, self.name, time, points, names, notes)
+        return replace(table, unit=unstated.unit or "px")
+
+
+def _dlc_scale(file: RecordedFile, unstated: Unstated) -> float:
+    """Return the factor from coordinates to m.
+
+    Raises:
+        InputError: rate or scale are not given.
+    """
+    pixels = unstated.unit in (None, "px")
+    missing = []
+    if not unstated.rate_hz:
+        missing.append("`rate_hz` (frames per second of the video)")
+    if pixels and not unstated.scale_m:
+        missing.append(
+            "`scale_m` (m per pixel; or `unit`, if the coordinates are lengths)"
         )
+    if missing:
+        raise file.error(
+            "DeepLabCut files have frames and pixels only; give"
+            f" {' and '.join(missing)}"
+        )
+    if pixels:
+        return unstated.scale_m or 0.0
+    return LENGTHS[length_unit(file, unstated.unit or "")]
 
 
 _NUMBERED = re.compile(r"[xyz]_\d+(?![A-Za-z0-9]{2})", re.IGNORECASE)
@@ -250,70 +242,77 @@ class PlainCsv(Format):
             InputError: the file is damaged, has no positions, or its units contradict
                 each other; the message names line and column.
         """
-        rate_hz = unstated.rate_hz
-        unit = unstated.unit
         file = laid_out(file, unstated.dialect)
         numbered = any(map(_NUMBERED.match, file.names))
         table = read_table(file, CLOCK)
-        clock = [*table.columns]
+        clock = next(iter(table.columns), None)
         markers = _marker_columns(table, numbered)
-        if not clock and not rate_hz:
+        if not clock and not unstated.rate_hz:
             raise file.error(
                 "no column 'time' (the first line must name the columns:"
                 " time,x_1,y_1,x_2,y_2,…), and no rate_hz or --rate is given",
                 file.header_lines or 1,
             )
-        if unit == "px" and not unstated.scale_m:
-            raise file.error("units px need scale_m, the size of a pixel in m")
-        if unit == "px":
-            scale = unstated.scale_m
-        else:
-            scale = LENGTHS.get(unit or "m")
-        chosen = []
-        for column in (column for columns in markers.values() for column in columns):
-            if unit and column.unit not in ("", unit):
-                conflict = (
-                    f"'{column.text}' is in {column.unit} according to its name, but in"
-                    f" {unit} according to the map or --units"
-                )
-                raise table.error(column, f"{conflict}; correct one of them")
-            chosen.append(
-                column if column.unit else replace(column, factor=scale or 1.0)
-            )
-        time, values, notes, epoch_ns = table.read_timed(
-            clock[0] if clock else None, chosen, rate_hz
+        chosen = _in_given_unit(table, markers, unstated)
+        rows = table.read_timed(clock, chosen, unstated.rate_hz)
+        used = [clock, *chosen] if clock else chosen
+        notes = rows.notes + _unit_notes(used, unstated.unit)
+        places = {column.place for column in used}
+        notes += not_used(
+            [name or "''" for k, name in enumerate(file.names) if k not in places]
         )
-        used = [*clock, *chosen]
-        units = sorted({column.unit or unit or "" for column in used} - {"", "m", "s"})
-        if units:
-            notes.append(f"converted from {', '.join(units)} to SI")
-        without = [column.text for column in used if not column.unit]
-        if without and not unit:
-            notes.append(
-                f"{len(without)} columns without a unit assumed to be in s and m"
-                f" ({without[0]}, …)"
-            )
-        others = {*range(len(file.names))} - {column.place for column in used}
-        notes += not_used([file.names[index] or "''" for index in sorted(others)])
-        places = tuple(
-            (2 * (number - 1), "")
-            for number, _ in map(_place, markers if numbered else ())
-        )
-        points = values.reshape(len(time), len(markers), -1)
-        result = marker_table(
-            file,
-            self.name,
-            time,
-            points,
-            list(markers),
-            notes,
-            places=places,
-            epoch_ns=epoch_ns,
-        )
+        points = rows.values.reshape(len(rows.time), len(markers), -1)
+        stated = min({column.unit for column in chosen} - {""}, default="m")
         return replace(
-            result,
-            unit=unit or min({column.unit for column in chosen} - {""}, default="m"),
+            marker_table(file, self.name, rows.time, points, list(markers), notes),
+            places=tuple(
+                (2 * (_place(name)[0] - 1), "") for name in markers if numbered
+            ),
+            epoch_ns=rows.epoch_ns,
+            unit=unstated.unit or stated,
         )
+
+
+def _in_given_unit(
+    table: CsvTable, markers: dict[str, list[CsvColumn]], unstated: Unstated
+) -> list[CsvColumn]:
+    """Return the columns of all markers, with the given unit where their names state none.
+
+    Raises:
+        InputError: a name states another unit, or the size of a pixel is missing.
+    """
+    unit = unstated.unit
+    scale = LENGTHS.get(unit or "m")
+    if unit == "px":
+        scale = unstated.scale_m
+    if not scale:
+        raise table.file.error("units px need scale_m, the size of a pixel in m")
+    columns = [column for axes in markers.values() for column in axes]
+    for column in columns:
+        if unit and column.unit not in ("", unit):
+            raise table.error(
+                column,
+                f"'{column.text}' is in {column.unit} according to its name, but in"
+                f" {unit} according to the map or --units; correct one of them",
+            )
+    return [
+        column if column.unit else replace(column, factor=scale) for column in columns
+    ]
+
+
+def _unit_notes(used: list[CsvColumn], given: str | None) -> list[str]:
+    """Return notes on the units of columns."""
+    notes = []
+    units = sorted({column.unit or given or "" for column in used} - {"", "m", "s"})
+    if units:
+        notes.append(f"converted from {', '.join(units)} to SI")
+    without = [column.text for column in used if not column.unit]
+    if without and not given:
+        notes.append(
+            f"{len(without)} columns without a unit assumed to be in s and m"
+            f" ({without[0]}, …)"
+        )
+    return notes
 
 
 def _place(marker: str) -> tuple[int, str]:

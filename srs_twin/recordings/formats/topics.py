@@ -17,7 +17,7 @@ from array import array
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, lru_cache, partial
 from importlib import import_module
 from types import SimpleNamespace
@@ -349,64 +349,71 @@ class _Topics:
             for topic, labels in bodies.items()
             for label, rows in labels.items()
         }
-        main = max(series, key=lambda key: len(series[key]))
-        time = np.unique(series[main][:, 0])
-        if len(time) > 1:
-            half = 0.5 * float(np.median(np.diff(time)))
-        else:
-            half = 0.0
-        # Frames on which the body with most messages is missing are added if other
-        # bodies of its topic have messages.
-        all_times = np.unique(
-            np.concatenate([rows[:, 0] for rows in bodies[main[0]].values()])
-        )
-        distance = np.abs(time[_nearest(time, all_times)] - all_times)
-        time = np.sort(np.append(time, all_times[distance > half]))
-        if len(time) * len(series) * 7 > MAX_VALUES:
+        main_topic, main_label = max(series, key=lambda key: len(series[key]))
+        frames = _frames(bodies[main_topic], main_label)
+        if len(frames.time) * len(series) * 7 > MAX_VALUES:
             raise self.file.error(
-                f"the file has {len(time)} frames of {len(series)} bodies; at most"
-                f" {MAX_VALUES} numbers are read"
+                f"the file has {len(frames.time)} frames of {len(series)} bodies; at"
+                f" most {MAX_VALUES} numbers are read"
             )
-        poses = np.full((len(time), len(series), 7), np.nan)
+        poses = np.full((len(frames.time), len(series), 7), np.nan)
         for k, ((topic, _), rows) in enumerate(series.items()):
-            nearest = _nearest(rows[:, 0], time)
-            near = (np.abs(rows[nearest, 0] - time) <= half) | topic.endswith(
-                "tf_static"
-            )
+            nearest = _nearest(rows[:, 0], frames.time)
+            near = np.abs(rows[nearest, 0] - frames.time) <= frames.half_period
+            near |= topic.endswith("tf_static")
             poses[near, k] = rows[nearest[near], 1:]
         counts = Counter(label for _, label in series)
         names = [
             label if counts[label] == 1 else f"{topic}:{label}"
             for topic, label in series
         ]
-        composed = _compose(poses, names, self.parents)
-        if composed:
-            notes = [f"{len(composed)} transforms relative to another body: composed"]
-        else:
-            notes = []
+        notes = [*self.notes]
+        if composed := _compose(poses, names, self.parents):
+            notes.append(
+                f"{len(composed)} transforms relative to another body: composed"
+            )
         roots = sorted(set(self.parents.values()) - set(names))
-        notes += (
-            [f"bodies are in different frames: {', '.join(roots[:5])}"]
-            if len(roots) > 1
-            else []
-        )
-        quaternions = np.where(_has_rotation(poses)[..., None], poses[..., 3:], np.nan)
-        rotations = None if np.isnan(quaternions).all() else quaternions
-        epoch: int | None = self.origin if self.origin > _MIN_EPOCH_NS else None
-        if abs(time[0]) > _OTHER_CLOCK_S:
-            time = time - time[0]
-            epoch = None
-        notes = [*self.notes, *map(escape_unprintable, notes)]
-        return marker_table(
+        if len(roots) > 1:
+            listed = escape_unprintable(", ".join(roots[:5]))
+            notes.append(f"bodies are in different frames: {listed}")
+        rotated = _has_rotation(poses)
+        quaternions = np.where(rotated[..., None], poses[..., 3:], np.nan)
+        # Stamps of a simulated clock begin anywhere.
+        other_clock = abs(frames.time[0]) > _OTHER_CLOCK_S
+        since_1970 = self.origin > _MIN_EPOCH_NS and not other_clock
+        table = marker_table(
             self.file,
             self.kind,
-            time,
+            frames.time - (frames.time[0] if other_clock else 0.0),
             poses[..., :3],
             names,
             notes,
-            rotations=rotations,
-            epoch_ns=epoch,
+            rotations=quaternions if rotated.any() else None,
         )
+        return replace(table, epoch_ns=self.origin if since_1970 else None)
+
+
+class _Frames(NamedTuple):
+    """Times of the frames and half of their distance, s."""
+
+    time: np.ndarray
+    half_period: float
+
+
+def _frames(bodies: Mapping[str, np.ndarray], main: str) -> _Frames:
+    """Return the frames of the body with most messages.
+
+    Frames on which it is missing are added if other bodies of its topic have messages.
+
+    Args:
+        bodies: label → rows of the bodies of one topic.
+        main: label of the body with most messages.
+    """
+    time = np.unique(bodies[main][:, 0])
+    half = 0.5 * float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+    every = np.unique(np.concatenate([rows[:, 0] for rows in bodies.values()]))
+    distance = np.abs(time[_nearest(time, every)] - every)
+    return _Frames(np.sort(np.append(time, every[distance > half])), half)
 
 
 def _sorted(series: _Series, width: int) -> dict[str, np.ndarray]:

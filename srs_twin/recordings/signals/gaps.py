@@ -19,7 +19,7 @@ _GRID_TOLERANCE = 0.2
 """Deviation of the times from multiples of the period, in periods, up to which they form a grid, 1."""
 _MAX_FRAMES_PER_ROW = 10
 """Largest number of frames on the grid, divided by the number of rows, 1."""
-_MAX_TIME = 1e7
+_MAX_TIME = 1e9
 """Largest time, s: larger ones are in a wrong unit."""
 
 
@@ -38,6 +38,20 @@ class FrameGrid:
     rows: np.ndarray
     period: float
     corrections: tuple[str, ...]
+
+
+def check_times(time: np.ndarray) -> None:
+    """Check that times are plausible.
+
+    Raises:
+        InputError: they are too large, so their unit is probably wrong.
+    """
+    largest = float(np.abs(time).max())
+    if largest > _MAX_TIME:
+        raise InputError(
+            f"times up to {largest:.3g} s; is the unit right? State it in the name of"
+            " the column (time_ms) or in a map (time: {column: NAME, unit: ms})"
+        )
 
 
 def time_order(time: np.ndarray) -> tuple[np.ndarray, list[str]]:
@@ -59,8 +73,7 @@ def frame_grid(time: np.ndarray) -> FrameGrid:
     Raises:
         InputError: there are too few frames, or the times are implausible.
     """
-    if np.abs(time).max() > _MAX_TIME:
-        raise InputError(f"times up to {np.abs(time).max():.3g} s; is the unit right?")
+    check_times(time)
     order, notes = time_order(time)
     ordered = time[order]
     step = np.diff(ordered)

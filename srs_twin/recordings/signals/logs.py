@@ -31,7 +31,7 @@ from srs_twin.recordings.body.trajectories import (
     numbered_columns,
     pose_columns,
 )
-from srs_twin.recordings.csv_table import CLOCK, CsvTable, Meaning, not_used, read_table
+from srs_twin.recordings.csv_table import CLOCK, CsvTable, not_used, read_table
 from srs_twin.recordings.formats import read_topics
 from srs_twin.recordings.formats.topics import RecordedTopics
 from srs_twin.recordings.recorded_file import (
@@ -46,21 +46,23 @@ from srs_twin.recordings.recording import (
     held_values,
     named_in_errors,
 )
-from srs_twin.recordings.recording_map import (
-    NO_MAP,
-    QUANTITIES,
-    RecordingMap,
-    log_meaning,
-)
+from srs_twin.recordings.recording_map import NO_MAP, RecordingMap
 from srs_twin.recordings.signals.gaps import (
     MIN_FRAMES,
     at_frames,
+    check_times,
     fill_gaps,
     frame_grid,
     longest_complete,
     time_order,
 )
-from srs_twin.recordings.signals.units import ABSOLUTE, clean, looks_absolute, symbol
+from srs_twin.recordings.signals.units import (
+    ABSOLUTE,
+    QUANTITIES,
+    clean,
+    looks_absolute,
+    unit_of,
+)
 from srs_twin.robot.geometry import body_shape, relative_headings
 from srs_twin.robot.spec import RobotSpec
 
@@ -75,10 +77,7 @@ _MAX_PRESSURE = 2e6
 """Largest gauge pressure of a chamber, Pa."""
 _MIN_PRESSURE = -1.1e5
 """Smallest gauge pressure, Pa: slightly below that of a vacuum."""
-_ALLOWED = f"it must be a gauge pressure from {_MIN_PRESSURE:g} to {_MAX_PRESSURE:g} Pa"
-_BEND = re.compile(r"bend_(?:[a-z]+_)?1(?!\d)")
-_MAX_TIME = 1e9
-"""Largest time, s: larger ones are in a wrong unit."""
+_BEND = re.compile(r"bend_1(?!\d)")
 _MAX_PERIODS = 1_000_000
 """Largest number of carrier periods in a log of duties."""
 _MAX_CLAMP_SHIFT = 0.05
@@ -97,9 +96,8 @@ def is_bend_log(path: StrPath, map: RecordingMap = NO_MAP) -> bool:
     if "\0" in start.first_line:
         return False
     mapped = {clean(name).lower() for name in map.meanings(["bend"])}
-    return any(
-        _BEND.match(name.lower()) or name.lower() in mapped for name in start.names
-    )
+    names = {name.lower() for name in start.names}
+    return not mapped.isdisjoint(names) or any(_BEND.match(name) for name in names)
 
 
 def read_bends(
@@ -168,24 +166,21 @@ def _table(path: StrPath, map: RecordingMap, kinds: Sequence[str]) -> CsvTable:
     """Return a table with the columns of these quantities, by their names or by a map."""
     file = laid_out(read_file(path), map.dialect)
     known = {
-        kind if kind == "bend" else f"{kind}_{side}": QUANTITIES[kind]
+        f"{kind}_{side}": QUANTITIES[kind]
         for kind in kinds
         for side in SIDES
-    }
-    named = {name: log_meaning(name.lower()) for name in file.names}
-    units = {
-        name: Meaning(key)
-        for name, (kind, key, unit) in named.items()
-        if kind in kinds and unit
+        if kind != "bend"
     }
     mapped = map.meanings([*kinds, "time"])
-    if kinds == ("bend",):  # the time in the map may belong to another file
+    if kinds == ("bend",):
+        known = {"bend": QUANTITIES["bend"]}
+        # The time in the map may belong to another file.
         mapped = {
             name: meaning
             for name, meaning in mapped.items()
-            if meaning.name != "time" or name in file.names
+            if meaning.kind != "time" or name in file.names
         }
-    return read_table(file, CLOCK | known, units | mapped)
+    return read_table(file, CLOCK | known, mapped)
 
 
 def _clamped_body(
@@ -227,13 +222,8 @@ def read_valves(path: StrPath, spec: RobotSpec, map: RecordingMap = NO_MAP) -> V
     clock = table.clock(
         "no column 'time'; a log has time,valve_plus_1,valve_minus_1,… or pressures"
     )
-    kinds = sorted(
-        {
-            column.name.partition("_")[0]
-            for column in table.columns
-            if "_" in column.name
-        }
-    )
+    names = {column.name for column in table.columns if column is not clock}
+    kinds = sorted({name.partition("_")[0] for name in names})
     if len(kinds) != 1:
         given = ", ".join(kinds) or "none of them"
         raise file.error(
@@ -243,18 +233,20 @@ def read_valves(path: StrPath, spec: RobotSpec, map: RecordingMap = NO_MAP) -> V
             file.header_lines or 1,
         )
     (kind,) = kinds
-    chosen = table.per_segment(
-        [f"{kind}_{side}" for side in SIDES], spec.name, spec.segments
-    )
-    time, values, notes, epoch_ns = table.read_timed(clock, chosen)
-    units = [column.unit for column in chosen]
-    unused = not_used(table.unused)
+    per_side = [f"{kind}_{side}" for side in SIDES]
+    chosen = table.per_segment(per_side, spec.name, spec.segments)
+    rows = table.read_timed(clock, chosen)
+    notes = list(rows.notes)
+    if kind in AIR and not all(column.unit for column in chosen):
+        notes.append("pressures without a unit are assumed to be in Pa")
 
     def error(row: int, k: int, problem: str) -> InputError:
         return table.error(chosen[k], f"{chosen[k].text}: {problem}", row)
 
-    log = _log(file, kind, time, values, units, map, notes, error)
-    return replace(log, epoch_ns=epoch_ns, corrections=(*log.corrections, *unused))
+    values = _checked_values(kind, rows.values, map, notes, error)
+    log = _log(file, kind, rows.time, values, map, notes)
+    corrections = (*log.corrections, *not_used(table.unused))
+    return replace(log, epoch_ns=rows.epoch_ns, corrections=corrections)
 
 
 def log_of_topics(
@@ -267,8 +259,8 @@ def log_of_topics(
         UnknownNameError: the map names a signal that does not exist.
     """
     meanings = map.meanings(("valve", "duty", *AIR))
-    names = {meaning.name: signal for signal, meaning in meanings.items()}
-    kinds = {name.partition("_")[0] for name in names}
+    names = {meaning.key: signal for signal, meaning in meanings.items()}
+    kinds = {meaning.kind for meaning in meanings.values()}
     required = [
         f"{kind}_{side}_{j + 1}"
         for kind in kinds
@@ -283,52 +275,48 @@ def log_of_topics(
                 " with log: {valve_plus_1: SIGNAL, valve_minus_1: SIGNAL, …};"
                 f" signals: {listed}"
             )
-        for signal in names.values():
+        (kind,) = kinds
+        chosen = [names[key] for key in required]
+        units = QUANTITIES[kind]
+        factors = []
+        for signal in chosen:
             if signal not in topics.signals:
                 raise UnknownNameError("signal", signal, topics.signals)
-    (kind,), chosen = kinds, [names[name] for name in required]
+            unit, _ = unit_of(signal, "", units, meanings[signal])
+            factors.append(units.get(unit, 1.0))
     series = [topics.signals[signal] for signal in chosen]
     time = np.unique(np.concatenate([times for times, _ in series]))
     # The log begins when every signal has a value.
     time = time[time >= max(times[0] for times, _ in series)]
-    units = [
-        symbol(meanings[signal].unit or meanings[signal].default, QUANTITIES[kind])
-        for signal in chosen
-    ]
     sample = np.interp if kind == "pressure" else held_values
-    factors = [QUANTITIES[kind].get(unit, 1.0) for unit in units]
     values = np.stack([sample(time, *own) for own in series], axis=1) * factors
 
     def error(row: int, k: int, problem: str) -> InputError:
         return InputError(f"{topics.name}: {chosen[k]}: {problem}, at {time[row]:g} s")
 
-    return _log(topics, kind, time, values, units, map, [*topics.notes], error)
+    notes = [*topics.notes]
+    values = _checked_values(kind, values, map, notes, error)
+    return _log(topics, kind, time, values, map, notes)
 
 
-def _log(
-    source: RecordedFile | RecordedTopics,
+def _checked_values(
     kind: str,
-    time: np.ndarray,
     values: np.ndarray,
-    units: Sequence[str],
     map: RecordingMap,
     notes: list[str],
     error: Callable[[int, int, str], InputError],
-) -> ValveLog:
-    """Return a log of valve states or gauge pressures in the order of time.
+) -> np.ndarray:
+    """Return valve states, duties or gauge pressures, and add notes.
 
     Args:
-        source: source of the values.
         kind: valve, duty, pressure or setpoint.
-        time: shape (rows,), s.
         values: in SI, shape (rows, 2 segments).
-        units: units of the columns; empty if they have none.
-        map: ambient pressure and carrier frequency.
-        notes: notes on the source.
+        map: ambient pressure.
+        notes: notes on the log.
         error: function of row, column and message that returns the error to raise.
 
     Raises:
-        InputError: values are missing or impossible, or the times are implausible.
+        InputError: values are missing or impossible.
     """
     if kind in AIR:
         if map.ambient:
@@ -338,27 +326,47 @@ def _log(
                 f"the smallest pressure is {np.nanmin(values) / 1e3:.4g} kPa:"
                 f" {ABSOLUTE}"
             )
-        if not all(units):
-            notes.append("pressures without a unit are assumed to be in Pa")
         values = values - map.ambient
-    allowed = np.isin(values, (-1, 0, 1))
-    words = "it must be -1 (vent), 0 (hold) or 1 (fill)"
-    unit = ""
-    if kind in AIR:
         allowed = (values >= _MIN_PRESSURE) & (values <= _MAX_PRESSURE)
-        words = _ALLOWED
+        words = (
+            f"it must be a gauge pressure from {_MIN_PRESSURE:g} to"
+            f" {_MAX_PRESSURE:g} Pa"
+        )
         unit = " Pa"
-    wrong = np.argwhere(~allowed)
-    if wrong.size and kind != "duty":
-        row, k = (int(index) for index in wrong[0])
+    elif kind == "duty":
+        allowed = (values >= 0) & (values <= 1)
+        words = (
+            "a duty must be from 0 to 1; state per cent by the unit % in the name of the"
+            " column or in a map"
+        )
+        unit = ""
+    else:
+        allowed = np.isin(values, (-1, 0, 1))
+        words = "it must be -1 (vent), 0 (hold) or 1 (fill)"
+        unit = ""
+    if not allowed.all():
+        row, k = np.argwhere(~allowed)[0].tolist()
         if np.isnan(values[row, k]):
             raise error(row, k, f"the value is missing; {words}")
         raise error(row, k, f"{values[row, k]:g}{unit} is not allowed; {words}")
+    return values
+
+
+def _log(
+    source: RecordedFile | RecordedTopics,
+    kind: str,
+    time: np.ndarray,
+    values: np.ndarray,
+    map: RecordingMap,
+    notes: list[str],
+) -> ValveLog:
+    """Return a log of valve states or gauge pressures in the order of time.
+
+    Raises:
+        InputError: the times are implausible.
+    """
     with named_in_errors(source.name):
-        if np.abs(time).max() > _MAX_TIME:
-            raise InputError(
-                f"times up to {np.abs(time).max():.3g} s; is the unit right?"
-            )
+        check_times(time)
         order, moved = time_order(time)
         # Of several rows with the same time the last one counts, as at the valve
         # itself.
@@ -376,46 +384,48 @@ def _log(
         if kind == "setpoint":
             notes.append("set points are assumed to be the chamber pressures")
         elif kind == "duty":
-            time, values = _switched_valves(time, values, map.carrier_hz, notes)
+            time, values = _switched_valves(time, values, map.carrier_hz)
+            notes.append(
+                f"duties converted to valve states at {map.carrier_hz:g} Hz, with the"
+                " fill first"
+            )
         elif kind == "valve" and not (values == -1).any() and (values == 0).any():
             values = np.where(values == 0, -1.0, values)
             notes.append(
                 "states are 0 and 1 only: 0 is read as venting (−1), as for 3/2 valves"
             )
-    log_kind = "pressure" if kind in AIR else "valve"
-    head = source.name, source.sha256, tuple(notes)
-    return ValveLog(log_kind, time, values, *head, holds=kind == "setpoint")
+    return ValveLog(
+        "pressure" if kind in AIR else "valve",
+        time,
+        values,
+        source.name,
+        source.sha256,
+        tuple(notes),
+        holds=kind == "setpoint",
+    )
 
 
 def _switched_valves(
-    time: np.ndarray, duty: np.ndarray, carrier_hz: float | None, notes: list[str]
+    time: np.ndarray, duty: np.ndarray, carrier_hz: float | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return times (rows,), s, and valve states (rows, segments, 2) that have the given duties.
 
-    Duties hold until the next row. They are from 0 to 1, or from 0 to 100 per cent.
+    Duties are from 0 to 1 and hold until the next row.
     """
     if carrier_hz is None:
         raise InputError(
             "duties need their carrier frequency; give log: {carrier_hz: 30} in a map"
         )
-    if not ((duty >= 0) & (duty <= 100)).all():
-        raise InputError("duties must be from 0 to 1, or from 0 to 100 per cent")
     if (time[-1] - time[0]) * carrier_hz > _MAX_PERIODS:
         raise InputError(
             f"the log has more than {_MAX_PERIODS} carrier periods; cut it"
         )
-    if duty.max() > 1:
-        duty = duty / 100
-        notes.append("duties are read as per cent")
     starts = np.arange(time[0], time[-1], 1 / carrier_hz)
     duty = held_values(starts + 1e-9, time, duty)
     ends = starts[:, None, None] + duty / carrier_hz
     edges = np.unique(np.concatenate([starts, ends.ravel(), time[-1:]]))
     edges = edges[edges <= time[-1]]
     filling = edges[:, None, None] < held_values(edges + 1e-9, starts, ends) - 1e-9
-    notes.append(
-        f"duties converted to valve states at {carrier_hz:g} Hz, with the fill first"
-    )
     return edges, np.where(filling, 1.0, -1.0)
 
 

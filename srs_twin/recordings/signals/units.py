@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,6 +32,19 @@ PRESSURES |= {
 }
 """Units of gauge pressures; units of absolute pressures (psia, bara) are not included."""
 SHARES = {"1": 1.0, "%": 1e-2}
+
+QUANTITIES: dict[str, dict[str, float]] = {
+    "time": TIMES,
+    "valve": {},
+    "duty": SHARES,
+    "pressure": PRESSURES,
+    "setpoint": PRESSURES,
+    "bend": ANGLES,
+}
+"""Quantities of a log → their units."""
+
+_UNIT_REQUIRED = ("pressure", "setpoint", "bend")
+"""Quantities whose unit must be stated for a column with a name of its own."""
 
 _SPELLED = (
     'm meter metre,cm centimeter centimetre,mm millimeter millimetre,in inch inche ",ft'
@@ -103,66 +117,75 @@ def stated_unit(name: str, units: Mapping[str, float]) -> str | None:
 def _unit_in_word(word: str, units: Mapping[str, float]) -> str | None:
     """Return the unit that a word is or ends with; None if it is ambiguous."""
     camel = _CAMEL.search(word)
-    ends = [word, word.rpartition("/")[2], camel[0] if camel else ""]
-    # pbar and tms, and units with a capital inside such as kPa.
-    ends += (
-        [word[1:]]
-        if len(word) > 2 and word[0] in ("pP" if "Pa" in units else "tT")
-        else []
-    )
-    ends += [
-        unit
-        for unit in units
-        if len(unit) > 2 and not unit.islower() and word.endswith(unit)
-    ]
     lower = [unit.lower() for unit in units]
-    for end in filter(None, ends):
-        if found := symbol(end, units):
+    for end in (word, word.rpartition("/")[2], camel[0] if camel else ""):
+        if end and (found := symbol(end, units)):
             return found
         if lower.count(end.lower()) > 1:
             return None
     return ""
 
 
+class Meaning(NamedTuple):
+    """Meaning of a column with a name of its own, from a map.
+
+    Attributes:
+        kind: quantity: time, valve, duty, pressure, setpoint or bend.
+        name: quantity and side, such as "pressure_plus".
+        number: number of the segment; 0 for the time.
+        default: unit in the key of the map, for columns whose name states none.
+        unit: unit of this column in the map; empty if the map states none.
+    """
+
+    kind: str
+    name: str
+    number: int = 0
+    default: str = ""
+    unit: str = ""
+
+    @property
+    def key(self) -> str:
+        """Name with its number, such as "pressure_plus_1"."""
+        return f"{self.name}_{self.number}" if self.number else self.name
+
+
 def unit_of(
-    column: str, units: Mapping[str, float], default: str = "", given: str = ""
+    column: str, stated: str | None, units: Mapping[str, float], meaning: Meaning
 ) -> tuple[str, str]:
-    """Return the unit of a column, and a note.
+    """Return the unit of a column of a map, and a note if the map's key has another one.
 
     Args:
-        column: name of the column, which may contain the unit.
+        column: name of the column.
+        stated: unit in this name, as `stated_unit` returns it.
         units: allowed units.
-        default: unit in the key of the map, for columns without a unit.
-        given: unit of this column in the map.
+        meaning: meaning of the column.
 
     Raises:
-        InputError: the units differ, or a unit is unknown.
+        InputError: the units differ, or the unit of a pressure or an angle is not
+            stated or not known.
     """
     allowed = f"allowed: {', '.join(units) or 'none'}"
-    for unit in filter(None, (default, given)):
-        if not symbol(unit, units):
-            raise InputError(
-                f"unit '{unit}' of column '{column}' is not known; {allowed}"
-            )
-    stated = stated_unit(column, units)
-    default = symbol(default, units)
-    given = symbol(given, units)
-    if stated is None and not given:
-        remedy = f"give it in the map: {{column: '{column}', unit: …}}"
+    given = symbol(meaning.unit, units)
+    default = symbol(meaning.default, units)
+    missing = meaning.kind in _UNIT_REQUIRED and not (stated or default)
+    if not given and (stated is None or missing):
         raise InputError(
-            f"the unit of column '{column}' is not known ({allowed}); {remedy}"
+            f"the unit of column '{column}' is not known ({allowed}); give it in the"
+            f" map: {{column: '{column}', unit: …}}"
         )
-    if stated and given and units[stated] != units[given]:
+    if not stated:
+        return given or default, ""
+    if given and units[stated] != units[given]:
         raise InputError(
             f"column '{column}' is in {stated} by its name, in {given} by the map;"
             " correct one of them"
         )
-    note = (
-        f"'{column}' read in {stated} according to its name, although the key of the"
-        f" map has {default}"
-    )
-    differs = stated and default and not given and units[stated] != units[default]
-    return stated or given or default, note if differs else ""
+    if default and not given and units[stated] != units[default]:
+        return stated, (
+            f"'{column}' read in {stated} according to its name, although the key of"
+            f" the map has {default}"
+        )
+    return stated, ""
 
 
 _CLOCK = {"time", "timestamp", "timestamps", "stamp", "t", "epoch", "elapsed"}
