@@ -23,6 +23,7 @@ from srs_twin.io.files import data_root
 from srs_twin.planning.footprint_file import load_footprint_file
 from srs_twin.reproduction.claims import CLAIMS_BYTES, claims_file
 from srs_twin.robot.file import load_robot, load_robot_file
+from srs_twin.studies.sweep.loading import load_sweep
 
 pytestmark = pytest.mark.fast
 
@@ -148,21 +149,54 @@ def test_table_8_is_that_of_the_footprint():
 
 
 def test_table_8_is_that_of_the_sweep():
-    sweep = load_yaml(data_root() / "scenarios/sweeps/table8.yaml").data
-    runs = [
-        by_offset()[offset] for offset in sweep["beside"]["at"]["controller.offset"]
-    ]
-    found = sweep["beside"]["metrics"]
-    assert found["path_speed_m_s"] == [run.speed_m_s for run in runs]
-    assert found["box_left_m"] == [run.left_m for run in runs]
-    assert found["box_right_m"] == [run.right_m for run in runs]
-    assert found["path_radius_m"] == [
-        math.copysign(run.radius_m, run.offset) for run in runs
-    ]
+    sweep = load_sweep("table8")
+    assert sweep.experiment.plants == ("analytical", "twin")
+    assert [point.changes["controller.offset"] for point in sweep.points] == sorted(
+        by_offset()
+    )
+    document = sweep.experiment.document(sweep.points[0].changes)
     table = load_table("table8")
     assert isinstance(table, RunTable)
-    scenario = load_yaml(data_root() / f"scenarios/{sweep['scenario']}.yaml").data
-    assert scenario["controller"]["frequency_hz"] == table.frequency_hz
+    assert document["controller"]["frequency_hz"] == table.frequency_hz
+    assert document["controller"]["target_rad"] == 0.7
+    assert document["supply"]["pressure_kpa"] == 131
+    assert document["duration_s"] == 16
+
+
+def test_docs_learning_shows_table_8_and_its_deviations():
+    """The published columns equal the table, and the text states the deviations of the predicted rows."""
+    page = (data_root() / "docs/learning.md").read_text("utf-8")
+    section = page.partition("## Table 8")[2].partition("\n## ")[0]
+    lines = [
+        re.split(r"\s*\|\s*", line.replace("−", "-").strip("| "))
+        for line in section.splitlines()
+        if re.match(r"\| (−|0)", line)
+    ]
+    fitted = {-0.3, 0.0, 0.3}
+    deviations = {}
+    for offset, row, *cells in lines:
+        run = by_offset()[float(offset)]
+        assert row == ("fit" if run.offset in fitted else "predicted")
+        numbers = list(map(float, cells))
+        radius = math.copysign(run.radius_m, run.offset)
+        assert numbers[::3] == [run.speed_m_s, radius, run.left_m, run.right_m]
+        if row == "predicted":
+            for k, plant in ((1, "analytical"), (2, "twin")):
+                for j, quantity in enumerate(("speed", "radius", "left", "right")):
+                    share = numbers[3 * j + k] / numbers[3 * j] - 1
+                    deviations[plant, quantity, run.offset] = share
+    assert len(lines) == 7
+    assert len(deviations) == 32
+    missed = {place: share for place, share in deviations.items() if abs(share) > 0.2}
+    assert missed == {
+        ("analytical", "speed", 0.2): pytest.approx(0.38, abs=0.01),
+        ("twin", "speed", 0.2): pytest.approx(0.21, abs=0.01),
+        ("analytical", "radius", 0.1): pytest.approx(0.79, abs=0.02),
+        ("twin", "radius", 0.1): pytest.approx(0.72, abs=0.02),
+    }
+    assert "fourteen" in section
+    assert "(+38 % and +21 %)" in section
+    assert "(+79 % and +72 %)" in section
 
 
 def test_table_9_follows_from_table_8_and_is_that_of_the_footprint():

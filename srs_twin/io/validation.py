@@ -46,8 +46,12 @@ RETIRED_KINDS = {
     ),
     "greedy": "it was retired (`benchmarks/greedy.py` keeps it); use best_first",
     "ompl": "it was retired (`benchmarks/rrt_connect.py` keeps it); use best_first",
+    "beside": (
+        "it was retired; `srs-twin reproduce` compares results with published values"
+    ),
+    "contour": "it was retired; use line, with one of the two fields as by",
 }
-"""Kind of a block in earlier versions → why it was removed, or what to use instead."""
+"""Kind or key in earlier versions → why it was removed, or what to use instead."""
 _UNION_TAG_ERRORS = ("union_tag_invalid", "union_tag_not_found")
 
 
@@ -218,13 +222,7 @@ def _report_block_kind(document: Document, item: Any, loc: Loc) -> None:
             name.strip("'") for name in context.get("expected_tags", "").split(", ")
         ]
         value = child(block, key)
-        close = ""
-        if isinstance(value, str):
-            retired = RETIRED_KINDS.get(value)
-            if retired:
-                close = f": {retired}"
-            else:
-                close = did_you_mean(value, names)
+        close = _hint(value, names)
         document.report(
             (*loc, key),
             f"must be one of {format_names(names)}, not"
@@ -232,11 +230,20 @@ def _report_block_kind(document: Document, item: Any, loc: Loc) -> None:
         )
 
 
+def _hint(value: object, names: Iterable[str]) -> str:
+    """Return why a name was retired, or a similar name; empty if there is none."""
+    if not isinstance(value, str):
+        return ""
+    if value in RETIRED_KINDS:
+        return f": {RETIRED_KINDS[value]}"
+    return did_you_mean(value, names)
+
+
 def _message(item: Any, schema: Schema, loc: Loc, data: Any) -> str:
     kind = item["type"]
     if kind == "extra_forbidden":
         keys = _allowed_keys(schema, loc[:-1], data)
-        close = did_you_mean(str(loc[-1]), keys)
+        close = _hint(loc[-1], keys)
         if str(loc[-1]).isdigit():
             return "unknown key; write a decimal point, not a comma"
         listed = ", ".join(keys[:MAX_LISTED_NAMES])
@@ -258,10 +265,7 @@ def _message(item: Any, schema: Schema, loc: Loc, data: Any) -> str:
     value = item["input"]
     flat = [inner for option in options for inner in _alternatives(option, schema)]
     choices = [choice for option in options for choice in _choices(option, schema)]
-    if isinstance(value, str) and len(choices) > 1:
-        close = did_you_mean(value, choices)
-    else:
-        close = ""
+    close = _hint(value, choices) if len(choices) > 1 else ""
     if (
         isinstance(value, str)
         and _WITH_UNIT.fullmatch(value)

@@ -22,20 +22,15 @@ from srs_twin.cli.options import (
 from srs_twin.io.files import display_path
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from srs_twin.studies.sweep.execution import Engine
+    from srs_twin.studies.sweep.points import Sweep
     from srs_twin.studies.sweep.report import Summary
     from srs_twin.studies.sweep.task import Row
-    from srs_twin.viewing.html import Table as TextTable
 
 SWEEPS = Path("runs/sweeps")
 
 _MAX_REASONS = 5
 """Largest number of failure reasons that are printed."""
-
-_MAX_PUBLISHED = 30
-"""Largest number of published values that are printed; the report has all."""
 
 
 @dataclass(frozen=True)
@@ -96,20 +91,20 @@ def sweep(
             sweep's]
     """
     runner = study.make_engine()
-    from srs_twin.scenario.modified import marked
     from srs_twin.studies.sweep.execution import select_points, sweep as run_sweep
     from srs_twin.studies.sweep.loading import load_sweep
 
     loaded = load_sweep(name, set=changed_fields.changes(), plants=parse_plants(plants))
-    for warning in () if quiet else loaded.warnings:
-        say(f"warning: {warning}")
-    wanted = len(select_points(loaded, without or ()))
+    say(*(f"warning: {warning}" for warning in loaded.warnings), quiet=quiet)
+    left_out = without or ()
+    wanted = len(select_points(loaded, left_out))
     with interruptible(), RunCounter(loaded.name, 0, quiet=quiet) as counting:
 
         def follow(part: str, total: int, row: Row | None) -> None:
             if row is None and total < wanted:
+                present = wanted - total
                 say(
-                    f"{wanted - total} of {wanted} rows exist already, {total} to do",
+                    f"{present} of {wanted} rows exist already, {total} to do",
                     quiet=quiet,
                 )
             counting.follow(part, total, row)
@@ -117,65 +112,48 @@ def sweep(
         summary = run_sweep(
             loaded,
             out=out or SWEEPS / loaded.name,
-            without=without or (),
+            without=left_out,
             engine=runner,
             retry_failed=retry_failed,
             changed=study.changed,
             progress=follow,
         )
     if as_json:
-        document = {
-            "rows": summary.done,
-            "failed": summary.failed,
-            "sha256": summary.sha256,
-        }
-        print_json(document | {"results": str(summary.folder / "results.parquet")})
-    elif not quiet:
-        _print_summary(
-            summary, marked(loaded.name, loaded.changes) if loaded.changes else None
+        print_json(
+            {
+                "rows": summary.done,
+                "failed": summary.failed,
+                "sha256": summary.sha256,
+                "results": str(summary.folder / "results.parquet"),
+            }
         )
+    elif not quiet:
+        _print_summary(summary, loaded)
     say(f"files in {summary.folder}: {', '.join(summary.files)}", quiet=quiet)
     if summary.exit_code:
         _print_failures(summary)
         raise typer.Exit(summary.exit_code)
 
 
-def _print_summary(summary: Summary, title: str | None) -> None:
-    """Print the ranges of the results, published values, and the paths of the files."""
-    table = new_table("metric", "least", "median", "most", title=title)
-    for name, values in summary.ranges.items():
-        table.add_row(name, *(f"{value:.4g}" for value in values))
-    terminal = console()
+def _print_summary(summary: Summary, loaded: Sweep) -> None:
+    """Print the ranges of the results, and the paths of the files."""
+    from srs_twin.scenario.modified import marked
+
     if summary.ranges:
-        terminal.print(table)
-    if summary.published is not None and len(summary.published.rows) <= _MAX_PUBLISHED:
-        terminal.print(_published_table(summary.published))
+        title = marked(loaded.name, loaded.changes) if loaded.changes else None
+        table = new_table("metric", "least", "median", "most", title=title)
+        for name, values in summary.ranges.items():
+            table.add_row(name, *(f"{value:.4g}" for value in values))
+        console().print(table)
     print(f"{summary.done} of {summary.points} runs done, {summary.failed} failed")
     print(f"results sha256 {summary.sha256}")
     print(f"report {display_path(summary.folder / 'report.html')}")
-
-
-def _published_table(published: TextTable) -> Table:
-    """Return the table of published values, grouped by metric."""
-    table = new_table(*published.headings[1:], title=f"compared with {published.title}")
-    # Field names may wrap; numbers must not.
-    for column in table.columns[: published.headings.index("published") - 1]:
-        column.no_wrap = False
-    metric = None
-    for name, *cells in published.rows:
-        if name != metric:
-            table.add_row(name)
-        metric = name
-        table.add_row(*(f"{'' if i else '  '}{cell}" for i, cell in enumerate(cells)))
-    return table
 
 
 def _print_failures(summary: Summary) -> None:
     """Print the reasons of failed runs, the most frequent first."""
     for reason, count in list(summary.reasons.items())[:_MAX_REASONS]:
         say(f"{count} failed: {reason}")
-    if len(summary.reasons) > _MAX_REASONS:
-        say(
-            f"and for {len(summary.reasons) - _MAX_REASONS} other reasons: see"
-            " results.parquet"
-        )
+    others = len(summary.reasons) - _MAX_REASONS
+    if others > 0:
+        say(f"and for {others} other reasons: see results.parquet")

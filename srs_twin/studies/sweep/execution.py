@@ -39,7 +39,7 @@ from srs_twin.studies.sweep.loading import load_sweep
 from srs_twin.studies.sweep.points import RUNNER, Experiment, Point, Sweep
 from srs_twin.studies.sweep.report import REPORT, Summary, write_report
 from srs_twin.studies.sweep.store import RowStore, SweepIdentity, rows_digest
-from srs_twin.studies.sweep.table import SweepTable, published_table, shown_metrics
+from srs_twin.studies.sweep.table import SweepTable, shown_metrics
 from srs_twin.studies.sweep.task import DONE, FAILED, Row, run_point
 
 _RAY_SETTINGS = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_ENABLE_UV_RUN_RUNTIME_ENV": "0"}
@@ -358,7 +358,6 @@ class OpenSweep:
         results = SweepTable.from_rows(self.sweep, rows)
         results.write(fresh / RESULTS, self.sweep)
         titles = self._draw(fresh, results)
-        published = self.sweep.beside
         for name, document in (
             (SWEEP, self.sweep.document),
             (SCENARIO, self.sweep.experiment.base),
@@ -375,9 +374,6 @@ class OpenSweep:
             ranges=results.ranges(),
             results=results,
             files=(RESULTS, *titles, SWEEP, SCENARIO, REPORT, SUMMARY),
-            published=(
-                None if published is None else published_table(published, results)
-            ),
         )
         pictures = {
             title: (fresh / name).read_bytes() for name, title in titles.items()
@@ -406,7 +402,7 @@ class OpenSweep:
         titles = {}
         for number, plot in enumerate(self.sweep.plots, start=1):
             name = f"{PLOTS}/{number}_{plot.kind}_{plot.metric}.png"
-            figure = draw(plot, results, self.sweep.beside)
+            figure = draw(plot, results)
             save(figure, fresh / name)
             title, _, _ = figure.get_suptitle().partition("\n")
             titles[name] = f"{name}: {title}"

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import copy
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
-
-import numpy as np
 
 from srs_twin.comparison.metrics import (
     COMPARISON_UNITS,
@@ -40,8 +37,6 @@ from srs_twin.robot.file import load_robot_file
 from srs_twin.scenario.fields import path_fields
 from srs_twin.scenario.loading import load_scenario, parse_scenario
 from srs_twin.scenario.modified import (
-    Changes,
-    affects,
     changed_fields,
     marked,
     with_plants,
@@ -51,48 +46,13 @@ from srs_twin.scenario.provenance import NOT_PHYSICS, versions
 from srs_twin.scenario.scenario import Scenario
 from srs_twin.studies.sweep.points import (
     Experiment,
-    Published,
     RangeFile,
     Sweep,
     SweepFile,
     Value,
-    is_number,
     leaf_names,
     sample,
 )
-from srs_twin.studies.sweep.table import ColumnValues
-
-
-def check_published(document: Document, file: SweepFile, published: Published) -> None:
-    """Report problems of published values.
-
-    Args:
-        document: document to which problems are reported.
-        file: content of the sweep file.
-        published: its published values.
-    """
-    for field, values in published.at.items():
-        if field in file.vary:
-            _check_published_fields(document, file, field, values)
-        else:
-            document.report(
-                ("beside", "at", field), _not_varied(field, file), at_key=True
-            )
-    units = metric_units()
-    if file.metrics is None:
-        columns = list(units)
-    else:
-        columns = [m for m in file.metrics if m in units]
-    for metric in published.metrics:
-        loc = ("beside", "metrics", metric)
-        if metric not in units:
-            text = str(UnknownNameError("metric", metric, units, METRICS_LISTED))
-            document.report(loc, text, at_key=True)
-        elif metric not in columns:
-            document.report(
-                loc, "is not among the sweep's metrics; add it there", at_key=True
-            )
-    _check_lengths(document, published)
 
 
 def _not_varied(field: str, file: SweepFile) -> str:
@@ -100,71 +60,6 @@ def _not_varied(field: str, file: SweepFile) -> str:
         did_you_mean(field, file.vary) or f"; varied: {format_names(list(file.vary))}"
     )
     return f"is not varied{hint}"
-
-
-def _check_lengths(document: Document, published: Published) -> None:
-    first, values = next(iter(published.at.items()))
-    for section, lists in (("at", published.at), ("metrics", published.metrics)):
-        for name, column in lists.items():
-            if len(column) != len(values):
-                message = f"has {len(column)} values, but {first} has {len(values)}"
-                document.report(("beside", section, name), message)
-    if all(len(column) == len(values) for column in published.at.values()):
-        counts = Counter(zip(*published.at.values(), strict=True))
-        repeated = [settings for settings, count in counts.items() if count > 1]
-        if repeated:
-            named = ", ".join(
-                f"{n} {v}" for n, v in zip(published.at, repeated[0], strict=True)
-            )
-            document.report(("beside", "at"), f"{named} is given twice; give it once")
-
-
-def _check_published_fields(
-    document: Document, file: SweepFile, field: str, values: Sequence[object]
-) -> None:
-    """Report published texts and booleans that no point has; `unmatched_values` warns about numbers."""
-    varied = file.vary[field]
-    has_numbers = isinstance(varied, RangeFile) or any(
-        is_number(value) for value in varied
-    )
-    if isinstance(varied, RangeFile):
-        texts = []
-    else:
-        texts = [value for value in varied if not is_number(value)]
-    for i, value in enumerate(values):
-        is_known = has_numbers if is_number(value) else value in texts
-        if not is_known:
-            if texts:
-                allowed = ", ".join(map(str, texts[:10]))
-            else:
-                allowed = "numbers"
-            document.report(
-                ("beside", "at", field, i),
-                f"{field} never is {value!r}; it is varied over {allowed}",
-            )
-
-
-def unmatched_values(sweep: Sweep) -> tuple[str, ...]:
-    """Return a warning for each field with published values at numbers that no point has."""
-    warnings = []
-    for field, values in sweep.beside.at.items() if sweep.beside else ():
-        column = [row[sweep.fields.index(field)] for row in sweep.values]
-        numbers = ColumnValues(
-            "", np.unique([float(value) for value in column if is_number(value)])
-        )
-        missing = [
-            value
-            for value in values
-            if is_number(value) and not numbers.rows_with(value).any()
-        ]
-        if missing:
-            named = ", ".join(f"{value:g}" for value in missing[:5])
-            if len(missing) > 5:
-                more = f" and {len(missing) - 5} more"
-            else:
-                more = ""
-            warnings.append(f"beside: no run has {field} {named}{more}")
-    return tuple(warnings)
 
 
 def load_sweep(
@@ -218,7 +113,7 @@ def load_sweep(
 def _with_changes(
     sweep: Sweep, scenario: Scenario, written: Mapping[str, Any], locs: Sequence[Loc]
 ) -> Sweep:
-    """Return a sweep with its changes named in the title, and without published values that they affect.
+    """Return a sweep with its changes named in the title.
 
     Args:
         sweep: sweep with the changes.
@@ -226,54 +121,20 @@ def _with_changes(
         written: sweep file as plain data.
         locs: paths of the changed fields of the scenario.
     """
-    changed = changed_base(sweep.experiment, scenario, written, locs)
-    if written.get("plants") is not None:
-        plants = written["plants"]
-    else:
-        plants = list(scenario.plants)
-    changes = with_plants(changed, plants, sweep.experiment.plants)
+    plants = written.get("plants")
+    if plants is None:
+        plants = scenario.plants
+    changes = with_plants(
+        changed_base(sweep.experiment, scenario, written, locs),
+        plants,
+        sweep.experiment.plants,
+    )
     if not changes:
         return sweep
     title = marked(sweep.title, changes)
-    beside = sweep.beside
-    warnings = sweep.warnings
-    if beside is not None:
-        affecting = {
-            metric: _affecting_fields(changes, metric) for metric in beside.metrics
-        }
-        kept = {
-            metric: values
-            for metric, values in beside.metrics.items()
-            if not affecting[metric]
-        }
-        if left_out := [metric for metric in affecting if metric not in kept]:
-            fields = ", ".join(
-                dict.fromkeys(
-                    field for metric in left_out for field in affecting[metric]
-                )
-            )
-            text = (
-                f"published values of {', '.join(left_out)} are left out, because"
-                f" {fields} was changed"
-            )
-            if kept:
-                beside = beside.model_copy(update={"metrics": kept})
-            else:
-                beside = None
-            warnings = (*warnings, f"beside: {text}")
     # The document becomes sweep.yaml, which must be loadable.
-    document = {key: value for key, value in sweep.document.items() if key != "beside"}
-    document |= {"title": title[:200]}
-    if beside is not None:
-        document |= {"beside": beside.model_dump(mode="json", exclude_none=True)}
-    return replace(
-        sweep,
-        title=title,
-        changes=changes,
-        beside=beside,
-        warnings=warnings,
-        document=document,
-    )
+    document = {**sweep.document, "title": title[:200]}
+    return replace(sweep, title=title, changes=changes, document=document)
 
 
 def changed_base(
@@ -320,29 +181,19 @@ def with_suggestion(problem: str, field: str, known: Iterable[str]) -> str:
     return problem + (did_you_mean(field, known) if needs_hint else "")
 
 
-def _affecting_fields(changes: Changes, metric: str) -> list[str]:
-    """Return the changed fields that affect a metric of any plant."""
-    return [
-        change["field"]
-        for change in changes
-        if any(affects(change["field"], metric, p) for p in PLANTS)
-    ]
-
-
 def locate_files(document: Document) -> bool:
     """Replace the paths in a sweep or a study by their places; return whether all files exist."""
     before = len(document.problems)
     document.locate(("scenario",), "scenario")
     kinds = {format_path(loc): kind for loc, kind in path_fields(SECTIONS).items()}
-    for section in (("fixed",), ("vary",), ("beside", "at")):
-        block = document.get(*section)
-        for field in block if isinstance(block, Mapping) else ():
+    for section in ("fixed", "vary"):
+        block = document.get(section)
+        for field, value in block.items() if isinstance(block, Mapping) else ():
             if (kind := kinds.get(field)) is None:
                 continue
-            document.locate((*section, field), kind)
-            values = block[field]
-            for i in range(len(values)) if isinstance(values, list) else ():
-                document.locate((*section, field, i), kind)
+            document.locate((section, field), kind)
+            for i in range(len(value)) if isinstance(value, list) else ():
+                document.locate((section, field, i), kind)
     return len(document.problems) == before
 
 
@@ -374,7 +225,6 @@ def base_scenario(document: Document) -> tuple[Scenario | None, tuple[str, ...]]
 _NEEDS_PLANTS = {
     "periods": "no plant runs with plants: []; remove it",
     "trajectories": "no plant runs with plants: []; remove it",
-    "beside": "has values of plants, but no plant runs with plants: []; remove it",
 }
 """Keys that are not allowed for a sweep that is only planned → message."""
 
@@ -403,8 +253,6 @@ class _Loader:
         self._check_names()
         self._check_planning()
         self._check_metrics()
-        if file.beside is not None:
-            check_published(self._document, file, file.beside)
         values = None
         robots = self._robots()
         with self._document.report_errors("vary"):
@@ -433,9 +281,7 @@ class _Loader:
             versions=versions(),
             document=self._document.data,
             warnings=self._warnings,
-            beside=file.beside,
         )
-        sweep = replace(sweep, warnings=(*sweep.warnings, *unmatched_values(sweep)))
         self._check_values(sweep)
         if len(self._document.problems) > before:
             return None
@@ -495,7 +341,7 @@ class _Loader:
             else:
                 plotted = list(self._file.metrics)
             self._check_metric(("plots", i, "metric"), plot.metric, plotted)
-            for key in ("x", "y", "by"):
+            for key in ("x", "by"):
                 field = getattr(plot, key)
                 if (
                     field is None

@@ -37,63 +37,19 @@ Value = bool | int | float | str
 Plain = bool | int | float | Annotated[str, Field(max_length=200)]
 FieldName = Annotated[str, Field(min_length=1, max_length=200)]
 FieldValues = Annotated[list[Plain], Field(min_length=1, max_length=10_000)]
-PublishedValues = Annotated[
-    list[Annotated[float, Field(ge=-1e12, le=1e12)] | None],
-    Field(min_length=1, max_length=10_000),
-]
 
 
 class Plot(Section):
     """Plot of the results."""
 
-    kind: Literal["contour", "line", "scatter"]
+    kind: Literal["line", "scatter"]
     """Kind of plot."""
     x: FieldName
     """Varied field along x; with scatter also a metric."""
-    y: FieldName | None = None
-    """Varied field along y (contour)."""
     metric: MetricName
     """Plotted metric, of each plant or of the comparison."""
     by: FieldName | None = None
-    """Varied field that distinguishes lines or colours (line, scatter)."""
-
-    @model_validator(mode="after")
-    def _check_combinations(self) -> Plot:
-        if self.kind == "contour" and self.y is None:
-            raise ValueError("a contour needs y")
-        if self.kind != "contour" and self.y is not None:
-            raise ValueError(
-                f"y is only for contour, not for {self.kind}, whose vertical axis is"
-                " metric"
-            )
-        if self.kind == "contour" and self.by is not None:
-            raise ValueError("by is only for line and scatter, not for contour")
-        return self
-
-
-class Published(Section):
-    """Published values of metrics at some values of the varied fields."""
-
-    source: Annotated[str, Field(min_length=1, max_length=60)]
-    """Source of the values (Table 8)."""
-    note: Annotated[str, Field(min_length=1, max_length=1000)] | None = None
-    """Note on the comparison (signs, method of measurement)."""
-    at: Annotated[
-        dict[FieldName, FieldValues], Field(min_length=1, max_length=MAX_FIELDS)
-    ]
-    """Varied fields → their values at each published point; lists of equal length."""
-    metrics: Annotated[
-        dict[MetricName, PublishedValues], Field(min_length=1, max_length=64)
-    ]
-    """Metrics of the plants → their published values at each point; null if missing."""
-
-    @property
-    def settings(self) -> list[dict[str, Value]]:
-        """Values of the fields at each published point."""
-        return [
-            dict(zip(self.at, values, strict=True))
-            for values in zip(*self.at.values(), strict=True)
-        ]
+    """Varied field that distinguishes lines or colours."""
 
 
 class RangeFile(Section):
@@ -196,8 +152,6 @@ class SweepFile(Section):
     """Whether trajectories are stored as well."""
     plots: Annotated[list[Plot], Field(max_length=32)] = []
     """Plots of the results."""
-    beside: Published | None = None
-    """Published values to compare with."""
 
 
 def is_number(value: object) -> bool:
@@ -301,7 +255,6 @@ class Sweep:
         versions: package → version, of packages that affect the results.
         document: sweep file as plain data.
         warnings: warnings about the results.
-        beside: published values; the keys of points do not depend on them.
         changes: fields that differ from the sweep file; `title` names them.
     """
 
@@ -315,7 +268,6 @@ class Sweep:
     versions: Mapping[str, str]
     document: Mapping[str, Any] = field(repr=False)
     warnings: tuple[str, ...] = ()
-    beside: Published | None = None
     changes: Changed = ()
 
     @cached_property

@@ -40,7 +40,6 @@ class Summary:
         ranges: metric → (minimum, median, maximum), for the summary metrics.
         files: names of the written files.
         results: all rows as columns.
-        published: table of published values and results; None without published values.
     """
 
     folder: Path
@@ -52,7 +51,6 @@ class Summary:
     ranges: Mapping[str, tuple[float, float, float]]
     files: tuple[str, ...]
     results: SweepTable = field(repr=False)
-    published: Table | None = None
 
     @property
     def failed(self) -> int:
@@ -241,7 +239,6 @@ def write_report(
             f"{sweep.document['scenario']} ({sweep.experiment.base.get('title', '')})"
         ),
         varied=_varied(sweep),
-        published=summary.published,
         plots=[image(content, "png", title) for title, content in pictures.items()],
         runs=run_tables(results, metrics),
         repeats=", ".join(map(field_label, results.repeats)),

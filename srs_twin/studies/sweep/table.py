@@ -1,9 +1,8 @@
-"""Columns of a sweep's results for plots and reports, and the comparison with published values."""
+"""Columns of a sweep's results for plots and reports."""
 
 from __future__ import annotations
 
 import json
-import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,12 +12,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from srs_twin.comparison.metrics import COMPARISON_UNITS, relative_difference
+from srs_twin.comparison.metrics import COMPARISON_UNITS
 from srs_twin.errors import UnknownNameError
 from srs_twin.io.files import atomic_write
-from srs_twin.studies.sweep.points import Published, Sweep, Value, is_number
+from srs_twin.studies.sweep.points import Sweep, is_number
 from srs_twin.studies.sweep.task import PLAN, Row
-from srs_twin.viewing.html import Table, cell
 from srs_twin.viewing.plots.labels import field_label, metric_label
 
 if TYPE_CHECKING:
@@ -32,9 +30,6 @@ OWNERS = ("analytical", "twin", COMPARISON, PLAN)
 
 _EXACT = 1e15
 """Magnitude below which whole numbers, such as seeds, are printed with all digits."""
-
-_RELATIVE_TOLERANCE = 1e-9
-"""Relative difference up to which two numbers are the same value of a field."""
 
 _ROW_COLUMNS = {"key", "status", "reason", "exit_code", "wall_s"}
 """Columns that are neither varied fields nor metrics."""
@@ -74,33 +69,9 @@ class ColumnValues:
         """Return a value as text."""
         if self.names:
             return self.names[int(number)]
-        return (
-            f"{number:.0f}"
-            if float(number).is_integer() and abs(number) < _EXACT
-            else f"{number:.4g}"
-        )
-
-    def number(self, value: Value) -> float:
-        """Return the number that represents a value of the field; NaN for an unknown text."""
-        if not self.names:
-            return math.nan if isinstance(value, str) else float(value)
-        # In a column with texts, other values are stored as JSON.
-        texts = [text for text in (str(value), json.dumps(value)) if text in self.names]
-        return float(self.names.index(texts[0])) if texts else math.nan
-
-    def rows_with(self, value: Value) -> np.ndarray:
-        """Return a mask of the rows with a value of the field, shape (rows,)."""
-        number = self.number(value)
-        largest = float(
-            np.max(
-                np.abs(self.numbers),
-                initial=abs(number),
-                where=np.isfinite(self.numbers),
-            )
-        )
-        return np.asarray(
-            np.abs(self.numbers - number) <= _RELATIVE_TOLERANCE * largest
-        )
+        if float(number).is_integer() and abs(number) < _EXACT:
+            return f"{number:.0f}"
+        return f"{number:.4g}"
 
 
 @dataclass(frozen=True)
@@ -301,14 +272,12 @@ def write_table(path: Path, table: pa.Table) -> None:
 
 
 def shown_metrics(sweep: Sweep) -> tuple[str, ...]:
-    """Return the metrics of reports: those of the file, otherwise plotted, published and summary metrics."""
+    """Return the metrics of reports: those of the file, otherwise plotted and summary metrics."""
     if sweep.metrics is not None:
         return sweep.metrics
-    published = sweep.beside.metrics if sweep.beside else ()
     summary = _SUMMARY_METRICS if sweep.experiment.plants else _PLAN_SUMMARY_METRICS
-    return tuple(
-        dict.fromkeys((*(plot.metric for plot in sweep.plots), *published, *summary))
-    )
+    plotted = (plot.metric for plot in sweep.plots)
+    return tuple(dict.fromkeys((*plotted, *summary)))
 
 
 def _metrics(sweep: Sweep, rows: Iterable[Row]) -> list[str]:
@@ -383,72 +352,3 @@ def group_means(group: np.ndarray, count: int, values: np.ndarray) -> np.ndarray
     sums = np.bincount(group[order], weights=values[order], minlength=count)
     counts = np.bincount(group[order], minlength=count)
     return np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
-
-
-def published_table(published: Published, results: SweepTable) -> Table:
-    """Return published values with those of the plants, as means over seeds, one row per setting.
-
-    Args:
-        published: published values.
-        results: results of a sweep that varies their fields.
-    """
-    plants = [
-        owner
-        for owner in OWNERS
-        if owner != COMPARISON
-        and any(owner in results.owners_if_any(metric) for metric in published.metrics)
-    ]
-    further = results.unplotted_settings(published.at)
-    runs = [_runs_at(results, further, setting) for setting in published.settings]
-    is_mean = any(len(chosen) > 1 for groups in runs for _, chosen in groups)
-    rows = []
-    for metric, values in published.metrics.items():
-        for setting, groups, value in zip(
-            published.settings, runs, values, strict=True
-        ):
-            for texts, chosen in groups:
-                row = [
-                    metric_label(metric),
-                    *map(cell, setting.values()),
-                    *texts,
-                    cell(value),
-                ]
-                for plant in plants:
-                    mean = _mean(results, metric, plant, chosen)
-                    row += [cell(mean), _difference_text(metric, value, mean)]
-                rows.append((*row, *([str(len(chosen))] if is_mean else [])))
-    headings = ["metric", *map(field_label, (*published.at, *further)), "published"]
-    headings += [heading for plant in plants for heading in (plant, "difference")]
-    headings += ["runs"] * is_mean
-    numbers = range(1, len(headings))
-    return Table(
-        tuple(headings), tuple(rows), numbers, published.note or "", published.source
-    )
-
-
-def _runs_at(
-    results: SweepTable, further: Sequence[str], setting: Mapping[str, Value]
-) -> list[tuple[tuple[str, ...], np.ndarray]]:
-    """Return the successful runs at a setting, grouped by further fields; at least one group."""
-    chosen = ~results.failed
-    for field, value in setting.items():
-        chosen = chosen & results.values(field, "").rows_with(value)
-    groups = [(texts, rows[chosen[rows]]) for texts, rows in results.groups(further)]
-    none = (cell(None),) * len(further), np.zeros(0, dtype=int)
-    return [group for group in groups if len(group[1])] or [none]
-
-
-def _mean(
-    results: SweepTable, metric: str, plant: str, chosen: np.ndarray
-) -> float | None:
-    if plant not in results.owners_if_any(metric):
-        return None
-    numbers = results.metric(metric, plant).numbers[chosen]
-    known = numbers[np.isfinite(numbers)]
-    return float(known.mean()) if len(known) else None
-
-
-def _difference_text(metric: str, published: float | None, value: float | None) -> str:
-    if published is None or value is None:
-        return cell(None)
-    return relative_difference(metric, published, value)

@@ -92,7 +92,9 @@ def uncertainty(
         print_json(result.document())
     elif not quiet:
         _print_result(result)
-    _print_warnings(result, quiet=quiet)
+    say(*(f"warning: {text}" for text in result.warnings), quiet=quiet)
+    if result.warnings:
+        say("more --samples or --twin reduce these errors", quiet=quiet)
     if write:
         say(f"kept in {result.keep()}", quiet=quiet)
     say(f"files in {folder}: {', '.join(propagation.FILES)}", quiet=quiet)
@@ -126,44 +128,32 @@ def _error_text(error: float) -> str:
 
 def _count_text(uncertainty: MetricUncertainty) -> str:
     """Return the number of samples, and of runs if a surrogate was used."""
+    text = f"{uncertainty.count} samples"
     if uncertainty.runs < uncertainty.count:
-        runs = f", {uncertainty.runs} runs"
-    else:
-        runs = ""
-    return f"{uncertainty.count} samples{runs}"
+        text += f", {uncertainty.runs} runs"
+    return text
 
 
 def _print_result(result: Propagation) -> None:
-    """Print the intervals of common metrics, remarks, and suggested measurements."""
+    """Print the intervals of common metrics, and suggested measurements."""
     from srs_twin.viewing.plots.labels import metric_label
 
-    marks = "".join([_print_plant(result, plant) for plant in result.plants])
+    study = result.study
+    is_judged = [_print_plant(result, plant) for plant in result.plants]
     print("± at 95 %: standard errors of the two ends of the 95 % interval")
-    if any(
-        entry.verdict
-        for entries in result.plants.values()
-        for entry in entries.values()
-    ):
+    if any(is_judged):
         print(
             "published: within or outside the 95 % interval; undecided within two"
             " standard errors of an end"
         )
-    if marks:
-        print("* outside its 50 % interval, ** outside its 95 % interval")
-    study = result.study
     runs = ", ".join(f"{count} runs of {part}" for part, count in study.runs.items())
     print(
         f"{len(study.priors.parameters)} uncertain numbers of"
         f" {study.scenario.robot.name}; {runs}"
     )
-    failed = {part: count for part, count in result.failed.items() if count}
+    failed = [f"{count} of {part}" for part, count in result.failed.items() if count]
     if failed:
-        print(
-            "without a result: "
-            + ", ".join(f"{count} of {part}" for part, count in failed.items())
-        )
-    for text in result.limits["remarks"]:
-        print(text)
+        print(f"without a result: {', '.join(failed)}")
     for name, (low, high) in (result.segments or {}).items():
         varied = name.replace("_", " ")
         print(
@@ -171,52 +161,41 @@ def _print_result(result: Propagation) -> None:
             f" to {high:.3g} m/s"
         )
     plant, metric = result.target
-    for entry in result.measure_next()[:_MAX_MEASUREMENTS]:
+    for measured in result.measure_next()[:_MAX_MEASUREMENTS]:
         print(
-            f"measuring {entry['parameter']} to ±10 % would narrow the {plant}'s"
-            f" {metric_label(metric)} from {entry['width_now']:.3g} to"
-            f" {entry['width']:.3g}"
+            f"measuring {measured.parameter} to ±10 % would narrow the {plant}'s"
+            f" {metric_label(metric)} from {measured.width_now:.3g} to"
+            f" {measured.width:.3g}"
         )
 
 
-def _print_plant(result: Propagation, plant: str) -> str:
-    """Print the table of one plant; return the marks of values outside their intervals."""
+def _print_plant(result: Propagation, plant: str) -> bool:
+    """Print the table of one plant; return whether it has published values."""
     from srs_twin.comparison.metrics import metric_units
     from srs_twin.identification.fitting import print_table
-    from srs_twin.studies.uncertainty.remarks import outside_marks
+    from srs_twin.studies.uncertainty.metric_uncertainty import RANGES
     from srs_twin.viewing.plots.labels import metric_label
 
     uncertainties = result.plants[plant]
-    marks = ""
     rows = []
-    target = result.target[1]
-    if target in uncertainties:
-        usual_count = _count_text(uncertainties[target])
-    else:
-        usual_count = ""
+    usual_count = ""
+    if result.target[1] in uncertainties:
+        usual_count = _count_text(uncertainties[result.target[1]])
     for metric, uncertainty in uncertainties.items():
         if metric not in metric_units():
             continue
-        ends = [uncertainty.interval(name) for name in ("interval_50", "interval_95")]
-        value = _short(uncertainty.value)
-        # Do not mark a value as outside if it is printed with the same digits as the
-        # end of its interval.
-        if value in map(_short, ends[0]):
-            mark = ""
-        else:
-            mark = outside_marks(uncertainty)
-        marks += mark
+        name = metric_label(metric)
         count = _count_text(uncertainty)
-        verdict = uncertainty.verdict
-        if uncertainty.published is None:
-            published = ""
-        else:
-            published = _short(uncertainty.published)
-        published += "" if verdict is None else f" {verdict.value}"
+        if count != usual_count:
+            name += f", {count}"
+        published = ""
+        if uncertainty.published is not None and uncertainty.verdict is not None:
+            published = f"{_short(uncertainty.published)} {uncertainty.verdict.value}"
+        ends = [uncertainty.interval(share) for share in RANGES]
         rows.append(
             (
-                metric_label(metric) + ("" if count == usual_count else f", {count}"),
-                value + mark,
+                name,
+                _short(uncertainty.value),
                 *(f"{_short(low)}–{_short(high)}" for low, high in ends),
                 ", ".join(map(_error_text, uncertainty.errors[2:])),
                 published,
@@ -231,15 +210,4 @@ def _print_plant(result: Propagation, plant: str) -> str:
         "published",
     )
     print_table(headings, rows, left=(0,))
-    return marks
-
-
-def _print_warnings(result: Propagation, *, quiet: bool) -> None:
-    """Print on stderr the errors that are too large, and the options that reduce them."""
-    limits = result.limits
-    say(*(f"warning: {text}" for text in limits["warnings"]), quiet=quiet)
-    if limits["remedy"]:
-        options = " ".join(
-            f"--{name} {count}" for name, count in limits["remedy"].items()
-        )
-        say(f"`{options}` should be enough", quiet=quiet)
+    return any(entry.verdict for entry in uncertainties.values())

@@ -36,6 +36,12 @@ _TAIL = RANGES["interval_95"][0]
 MIN_BOUNDING_SAMPLES = math.ceil(math.log(_TAIL) / math.log(1 - _TAIL))
 """Smallest number of samples that bounds a 95 % interval: 146."""
 
+_MAX_END_ERROR = 0.05
+"""Largest standard error of an interval end without a warning, relative to the interval's width."""
+
+_MAX_INDEX_ERROR = 0.1
+"""Largest half width of the 95 % interval of a total index without a warning."""
+
 _GROUPS = 8
 """Number of groups of the jackknife."""
 
@@ -138,6 +144,39 @@ class MetricUncertainty:
         """Numerical error u_num by first-order Richardson extrapolation to a time step of 0."""
         return 2 * abs(self.value - self.half_timestep)
 
+    def warnings(self) -> list[str]:
+        """Return a sentence for each error that is too large."""
+        low, high = self.interval("interval_95")
+        if not high > low:
+            return []
+        texts = []
+        if self.count < MIN_BOUNDING_SAMPLES:
+            texts.append(
+                f"{self.count} samples do not bound the 95 % interval; with a"
+                f" probability of {100 * (1 - _TAIL) ** self.count:.0f} % none of them"
+                " is beyond its true lower end, and likewise for the upper end"
+                f" ({MIN_BOUNDING_SAMPLES} samples make that {100 * _TAIL:g} %)"
+            )
+        errors = self.errors[2:] / (high - low)
+        if errors.max() > _MAX_END_ERROR:
+            width_error = 2 * math.sqrt(2) * _MAX_END_ERROR
+            texts.append(
+                "standard errors of the ends of the 95 % interval are"
+                f" {' and '.join(f'{100 * error:.0f} %' for error in errors)} of its"
+                f" width; above {100 * _MAX_END_ERROR:.0f} % the width is uncertain by"
+                f" more than {100 * width_error:.0f} %"
+            )
+        if self.indices is not None:
+            error = min(float(self.indices.half_width[1].max()), 1.0)
+            if error > _MAX_INDEX_ERROR:
+                texts.append(
+                    f"total indices have errors of up to ±{100 * error:.0f} %; above"
+                    f" ±{100 * _MAX_INDEX_ERROR:.0f} % causes that differ by less than"
+                    f" {100 * math.sqrt(2) * _MAX_INDEX_ERROR:.0f} % cannot be"
+                    " distinguished"
+                )
+        return texts
+
     @property
     def verdict(self) -> IntervalVerdict | None:
         """Verdict on the published value by the 95 % interval; None without a published value."""
@@ -153,35 +192,32 @@ class MetricUncertainty:
         Args:
             names: names of the uncertain quantities.
         """
-        row: dict[str, object] = {"value": self.value}
-        row |= {name: list(self.interval(name)) for name in RANGES}
-        row |= {
+        sensitivity = None
+        if self.indices is not None:
+            sensitivity = self.indices.document(names)
+        verdict = self.verdict
+        return {
+            "value": self.value,
+            **{name: list(self.interval(name)) for name in RANGES},
             "interval_50_error": self.errors[:2].tolist(),
             "interval_95_error": self.errors[2:].tolist(),
-        }
-        row |= {"median": self.median}
-        if math.isfinite(self.at_medians):
-            row["value_at_medians"] = self.at_medians
-        else:
-            row["value_at_medians"] = None
-        row |= {
+            "median": self.median,
+            "value_at_medians": _finite(self.at_medians),
             "samples": self.count,
             "runs": self.runs,
             "u_input": float(np.nanstd(self.samples)),
-        }
-        if math.isfinite(self.half_timestep):
-            row["u_num"] = self.numerical_error
-        else:
-            row["u_num"] = None
-        if self.indices is None:
-            row["sensitivity"] = None
-        else:
-            row["sensitivity"] = self.indices.document(names)
-        verdict = self.verdict
-        return row | {
+            "u_num": _finite(self.numerical_error),
+            "sensitivity": sensitivity,
             "published": self.published,
             "verdict": None if verdict is None else verdict.value,
         }
+
+
+def _finite(value: float) -> float | None:
+    """Return a number as JSON value; None for NaN and infinity."""
+    if math.isfinite(value):
+        return value
+    return None
 
 
 def sampling_errors(samples: Array) -> Array:

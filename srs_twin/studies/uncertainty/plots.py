@@ -194,15 +194,9 @@ def _count_text(row: Mapping[str, Any]) -> str:
 def _text_lines(document: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Return the lines below the panels, with their colours."""
     warnings = [f"Warning: {text}" for text in document["warnings"]]
-    if document["remedy"]:
-        options = " ".join(
-            f"--{name} {count}" for name, count in document["remedy"].items()
-        )
-        warnings.append(f"{options} should be enough.")
-    notes = [_KEY, *document["remarks"]]
     return [
         (line, color)
-        for texts, color in ((notes, "#333333"), (warnings, _WARNING_COLOR))
+        for texts, color in (([_KEY], "#333333"), (warnings, _WARNING_COLOR))
         for text in texts
         for line in textwrap.wrap(text, _LINE_CHARACTERS)
     ]

@@ -4,14 +4,14 @@ Each plant runs at quasi-random samples of the uncertain parameters, as a sweep,
 interrupted study resumes. If the analytical model `compliant` can run the scenario, it
 is the low-fidelity plant of the twin and runs at all samples. The twin runs only at the
 first of them; `predict_twin` predicts the rest. `metric_uncertainty` computes the
-intervals and their errors, `remarks` the limitations of a result.
+intervals and their errors.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
 from types import MappingProxyType
@@ -52,7 +52,6 @@ from srs_twin.studies.uncertainty.metric_uncertainty import (
     predict_twin,
     sampling_errors,
 )
-from srs_twin.studies.uncertainty.remarks import Remarks, remedy
 from srs_twin.studies.uncertainty.study import (
     COMPLIANT,
     DAMPING,
@@ -95,6 +94,40 @@ _PREDICTION_SAMPLES = 4096
 """Samples of the surrogate for the effect of a measurement."""
 
 
+@dataclass(frozen=True)
+class Measurement:
+    """Effect of measuring one parameter on the target's interval.
+
+    Attributes:
+        parameter: path of the parameter.
+        interval_95: interval after a measurement at the median of the prior.
+        width: mean width of the interval after measurements over the prior.
+        width_now: width of the present interval.
+    """
+
+    parameter: str
+    interval_95: list[float]
+    width: float
+    width_now: float
+
+
+@dataclass(frozen=True)
+class Swing:
+    """Effect of one uncertain quantity on the target, with all others at their medians.
+
+    Attributes:
+        parameter: name of the quantity.
+        low: metric at the low end of its 95 % interval.
+        high: metric at the high end.
+        error: two standard deviations of left-out samples.
+    """
+
+    parameter: str
+    low: float
+    high: float
+    error: float
+
+
 def check_can_be_kept(scenario: Scenario) -> None:
     """Check that the intervals of a scenario can be written for expectations.
 
@@ -132,30 +165,24 @@ class Propagation:
         return {plant: self._uncertainties(plant) for plant in self.study.plants}
 
     def _uncertainties(self, plant: str) -> dict[str, MetricUncertainty]:
-        if plant == "twin":
-            low_fidelity = self.rows.get(COMPLIANT)
-        else:
-            low_fidelity = None
-        stated = [e for e in self.study.scenario.expect if e.stated is not None]
-        published = {(e.subject, e.metric): e.stated for e in stated}
+        low_fidelity = self.rows.get(COMPLIANT) if plant == "twin" else None
+        published = {
+            (expected.subject, expected.metric): expected.stated
+            for expected in self.study.scenario.expect
+            if expected.stated is not None
+        }
         uncertainties = {}
         for metric, column in self.rows[plant].items():
-            runs = column[:-REFERENCE_ROWS]
+            samples = runs = column[:-REFERENCE_ROWS]
+            at_medians, value, half_timestep = map(float, column[-REFERENCE_ROWS:])
+            if not np.isfinite(value) or _known_share(runs) < _MIN_KNOWN:
+                continue
             surrogate = np.zeros(2 * len(RANGES))
-            low = runs
             if low_fidelity is not None:
                 low = low_fidelity.get(metric, np.full(1, np.nan))[: self.study.samples]
-            if (
-                not np.isfinite(column[-2])
-                or min(map(_known_share, (runs, low))) < _MIN_KNOWN
-            ):
-                continue
-            samples = runs
-            if low_fidelity is not None:
+                if _known_share(low) < _MIN_KNOWN:
+                    continue
                 samples, surrogate = predict_twin(self.study.shares, low, runs)
-            at_medians, value, half_timestep = (
-                float(entry) for entry in column[-REFERENCE_ROWS:]
-            )
             uncertainties[metric] = MetricUncertainty(
                 value,
                 half_timestep,
@@ -205,53 +232,35 @@ class Propagation:
             "com_speed_m_s" if "com_speed_m_s" in names else next(iter(names))
         )
 
-    def measure_next(self) -> list[dict[str, Any]]:
+    def measure_next(self) -> list[Measurement]:
         """Return the interval of the target after measuring each parameter to ±10 %, the narrowest first."""
-        priors = self.study.priors
-        uncertainty = self._target
         chaos = self._chaos
-        width_now = np.ptp(uncertainty.interval("interval_95"))
-        if not width_now > 0 or uncertainty.indices is None:
+        width_now = float(np.ptp(self._target.interval("interval_95")))
+        if not width_now > 0 or self._target.indices is None:
             return []
         shares = self.study.draw(_PREDICTION_SAMPLES, self.study.seed + 1)
         # Add residuals of the surrogate, so that the predicted intervals contain its
         # error.
         rng = np.random.default_rng(self.study.seed)
         residuals = rng.choice(chaos.residuals[:, 0], _PREDICTION_SAMPLES)
-        entries = []
-        for i, prior in enumerate(priors.parameters):
-            lows = []
-            highs = []
+        measurements = []
+        for i, prior in enumerate(self.study.priors.parameters):
+            ends = []
             for centre in prior.quantile(np.array(_CENTRES)):
-                std = _MEASUREMENT_ERROR / 1.96 * abs(float(centre))
-                measured = prior.with_measurement(float(centre), std)
+                sd = _MEASUREMENT_ERROR / 1.96 * abs(float(centre))
+                measured = prior.with_measurement(float(centre), sd)
                 shares_after = shares.copy()
                 shares_after[:, i] = prior.cdf(measured.quantile(shares[:, i]))
                 values = chaos.at(shares_after)[:, 0] + residuals
-                low, high = np.quantile(values, RANGES["interval_95"])
-                lows.append(low)
-                highs.append(high)
-            width = float(np.mean(np.subtract(highs, lows)))
-            middle = len(lows) // 2
+                ends.append(np.quantile(values, RANGES["interval_95"]))
+            width = float(np.mean(np.ptp(ends, axis=1)))
             if width < width_now:
-                ends = [float(lows[middle]), float(highs[middle])]
-                entries.append(
-                    {
-                        "parameter": prior.path,
-                        "interval_95": ends,
-                        "width": width,
-                        "width_now": float(width_now),
-                    }
-                )
-        return sorted(entries, key=lambda entry: entry["width"])
+                middle = ends[len(ends) // 2].tolist()
+                measurements.append(Measurement(prior.path, middle, width, width_now))
+        return sorted(measurements, key=lambda measurement: measurement.width)
 
-    def swings(self) -> list[dict[str, object]]:
-        """Return the effect of each uncertain quantity alone on the target, by total index.
-
-        An entry has the `parameter`, the metric with it at the `low` and the `high` end
-        of its 95 % interval and all others at their medians, and the `error` of both:
-        two standard deviations of left-out samples.
-        """
+    def swings(self) -> list[Swing]:
+        """Return the effect of each uncertain quantity alone on the target, by total index."""
         names = self.study.names
         chaos = self._chaos
         indices = self._target.indices
@@ -265,12 +274,7 @@ class Propagation:
         ends = chaos.at(self.study.snapped(shares))[:, 0].reshape(count, 2).tolist()
         error = 2 * float(np.sqrt((chaos.residuals[:, 0] ** 2).mean()))
         return [
-            {
-                "parameter": names[i],
-                "low": ends[i][0],
-                "high": ends[i][1],
-                "error": error,
-            }
+            Swing(names[i], *ends[i], error)
             for i in np.argsort(-indices.total, kind="stable")
         ]
 
@@ -292,35 +296,15 @@ class Propagation:
         }
 
     @cached_property
-    def remarks(self) -> dict[str, Remarks]:
-        """Plant → limitations of its result for the target's metric."""
+    def warnings(self) -> list[str]:
+        """Sentences about large errors of the target's metric on each plant."""
         metric = self.target[1]
-        return {
-            plant: Remarks(
-                plant, metric_label(metric), uncertainties[metric], self.study
-            )
+        return [
+            f"{plant}, {metric_label(metric)}: {text}"
             for plant, uncertainties in self.plants.items()
             if metric in uncertainties
-        }
-
-    @cached_property
-    def limits(self) -> dict[str, Any]:
-        """Warnings about large errors, options that reduce them, and further remarks."""
-        shortfalls = [
-            shortfall
-            for remarks in self.remarks.values()
-            for shortfall in remarks.shortfalls()
+            for text in uncertainties[metric].warnings()
         ]
-        texts = [
-            text
-            for remarks in self.remarks.values()
-            for text in (remarks.ranking_text(), remarks.outside_text())
-        ]
-        return {
-            "warnings": [shortfall.words for shortfall in shortfalls],
-            "remedy": remedy(shortfalls, self.study),
-            "remarks": [text for text in texts if text],
-        }
 
     @property
     def _target(self) -> MetricUncertainty:
@@ -352,10 +336,10 @@ class Propagation:
             "changes": list(self.study.scenario.changes),
             "contact": twin_contact(self.study.scenario),
             "plants": plants,
-            "measure_next": self.measure_next(),
-            "swings": self.swings(),
+            "measure_next": list(map(asdict, self.measure_next())),
+            "swings": list(map(asdict, self.swings())),
             "segments": self.segments,
-            **self.limits,
+            "warnings": self.warnings,
             "target": {"plant": plant, "metric": metric},
             "fidelity": {"evaluations": self.study.runs, "failed": self.failed},
             "priors": self.study.priors.document(),
@@ -417,19 +401,12 @@ class Propagation:
     @property
     def failed(self) -> dict[str, int]:
         """Fidelity → number of samples without any value."""
-        return {
-            part: (
-                int(
-                    np.isnan([column[:-REFERENCE_ROWS] for column in rows.values()])
-                    .all(axis=0)
-                    .sum()
-                )
-                if rows
-                else 0
-            )
-            for part, rows in self.rows.items()
-            if part != SEGMENTS
-        }
+        failed = dict.fromkeys(self.study.runs, 0)
+        for part in failed:
+            if columns := list(self.rows[part].values()):
+                missing = np.isnan(columns).all(axis=0)
+                failed[part] = int(missing[:-REFERENCE_ROWS].sum())
+        return failed
 
 
 def _rounded(data: Any) -> Any:

@@ -81,26 +81,23 @@ class UncertaintyStudy:
     @property
     def runs(self) -> dict[str, int]:
         """Fidelity ("analytical", "compliant" or "twin") → number of its samples."""
+        runs = {}
         if "analytical" in self.plants:
-            runs = {"analytical": self.samples}
-        else:
-            runs = {}
-        if "twin" in self.plants:
-            runs |= (
-                {"twin": self.samples}
-                if self.surrogate_scenario is None
-                else {COMPLIANT: self.samples, "twin": self.twin_samples}
-            )
+            runs["analytical"] = self.samples
+        if "twin" in self.plants and self.surrogate_scenario is None:
+            runs["twin"] = self.samples
+        elif "twin" in self.plants:
+            runs |= {COMPLIANT: self.samples, "twin": self.twin_samples}
         return runs
 
     @property
     def parts(self) -> tuple[str, ...]:
         """The fidelities, and `SEGMENTS` if both plants run and stiffness and damping time are uncertain."""
-        both = {"analytical", "twin"} <= set(self.plants) and {
-            STIFFNESS,
-            DAMPING,
-        } <= set(self.priors.paths)
-        return (*self.runs, *([SEGMENTS] if both else []))
+        if {"analytical", "twin"} <= {*self.plants} and {STIFFNESS, DAMPING} <= {
+            *self.priors.paths
+        }:
+            return (*self.runs, SEGMENTS)
+        return tuple(self.runs)
 
     @cached_property
     def shares(self) -> np.ndarray:
@@ -115,43 +112,32 @@ class UncertaintyStudy:
             alone = on_plant(self.scenario.document, plant)
             document = parse_scenario(alone, name=self.scenario.name).document
         assert document is not None, "a fidelity in `runs` has a scenario"
-        step = f"plants.{plant}.timestep_s"
-        fields = (
-            *(f"robot.{path}" for path in self.priors.paths),
-            *self.discrete_choices,
-            step,
-        )
-        h = float(document["plants"][plant]["timestep_s"])
-        shares = self.shares[: self.runs.get(part, 0)]
-        count = len(self.priors.parameters)
-        columns: list[list[Value]] = self.priors.quantile(shares[:, :count]).T.tolist()
-        for share, values in zip(
-            shares[:, count:].T, self.discrete_choices.values(), strict=True
-        ):
-            columns.append([values[int(fraction * len(values))] for fraction in share])
-        own_choices = [
+        step = float(document["plants"][plant]["timestep_s"])
+        choices = [
             values[0] if name == LEAD else _field_value(document, name)
             for name, values in self.discrete_choices.items()
         ]
-        steps = [h] * len(shares)
-        if plant == "twin" and DAMPING in self.priors.paths:
-            times = columns[self.priors.paths.index(DAMPING)]
-            steps = [stable_step(h, float(time)) for time in times]
-        nominal = [*(prior.value for prior in self.priors.parameters), *own_choices]
-        medians = [*self.priors.quantile(np.full(count, 0.5)).tolist(), *own_choices]
-        rows = [
-            *zip(*columns, steps, strict=True),
-            [*medians, h],
-            [*nominal, h],
-            [*nominal, h / 2],
-        ]
+        nominal = [*(prior.value for prior in self.priors.parameters), *choices]
         if part == SEGMENTS:
-            rows = list(self._over_segments(nominal, h))
+            rows = list(self._over_segments(nominal, step))
+        else:
+            middle = np.full(len(self.priors.parameters), 0.5)
+            medians = [*self.priors.quantile(middle).tolist(), *choices]
+            rows = [
+                *self._sampled(self.shares[: self.runs[part]], plant, step),
+                [*medians, step],
+                [*nominal, step],
+                [*nominal, step / 2],
+            ]
         return Sweep(
             name=f"{self.scenario.name}, {part}",
             title=f"{self.scenario.title}: {part}",
             experiment=Experiment(document, (plant,)),
-            fields=fields,
+            fields=(
+                *(f"robot.{path}" for path in self.priors.paths),
+                *self.discrete_choices,
+                f"plants.{plant}.timestep_s",
+            ),
             values=tuple(map(tuple, rows)),
             metrics=None,
             plots=(),
@@ -159,17 +145,30 @@ class UncertaintyStudy:
             document={"scenario": self.scenario.name, "priors": self.priors.document()},
         )
 
+    def _sampled(
+        self, shares: np.ndarray, plant: str, step: float
+    ) -> Iterator[list[Any]]:
+        """Yield a row for each point u; short damping times shorten the step of the twin."""
+        parameters, choices = np.split(shares, [len(self.priors.parameters)], axis=1)
+        for values, fractions in zip(
+            self.priors.quantile(parameters).tolist(), choices, strict=True
+        ):
+            options = zip(self.discrete_choices.values(), fractions, strict=True)
+            own_step = step
+            if plant == "twin" and DAMPING in self.priors.paths:
+                damping_time = values[self.priors.paths.index(DAMPING)]
+                own_step = stable_step(step, damping_time)
+            yield [*values, *(o[int(f * len(o))] for o, f in options), own_step]
+
     def _over_segments(
         self, nominal: Sequence[Any], step: float
     ) -> Iterator[list[Any]]:
         """Yield rows for all pairs of stiffness and damping time, each at its value, low end and high end."""
         places = [self.priors.paths.index(path) for path in (STIFFNESS, DAMPING)]
         levels = []
-        for place in places:
-            prior = self.priors.parameters[place]
-            levels.append(
-                [prior.value, *prior.quantile(np.array(RANGES["interval_95"])).tolist()]
-            )
+        for prior in (self.priors.parameters[place] for place in places):
+            ends = prior.quantile(np.array(RANGES["interval_95"]))
+            levels.append([prior.value, *ends.tolist()])
         for pair in product(*levels):
             values = list(nominal)
             for place, value in zip(places, pair, strict=True):

@@ -70,11 +70,6 @@ def _terms(variables: int, degree: int) -> np.ndarray:
     return np.array(rows)
 
 
-def quadratic_samples(variables: int) -> int:
-    """Return the smallest number of samples for an expansion of the second degree."""
-    return _SAMPLES_PER_TERM * len(_terms(variables, 2))
-
-
 @dataclass(frozen=True)
 class PolynomialChaos:
     """Polynomial chaos expansion of several results.

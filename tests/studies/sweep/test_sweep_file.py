@@ -218,11 +218,6 @@ def test_an_element_of_a_list_is_varied(tmp_path):
         ),
         (
             "fixed:",
-            "plots: [{kind: contour, x: seed, metric: com_speed_m_s}]\nfixed:",
-            "3:9: plots[0]: a co",
-        ),
-        (
-            "fixed:",
             "sampling: {kind: list}\nfixed:",
             "6:3: vary: sampling: list needs the same number of",
         ),

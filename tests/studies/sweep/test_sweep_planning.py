@@ -114,11 +114,6 @@ def test_invalid_exclusions_are_refused(without, says, tmp_path, srs_twin):
             "trajectories: no plant runs with plants: []; remove it",
         ),
         (WORLDS.replace("planner.weight", "planner.wait"), "planner.wait"),
-        (
-            WORLDS
-            + "beside: {source: x, at: {seed: [0]}, metrics: {com_speed_m_s: [1]}}\n",
-            "beside: has",
-        ),
     ],
 )
 def test_keys_that_need_a_plant_are_refused(text, says, tmp_path):

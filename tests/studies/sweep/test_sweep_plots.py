@@ -7,10 +7,8 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from matplotlib.collections import PathCollection
 from matplotlib.colors import to_hex
-from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
 from matplotlib.image import imread
-from pydantic import ValidationError
 from small import table_of
 
 from srs_twin.comparison.metrics import (
@@ -37,11 +35,10 @@ def draw(plot, columns):
     return draw_results(plot, table_of(columns))
 
 
-def plot(kind, x, metric, y=None, by=None):
-    return Plot(kind=kind, x=x, metric=metric, y=y, by=by)
+def plot(kind, x, metric, by=None):
+    return Plot(kind=kind, x=x, metric=metric, by=by)
 
 
-CONTOUR = plot("contour", F, SPEED, P)
 LINE = plot("line", F, SPEED)
 
 
@@ -98,90 +95,6 @@ def words(figure):
     return "\n".join(texts)
 
 
-def filled(axes):
-    return [
-        item
-        for item in axes.collections
-        if isinstance(item, ContourSet) and item.filled
-    ]
-
-
-def test_a_contour_has_the_points_colours_and_labels_of_the_grid():
-    figure = draw(CONTOUR, grid())
-    left, right = planes(figure)
-    assert (left.get_title("left"), right.get_title("left")) == (
-        "analytical",
-        "twin (MuJoCo)",
-    )
-    assert (
-        left.get_xlabel() == "gait frequency (Hz)"
-        and left.get_ylabel() == "supply pressure (kPa)"
-    )
-    first = filled(left)[0]
-    second = filled(right)[0]
-    assert (
-        np.array_equal(first.levels, second.levels)
-        and first.cmap.name == second.cmap.name
-    )
-    assert first.levels[0] <= 0.8 * law(0.5, 20) and first.levels[-1] >= law(2.0, 40)
-    (bar,) = [axes for axes in figure.axes if axes.get_label() == "colors"]
-    assert bar.get_ylabel() == "CoM speed (m/s)"
-    assert {tuple(p) for p in dots(left).get_offsets()} == set(
-        zip(grid()[F], grid()[P], strict=True)
-    )
-
-
-def test_contour_lines_of_a_plane_are_exact():
-    """Level lines of a plane are straight, so linear interpolation is exact."""
-    axes, _ = planes(draw(CONTOUR, grid()))
-    lines = next(
-        c for c in axes.collections if isinstance(c, ContourSet) and not c.filled
-    )
-    checked = 0
-    for level, segments in zip(lines.levels, lines.allsegs, strict=True):
-        for segment in segments:
-            if len(segment):
-                assert law(segment[:, 0], segment[:, 1]) == pytest.approx(level)
-                checked += 1
-    assert checked >= 3
-
-
-def test_scattered_points_are_triangulated():
-    rng = np.random.default_rng(3)
-    f = rng.uniform(0.5, 2, 40)
-    p = rng.uniform(20, 40, 40)
-    axes, _ = planes(draw(CONTOUR, table(f, p, failed=(4,))))
-    lines = next(
-        c for c in axes.collections if isinstance(c, ContourSet) and not c.filled
-    )
-    points = np.concatenate([s for segments in lines.allsegs for s in segments])
-    values = law(points[:, 0], points[:, 1])
-    assert np.abs(values[:, None] - lines.levels[None]).min(axis=1).max() < 1e-9
-    assert marks(axes, "failed") == {(round(f[4], 9), round(p[4], 9))}
-
-
-def test_failed_and_missing_points_have_different_markers():
-    values = grid(failed=(0, 11), missing=(3,))
-    figure = draw(CONTOUR, values)
-    for axes in planes(figure):
-        assert marks(axes, "failed") == {(values[F][i], values[P][i]) for i in (0, 11)}
-        assert marks(axes, "no value") == {(values[F][3], values[P][3])}
-    assert "2 of 12 runs failed" in words(figure) and "2 values missing" in words(
-        figure
-    )
-
-
-def test_values_of_both_signs_have_a_symmetric_colour_scale():
-    values = grid()
-    values["comparison.com_speed_rel"] = np.linspace(-0.2, 0.4, 12).tolist()
-    (axes,) = planes(draw(plot("contour", F, "com_speed_rel", P), values))
-    levels = filled(axes)[0].levels
-    assert (
-        levels == pytest.approx(-levels[::-1]) and filled(axes)[0].cmap.name == "RdBu_r"
-    )
-    assert axes.get_title("left") == "twin − analytical"
-
-
 def twice(field, values=(0.0, 0.4)):
     """Return the grid at two values of a further field; the speed is three times as high at the second."""
     low = grid()
@@ -193,35 +106,20 @@ def twice(field, values=(0.0, 0.4)):
 
 
 def test_seeds_are_averaged_with_a_note():
-    figure = draw(CONTOUR, twice("seed", (0, 1)))
+    figure = draw(plot("line", F, SPEED, by=P), twice("seed", (0, 1)))
     (axes,) = planes(figure)
     assert "each value the mean over random seed" in words(figure)
-    assert filled(axes)[0].zmax == pytest.approx(2 * max(grid()[A]))
+    highest = max(line.get_ydata().max() for line in curves(axes))
+    assert highest == pytest.approx(2 * max(grid()[A]))
     assert "mean over" not in words(
         draw(plot("scatter", F, SPEED), twice("seed", (0, 1)))
     )
 
 
-def test_contours_do_not_average_over_varied_fields():
-    figure = draw(CONTOUR, twice(OFFSET))
-    first, second = planes(figure)
-    assert [axes.get_title("left") for axes in (first, second)] == [
-        "analytical, steering offset: 0",
-        "analytical, steering offset: 0.4",
-    ]
-    assert filled(first)[0].zmax == pytest.approx(max(grid()[A]))
-    assert filled(second)[0].zmax == pytest.approx(3 * max(grid()[A]))
-    assert np.array_equal(filled(first)[0].levels, filled(second)[0].levels)
-    assert "one row for each steering offset" in words(
-        figure
-    ) and "mean over" not in words(figure)
-    many = {name: column * 8 for name, column in grid().items()} | {
-        OFFSET: np.repeat(range(8), 12).tolist()
-    }
-    figure = draw(CONTOUR, many)
-    assert len(planes(figure)) == 2 * 6 and "steering offset, 6 of 8 shown" in words(
-        figure
-    )
+def test_failed_and_missing_runs_are_counted():
+    figure = draw(LINE, grid(failed=(0, 11), missing=(3,)))
+    assert "2 of 12 runs failed" in words(figure)
+    assert "2 values missing" in words(figure)
 
 
 def test_lines_do_not_average_over_varied_fields():
@@ -356,7 +254,7 @@ NOTHING = [
 @pytest.mark.parametrize(("values", "message"), NOTHING)
 @pytest.mark.parametrize(
     "request_",
-    [CONTOUR, LINE, plot("line", F, SPEED, by=P), plot("scatter", F, SPEED, by=P)],
+    [LINE, plot("line", F, SPEED, by=P), plot("scatter", F, SPEED, by=P)],
     ids=lambda r: f"{r.kind}-{r.by}",
 )
 def test_a_plot_without_data_states_the_reason(values, message, request_, tmp_path):
@@ -366,11 +264,9 @@ def test_a_plot_without_data_states_the_reason(values, message, request_, tmp_pa
 
 
 def test_a_single_value_is_stated_and_shown():
-    figure = draw(CONTOUR, table(np.array([1.0]), np.array([30.0]), share=1.0))
+    figure = draw(LINE, table(np.array([1.0]), np.array([30.0]), share=1.0))
     assert f"every value is {law(1.0, 30.0):.4g}" in words(figure)
-    assert np.asarray(dots(planes(figure)[0]).get_array()) == pytest.approx(
-        [law(1.0, 30.0)]
-    )
+    assert curves(planes(figure)[0])[0].get_ydata() == pytest.approx([law(1.0, 30.0)])
 
 
 numbers = st.one_of(
@@ -390,15 +286,12 @@ numbers = st.one_of(
         ),
         max_size=12,
     ),
-    kind=st.sampled_from(["contour", "line", "scatter"]),
+    kind=st.sampled_from(["line", "scatter"]),
 )
 def test_any_table_can_be_drawn(rows, kind):
     f, p, value, status = ([row[i] for row in rows] for i in range(4))
     values = {F: f, P: p, "status": status, A: value, B: value[::-1]}
-    expected = (
-        plot(kind, F, SPEED, P) if kind == "contour" else plot(kind, F, SPEED, by=P)
-    )
-    draw(expected, values).canvas.draw()
+    draw(plot(kind, F, SPEED, by=P), values).canvas.draw()
 
 
 @pytest.mark.slow
@@ -411,7 +304,6 @@ def test_equal_tables_give_equal_bytes_in_any_order(suffix, tmp_path):
     order = rng.permutation(12)
     shuffled = {name: [column[i] for i in order] for name, column in values.items()}
     for request in (
-        CONTOUR,
         plot("line", F, SPEED, by=OFFSET),
         plot("scatter", P, SPEED, by=F),
     ):
@@ -436,13 +328,7 @@ def test_invalid_plots_are_refused(tmp_path):
     with pytest.raises(
         UnknownNameError, match="unknown column 'supply.presure_kpa'; did you mean"
     ):
-        draw(plot("contour", F, SPEED, "supply.presure_kpa"), grid())
-    with pytest.raises(ValidationError, match="needs y"):
-        plot("contour", F, SPEED)
-    with pytest.raises(ValidationError, match="y is only for contour"):
-        plot("line", F, SPEED, P)
-    with pytest.raises(ValidationError, match="by is only for line"):
-        plot("contour", F, SPEED, P, by=OFFSET)
+        draw(plot("line", F, SPEED, by="supply.presure_kpa"), grid())
     with pytest.raises(InputError, match=r"\.png or \.svg"):
         save(draw(LINE, grid()), tmp_path / "x.gif")
     (tmp_path / "file").write_text("")

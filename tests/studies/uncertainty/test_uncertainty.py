@@ -526,7 +526,7 @@ def test_a_measured_parameter_narrows_the_interval_as_predicted(short, tmp_path)
 
 
 @pytest.mark.slow
-def test_the_command_prints_samples_errors_and_the_remedy(srs_twin, short, tmp_path):
+def test_the_command_prints_samples_and_errors(srs_twin, short, tmp_path):
     options = ("uncertainty", str(short()), "--samples", "16", "--workers", "1")
     shown = srs_twin(*options, cwd=tmp_path)
     assert shown.returncode == 0
@@ -537,8 +537,7 @@ def test_the_command_prints_samples_errors_and_the_remedy(srs_twin, short, tmp_p
         " interval" in shown.stderr
     )
     document = json.loads(srs_twin(*options, "--json", cwd=tmp_path).stdout)
-    remedy = " ".join(f"--{name} {count}" for name, count in document["remedy"].items())
-    assert f"`{remedy}` should be enough" in shown.stderr
+    assert "more --samples or --twin reduce these errors" in shown.stderr
     for text in document["warnings"]:
         assert f"warning: {text}\n" in shown.stderr
     speed = document["plants"]["analytical"]["com_speed_m_s"]
