@@ -140,7 +140,6 @@ def run_all(
             simulated.
         typer.Exit: the exit code differs from 0.
     """
-    from srs_twin.cli.junit import report_path, write_junit
 
     def completed() -> str:
         folders = [
@@ -150,6 +149,8 @@ def run_all(
 
     with ExitStack() as stack, interruptible(completed):
         if junit is not None:
+            from srs_twin.cli.junit import report_path, write_junit
+
             write = partial(write_junit, report_path(junit), cases, fails)
             # A first write reports an unusable path early and replaces the report of an
             # earlier run.

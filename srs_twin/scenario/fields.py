@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Protocol, Self
 
 from pydantic import ConfigDict, Field, model_validator
 
-from srs_twin.extensions import SECTIONS, load, objects
+from srs_twin.extensions import SECTIONS, load
 from srs_twin.io.documents import Document, Loc
 from srs_twin.io.validation import StrictModel, attribute_docstrings
 from srs_twin.robot.sourced import from_si, split_unit, to_si
@@ -335,11 +335,6 @@ class SectionEntry:
     description: str
     input_files: Callable[[Mapping[str, Any]], Iterator[str]] = _no_files
     paths: Mapping[str, str] = field(default_factory=dict)
-
-
-def section_entries() -> dict[str, SectionEntry]:
-    """Return the section entries of the installed extensions by name."""
-    return dict(objects(SECTIONS))
 
 
 _CORE_PATHS: dict[Loc, str] = {

@@ -28,7 +28,7 @@ from srs_twin.io.files import shipped_folder
 from srs_twin.io.saved_state import SavedState
 from srs_twin.io.untrusted import read_json
 from srs_twin.robot.file import RobotFile, load_robot_file
-from srs_twin.scenario.file import ScenarioFile
+from srs_twin.scenario.file import with_extensions
 from srs_twin.scenario.loading import load_scenario, parse_scenario
 from srs_twin.studies.sweep.loading import load_sweep
 from srs_twin.studies.sweep.points import SweepFile
@@ -130,7 +130,7 @@ def scenario_parser(
         name,
         good,
         load_scenario,
-        ScenarioFile,
+        with_extensions(),
         malformed,
         command=command,
         round_trip=round_trip,

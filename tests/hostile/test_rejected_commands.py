@@ -343,7 +343,7 @@ def test_errors_of_the_file_system_are_not_internal_errors(
     def fails(**_: object) -> None:
         raise OSError(number, os.strerror(number), "some/file")
 
-    monkeypatch.setattr("srs_twin.cli.app.command", lambda: fails)
+    monkeypatch.setattr("srs_twin.cli.app.command", lambda _: fails)
     with pytest.raises(SystemExit) as exit_:
         main(["list"])
     message = capsys.readouterr().err
