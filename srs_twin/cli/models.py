@@ -79,7 +79,7 @@ _ANY_ARGUMENTS = {"allow_extra_args": True, "ignore_unknown_options": True}
 
 @app.command(hidden=True, context_settings=_ANY_ARGUMENTS)
 def check() -> None:
-    """Say that this command was retired."""
+    """Report that this command was retired."""
     raise InputError(
         "`models check` was retired; `python -m mujoco.viewer --mjcf=FILE` opens an"
         " MJCF or URDF file and shows its faults, and `srs-twin models export` writes"
