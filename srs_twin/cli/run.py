@@ -66,7 +66,9 @@ class ReportOptions:
         """States of expectations (`scenario.expectation.verdict`) that set the exit code to 1."""
         if self.strict:
             return frozenset({"missed", "known", "holds", "not_judged"})
-        return frozenset({"missed"} if self.check else ())
+        if self.check:
+            return frozenset({"missed"})
+        return frozenset()
 
 
 DEFAULT_REPORT = ReportOptions()

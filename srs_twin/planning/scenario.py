@@ -91,26 +91,30 @@ class PlannerSection(ExtensionSection):
     def contradictions_with(self, file: FileSections) -> Iterator[Contradiction]:
         """See `ExtensionSection.contradictions_with`."""
         if file.controller.kind != "follow":
-            yield (
+            yield Contradiction(
                 ("planner",),
                 "no controller follows its plan; set controller.kind: follow",
-                True,
+                at_key=True,
             )
         if file.bench:
-            yield (
+            yield Contradiction(
                 ("planner",),
                 "there is no motion to plan on a bench; remove planner or bench",
-                True,
+                at_key=True,
             )
         if self.kind != "given" and file.world.goal is None:
-            yield ("planner",), f"kind: {self.kind} needs world.goal", True
+            yield Contradiction(
+                ("planner",), f"kind: {self.kind} needs world.goal", at_key=True
+            )
         analytical = file.plants.analytical
         if self.touch and analytical and not analytical.touch:
             text = (
                 "touch: allowed needs plants that touch obstacles; set model: compliant"
                 " and touch: true"
             )
-            yield ("plants", "analytical"), f"{text}, or remove analytical", True
+            yield Contradiction(
+                ("plants", "analytical"), f"{text}, or remove analytical", at_key=True
+            )
 
     def prepare(self, loading: Loading) -> ScenarioPlanner | None:
         """See `ExtensionSection.prepare`."""

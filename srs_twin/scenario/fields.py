@@ -18,7 +18,7 @@ import inspect
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Protocol, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple, Protocol, Self
 
 from pydantic import ConfigDict, Field, model_validator
 
@@ -211,8 +211,18 @@ class Section(StrictModel):
         )
 
 
-Contradiction = tuple[Loc, str, bool]
-"""Path in the file, message, and whether the message refers to the key instead of its value."""
+class Contradiction(NamedTuple):
+    """Contradiction between keys of a scenario.
+
+    Attributes:
+        loc: path in the file.
+        text: message.
+        at_key: whether the message refers to the key instead of its value.
+    """
+
+    loc: Loc
+    text: str
+    at_key: bool = False
 
 
 class FileSections(Protocol):
