@@ -3,11 +3,11 @@
     uv run python benchmarks/fuzz.py [--only NAME …] [--examples 10000] [--no-commands]
 
 `tests/hostile` defines the parsers, their valid and malformed files, and the generator.
-Each generated file is read by the parser in this process (MJCF: in a process forked for
-each file). Any exception other than `InputError` counts as untyped. Malformed files are
-given to `srs-twin` in a separate process with a wall time limit, or to the parser in a
-fresh Python where no command reads such files. The script exits with 1 if an exception
-is untyped, or if a file is not refused with exit code 2 within 2 s.
+Each generated file is read by the parser in this process. Any exception other than
+`InputError` counts as untyped. Malformed files are given to `srs-twin` in a separate
+process with a wall time limit, or to the parser in a fresh Python where no command reads
+such files. The script exits with 1 if an exception is untyped, or if a file is not
+refused with exit code 2 within 2 s.
 """
 
 from __future__ import annotations

@@ -139,6 +139,32 @@ def test_importing_the_package_imports_nothing_but_the_registry():
     assert done.stdout.split() == ["srs_twin", "srs_twin.errors", "srs_twin.extensions"]
 
 
+MAX_MODULES = 134
+"""Number of modules of the package that a plain `compare` imports."""
+
+METRICS_AND_PICTURES = ["planning", "planning.metrics", "planning.pictures"]
+
+
+def test_compare_imports_what_its_scenario_names(tmp_path):
+    """Other commands, and sections and controllers of extensions without a key in the file, stay out."""
+    code = (
+        "import sys\nfrom srs_twin.cli import main\n"
+        "try:\n    main(['compare', 'gen2_straight', '--duration', '2', '-q'])\n"
+        "finally:\n    print(*(n for n in sys.modules if n.startswith('srs_twin')))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    names = [name.partition(".")[2] for name in done.stdout.split()]
+    extensions_used = {name for name in names if name.partition(".")[0] in EXTENSIONS}
+    assert sorted(extensions_used) == METRICS_AND_PICTURES
+    assert len(names) <= MAX_MODULES
+
+
 @pytest.mark.parametrize(
     ("part", "source", "words"),
     [

@@ -13,7 +13,7 @@ from pydantic import BaseModel
 import srs_twin.scenario
 from srs_twin.robot.sourced import UNITS, split_unit
 from srs_twin.scenario.fields import Section
-from srs_twin.scenario.file import ScenarioFile
+from srs_twin.scenario.file import with_extensions
 
 ROOM = Path(srs_twin.scenario.__file__).parent
 
@@ -127,7 +127,7 @@ def test_schema_contains_bounds_and_units(section):
 
 
 def test_every_section_of_a_file_is_a_section():
-    for name, field in ScenarioFile.model_fields.items():
+    for name, field in with_extensions().model_fields.items():
         if inspect.isclass(field.annotation) and issubclass(
             field.annotation, BaseModel
         ):

@@ -25,7 +25,7 @@ def _sections(path: str, command: Any) -> Iterator[str]:
     """Yield the section of a command and those of its subcommands.
 
     Args:
-        path: full name of the command, e.g. "srs-twin models check".
+        path: full name of the command, e.g. "srs-twin models export".
         command: click command.
     """
     subcommands = getattr(command, "commands", {})

@@ -10,7 +10,7 @@ from typing import Any
 from srs_twin.io.validation import describe_schema
 from srs_twin.recordings.facts import RecordingFacts
 from srs_twin.robot.file import RobotFile
-from srs_twin.scenario.file import ScenarioFile
+from srs_twin.scenario.file import with_extensions
 from srs_twin.studies.sweep.points import SweepFile
 
 Schema = Mapping[str, Any]
@@ -24,7 +24,7 @@ _RECORD_KEYS = ("value", "unit", "status", "source", "uncertain")
 def scenario() -> str:
     """Return the keys of scenario files."""
     return KeyTables(
-        ScenarioFile.model_json_schema(), {"robot": "[a robot](robot.md)"}
+        with_extensions().model_json_schema(), {"robot": "[a robot](robot.md)"}
     ).markdown("scenario")
 
 

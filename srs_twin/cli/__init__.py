@@ -69,7 +69,10 @@ def main(argv: list[str] | None = None) -> None:
             # Shells complete the installed program, which has no launcher.
             completes = any(argument.endswith("-completion") for argument in arguments)
             started = "srs-twin" if completes else f"{launcher()}srs-twin"
-            command()(args=argv, prog_name=started, complete_var="_SRS_TWIN_COMPLETE")
+            named = next((each for each in arguments if each != "--debug"), "")
+            command(named)(
+                args=argv, prog_name=started, complete_var="_SRS_TWIN_COMPLETE"
+            )
         finally:
             if sys.stdout is not None:
                 sys.stdout.flush()  # here an error can still be reported and determine the exit code

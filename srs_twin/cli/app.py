@@ -9,101 +9,65 @@ from typing import Annotated, Any
 import typer
 
 from srs_twin import __version__
-from srs_twin.cli import models, new
-from srs_twin.cli.catalogue import list_, schema, show
 from srs_twin.cli.console import DEBUG
-from srs_twin.cli.diff import diff
-from srs_twin.cli.doctor import doctor
 from srs_twin.cli.options import expand_option_groups, option
-from srs_twin.cli.run import compare, run
-from srs_twin.cli.view import play, render, view
-from srs_twin.extensions import COMMANDS, objects
+from srs_twin.extensions import COMMANDS, installed, load
 
-# Help and usage errors are plain text: the boxes of rich break file names across lines,
-# and its import would double the duration of `--help`.
-app = typer.Typer(
-    no_args_is_help=True,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
 _CORE_COMMANDS = {
-    "list": list_,
-    "show": show,
-    "run": run,
-    "compare": compare,
-    "view": view,
-    "play": play,
-    "render": render,
-    "diff": diff,
-    "schema": schema,
-    "doctor": doctor,
-    "models": models.app,
-    "new": new.app,
+    "list": "srs_twin.cli.catalogue:list_",
+    "show": "srs_twin.cli.catalogue:show",
+    "run": "srs_twin.cli.run:run",
+    "compare": "srs_twin.cli.run:compare",
+    "view": "srs_twin.cli.view:view",
+    "play": "srs_twin.cli.view:play",
+    "render": "srs_twin.cli.view:render",
+    "diff": "srs_twin.cli.diff:diff",
+    "schema": "srs_twin.cli.catalogue:schema",
+    "doctor": "srs_twin.cli.doctor:doctor",
+    "models": "srs_twin.cli.models:app",
+    "new": "srs_twin.cli.new:app",
 }
+"""Commands of the core, as in `extensions.COMMANDS`."""
+
 _HELP_ORDER = (
-    *(
-        "list",
-        "show",
-        "inspect",
-        "run",
-        "compare",
-        "plan",
-        "replay",
-        "sweep",
-        "optimize",
-        "uncertainty",
-    ),
-    *(
-        "reproduce",
-        "view",
-        "play",
-        "emulate",
-        "shadow",
-        "render",
-        "export",
-        "diff",
-        "schema",
-        "doctor",
-    ),
-    *("calibrate", "models", "new"),
-)
+    "list show inspect run compare plan replay sweep optimize uncertainty reproduce view"
+    " play emulate shadow render export diff schema doctor calibrate models new"
+).split()
 """Order of the commands in the help; other commands come last."""
 
-
-_WITHOUT_PLUGINS = (
-    "view",
-    "render",
-    "diff",
-    "export",
-    "schema",
-    "doctor",
-    "reproduce",
-    "emulate",
-)
+_WITHOUT_PLUGINS = "view render diff export schema doctor reproduce emulate".split()
 """Commands that read finished runs or no files of the user; they never import parts from outside."""
 
 
-def _add_commands() -> None:
-    commands: dict[str, Any] = _CORE_COMMANDS | dict(objects(COMMANDS))
-    position = {name: index for index, name in enumerate(_HELP_ORDER)}
-    for name in sorted(commands, key=lambda name: position.get(name, len(position))):
-        if isinstance(commands[name], typer.Typer):
-            app.add_typer(commands[name], name=name)
-        else:
-            app.command(name)(
-                expand_option_groups(
-                    commands[name], plugins=name not in _WITHOUT_PLUGINS
-                )
-            )
-
-
-_add_commands()
-
-
 @cache
-def command() -> Any:
-    """Return the click command of the application, built once; call it with ``args`` and ``prog_name``."""
+def command(only: str = "") -> Any:
+    """Return the click command of the application; call it with ``args`` and ``prog_name``.
+
+    Args:
+        only: name of a command; the modules of other commands are not imported. All
+            commands are imported if there is none of this name.
+    """
+    # Help and usage errors are plain text: the boxes of rich break file names across
+    # lines, and its import would double the duration of `--help`.
+    app = typer.Typer(
+        no_args_is_help=True,
+        rich_markup_mode=None,
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
+    app.callback()(_options)
+    entries = _CORE_COMMANDS | installed(COMMANDS)
+    names = [only]
+    if only not in entries:
+        names = [name for name in _HELP_ORDER if name in entries]
+        names += sorted(entries.keys() - names)
+    for name in names:
+        found = load(entries[name])
+        if isinstance(found, typer.Typer):
+            app.add_typer(found, name=name)
+        else:
+            plugins = name not in _WITHOUT_PLUGINS
+            app.command(name)(expand_option_groups(found, plugins=plugins))
     return typer.main.get_command(app)
 
 
@@ -113,8 +77,7 @@ def _print_version(requested: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
-def options(
+def _options(
     debug: Annotated[
         bool, option("--debug", f"Show the traceback of an error (or set {DEBUG}=1).")
     ] = False,

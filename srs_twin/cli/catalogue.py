@@ -135,9 +135,9 @@ def _rows(kind: str) -> Iterator[dict[str, str]]:
     from srs_twin.io.files import find_file, shipped_names
 
     if kind == "controllers":
-        from srs_twin.scenario.file import CONTROLLER_KINDS
+        from srs_twin.scenario.file import controller_kinds
 
-        for name, model in CONTROLLER_KINDS.items():
+        for name, model in controller_kinds().items():
             yield {"name": name, "title": " ".join((model.__doc__ or "").split())}
     elif kind == "metrics":
         from srs_twin.comparison.metrics import all_units, meanings

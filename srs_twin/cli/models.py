@@ -1,28 +1,21 @@
-"""`srs-twin models`: export of robots as MJCF, and checks of MJCF and URDF models."""
+"""`srs-twin models`: export of robots as MJCF."""
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from srs_twin.cli.console import as_started
 from srs_twin.cli.options import (
     Bounds,
-    JsonOption,
     argument,
     expand_option_groups,
-    print_json,
 )
-from srs_twin.errors import InputError, UnknownNameError
-
-if TYPE_CHECKING:
-    from srs_twin.plants.twin.mjcf.check import ModelReport
+from srs_twin.errors import InputError
 
 app = typer.Typer(
-    rich_markup_mode=None, no_args_is_help=True, help="MJCF models: export and check."
+    rich_markup_mode=None, no_args_is_help=True, help="Export robots as MJCF models."
 )
 
 
@@ -81,57 +74,17 @@ def export(
         say(*(f"{name}: {line}" for line in describe_departures(robots[name])))
 
 
-@app.command()
-@expand_option_groups
-def check(
-    models: Annotated[
-        list[str] | None, argument("FILE|NAME", shipped=["robot"])
-    ] = None,
-    as_json: JsonOption = False,
-) -> None:
-    """Compile models and simulate 1 s of random control.
+_ANY_ARGUMENTS = {"allow_extra_args": True, "ignore_unknown_options": True}
 
-    Shipped models must also equal the export of their robots.
 
-    Options:
-        models: MJCF or URDF files, or robots; default all.
-    """
-    from srs_twin.io.files import display_path, escape_unprintable
-    from srs_twin.plants.twin.mjcf.check import check_mjcf
-    from srs_twin.plants.twin.mjcf.export import stale_files
-    from srs_twin.robot.file import load_robot
-
-    failed = 0
-    reports = []
-    for model in models or _exportable_robots():
-        path, robot = _find_model(model)
-        report = check_mjcf(path)
-        faults = list(report.faults)
-        if robot is not None:
-            remedy = f"is out of date; `srs-twin models export {robot}` writes it again"
-            faults += [
-                f"{name} {remedy}"
-                for name in stale_files(load_robot(robot), path.parent)
-            ]
-        failed += bool(faults)
-        reports.append(
-            {
-                "model": model,
-                "faults": faults,
-                "notes": list(report.notes),
-                **report.sizes,
-            }
-        )
-        for line in faults or [
-            _success_message(report, current=robot is not None),
-            *report.notes,
-        ]:
-            text = escape_unprintable(as_started(line))
-            typer.echo(f"{display_path(path)}: {text}", err=bool(faults) or as_json)
-    if as_json:
-        print_json({"models": reports})
-    if failed:
-        raise typer.Exit(InputError.exit_code)
+@app.command(hidden=True, context_settings=_ANY_ARGUMENTS)
+def check() -> None:
+    """Report that this command was retired."""
+    raise InputError(
+        "`models check` was retired; `python -m mujoco.viewer --mjcf=FILE` opens an"
+        " MJCF or URDF file and shows its faults, and `srs-twin models export` writes"
+        " the models of the robots again"
+    )
 
 
 def _exportable_robots() -> list[str]:
@@ -140,31 +93,3 @@ def _exportable_robots() -> list[str]:
     from srs_twin.robot.file import load_robot
 
     return [name for name in shipped_names("robot") if load_robot(name).skin is None]
-
-
-def _success_message(report: ModelReport, *, current: bool) -> str:
-    sizes = report.sizes
-    return (
-        f"{'up to date and ' if current else ''}valid ({sizes['bodies']} bodies,"
-        f" {sizes['joints']} joints, {sizes['actuators']} actuators,"
-        f" {sizes['mass_kg']:.4g} kg, {1e3 * sizes['timestep_s']:g} ms; 1 s of random"
-        " control without warnings)"
-    )
-
-
-def _find_model(model: str) -> tuple[Path, str | None]:
-    """Return the scene and the name of a shipped robot, or the path of a model file and None."""
-    from srs_twin.io.files import data_root
-    from srs_twin.plants.twin.mjcf.check import MODEL_SUFFIXES
-
-    names = _exportable_robots()
-    if model in names:
-        return data_root() / "models" / model / "scene.xml", model
-    if not (
-        Path(model).suffix in MODEL_SUFFIXES or "/" in model or os.path.lexists(model)
-    ):
-        files = [
-            path.name for path in Path().glob("*") if path.suffix in MODEL_SUFFIXES
-        ]
-        raise UnknownNameError("robot or model file", model, [*names, *files])
-    return Path(model), None

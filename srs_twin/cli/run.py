@@ -8,7 +8,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -34,7 +34,6 @@ from srs_twin.cli.options import (
     ScenarioArgument,
     StrictOption,
     argument,
-    option,
     parse_plants,
     print_json,
 )
@@ -45,10 +44,34 @@ if TYPE_CHECKING:
     from srs_twin.io.documents import Override
     from srs_twin.scenario.scenario import Scenario
 
-_JUNIT = "Write a JUnit XML report of runs and expectations."
-JunitOption = Annotated[str | None, option("--junit FILE.xml", _JUNIT)]
-
 RUNS_FOLDER = Path("runs")
+
+
+@dataclass(frozen=True)
+class ReportOptions:
+    """Reports of runs, and the expectations that set the exit code to 1.
+
+    Options:
+        --junit FILE.xml: Write a JUnit XML report of runs and expectations.
+    """
+
+    check: CheckOption = False
+    strict: StrictOption = False
+    junit: str | None = None
+    quiet: QuietOption = False
+    as_json: JsonOption = False
+
+    @property
+    def fails(self) -> frozenset[str]:
+        """States of expectations (`scenario.expectation.verdict`) that set the exit code to 1."""
+        if self.strict:
+            return frozenset({"missed", "known", "holds", "not_judged"})
+        if self.check:
+            return frozenset({"missed"})
+        return frozenset()
+
+
+DEFAULT_REPORT = ReportOptions()
 
 
 def run_case(
@@ -92,55 +115,37 @@ def run_case(
     return CaseResult(result, errors, time.perf_counter() - start)
 
 
-def failing_verdicts(*, check: bool, strict: bool) -> frozenset[str]:
-    """Return the states of expectations (`scenario.expectation.verdict`) that set the exit code to 1."""
-    return frozenset(
-        {"missed", "known", "holds", "not_judged"}
-        if strict
-        else {"missed"}
-        if check
-        else ()
-    )
-
-
 def run_all(
     cases: Sequence[Case],
+    report: ReportOptions,
     *,
     out: str | None,
-    fails: frozenset[str],
-    quiet: bool,
     jobs: int | None = None,
-    junit: str | None = None,
     plants: Sequence[str] | None = None,
     explain: bool = False,
     changes: Sequence[Override] = (),
-    as_json: bool = False,
 ) -> None:
     """Check all scenarios, then run the valid ones; exit with the highest exit code.
 
-    Results are printed in the order of the scenarios.
+    Results are printed in the order of the scenarios. As JSON they are one document:
+    `metrics.json` of a single scenario, `{"runs": […]}` for several, and `{"scenario",
+    "errors"}` for a scenario that failed.
 
     Args:
         cases: scenarios, loaded or not.
+        report: reports and exit code.
         out: output folder; several scenarios get one subfolder each.
-        fails: states of expectations that set the exit code, see `failing_verdicts`.
-        quiet: print errors only.
         jobs: number of worker processes; 1: run sequentially in this process; default:
             one per processor.
-        junit: file for the results of scenarios and expectations as JUnit XML.
         plants: plants to run; default: those of each scenario.
         explain: add the attribution of the difference between the plants.
         changes: overridden fields of each scenario.
-        as_json: print one document with the results: `metrics.json` of a single
-            scenario, `{"runs": […]}` for several; `{"scenario", "errors"}` for a
-            scenario that failed.
 
     Raises:
         InputError: the JUnit file or the output folder cannot be written; nothing was
             simulated.
         typer.Exit: the exit code differs from 0.
     """
-    from srs_twin.cli.junit import report_path, write_junit
 
     def completed() -> str:
         folders = [
@@ -148,38 +153,44 @@ def run_all(
         ]
         return f"complete runs: {', '.join(folders) or 'none'}"
 
+    fails = report.fails
     with ExitStack() as stack, interruptible(completed):
-        if junit is not None:
-            write = partial(write_junit, report_path(junit), cases, fails)
+        if report.junit is not None:
+            from srs_twin.cli.junit import report_path, write_junit
+
+            write = partial(write_junit, report_path(report.junit), cases, fails)
             # A first write reports an unusable path early and replaces the report of an
             # earlier run.
             write()
             stack.callback(write)
-        valid = _load(cases, out, quiet, changes, plants)
-        with closing(
-            _run(valid, partial(run_case, plants=plants, explain=explain), jobs, quiet)
-        ) as runs:
-            for case in runs:
-                _report(
-                    case, fails=fails, quiet=quiet, as_json=as_json, changes=changes
-                )
-    if as_json:
+        valid = _load(cases, out, report.quiet, changes, plants)
+        function = partial(run_case, plants=plants, explain=explain)
+        runs = stack.enter_context(
+            closing(_run(valid, function, jobs, quiet=report.quiet))
+        )
+        for case in runs:
+            _print_result(case, report, changes)
+    if report.as_json:
         documents = [case.document() for case in cases]
         print_json(documents[0] if len(documents) == 1 else {"runs": documents})
-    if fails and not quiet:
-        from srs_twin.scenario.expectation import tally
-
-        results = [case.result for case in valid if case.result]
-        verdicts = sum((result.verdicts for result in results), Counter())
-        left_out = sum(len(result.metrics.get("left_out", ())) for result in results)
-        say(
-            "expectations:"
-            f" {tally(verdicts)}{f', {left_out} left out' if left_out else ''}"
-        )
-    if code := max(
-        (case.result.exit_code(fails) for case in cases if case.result), default=0
-    ):
+    results = [case.result for case in cases if case.result]
+    if fails and not report.quiet:
+        _print_tally(results)
+    code = max((result.exit_code(fails) for result in results), default=0)
+    if code:
         raise typer.Exit(code)
+
+
+def _print_tally(results: Sequence[CaseResult]) -> None:
+    """Print how many expectations have each verdict, and how many are left out."""
+    from srs_twin.scenario.expectation import tally
+
+    verdicts = sum((result.verdicts for result in results), Counter())
+    text = f"expectations: {tally(verdicts)}"
+    left_out = sum(len(result.metrics.get("left_out", ())) for result in results)
+    if left_out:
+        text += f", {left_out} left out"
+    say(text)
 
 
 def make_cases(names: Sequence[str]) -> list[Case]:
@@ -256,6 +267,7 @@ def _run(
     cases: Sequence[Case],
     function: Callable[..., CaseResult],
     jobs: int | None,
+    *,
     quiet: bool,
 ) -> Generator[Case, None, None]:
     """Run cases in this process or in workers; yield a case when it and all previous ones are complete."""
@@ -293,56 +305,52 @@ def _add_name(case: Case, error: Exception | None) -> SrsError:
     return error
 
 
-def _report(
-    case: Case,
-    *,
-    fails: frozenset[str],
-    quiet: bool,
-    as_json: bool,
-    changes: Sequence[Override],
+def _print_result(
+    case: Case, report: ReportOptions, changes: Sequence[Override]
 ) -> None:
     """Print the results and errors of a case."""
-    from srs_twin.cli.table import expectation_lines, needs_explanation, show
+    from srs_twin.cli.table import expectation_lines, show
 
     result = case.result
     assert result is not None, "the case is complete"
     if result.run is not None and result.metrics:
-        if not quiet:
-            if not as_json:
+        if not report.quiet:
+            if not report.as_json:
                 show(result.run)
             say(f"files in {case.folder}; `srs-twin view {case.folder}` shows the run")
-            if needs_explanation(result.metrics):
-                overrides = (
-                    word for change in changes for word in change.label.split(" ", 1)
-                )
-                named = (
-                    word for entry in plugins().values() for word in ("--plugin", entry)
-                )
-                arguments = shlex.join([case.source, *overrides, *named])
-                say(
-                    f"to attribute the difference: `srs-twin compare {arguments}"
-                    " --explain`"
-                )
-        elif fails and not as_json:
-            for line in expectation_lines(
-                result.metrics, fails | {"holds", "not_judged"}
-            ):
-                say(line)
+            _suggest_explanation(case, result, changes)
+        elif report.fails and not report.as_json:
+            shown = report.fails | {"holds", "not_judged"}
+            say(*expectation_lines(result.metrics, shown))
     for error in result.errors:
         show_traceback(error)
         say(str(error))
 
 
+def _suggest_explanation(
+    case: Case, result: CaseResult, changes: Sequence[Override]
+) -> None:
+    """Print the command that attributes a difference between the plants, if it is unexpected."""
+    from srs_twin.cli.table import needs_explanation
+
+    if not needs_explanation(result.metrics):
+        return
+    words = [case.source]
+    for change in changes:
+        words += change.label.split(" ", 1)
+    for plugin in plugins().values():
+        words += ["--plugin", plugin]
+    say(
+        f"to attribute the difference: `srs-twin compare {shlex.join(words)} --explain`"
+    )
+
+
 def compare(
     scenario: ScenarioArgument,
     out: OneOutOption = None,
-    check: CheckOption = False,
-    strict: StrictOption = False,
-    junit: JunitOption = None,
-    quiet: QuietOption = False,
+    report: ReportOptions = DEFAULT_REPORT,
     explain: bool = False,
     changed: ChangeOptions = NO_CHANGES,
-    as_json: JsonOption = False,
 ) -> None:
     """Run a scenario on both plants and measure the difference.
 
@@ -351,28 +359,21 @@ def compare(
     """
     run_all(
         make_cases([scenario]),
+        report,
         out=out,
-        fails=failing_verdicts(check=check, strict=strict),
-        quiet=quiet,
-        junit=junit,
         plants=("analytical", "twin"),
         explain=explain,
         changes=changed.changes(),
-        as_json=as_json,
     )
 
 
 def run(
     scenarios: Annotated[list[str], argument("SCENARIO", shipped=["scenario"])],
     out: str | None = None,
-    check: CheckOption = False,
-    strict: StrictOption = False,
-    junit: JunitOption = None,
+    report: ReportOptions = DEFAULT_REPORT,
     jobs: JobsOption = None,
     plants: str | None = None,
     changed: ChangeOptions = NO_CHANGES,
-    quiet: QuietOption = False,
-    as_json: JsonOption = False,
 ) -> None:
     """Run scenarios on the plants that they select.
 
@@ -385,12 +386,9 @@ def run(
     """
     run_all(
         make_cases(scenarios),
+        report,
         out=out,
-        fails=failing_verdicts(check=check, strict=strict),
-        quiet=quiet,
         jobs=jobs,
-        junit=junit,
         plants=parse_plants(plants),
         changes=changed.changes(),
-        as_json=as_json,
     )

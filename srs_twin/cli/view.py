@@ -8,9 +8,10 @@ import signal
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -204,24 +205,11 @@ _MAX_SIDE_PX = 4096
 """Largest width and height of an image, pixels."""
 
 
-def render(
-    runs: Annotated[list[str], argument("RUN")],
-    video: str | None = None,
-    image: str | None = None,
-    strobe: bool = False,
-    ghost: bool = False,
-    out: str | None = None,
-    size: str = "1280x720",
-    fps: Annotated[int, Bounds(1, 120)] = 30,
-    speed: Annotated[float, Bounds(0.001, 1000)] = 1.0,
-    from_: float | None = None,
-    to: float | None = None,
-    quiet: QuietOption = False,
-) -> None:
-    """Render a video or image of finished runs with MuJoCo.
+@dataclass(frozen=True)
+class PictureOptions:
+    """Kind, contents and file of the pictures of runs.
 
     Options:
-        runs: Run folders, or names of folders in runs/.
         --video FILE.mp4: Output video; with several runs, output folder.
         --image t=2.5: Render an image at this time, s.
         --strobe: Render several times in one image from above.
@@ -235,134 +223,153 @@ def render(
             run]
         --to S: End of the video or of the strobe picture, s. [default: end of the run]
     """
-    _check_options(
-        video,
-        image,
-        strobe=strobe,
-        ghost=ghost,
-        out=out,
-        is_cut=(from_, to) != (None, None),
-    )
-    from srs_twin.viewing.mujoco.opengl import usable_opengl
 
-    usable_opengl()  # before the import of MuJoCo, which fails for an unknown name in MUJOCO_GL
-    from srs_twin.experiment import load_run
-    from srs_twin.io.files import check_output_folder
+    video: str | None = None
+    image: str | None = None
+    strobe: bool = False
+    ghost: bool = False
+    out: str | None = None
+    size: str = "1280x720"
+    fps: Annotated[int, Bounds(1, 120)] = 30
+    speed: Annotated[float, Bounds(0.001, 1000)] = 1.0
+    from_: float | None = None
+    to: float | None = None
 
-    name_suffix, write = _writer(video, image, _parse_size(size), fps, speed)
-    suffix = VIDEO_SUFFIX if video is not None else IMAGE_SUFFIX
-    output = video if video is not None else out
-    if output is None:
-        target = None
-    else:
-        target = _target(Path(output), suffix, len(runs))
-    jobs: list[tuple[FinishedRun, Path]] = []
-    parts: list[Trajectory] = []
-    for run in map(load_run, runs):
-        is_file = target is not None and target.suffix
-        if target and is_file:
-            path = target
-        else:
-            path = (target or run.folder) / f"{run.name}{name_suffix}"
-        jobs.append((run, path))
-    for run, path in jobs:
+    def check(self) -> None:
+        """Check that the options can be combined.
+
+        Raises:
+            InputError: they contradict each other.
+        """
+        if sum((self.video is not None, self.image is not None, self.strobe)) != 1:
+            raise InputError(
+                "give exactly one of --video FILE.mp4, --image t=2.5 and --strobe"
+            )
+        if self.video is not None and self.out is not None:
+            raise InputError(
+                "--out is for images; --video already names the output of a video"
+            )
+        if self.ghost and self.strobe:
+            raise InputError("--ghost needs --video or --image")
+        if self.image is not None and (self.from_, self.to) != (None, None):
+            raise InputError(
+                "--from and --to are for --video and --strobe; --image t=2.5 is at one"
+                " time"
+            )
+
+    def drawing(self) -> tuple[str, Callable[..., object]]:
+        """Return the suffix that follows the run in a file name, and the function that writes the file.
+
+        Raises:
+            InputError: the size or the time cannot be read.
+        """
+        from srs_twin.viewing.mujoco.render import (
+            write_image,
+            write_strobe,
+            write_video,
+        )
+
+        size = _parse_size(self.size)
+        if self.video is not None:
+            write = partial(write_video, size=size, fps=self.fps, speed=self.speed)
+            return VIDEO_SUFFIX, write
+        if self.image is not None:
+            time = _parse_time(self.image)
+            return f"-{time:g}s{IMAGE_SUFFIX}", partial(
+                write_image, time=time, size=size
+            )
+        return f"-strobe{IMAGE_SUFFIX}", partial(write_strobe, width=size.width)
+
+    def target(self, runs: int) -> Path | None:
+        """Return the output file or folder; None: the folders of the runs.
+
+        Raises:
+            InputError: it has another suffix, or is a file for several runs.
+        """
+        output = self.out
+        suffix = IMAGE_SUFFIX
+        if self.video is not None:
+            output = self.video
+            suffix = VIDEO_SUFFIX
+        if output is None:
+            return None
+        target = Path(output)
+        if target.suffix == suffix and runs > 1:
+            raise InputError(
+                f"{target}: {runs} runs cannot share one file; give a folder"
+            )
+        if target.suffix not in ("", suffix):
+            raise InputError(f"{target}: the file must end in {suffix}")
+        return target
+
+    def part(self, run: FinishedRun) -> Trajectory:
+        """Return the samples of the twin between the two times.
+
+        Raises:
+            InputError: the run lacks a plant that is drawn, or has less than two
+                samples in this interval.
+        """
         if "twin" not in run.trajectories:
             raise InputError(
                 f"{display_path(run.folder)}: the run contains no twin, and MuJoCo"
                 " renders only the twin; `srs-twin view` shows the analytical model"
             )
-        if ghost and _GHOST not in run.trajectories:
+        if self.ghost and _GHOST not in run.trajectories:
             raise InputError(
                 f"{display_path(run.folder)}: the run contains no analytical model;"
                 " omit --ghost"
             )
-        parts.append(_part(run.trajectories["twin"], from_, to))
-        check_output_folder(path.parent, (path.name,))
-    for (run, path), part in zip(jobs, parts, strict=True):
-        with ScenarioProgress(run.name, quiet=quiet) as progress:
-            options: dict[str, Any] = (
-                {"progress": partial(progress, "drawing")} if video is not None else {}
+        whole = run.trajectories["twin"]
+        first = float(whole.time[0])
+        last = float(whole.time[-1])
+        low = first if self.from_ is None else self.from_
+        high = last if self.to is None else self.to
+        part = whole.between(low, high)
+        if len(part) < _MIN_SAMPLES:
+            raise InputError(
+                f"--from {low:g} --to {high:g} contains no part of the run, which lasts"
+                f" from {first:g} to {last:g} s"
             )
-            options |= {"ghost": (_GHOST, run.trajectories[_GHOST])} if ghost else {}
+        return part
+
+
+def render(
+    runs: Annotated[list[str], argument("RUN")],
+    picture: PictureOptions,
+    quiet: QuietOption = False,
+) -> None:
+    """Render a video or image of finished runs with MuJoCo.
+
+    Options:
+        runs: Run folders, or names of folders in runs/.
+    """
+    picture.check()
+    from srs_twin.viewing.mujoco.opengl import usable_opengl
+
+    # Before the import of MuJoCo, which fails for an unknown name in MUJOCO_GL.
+    usable_opengl()
+    from srs_twin.experiment import load_run
+    from srs_twin.io.files import check_output_folder
+
+    suffix, write = picture.drawing()
+    target = picture.target(len(runs))
+    jobs: list[tuple[FinishedRun, Trajectory, Path]] = []
+    for run in map(load_run, runs):
+        path = (target or run.folder) / f"{run.name}{suffix}"
+        if target is not None and target.suffix:
+            path = target
+        jobs.append((run, picture.part(run), path))
+        check_output_folder(path.parent, (path.name,))
+    for run, part, path in jobs:
+        with ScenarioProgress(run.name, quiet=quiet) as progress:
+            options: dict[str, object] = {}
+            if picture.video is not None:
+                options["progress"] = partial(progress, "drawing")
+            if picture.ghost:
+                options["ghost"] = (_GHOST, run.trajectories[_GHOST])
             write(path, run.scenario, part, **options)
         if not quiet:
             typer.echo(escape_unprintable(str(path)))
-
-
-def _check_options(
-    video: str | None,
-    image: str | None,
-    *,
-    strobe: bool,
-    ghost: bool,
-    out: str | None,
-    is_cut: bool,
-) -> None:
-    """Check that the options of `render` can be combined.
-
-    Raises:
-        InputError: they contradict each other.
-    """
-    if sum((video is not None, image is not None, strobe)) != 1:
-        raise InputError(
-            "give exactly one of --video FILE.mp4, --image t=2.5 and --strobe"
-        )
-    if video is not None and out is not None:
-        raise InputError(
-            "--out is for images; --video already names the output of a video"
-        )
-    if ghost and strobe:
-        raise InputError("--ghost needs --video or --image")
-    if image is not None and is_cut:
-        raise InputError(
-            "--from and --to are for --video and --strobe; --image t=2.5 is at one time"
-        )
-
-
-def _target(target: Path, suffix: str, runs: int) -> Path:
-    """Return the output file or folder after checking it.
-
-    Raises:
-        InputError: it has another suffix, or is a file for several runs.
-    """
-    if target.suffix == suffix and runs > 1:
-        raise InputError(f"{target}: {runs} runs cannot share one file; give a folder")
-    if target.suffix not in ("", suffix):
-        raise InputError(f"{target}: the file must end in {suffix}")
-    return target
-
-
-def _part(run: Trajectory, begin: float | None, end: float | None) -> Trajectory:
-    """Return the samples of a run between two times, s; None: from the start, or to the end.
-
-    Raises:
-        InputError: the run has less than two samples in this interval.
-    """
-    first = float(run.time[0])
-    last = float(run.time[-1])
-    low = first if begin is None else begin
-    high = last if end is None else end
-    part = run.between(low, high)
-    if len(part) < _MIN_SAMPLES:
-        raise InputError(
-            f"--from {low:g} --to {high:g} contains no part of the run, which lasts"
-            f" from {first:g} to {last:g} s"
-        )
-    return part
-
-
-def _writer(
-    video: str | None, image: str | None, size: Size, fps: int, speed: float
-) -> tuple[str, Callable[..., object]]:
-    """Return the suffix that follows the run in a file name, and the function that writes the file."""
-    from srs_twin.viewing.mujoco.render import write_image, write_strobe, write_video
-
-    if video is not None:
-        return VIDEO_SUFFIX, partial(write_video, size=size, fps=fps, speed=speed)
-    if image is not None:
-        time = _parse_time(image)
-        return f"-{time:g}s{IMAGE_SUFFIX}", partial(write_image, time=time, size=size)
-    return f"-strobe{IMAGE_SUFFIX}", partial(write_strobe, width=size.width)
 
 
 def _parse_time(text: str) -> float:

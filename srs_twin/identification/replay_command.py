@@ -20,7 +20,7 @@ from srs_twin.cli.options import (
     argument,
     parse_plants,
 )
-from srs_twin.cli.run import RUNS_FOLDER, failing_verdicts, run_all
+from srs_twin.cli.run import RUNS_FOLDER, ReportOptions, run_all
 from srs_twin.errors import InputError
 from srs_twin.recordings.commands import FrequencyOption, OffsetOption, ReadingOptions
 
@@ -69,8 +69,8 @@ def replay(
     from srs_twin.identification.replay import replay_scenario
     from srs_twin.io.files import results_name
 
-    fails = failing_verdicts(check=check, strict=strict)
-    if fails and expect is None:
+    report = ReportOptions(check=check, strict=strict, quiet=quiet, as_json=as_json)
+    if report.fails and expect is None:
         flag = "--check" if check else "--strict"
         raise InputError(f"{flag}: there are no expectations; give --expect FILE.yaml")
     files = {"valves": valves, "offset_s": offset, "gait_frequency_hz": frequency}
@@ -91,4 +91,4 @@ def replay(
     )
     folder = out or RUNS_FOLDER / results_name(Path(motion))
     cases = [Case(scenario.name, scenario)]
-    run_all(cases, out=str(folder), fails=fails, quiet=quiet, as_json=as_json)
+    run_all(cases, report, out=str(folder))

@@ -87,12 +87,14 @@ class FollowFile(ControllerSection):
     def contradictions_with(self, file: FileSections) -> Iterator[Contradiction]:
         """See `ControllerSection.contradictions_with`."""
         if file.section("planner") is None:
-            yield ("controller",), "kind: follow needs a plan; add planner", False
+            yield Contradiction(
+                ("controller",), "kind: follow needs a plan; add planner"
+            )
         if file.start.run is not None:
-            yield (
+            yield Contradiction(
                 ("start", "from"),
                 "a plan begins at one pose; set it by x_m, y_m and heading_rad",
-                True,
+                at_key=True,
             )
 
     def controller(self, context: ControllerContext) -> Controller:

@@ -84,16 +84,16 @@ class PlannerSection(ExtensionSection):
     def contradictions_with(self, file: FileSections) -> Iterator[Contradiction]:
         """See `ExtensionSection.contradictions_with`."""
         if file.controller.kind != "follow":
-            yield (
+            yield Contradiction(
                 ("planner",),
                 "no controller follows its plan; set controller.kind: follow",
-                True,
+                at_key=True,
             )
         if file.bench:
-            yield (
+            yield Contradiction(
                 ("planner",),
                 "there is no motion to plan on a bench; remove planner or bench",
-                True,
+                at_key=True,
             )
 
     def prepare(self, loading: Loading) -> ScenarioPlanner | None:
@@ -221,14 +221,16 @@ class BestFirstFile(PlannerSection):
         """See `ExtensionSection.contradictions_with`."""
         yield from super().contradictions_with(file)
         if file.world.goal is None:
-            yield ("planner",), "kind: best_first needs world.goal", True
+            yield Contradiction(
+                ("planner",), "kind: best_first needs world.goal", at_key=True
+            )
         analytical = file.plants.analytical
         if self.touch and analytical and not analytical.touch:
             text = (
                 "touch: allowed needs plants that touch obstacles; set model: compliant"
                 " and touch: true, or remove analytical"
             )
-            yield ("plants", "analytical"), text, True
+            yield Contradiction(("plants", "analytical"), text, at_key=True)
 
     def _planner(self, footprint: FootprintFile, loading: Loading) -> ScenarioPlanner:
         """See `PlannerSection._planner`."""

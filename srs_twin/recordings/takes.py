@@ -183,10 +183,9 @@ class ReplayFile(ControllerSection):
     def contradictions_with(self, file: FileSections) -> Iterator[Contradiction]:
         """See `ControllerSection.contradictions_with`."""
         if file.section("recording") is None:
-            yield (
+            yield Contradiction(
                 ("controller",),
                 "kind: replay has nothing to replay; give recording as well",
-                False,
             )
 
     def is_ready(self, products: Mapping[str, Any]) -> bool:
@@ -236,7 +235,11 @@ class RecordingFile(ExtensionSection):
     def contradictions_with(self, file: FileSections) -> Iterator[Contradiction]:
         """See `ExtensionSection.contradictions_with`."""
         if not isinstance(file.controller, ReplayFile):
-            yield ("recording",), "nobody replays it; set controller.kind: replay", True
+            yield Contradiction(
+                ("recording",),
+                "nobody replays it; set controller.kind: replay",
+                at_key=True,
+            )
 
     def read(self, loading: Loading) -> Recording | None:
         """See `ExtensionSection.read`."""

@@ -33,9 +33,10 @@ from srs_twin.robot.file import SERVO_PRESSURE_KPA, RobotFile
 from srs_twin.robot.friction import TWO_POINT_LAWS
 from srs_twin.robot.geometry import body_shape, relative_headings
 from srs_twin.robot.plausibility import likely_unit
+from srs_twin.robot.spec import RobotSpec
 from srs_twin.scenario.fields import Contradiction, Loading
 from srs_twin.scenario.file import LEAST_RECORD_HZ, MOST_RECORD_HZ, ScenarioFile
-from srs_twin.scenario.plants import TwinFile
+from srs_twin.scenario.plants import PlantFile, TwinFile
 from srs_twin.scenario.start import InitialState
 
 _ROUNDING = 1.001
@@ -55,13 +56,12 @@ _PSI_TOLERANCE = 0.1
 
 def check(document: Document, file: ScenarioFile) -> None:
     """Report contradictions between the sections of a file that do not depend on the robot."""
-    start = ((("start", *loc), text, True) for loc, text in file.start.contradictions())
     sections = [
         section.contradictions_with(file) for section in file.sections().values()
     ]
     own = (
         _times(file),
-        start,
+        file.start.contradictions(),
         _bench(file),
         _floor(file),
         _expectations(file),
@@ -81,18 +81,16 @@ def _floor(file: ScenarioFile) -> Iterator[Contradiction]:
     world = file.world
     plants = file.plants
     if world.steps and plants.analytical is not None:
-        yield (
+        yield Contradiction(
             ("world", "steps"),
             "the floor of the analytical model is a plane; only the twin has steps",
-            False,
         )
     preloaded = plants.twin is not None and plants.twin.contact == "preloaded"
     if preloaded and (world.steps or world.floor.tilt_deg):
         uneven = "steps" if world.steps else "floor"
-        yield (
+        yield Contradiction(
             ("world", uneven),
             "a twin on this floor needs contact: loaded (plants.twin)",
-            False,
         )
 
 
@@ -102,40 +100,31 @@ def check_supply_pressure(document: Document, robot: RobotFile) -> list[str]:
     The check reads the document itself, so that it also runs if other keys are not
     valid.
     """
-    pressure = document.get("supply", "pressure_kpa")
-    if robot.supply is None:
+    loc = ("supply", "pressure_kpa")
+    pressure = document.get(*loc)
+    supply = robot.supply
+    if supply is None:
         if pressure not in (None, SERVO_PRESSURE_KPA):
             document.report(
-                ("supply", "pressure_kpa"),
-                f"{robot.name} has servos and no supply; remove this key",
+                loc, f"{robot.name} has servos and no supply; remove this key"
             )
         return []
-    held = document.get("controller", "kind") == HoldValves.kind
-    if held:
-        limit = robot.supply.continuous_limit_kpa
-    else:
-        limit = robot.supply.pulsed_limit_kpa
-    number = (
-        isinstance(pressure, (int, float))
-        and not isinstance(pressure, bool)
-        and math.isfinite(pressure)
-    )
-    if not number:
+    is_number = isinstance(pressure, (int, float)) and not isinstance(pressure, bool)
+    if not is_number or not math.isfinite(pressure):
         return []
-    nominal = robot.supply.nominal_kpa.value
-    hint = ""
-    in_psi = abs(pressure * _PSI_KPA / nominal - 1) < _PSI_TOLERANCE
-    if pressure > 0 and (in_psi or not 1 / _DOUBTFUL < pressure / nominal < _DOUBTFUL):
-        hint = f"; {likely_unit(pressure, 'kPa', nominal)}"
-    if pressure <= limit.value * (_ROUNDING if held else 1.0):
-        text = (
-            f"{pressure:g} kPa is far below the nominal {nominal:g} kPa of"
-            f" {robot.name}{hint}"
-        )
-        if hint:
-            return [document.describe(("supply", "pressure_kpa"), text)]
-        return []
-    use = "with valves held open" if held else "in pulses of a gait"
+    limit = supply.pulsed_limit_kpa
+    highest = limit.value
+    use = "in pulses of a gait"
+    if document.get("controller", "kind") == HoldValves.kind:
+        limit = supply.continuous_limit_kpa
+        highest = limit.value * _ROUNDING
+        use = "with valves held open"
+    nominal = supply.nominal_kpa.value
+    hint = _unit_hint(pressure, nominal)
+    if pressure <= highest:
+        text = f"{pressure:g} kPa is far below the nominal {nominal:g} kPa of"
+        text += f" {robot.name}{hint}"
+        return [document.describe(loc, text)] if hint else []
     text = (
         f"{pressure:g} kPa is above the limit of {robot.name} {use}, {limit.value:g}"
         f" kPa ({limit.source})"
@@ -145,11 +134,17 @@ def check_supply_pressure(document: Document, robot: RobotFile) -> list[str]:
         document.get("supply", "allow_overpressure"),
     ):
         return [f"supply.pressure_kpa: {text}"]
-    document.report(
-        ("supply", "pressure_kpa"),
-        f"{text}; lower it, or set allow_overpressure: true{hint}",
-    )
+    document.report(loc, f"{text}; lower it, or set allow_overpressure: true{hint}")
     return []
+
+
+def _unit_hint(pressure: float, nominal: float) -> str:
+    """Return a question about the unit of a supply pressure, kPa; empty if the number is plausible."""
+    in_psi = abs(pressure * _PSI_KPA / nominal - 1) < _PSI_TOLERANCE
+    plausible = 1 / _DOUBTFUL < pressure / nominal < _DOUBTFUL and not in_psi
+    if pressure <= 0 or plausible:
+        return ""
+    return f"; {likely_unit(pressure, 'kPa', nominal)}"
 
 
 def check_robot(document: Document, file: ScenarioFile, robot: RobotFile) -> None:
@@ -174,19 +169,15 @@ def check_start(
 ) -> None:
     """Report obstacles and objects that overlap the body at the start."""
     world = loading.world
-    allowed = TOUCHING_M
     if file.bench or not world.is_solid:
         return
     spec = loading.robot.spec(file.seed)
     pose = file.start.build()
+    allowed = TOUCHING_M
     if file.start.run is not None:
         allowed = PENETRATION_M * spec.scale.length
     texts: dict[Loc, str] = {}
     for kind, plant in file.plants.running.items():
-        if plant.gaps:
-            geometry = spec.geometry
-        else:
-            geometry = replace(spec.geometry, rigid_gap=0.0)
         com = np.array([pose.x, pose.y])
         heading = pose.heading
         bend = spec.modules.array("bias")
@@ -195,25 +186,44 @@ def check_start(
             com = state.com
             heading = state.heading
             bend = state.bend
-        shape = body_shape(
-            bend, spec.mass.array(), geometry.segment_length, geometry.rigid_gap
-        )
-        cos = math.cos(heading)
-        sin = math.sin(heading)
-        position = com + shape @ np.array([[cos, sin], [-sin, cos]])
-        theta = heading + relative_headings(bend)
+        robot = spec
+        if not plant.gaps:
+            robot = replace(spec, geometry=replace(spec.geometry, rigid_gap=0.0))
         hinges = getattr(plant, "hinges_per_segment", 2)
-        lines = hull_lines(position[None], theta[None], geometry, hinges)
-        for overlap in start_overlaps(
-            world, lines, geometry.width / 2, allowed=allowed
-        ):
+        lines = _outline(robot, com, heading, bend, hinges)
+        half_width = spec.geometry.width / 2
+        for overlap in start_overlaps(world, lines, half_width, allowed=allowed):
             loc = file.world.place_of(overlap.number, world)
-            # Drawn and mapped obstacles have no place of their own in the file.
-            texts.setdefault(
-                loc, overlap.text if len(loc) > 1 else f"{overlap.name} {overlap.text}"
-            )
+            text = overlap.text
+            if len(loc) < 2:
+                # Drawn and mapped obstacles have no place of their own in the file.
+                text = f"{overlap.name} {text}"
+            texts.setdefault(loc, text)
     for loc, text in texts.items():
         loading.document.report(("world", *loc), text)
+
+
+def _outline(
+    spec: RobotSpec, com: np.ndarray, heading: float, bend: np.ndarray, hinges: int
+) -> np.ndarray:
+    """Return the lines of the body of a snake, as `hull_lines`.
+
+    Args:
+        spec: robot.
+        com: centre of mass, m, shape (2,).
+        heading: mean heading, rad.
+        bend: bends, rad, shape (segments,).
+        hinges: hinges per segment.
+    """
+    geometry = spec.geometry
+    shape = body_shape(
+        bend, spec.mass.array(), geometry.segment_length, geometry.rigid_gap
+    )
+    cos = math.cos(heading)
+    sin = math.sin(heading)
+    position = com + shape @ np.array([[cos, sin], [-sin, cos]])
+    theta = heading + relative_headings(bend)
+    return hull_lines(position[None], theta[None], geometry, hinges)
 
 
 def _timestep(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
@@ -224,13 +234,10 @@ def _timestep(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
     if twin is not None and not twin.timestep_s < MAX_STEP_RATIO * shortest:
         text = (
             f"{twin.timestep_s:g} s is too long: it must be below {MAX_STEP_RATIO:g}"
-            " times the shortest "
+            f" times the shortest damping time of the robot, {shortest:g} s"
+            " (bending.damping_time_s, out_of_plane_damping_time_s)"
         )
-        text += (
-            f"damping time of the robot, {shortest:g} s (bending.damping_time_s,"
-            " out_of_plane_damping_time_s)"
-        )
-        yield ("plants", "twin", "timestep_s"), text, False
+        yield Contradiction(("plants", "twin", "timestep_s"), text)
 
 
 def _kinds(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
@@ -241,10 +248,10 @@ def _kinds(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
         text = (
             f"{robot.name} bends in one plane; quasistatic needs chamber.directions_deg"
         )
-        yield ("plants", "analytical", "model"), text, False
+        yield Contradiction(("plants", "analytical", "model"), text)
     if robot.has_servos and file.pneumatics.kind != "lag":
         text = f"{robot.name} has servos, which respond like lag; use lag"
-        yield ("pneumatics", "kind"), text, False
+        yield Contradiction(("pneumatics", "kind"), text)
 
 
 def _contact(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
@@ -257,31 +264,29 @@ def _contact(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
                 f"friction {model.friction} acts at one point per connector; momentary"
                 " loads need two"
             )
-            yield ("plants", "analytical"), text, False
+            yield Contradiction(("plants", "analytical"), text)
         return
     for kind, plant in file.plants.running.items():
         for key in plant.wheel_keys:
             if key in plant.model_fields_set:
                 law = "has a skin with its own friction law (robot: contact.law)"
-                yield (
+                yield Contradiction(
                     ("plants", kind, key),
                     f"{robot.name} {law}; remove this key",
-                    True,
+                    at_key=True,
                 )
     if twin and twin.contact == "preloaded":
-        yield (
-            ("plants", "twin", "contact"),
-            "a robot with skin needs contact: loaded",
-            False,
+        yield Contradiction(
+            ("plants", "twin", "contact"), "a robot with skin needs contact: loaded"
         )
     if model and model.model == "simplified":
         text = "a body with skin has no frozen chords; use complete or compliant"
-        yield ("plants", "analytical", "model"), text, False
+        yield Contradiction(("plants", "analytical", "model"), text)
     if model and model.inertia == "lumped":
         text = (
             "the mass of a body with skin is along its length; use point or connector"
         )
-        yield ("plants", "analytical", "inertia"), text, False
+        yield Contradiction(("plants", "analytical", "inertia"), text)
 
 
 def _spatial(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
@@ -292,13 +297,13 @@ def _spatial(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
         text = (
             f"{robot.name} is spatial; only model: quasistatic bends in two directions"
         )
-        yield ("plants", "analytical"), text, True
+        yield Contradiction(("plants", "analytical"), text, at_key=True)
     if file.start.moves:
         text = (
             f"{robot.name} is spatial and starts straight and at rest; set its pose"
             " only"
         )
-        yield ("start",), text, True
+        yield Contradiction(("start",), text, at_key=True)
     things = (
         world.steps,
         world.floor.tilt_deg,
@@ -309,12 +314,10 @@ def _spatial(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
     )
     if any(things):
         text = f"{robot.name} is spatial and crawls on a level floor without obstacles"
-        yield ("world",), text, True
+        yield Contradiction(("world",), text, at_key=True)
     if file.pneumatics.kind != "lag":
-        yield (
-            ("pneumatics", "kind"),
-            f"{robot.name} is spatial and needs pneumatics lag",
-            False,
+        yield Contradiction(
+            ("pneumatics", "kind"), f"{robot.name} is spatial and needs pneumatics lag"
         )
 
 
@@ -341,10 +344,9 @@ def check_controller(file: ScenarioFile, loading: Loading) -> None:
     possible = controller.layouts(loading.products)
     loading.layout = layout = file.valves.layout or possible[0]
     if layout not in possible:
+        reason = "it does not hold valves"
         if layout == "3/2":
             reason = "3/2 valves cannot hold"
-        else:
-            reason = "it does not hold valves"
         text = (
             f"{controller.kind} drives valves of layout {', '.join(possible)}, not"
             f" {layout}; {reason}"
@@ -367,13 +369,9 @@ def _coupling_step(file: ScenarioFile, chambers: Pneumatics) -> Iterator[Contrad
     if twin is not None and chambers.depends_on_bend and twin.timestep_s > longest:
         text = (
             f"{twin.timestep_s:g} s is too long for chambers whose pressure depends on"
-            " the bends; it must be "
+            f" the bends; it must be at most {chambers.coupling_step_s:g} s"
         )
-        yield (
-            ("plants", "twin", "timestep_s"),
-            f"{text}at most {chambers.coupling_step_s:g} s",
-            False,
-        )
+        yield Contradiction(("plants", "twin", "timestep_s"), text)
 
 
 def _times(file: ScenarioFile) -> Iterator[Contradiction]:
@@ -401,23 +399,23 @@ def _times(file: ScenarioFile) -> Iterator[Contradiction]:
                         plant.timestep_s,
                     )
         except TimeStepError as error:
-            yield (
-                key,
-                (
-                    str(error)
-                    if key != ("record_hz",)
-                    else f"{error.problem}; {_rate_remedy(file)}"
-                ),
-                False,
-            )
+            text = str(error)
+            if key == ("record_hz",):
+                text = f"{error.problem}; {_rate_remedy(file)}"
+            yield Contradiction(key, text)
+
+
+def _step(plant: PlantFile) -> float | None:
+    """Return the time step that divides the ticks of a plant, s; None: any."""
+    if isinstance(plant, TwinFile):
+        return plant.timestep_s
+    return None
 
 
 def _rate_remedy(file: ScenarioFile) -> str:
     """Return a message with the nearest recording rate that suits all plants."""
     clocks = [
-        SamplingGrid(
-            file.tick(kind), plant.timestep_s if isinstance(plant, TwinFile) else None
-        )
+        SamplingGrid(file.tick(kind), _step(plant))
         for kind, plant in file.plants.running.items()
     ]
     rate = nearest_rate(file.record_hz, clocks, LEAST_RECORD_HZ, MOST_RECORD_HZ)
@@ -431,22 +429,22 @@ def _bench(file: ScenarioFile) -> Iterator[Contradiction]:
     if not file.bench:
         return
     if "start" in file.model_fields_set:
-        yield (
+        yield Contradiction(
             ("start",),
             "a module on a bench starts at its clamp; remove start or bench",
-            True,
+            at_key=True,
         )
     for kind, plant in file.plants.running.items():
         for key in plant.floor_keys:
             if key in plant.model_fields_set:
                 text = "there is no floor on a bench; remove this key, or bench: true"
-                yield ("plants", kind, key), text, True
+                yield Contradiction(("plants", kind, key), text, at_key=True)
     if file.plants.analytical and file.plants.analytical.model == "compliant":
         text = (
             "compliant needs a free snake; on a bench use complete, which has the bends"
             " of a free module"
         )
-        yield ("plants", "analytical", "model"), text, False
+        yield Contradiction(("plants", "analytical", "model"), text)
 
 
 def _world(file: ScenarioFile) -> Iterator[Contradiction]:
@@ -458,30 +456,29 @@ def _world(file: ScenarioFile) -> Iterator[Contradiction]:
         and world.random.kind == "strewn"
         and not (world.random.area or world.bounds)
     ):
-        yield (
+        yield Contradiction(
             ("world", "random"),
             "strewn needs an area; set area, or bounds of the world",
-            False,
         )
     if world.pegs and plants.analytical and not plants.analytical.touch:
         text = (
             "pegs need an analytical plant that touches them; set model: compliant and"
             " touch: true"
         )
-        yield ("plants", "analytical"), text, False
+        yield Contradiction(("plants", "analytical"), text)
     if world.objects and plants.analytical is not None:
         text = (
             "the analytical plant has no movable objects; only the twin does: remove"
             " analytical from plants"
         )
-        yield ("world", "objects"), text, False
+        yield Contradiction(("world", "objects"), text)
     preloaded = plants.twin is not None and plants.twin.contact == "preloaded"
     if world.objects and (file.bench or world.steps or preloaded):
         text = (
             "objects need a free snake on a plane floor and contact: loaded"
             " (plants.twin)"
         )
-        yield ("world", "objects"), text, False
+        yield Contradiction(("world", "objects"), text)
 
 
 def _expectations(file: ScenarioFile) -> Iterator[Contradiction]:
@@ -489,22 +486,18 @@ def _expectations(file: ScenarioFile) -> Iterator[Contradiction]:
     measured = any(section.measures for section in file.sections().values())
     for i, item in enumerate(file.expect):
         if item.metric in MEASURED_UNITS and not measured:
-            yield (
-                ("expect", i, "metric"),
-                f"{item.metric} needs the section recording",
-                False,
+            yield Contradiction(
+                ("expect", i, "metric"), f"{item.metric} needs the section recording"
             )
         if item.plant and item.plant not in file.plants.running:
-            yield (
+            yield Contradiction(
                 ("expect", i, "plant"),
                 f"{item.plant} does not run here; add it to plants",
-                False,
             )
         if item.of and len(file.plants.running) < 2:
-            yield (
+            yield Contradiction(
                 ("expect", i, "of"),
                 "a comparison needs both plants; add the other to plants",
-                False,
             )
 
 
@@ -516,10 +509,12 @@ def _gap_factor(file: ScenarioFile) -> Iterator[Contradiction]:
     if not file.comparison.gap_factor:
         return
     if analytical is None or twin is None:
-        yield key, "a comparison needs both plants; add the other to plants", False
+        yield Contradiction(
+            key, "a comparison needs both plants; add the other to plants"
+        )
     elif analytical.gaps:
         text = (
             "the analytical plant already has gaps in its geometry; set"
             " plants.analytical.gaps: false"
         )
-        yield key, text, False
+        yield Contradiction(key, text)

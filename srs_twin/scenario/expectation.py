@@ -60,6 +60,8 @@ _OUTSIDE_PROBABILITY = {"interval_50": 0.5, "interval_95": 0.05}
 """Probability that a value is outside the interval, α of the interval score."""
 _INTERVALS = {"interval_50": "50 % interval", "interval_95": "95 % interval"}
 """Names of the intervals in texts."""
+_CAUSES = {"u_num": "the time step", "u_d": "the published value"}
+"""Names of uncertainties in texts; that of the robot is named after a parameter."""
 _PARAMETERS = {
     "friction.mu_t": "rolling friction",
     "friction.mu_n": "sideways friction",
@@ -140,21 +142,14 @@ class Expectation(Section):
     def _is_consistent(self) -> Expectation:
         if (self.plant is None) == (self.of is None):
             raise ValueError("give either plant (analytical or twin) or of: comparison")
-        if self.metric in known_metrics() and self.metric not in known_metrics(
-            self.subject
-        ):
+        expected = self.metric in known_metrics(self.subject)
+        if not expected and self.metric in known_metrics():
+            required = f"of: {COMPARISON}"
             if self.of:
                 required = "plant: analytical or plant: twin"
-            else:
-                required = f"of: {COMPARISON}"
             raise ValueError(f"{self.metric} needs {required}")
-        if (
-            sum(
-                value is not None
-                for value in (self.near, self.below, self.above, self.published)
-            )
-            != 1
-        ):
+        values = (self.near, self.below, self.above, self.published)
+        if values.count(None) != len(values) - 1:
             raise ValueError("give exactly one of near, below, above and published")
         if (self.within is None) != (self.published is None):
             raise ValueError(
@@ -164,7 +159,7 @@ class Expectation(Section):
             raise ValueError("scatter needs published")
         if self.published is not None and self.of is not None:
             raise ValueError("published needs plant: analytical or plant: twin")
-        tolerances = sum(value is not None for value in (self.rel, self.abs))
+        tolerances = 2 - (self.rel, self.abs).count(None)
         if tolerances != (self.near is not None):
             raise ValueError(
                 "near needs either rel or abs; below and above take neither"
@@ -194,10 +189,10 @@ class Expectation(Section):
         """Smallest and largest allowed value; infinite without a limit."""
         if self.near is None:
             low = -math.inf if self.above is None else self.above
-            return low, math.inf if self.below is None else self.below
-        if self.abs is not None:
-            tolerance = self.abs
-        else:
+            high = math.inf if self.below is None else self.below
+            return low, high
+        tolerance = self.abs
+        if tolerance is None:
             tolerance = (self.rel or 0.0) * math.fabs(self.near)
         return self.near - tolerance, self.near + tolerance
 
@@ -220,19 +215,25 @@ class Expectation(Section):
             why it is not judged, whether it is `met` (never without a value), `near`,
             `source` and `known`.
         """
-        (low, high), subject = self.allowed, self.subject
+        low, high = self.allowed
         if self.of:
             values = metrics.get(COMPARISON)
         else:
-            values = (metrics.get("plants") or {}).get(subject)
+            values = (metrics.get("plants") or {}).get(self.subject)
         value = (values or {}).get(self.metric)
-        row: dict[str, Any] = {"metric": self.metric, "of": subject, "value": value}
-        row |= {"allowed": _range_text(low, high), "met": False, "reason": None}
+        row: dict[str, Any] = {
+            "metric": self.metric,
+            "of": self.subject,
+            "value": value,
+            "allowed": _range_text(low, high),
+            "met": False,
+            "reason": None,
+        }
         if self.within is not None:
-            within = (
+            row["allowed"] = (
                 f"published {self.published:.4g} within the {_INTERVALS[self.within]}"
             )
-            row |= {"allowed": within, "within": self.within}
+            row["within"] = self.within
         if value is None or not math.isfinite(value):
             limit = high if self.published is None else self.published
             if value is None and undefined is not None and undefined.beyond < limit:
@@ -241,17 +242,17 @@ class Expectation(Section):
             row["met"] = low <= value <= high
         else:
             row |= self._judge_interval(value, metrics.get("intervals") or {})
-        missed = "missed" if self.known is None else "known"
         if row["reason"] is not None:
             state = "not_judged"
         elif row["met"]:
             state = "met"
+        elif self.known is None:
+            state = "missed"
         else:
-            state = missed
-        stated = self.near if self.published is None else self.published
+            state = "known"
         return row | {
             "state": state,
-            "near": stated,
+            "near": self.near if self.published is None else self.published,
             "source": self.source,
             "known": self.known,
         }
@@ -272,64 +273,42 @@ class Expectation(Section):
         the interval; the interval score (Gneiting and Raftery 2007) is low for narrow
         intervals that contain the published value.
         """
-        assert self.within is not None and self.published is not None, (
-            "see _is_consistent()"
-        )
+        published = self.published
+        assert self.within is not None and published is not None, "see _is_consistent()"
         spread = ((stored.get("plants") or {}).get(self.subject) or {}).get(self.metric)
-        if stored.get("stale") is not None or spread is None:
-            missing = (
-                f"the stored intervals have no {self.metric} of the {self.subject}"
-                " plant"
-            )
-            return {"reason": stored.get("stale") or missing}
+        reason = stored.get("stale") or self._mismatch(value, spread, stored)
+        if reason is not None:
+            return {"reason": reason}
         low, high = spread[self.within]
-        # Allow for differences in the last digits between processors.
-        if not abs(value - spread["value"]) <= max(
-            _INTERVAL_TOLERANCE * (high - low),
-            _STORAGE_TOLERANCE * abs(spread["value"]),
-        ):
-            other = (
-                f"the stored interval is for {spread['value']:.4g} (other laws,"
-                " duration or seed)"
-            )
-            return {"reason": f"{other}; {stored['renew']} renews it"}
-        if self.scatter is None:
-            u_d = _PUBLISHED_STD * abs(self.published)
-        else:
-            u_d = self.scatter
+        errors = spread.get(f"{self.within}_error")
+        verdict = interval_verdict(published, (low, high), errors)
+        position = verdict.value
+        if verdict is IntervalVerdict.UNDECIDED:
+            position = "near an end of"
+            reason = self._undecided_reason((low, high), errors)
         terms = {
             "u_num": spread["u_num"] or 0.0,
             "u_input": spread["u_input"],
-            "u_d": u_d,
+            "u_d": self.scatter,
         }
+        if self.scatter is None:
+            terms["u_d"] = _PUBLISHED_STD * abs(published)
         largest = max(terms, key=lambda name: terms[name])
+        parameter = None
         if largest == "u_input":
             parameter = largest_parameter(spread.get("sensitivity") or {})
-        else:
-            parameter = None
-        distance = max(low - self.published, self.published - high, 0.0)
-        errors = spread.get(f"{self.within}_error")
-        verdict = interval_verdict(self.published, (low, high), errors)
-        undecided = verdict is IntervalVerdict.UNDECIDED
-        cause = {"u_num": "the time step", "u_d": "the published value"}.get(
-            largest, _parameter(parameter)
-        )
-        lies = (
-            f"lies {'near an end of' if undecided else verdict.value} the"
-            f" {_INTERVALS[self.within]}"
-        )
-        ends = _ends(low, high, self.published)
+        cause = _CAUSES.get(largest, _parameter(parameter))
+        distance = max(low - published, published - high, 0.0)
         return {
             "allowed": (
-                f"published {self.published:.4g} {lies} {ends} (largest uncertainty:"
-                f" {cause})"
+                f"published {published:.4g} lies {position} the"
+                f" {_INTERVALS[self.within]} {_ends(low, high, published)} (largest"
+                f" uncertainty: {cause})"
             ),
             "met": verdict is IntervalVerdict.WITHIN,
-            "reason": (
-                self._undecided_reason((low, high), errors) if undecided else None
-            ),
+            "reason": reason,
             "verdict": verdict.value,
-            "error": value - self.published,
+            "error": value - published,
             **terms,
             "largest": largest,
             "largest_parameter": parameter,
@@ -338,6 +317,28 @@ class Expectation(Section):
             "interval": [low, high],
             "interval_error": errors,
         }
+
+    def _mismatch(
+        self, value: float, spread: Mapping[str, Any] | None, stored: Mapping[str, Any]
+    ) -> str | None:
+        """Return the reason why no stored interval applies to the value of a run; None if one does."""
+        if spread is None:
+            return (
+                f"the stored intervals have no {self.metric} of the {self.subject}"
+                " plant"
+            )
+        low, high = spread[self.within]
+        tolerance = max(
+            _INTERVAL_TOLERANCE * (high - low),
+            # Allow for differences in the last digits between processors.
+            _STORAGE_TOLERANCE * abs(spread["value"]),
+        )
+        if abs(value - spread["value"]) <= tolerance:
+            return None
+        return (
+            f"the stored interval is for {spread['value']:.4g} (other laws, duration or"
+            f" seed); {stored['renew']} renews it"
+        )
 
     def _undecided_reason(
         self, interval: Sequence[float], errors: Sequence[float]
@@ -426,9 +427,10 @@ def verdict(checked: Mapping[str, Any]) -> str:
         or "holds": met although `known` is set.
     """
     known = checked.get("known") is not None
-    state = checked.get("state") or (
-        "met" if checked["met"] else "known" if known else "missed"
-    )
+    state = checked.get("state")
+    if state is None:
+        missed = "known" if known else "missed"
+        state = "met" if checked["met"] else missed
     if state == "met" and known:
         return "holds"
     return str(state)
@@ -442,13 +444,11 @@ def result_text(checked: Mapping[str, Any]) -> str:
     if allowed in ("yes", "no"):
         return f"= {value or 'none'}, required {allowed}"
     if not checked.get("within"):
-        return f"= {'none' if value is None else f'{value:.4g}'}, allowed {allowed}"
+        text = "none" if value is None else f"{value:.4g}"
+        return f"= {text}, allowed {allowed}"
     unit = (metric_units() | COMPARISON_UNITS).get(metric, "1")
-    if value is None:
-        text = "none"
-    else:
-        text = f"{value:.3g}" + (f" {unit}" if unit != "1" else "")
-    return f"= {text}; {checked['allowed']}"
+    text = "none" if value is None else f"{value:.3g} {unit}"
+    return f"= {text.removesuffix(' 1')}; {checked['allowed']}"
 
 
 def allowed_text(checked: Mapping[str, Any]) -> str:

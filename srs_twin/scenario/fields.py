@@ -18,11 +18,11 @@ import inspect
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Protocol, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple, Protocol, Self
 
 from pydantic import ConfigDict, Field, model_validator
 
-from srs_twin.extensions import SECTIONS, load, objects
+from srs_twin.extensions import SECTIONS, load
 from srs_twin.io.documents import Document, Loc
 from srs_twin.io.validation import StrictModel, attribute_docstrings
 from srs_twin.robot.sourced import from_si, split_unit, to_si
@@ -211,8 +211,18 @@ class Section(StrictModel):
         )
 
 
-Contradiction = tuple[Loc, str, bool]
-"""Path in the file, message, and whether the message refers to the key instead of its value."""
+class Contradiction(NamedTuple):
+    """Contradiction between keys of a scenario.
+
+    Attributes:
+        loc: path in the file.
+        text: message.
+        at_key: whether the message refers to the key instead of its value.
+    """
+
+    loc: Loc
+    text: str
+    at_key: bool = False
 
 
 class FileSections(Protocol):
@@ -335,11 +345,6 @@ class SectionEntry:
     description: str
     input_files: Callable[[Mapping[str, Any]], Iterator[str]] = _no_files
     paths: Mapping[str, str] = field(default_factory=dict)
-
-
-def section_entries() -> dict[str, SectionEntry]:
-    """Return the section entries of the installed extensions by name."""
-    return dict(objects(SECTIONS))
 
 
 _CORE_PATHS: dict[Loc, str] = {

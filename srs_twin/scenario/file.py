@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from functools import reduce
+from collections.abc import Container
+from functools import cache, reduce
 from operator import or_
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, get_args
 
 from pydantic import Field, WithJsonSchema, create_model, model_validator
 
-from srs_twin import extensions
-from srs_twin.extensions import objects
+from srs_twin.extensions import CONTROLLERS, SECTIONS, installed, load, objects
 from srs_twin.plants.base import TICK_S
 from srs_twin.pneumatics import OrificePneumatics, Pneumatics, make_pneumatics
 from srs_twin.pneumatics.valves import StuckValve
@@ -23,8 +23,8 @@ from srs_twin.scenario.fields import (
     ExtensionSection,
     Line,
     Section,
+    SectionEntry,
     quantity,
-    section_entries,
 )
 from srs_twin.scenario.modified import ChangedField
 from srs_twin.scenario.plants import (
@@ -231,26 +231,27 @@ class ComparisonFile(Section):
     gaps (Section 3.4.2); the analytical plant needs gaps: false."""
 
 
-CONTROLLERS = (
-    *CORE_CONTROLLERS,
-    *(section for _, section in objects(extensions.CONTROLLERS)),
-)
-"""Controller sections of the core and of the installed extensions."""
-
-CONTROLLER_KINDS = {
+_CORE_KINDS = {
     get_args(section.model_fields["kind"].annotation)[0]: section
-    for section in CONTROLLERS
+    for section in CORE_CONTROLLERS
 }
-"""Kinds of `controller` → their sections."""
+
+CONTROLLER_NAMES = (*_CORE_KINDS, *installed(CONTROLLERS))
+"""Kinds of `controller` of the core and of the installed extensions."""
 
 if TYPE_CHECKING:
     ControllerFile = ControllerSection
 else:
-    ControllerFile = Annotated[reduce(or_, CONTROLLERS), Field(discriminator="kind")]
+    ControllerFile = Annotated[
+        reduce(or_, CORE_CONTROLLERS), Field(discriminator="kind")
+    ]
 
 
-class CoreScenarioFile(Section):
-    """Experiment with a soft snake."""
+class ScenarioFile(Section):
+    """Experiment with a soft snake.
+
+    Sections and controllers of extensions are added by `with_extensions`.
+    """
 
     name: Annotated[Line, Field(pattern=r"^[^./\x00-\x1f][^/\x00-\x1f]*$")] | None = (
         None
@@ -341,25 +342,51 @@ class CoreScenarioFile(Section):
 
     def sections(self) -> dict[str, ExtensionSection]:
         """Return the sections of extensions in the file by name."""
-        sections = {name: self.section(name) for name in section_entries()}
+        sections = {name: self.section(name) for name in SECTIONS}
         return {
             name: section for name, section in sections.items() if section is not None
         }
 
 
-if TYPE_CHECKING:
-    ScenarioFile = CoreScenarioFile
-else:
-    ScenarioFile = create_model(
+def controller_kinds() -> dict[str, type[ControllerSection]]:
+    """Return the kinds of `controller` → their sections."""
+    return _CORE_KINDS | dict(objects(CONTROLLERS))
+
+
+def with_extensions(
+    sections: Container[str] = SECTIONS, controllers: Container[str] = CONTROLLERS
+) -> type[ScenarioFile]:
+    """Return the model of scenario files with sections of extensions, whose modules are imported.
+
+    Args:
+        sections: names of the sections; default: all that are installed.
+        controllers: additional kinds of `controller`; default: all that are installed.
+    """
+    return _with_extensions(
+        tuple(name for name in installed(SECTIONS) if name in sections),
+        tuple(name for name in installed(CONTROLLERS) if name in controllers),
+    )
+
+
+@cache
+def _with_extensions(
+    sections: tuple[str, ...], controllers: tuple[str, ...]
+) -> type[ScenarioFile]:
+    fields: dict[str, Any] = {}
+    if controllers:
+        known = (*CORE_CONTROLLERS, *(load(CONTROLLERS[name]) for name in controllers))
+        kinds = Annotated[reduce(or_, known), Field(discriminator="kind")]
+        fields["controller"] = (kinds, ...)
+    for name in sections:
+        entry: SectionEntry = load(SECTIONS[name])
+        text = entry.description
+        fields[name] = (entry.annotation, Field(None, title=text, description=text))
+    if not fields:
+        return ScenarioFile
+    return create_model(
         "ScenarioFile",
-        __base__=CoreScenarioFile,
+        __base__=ScenarioFile,
         __module__=__name__,
-        __doc__=CoreScenarioFile.__doc__,
-        **{
-            name: (
-                entry.annotation,
-                Field(None, title=entry.description, description=entry.description),
-            )
-            for name, entry in section_entries().items()
-        },
+        __doc__="Experiment with a soft snake.",
+        **fields,
     )

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from srs_twin.errors import InputError, InputFileError, did_you_mean
+from srs_twin.extensions import SECTIONS
 from srs_twin.io.arguments import checked
 from srs_twin.io.documents import Document, Override, Overrides, format_path, load_yaml
 from srs_twin.io.files import StrPath, find_file, is_path, results_name
@@ -31,7 +32,7 @@ from srs_twin.scenario.checks import (
     check_supply_pressure,
 )
 from srs_twin.scenario.fields import Loading, path_fields
-from srs_twin.scenario.file import ScenarioFile
+from srs_twin.scenario.file import ScenarioFile, with_extensions
 from srs_twin.scenario.modified import changed_fields, marked
 from srs_twin.scenario.parts import OWN_SCHEMA, read_resolved, scenario_model
 from srs_twin.scenario.plants import PRESET, with_preset
@@ -239,7 +240,7 @@ def _check_field(change: Override) -> None:
             " themselves"
         )
     sections = {*RobotFile.model_fields, "base"}
-    if first not in ScenarioFile.model_fields or (
+    if first not in {*ScenarioFile.model_fields, *SECTIONS} or (
         first == "robot" and more and more[0] not in sections
     ):
         path = format_path(change.loc)
@@ -329,7 +330,7 @@ def _robot(document: Document) -> tuple[RobotFile | None, tuple[str, ...]]:
 
 def scenario_json_schema() -> dict[str, Any]:
     """Return a schema (draft 2020-12) with title, description, unit and range of every key."""
-    schema = ScenarioFile.model_json_schema()
+    schema = with_extensions().model_json_schema()
     robot_schema = RobotFile.model_json_schema()
     # Use numbered names, because the generated names of records contain their bounds
     # and are long.

@@ -21,16 +21,17 @@ from pydantic.errors import PydanticUserError
 from srs_twin.control.base import Controller
 from srs_twin.control.gait import Gait
 from srs_twin.errors import AbsentPartError, InputError, UnknownNameError
-from srs_twin.extensions import PART_PATTERN, READING, part
+from srs_twin.extensions import PART_PATTERN, READING, SECTIONS, part
 from srs_twin.io.documents import Document
 from srs_twin.pneumatics import KINDS as PNEUMATICS, Pneumatics
 from srs_twin.scenario.controllers import ControllerSection
 from srs_twin.scenario.fields import Section
 from srs_twin.scenario.file import (
-    CONTROLLER_KINDS,
+    CONTROLLER_NAMES,
     PneumaticsSection,
     ScenarioFile,
     SensorSection,
+    with_extensions,
 )
 from srs_twin.sensing import KINDS as SENSORS, Sensor
 
@@ -50,7 +51,7 @@ class _Kind(NamedTuple):
 
 
 PARTS = {
-    "controller": _Kind(ControllerSection, Controller, CONTROLLER_KINDS),
+    "controller": _Kind(ControllerSection, Controller, CONTROLLER_NAMES),
     "pneumatics": _Kind(PneumaticsSection, Pneumatics, PNEUMATICS),
     "sensor": _Kind(SensorSection, Sensor, SENSORS),
 }
@@ -105,10 +106,27 @@ class _AbsentSection(ControllerSection, PneumaticsSection, SensorSection):
 
 
 def scenario_model(document: Document) -> type[ScenarioFile]:
-    """Return the model of a scenario file with the sections of its parts from outside.
+    """Return the model of a scenario file with the sections and parts that the file names.
 
     A part that cannot be used is reported to the document. Its section is not checked.
+    A file with unknown names has the model with all sections, so that messages suggest
+    the right ones.
     """
+    outside = _parts_from_outside(document)
+    kind = document.get("controller", "kind")
+    keys = set(document.data) if isinstance(document.data, Mapping) else set()
+    known = keys <= {*ScenarioFile.model_fields, *SECTIONS}
+    if known and ("controller" in outside or kind in CONTROLLER_NAMES):
+        model = with_extensions(keys, (kind,))
+    else:
+        model = with_extensions()
+    if outside:
+        return _model("ScenarioFile", model, **outside)
+    return model
+
+
+def _parts_from_outside(document: Document) -> dict[str, Any]:
+    """Return key → type of its section for the parts from outside that a file names."""
     sections: dict[str, Any] = {}
     for key, (section, base, known) in PARTS.items():
         kind = document.get(key, "kind")
@@ -123,9 +141,7 @@ def scenario_model(document: Document) -> type[ScenarioFile]:
         except InputError as error:
             document.report((key, "kind"), str(error))
         sections[key] = (own, ...)
-    return (
-        _model("ScenarioFile", ScenarioFile, **sections) if sections else ScenarioFile
-    )
+    return sections
 
 
 def read_resolved(data: Mapping[str, Any]) -> ScenarioFile:

@@ -16,7 +16,7 @@ from srs_twin.io.files import display_path
 from srs_twin.plants.base import Plant, SnakeState
 from srs_twin.robot.sourced import to_si
 from srs_twin.robot.world import Pose
-from srs_twin.scenario.fields import FilePath, Section, quantity
+from srs_twin.scenario.fields import Contradiction, FilePath, Section, quantity
 from srs_twin.trajectory import Trajectory
 
 _MAX_SEGMENTS = 64
@@ -72,16 +72,20 @@ class StartFile(Section):
     time_s: float | None = quantity(0.0, 1e6, None)
     """Time in that run."""
 
-    def contradictions(self) -> Iterator[tuple[tuple[str, ...], str]]:
-        """Yield path and message of keys that contradict each other."""
+    def contradictions(self) -> Iterator[Contradiction]:
+        """Yield keys that contradict each other."""
         if self.run is None:
             if self.time_s is not None:
-                yield ("time_s",), "needs a run; set from"
+                yield Contradiction(
+                    ("start", "time_s"), "needs a run; set from", at_key=True
+                )
             return
         for name in sorted(self.model_fields_set - {"run", "time_s"}):
-            yield (name,), "is set by the run in from; remove one of them"
+            text = "is set by the run in from; remove one of them"
+            yield Contradiction(("start", name), text, at_key=True)
         if self.time_s is None:
-            yield ("from",), "needs the time in that run; set time_s"
+            text = "needs the time in that run; set time_s"
+            yield Contradiction(("start", "from"), text, at_key=True)
 
     @property
     def moves(self) -> bool:

@@ -631,7 +631,7 @@ def into_closed_pipe(words, folder, closed):
 
 
 @pytest.mark.parametrize(
-    "words", first_by_default(2, ["schema", "models check gen2", "--help", "--version"])
+    "words", first_by_default(2, ["schema", "list metrics", "--help", "--version"])
 )
 def test_closed_pipe_is_not_an_error(tmp_path, words):
     done = into_closed_pipe(words.split(), tmp_path, ["stdout"])

@@ -20,7 +20,7 @@ from hypothesis import given, strategies as st
 
 from srs_twin.cli import main
 from srs_twin.cli.junit import report_path, write_junit
-from srs_twin.cli.run import Case, CaseResult, failing_verdicts
+from srs_twin.cli.run import Case, CaseResult, ReportOptions
 from srs_twin.comparison.undefined import Undefined
 from srs_twin.errors import DivergedError, InputError, WorkerDiedError
 from srs_twin.experiment import RunResult
@@ -208,7 +208,7 @@ def test_expectation_not_judged_is_skipped_and_fails_with_strict(tmp_path):
         write_junit(
             tmp_path / "r.xml",
             [Case("ran", named, result=result)],
-            failing_verdicts(check=True, strict=strict),
+            ReportOptions(check=True, strict=strict).fails,
         )
         found = read(tmp_path / "r.xml")["ran"]
         assert kinds(found) == outcomes

@@ -273,11 +273,7 @@ def test_command_keeps_ignored_interrupts(tmp_path):
         (["compare", "./nosuch.yaml"], "nosuch.yaml: no such file"),
         (["compare", "gen2_strait"], "unknown scenario 'gen2_strait'"),
         (["run", "./bad.yaml"], "bad.yaml:5:13: controller.frequency_hz: missing"),
-        (["models", "check", "./none.xml"], "none.xml: no such file"),
-        (
-            ["models", "check", "gen9"],
-            "unknown robot or model file 'gen9'; did you mean gen",
-        ),
+        (["models", "export", "gen9"], "unknown robot 'gen9'; did you mean gen"),
         (["view", "nosuch"], "nosuch: no recording found"),
     ],
 )

@@ -19,8 +19,7 @@ from typer.exceptions import TyperException
 
 from srs_twin.cli import main
 from srs_twin.cli.app import command
-from srs_twin.cli.doctor.examination import REMEDIES, VIEWERS
-from srs_twin.viewing.mujoco.opengl import PACKAGES
+from srs_twin.cli.doctor.probes import NO_VULKAN, PROBES
 
 pytestmark = pytest.mark.fast
 
@@ -368,12 +367,11 @@ def test_the_container_starts_with_private_caches():
 
 
 def test_containerfile_installs_the_remedies_of_doctor():
-    remedies = [f"apt-get install {names} (Debian" for names in PACKAGES.values()]
-    remedies.append(REMEDIES[VIEWERS]["without a screen"])
+    remedies = (PROBES["pictures of MuJoCo"].remedy, NO_VULKAN)
     asked = {
         name
         for remedy in remedies
-        for name in re.findall(r"(?:apt-get install|^)((?: [\w-]+)+) \(Debian", remedy)
+        for name in re.findall(r"apt-get install((?: [\w-]+)+) \(Debian", remedy)
     }
     packages = {word for each in asked for word in each.split()}
     installed = set(

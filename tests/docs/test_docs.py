@@ -24,7 +24,7 @@ from srs_twin.io.documents import dump_yaml
 from srs_twin.io.files import shipped_names
 from srs_twin.live.setup_file import load_setup
 from srs_twin.recordings.recording_map import read_map
-from srs_twin.scenario.file import ScenarioFile
+from srs_twin.scenario.file import with_extensions
 from srs_twin.studies.optimization.loading import load_study
 from srs_twin.studies.sweep.loading import load_sweep
 
@@ -34,7 +34,7 @@ BLOCKS = [(page, block) for page in PAGES for block in page.blocks]
 # Other programs in command blocks. Check whether a new program here can be tested.
 OTHERS = {"pip", "python3", "uv", "podman", "docker", ".ci/run", "python", "mosquitto"}
 GIVEN = {"scenario": "scenario", "scenarios": "scenario", "sweep": "sweep"}
-SCENARIO = set(ScenarioFile.model_fields)
+SCENARIO = set(with_extensions().model_fields)
 FRAGMENT = {
     "robot": "gen2",
     "duration_s": 5.0,

@@ -17,7 +17,7 @@ from pages import PAGES
 import srs_twin
 from srs_twin.cli.app import command
 from srs_twin.robot.file import RobotFile
-from srs_twin.scenario.file import ScenarioFile
+from srs_twin.scenario.file import with_extensions
 from srs_twin.studies.sweep.points import SweepFile
 
 # Attributes that make a browser load a resource automatically; `href` only in these
@@ -143,7 +143,7 @@ def keys_of(schema):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("page", "model"),
-    [("scenario", ScenarioFile), ("sweep", SweepFile), ("robot", RobotFile)],
+    [("scenario", with_extensions()), ("sweep", SweepFile), ("robot", RobotFile)],
 )
 def test_every_key_is_in_the_reference(site, page, model):
     shown = (site / f"docs/reference/{page}.html").read_text("utf-8")

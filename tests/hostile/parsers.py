@@ -12,7 +12,6 @@ from typing import Any
 
 import malformed_archives
 import malformed_json
-import malformed_mjcf
 import malformed_parquet
 import malformed_scenarios as scenarios
 import malformed_studies as studies
@@ -20,7 +19,6 @@ import malformed_tables as tables
 from harness import Malformed, Parser, RoundTrip
 from hypothesis import strategies as st
 from malformed_yaml import STRUCTURE, arbitrary_values, edited, not_numbers, varied
-from mjcf_server import check, raise_faults
 from pydantic import BaseModel
 
 from srs_twin.envs.policy import load_policy
@@ -29,9 +27,8 @@ from srs_twin.io.documents import dump_yaml
 from srs_twin.io.files import shipped_folder
 from srs_twin.io.saved_state import SavedState
 from srs_twin.io.untrusted import read_json
-from srs_twin.plants.twin.mjcf.check import check_mjcf
 from srs_twin.robot.file import RobotFile, load_robot_file
-from srs_twin.scenario.file import ScenarioFile
+from srs_twin.scenario.file import with_extensions
 from srs_twin.scenario.loading import load_scenario, parse_scenario
 from srs_twin.studies.sweep.loading import load_sweep
 from srs_twin.studies.sweep.points import SweepFile
@@ -133,7 +130,7 @@ def scenario_parser(
         name,
         good,
         load_scenario,
-        ScenarioFile,
+        with_extensions(),
         malformed,
         command=command,
         round_trip=round_trip,
@@ -143,7 +140,6 @@ def scenario_parser(
 S = scenarios
 T = studies
 P = malformed_parquet
-M = malformed_mjcf
 J = malformed_json
 A = malformed_archives
 PARSERS: tuple[Parser, ...] = (
@@ -206,16 +202,6 @@ PARSERS: tuple[Parser, ...] = (
         function="srs_twin.trajectory:Trajectory.from_parquet",
         round_trip=RoundTrip(P.trajectories(), P.content),
         same=P.same,
-    ),
-    Parser(
-        "mjcf",
-        ".xml",
-        M.GOOD,
-        lambda path: raise_faults(path, check_mjcf(path)),
-        M.MALFORMED,
-        M.VALUES,
-        command="models check {}",
-        quick=lambda path: raise_faults(path, check(path)),
     ),
     Parser(
         "JSON",

@@ -34,10 +34,8 @@ def cases() -> Iterator[Any]:
     """Yield each parser with its malformed files; the same defect in further parsers is a slow test."""
     seen = set(LARGE)
     for parser in PARSERS:
-        for k, malformed in enumerate(parser.all_malformed):
-            # The check of a model file starts a process, which takes 0.1 s.
-            slow = malformed.name in seen or (parser.name == "mjcf" and k % 3 > 0)
-            marks = [pytest.mark.slow] if slow else []
+        for malformed in parser.all_malformed:
+            marks = [pytest.mark.slow] if malformed.name in seen else []
             seen.add(malformed.name)
             name = ascii(f"{parser.name}: {malformed.name}"[:90])[1:-1]
             yield pytest.param(parser, malformed, id=name, marks=marks)

@@ -161,7 +161,7 @@ REJECTED = [
     ("view \udcff", rf"\xff: {BYTES}"),
     ("run \x1b[31m", rf"\x1b[31m: {CONTROL}"),
     ("run ./good.yaml --out new\x9b31m", rf"new\x9b31m: {CONTROL}"),
-    ("models check ./\x1b[31m.xml", rf"./\x1b[31m.xml: {CONTROL}"),
+    ("models export ./\x1b[31m.yaml", rf"./\x1b[31m.yaml: {CONTROL}"),
     ("run --\x1b[31m", rf"--\x1b[31m: {CONTROL}"),
     # The current folder is not a recording.
     ("replay . --robot gen2", "a folder; give one file"),
@@ -175,7 +175,7 @@ FILE_COMMANDS = (
     "show {}",
     "inspect {}",
     "diff {} file",
-    "models check {}",
+    "models export {}",
     "replay {} --robot gen2",
     f"inspect {WALK} --map {{}}",
     f"calibrate robot {FIT} --name r --out {{}}",
@@ -193,7 +193,7 @@ ANY_COMMANDS = (
     "diff / /",
     "emulate gen2",
     "doctor",
-    "models check",
+    "models export",
 )
 
 
@@ -343,7 +343,7 @@ def test_errors_of_the_file_system_are_not_internal_errors(
     def fails(**_: object) -> None:
         raise OSError(number, os.strerror(number), "some/file")
 
-    monkeypatch.setattr("srs_twin.cli.app.command", lambda: fails)
+    monkeypatch.setattr("srs_twin.cli.app.command", lambda _: fails)
     with pytest.raises(SystemExit) as exit_:
         main(["list"])
     message = capsys.readouterr().err

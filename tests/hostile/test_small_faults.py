@@ -106,7 +106,7 @@ def test_command_with_too_little_memory_says_so(tmp_path):
         "import numpy as np\nfrom srs_twin.cli import main\nimport srs_twin.cli.app as"
         " app\n"
     )
-    code += "app.command = lambda: lambda **_: np.zeros(1 << 32)\nmain([])\n"
+    code += "app.command = lambda _: lambda **_: np.zeros(1 << 32)\nmain([])\n"
     done = subprocess.run(
         [sys.executable, "-c", code],
         capture_output=True,

@@ -333,7 +333,7 @@ def test_an_interrupted_fit_leaves_no_files(tmp_path):
 def test_an_interrupt_during_an_import_is_reported_as_an_interrupt(monkeypatch):
     """Modules in C raise ImportError ("initialization failed") if they are interrupted while loading."""
 
-    def interrupted():
+    def interrupted(only):
         try:
             raise KeyboardInterrupt
         except KeyboardInterrupt as error:

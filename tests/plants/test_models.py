@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import shutil
 import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
@@ -11,19 +10,15 @@ import xml.etree.ElementTree as ElementTree
 import mujoco
 import numpy as np
 import pytest
-import typer
 
 from srs_twin import PreloadedContact, load_robot
-from srs_twin.cli import models
 from srs_twin.errors import InputError
-from srs_twin.io import files
 from srs_twin.plants.twin.mjcf.export import (
     SCENE,
     SCENE_MJX,
     _add_lags,
     export_robot,
     robot_files,
-    stale_files,
 )
 from srs_twin.plants.twin.mjcf.model import GRAVITY, scene_mjcf
 from srs_twin.plants.twin.mjcf.numerics import ModelSettings
@@ -80,23 +75,6 @@ def test_shipped_mjcf_files_are_current(root, spec, tmp_path):
         assert path.read_text("utf-8") == (
             root / "models" / spec.name / path.name
         ).read_text("utf-8")
-    assert stale_files(spec, root / "models" / spec.name) == []
-
-
-def test_stale_and_missing_files_are_detected(tmp_path):
-    gen2 = load_robot("gen2")
-    assert stale_files(gen2, tmp_path) == ["gen2.xml", SCENE, SCENE_MJX]
-    export_robot(gen2, tmp_path)
-    assert stale_files(gen2, tmp_path) == []
-    stiffer = dataclasses.replace(
-        gen2, bending=dataclasses.replace(gen2.bending, stiffness=0.5)
-    )
-    # The scene's own part knows of no stiffness.
-    assert stale_files(stiffer, tmp_path) == ["gen2.xml", SCENE_MJX]
-    rougher = dataclasses.replace(
-        gen2, friction=dataclasses.replace(gen2.friction, mu_n=0.6)
-    )
-    assert stale_files(rougher, tmp_path) == [SCENE, SCENE_MJX]
 
 
 def with_lags(spec):
@@ -333,24 +311,3 @@ def test_models_command_exports_and_checks(srs_twin, tmp_path):
         " which change at once"
     )
     assert left_out in done.stderr.splitlines()
-    done = srs_twin("models", "check", "here/gen4/scene.xml", "gen2", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    ours, shipped = done.stdout.splitlines()
-    assert ours.startswith("here/gen4/scene.xml: valid (")
-    assert "models/gen2/scene.xml: up to date and valid (" in shipped
-
-
-def test_models_check_reports_stale_files(root, monkeypatch, capsys, tmp_path):
-    for folder in ("calibration/robots", "models/gen2"):
-        shutil.copytree(root / folder, tmp_path / folder)
-    with (tmp_path / "models/gen2/gen2.xml").open("a") as stream:
-        stream.write("\n")
-    monkeypatch.setattr(files, "data_root", lambda: tmp_path)
-    with pytest.raises(typer.Exit) as stop:
-        models.check(models=["gen2"])
-    assert stop.value.exit_code == 2
-    output = capsys.readouterr().err
-    assert output.endswith(
-        "scene.xml: gen2.xml is out of date; `srs-twin models export gen2` writes it"
-        " again\n"
-    )

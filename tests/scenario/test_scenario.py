@@ -21,7 +21,7 @@ from srs_twin.reproduction.claims import CLAIMS_BYTES, claims_file
 from srs_twin.robot.file import load_robot
 from srs_twin.scenario.expectation import Expectation, known_metrics, verdict
 from srs_twin.scenario.fields import Section
-from srs_twin.scenario.file import ScenarioFile
+from srs_twin.scenario.file import with_extensions
 from srs_twin.scenario.loading import (
     load_scenario,
     parse_scenario,
@@ -804,7 +804,7 @@ OF_A_RUN = {("start", "run"), ("start", "time_s")}
 """They need a run: test_start.py."""
 SECTIONS = {
     key: f.default
-    for key, f in ScenarioFile.model_fields.items()
+    for key, f in with_extensions().model_fields.items()
     if isinstance(f.default, Section)
 }
 

@@ -1,8 +1,7 @@
 """`srs-twin doctor`: check of the installation and the machine, with remedies.
 
-`checks` contains what this process can find out itself. Tests that may crash, hang or
-leave files behind are probes (`probes`) and run in child processes; `examination`
-starts them and collects all checks.
+`checks` contains what this process can find out itself. Tests that may crash or hang are
+probes (`probes`) and run in child processes.
 """
 
 from __future__ import annotations
@@ -36,7 +35,6 @@ def doctor(
         --out DIR: Output folder to check for write access and disk space.
     """
     from srs_twin.cli.doctor.checks import failed_checks
-    from srs_twin.cli.doctor.examination import run_checks
 
     checks = run_checks(Path(out))
     failed = failed_checks(checks)
@@ -49,6 +47,30 @@ def doctor(
         raise InputError(f"runs would fail: {names}; see the remedies above")
     if not as_json:
         typer.echo("\nall requirements of a run are met")
+
+
+def run_checks(folder: Path) -> list[Check]:
+    """Return all checks, by topic; they take some seconds.
+
+    Args:
+        folder: output folder to check.
+
+    Raises:
+        InputError: temporary files cannot be written.
+    """
+    from srs_twin.cli.doctor.checks import (
+        TOPICS,
+        checks_of_installation,
+        checks_of_machine,
+    )
+    from srs_twin.cli.doctor.probes import probed_checks
+
+    found = [
+        *checks_of_installation(),
+        *probed_checks(),
+        *checks_of_machine(folder),
+    ]
+    return sorted(found, key=lambda check: TOPICS.index(check.topic))
 
 
 def _show(checks: Sequence[Check]) -> None:

@@ -11,7 +11,6 @@ import platform
 import re
 import shlex
 import shutil
-import signal
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from email.message import Message
@@ -19,12 +18,19 @@ from importlib import metadata
 from pathlib import Path
 from typing import Literal
 
-from srs_twin.errors import InputError, describe_exit
-from srs_twin.io.files import check_output_folder, display_path
+from srs_twin import __version__
+from srs_twin.compute.workers import processor_count
+from srs_twin.errors import InputError
+from srs_twin.io.files import check_output_folder, data_root, display_path
 
 INSTALLATION = "installation"
+SIMULATION = "simulation"
 MACHINE = "machine"
+VIEWING = "viewing (optional)"
 EXTRAS = "extras"
+TOPICS = (INSTALLATION, SIMULATION, MACHINE, VIEWING, EXTRAS)
+"""Groups of the checks, in the order of the output."""
+
 Status = Literal["ok", "missing", "broken", "undecided"]
 
 
@@ -55,26 +61,6 @@ class Check:
                 f"{self.name}: remedy {self.remedy!r} does not match status"
                 f" {self.status}"
             )
-
-
-@dataclass(frozen=True)
-class ProbeResult:
-    """Result of a probe; fields as in `Check`, but the remedy may be empty for every status."""
-
-    status: Status
-    detail: str
-    remedy: str = ""
-
-
-def result_of_exit(code: int) -> ProbeResult:
-    """Return the result of a process that exited without reporting one; a negative code is a signal."""
-    if code in (
-        -signal.SIGALRM,
-        -signal.SIGKILL,
-    ):  # SIGKILL: sent by the system if memory is short
-        remedy = "this machine is busy or very slow: run `srs-twin doctor` again later"
-        return ProbeResult("undecided", "slow: no result in time", remedy)
-    return ProbeResult("broken", describe_exit(code))
 
 
 def failed_checks(checks: Iterable[Check]) -> list[Check]:
@@ -149,10 +135,18 @@ class RequiredPackage:
         return f"{self.name} is {self.installed}, but {self.requirement} is required"
 
 
-def required_packages(requirements: Sequence[str]) -> list[RequiredPackage]:
-    """Return the packages of the requirements that apply to this machine, with their installed versions."""
+def required_packages(
+    requirements: Sequence[str] | None = None,
+) -> list[RequiredPackage]:
+    """Return the packages that this machine needs, with their installed versions.
+
+    Args:
+        requirements: requirements in the syntax of pip; default: those of srs_twin.
+    """
     from packaging.requirements import Requirement
 
+    if requirements is None:
+        requirements = installed_metadata().get_all("Requires-Dist") or []
     packages = []
     for requirement in map(Requirement, requirements):
         extra = _extra_of(str(requirement.marker or ""))
@@ -229,6 +223,25 @@ def extra_checks(
         yield _installed_check(
             EXTRAS, extra, members, _versions(members), command, prefix
         )
+
+
+def checks_of_installation() -> Iterator[Check]:
+    """Yield the checks of the installation of srs_twin, its packages and its extras."""
+    metadata = installed_metadata()
+    checkout = (data_root() / "pyproject.toml").is_file()
+    packages = required_packages()
+    kind = "checkout" if checkout else "wheel"
+    detail = f"{__version__}, {kind} in {data_root()}"
+    if metadata:
+        yield Check(INSTALLATION, "srs_twin", "ok", detail, necessary=True)
+        yield python_check(platform.python_version(), metadata["Requires-Python"])
+    else:
+        detail += "; it is not installed, so its required packages are unknown"
+        remedy = "uv sync" if checkout else "pip install the wheel again"
+        yield Check(INSTALLATION, "srs_twin", "missing", detail, remedy, True)
+    yield packages_check(packages, checkout=checkout)
+    extras = metadata.get_all("Provides-Extra") or []
+    yield from extra_checks(extras, packages, checkout=checkout)
 
 
 def _versions(packages: Iterable[RequiredPackage]) -> str:
@@ -324,6 +337,14 @@ def _read(path: Path) -> str:
         return path.read_text("ascii").strip()
     except OSError:
         return ""
+
+
+def checks_of_machine(folder: Path) -> Iterator[Check]:
+    """Yield the checks of the disk of the output folder, the processors and the memory."""
+    yield output_check(folder)
+    yield disk_check(folder)
+    yield processors_check(processor_count(), cpu_quota())
+    yield memory_check(free_memory())
 
 
 def processors_check(usable: int, quota: float | None) -> Check:

@@ -10,7 +10,7 @@ from typing import Any
 from srs_twin.comparison.metrics import COMPARISON_UNITS, all_units
 from srs_twin.comparison.sampling import split_unit as split_metric
 from srs_twin.robot.sourced import split_unit
-from srs_twin.scenario.file import ScenarioFile
+from srs_twin.scenario.file import with_extensions
 
 # Suffix of a metric name → its text in a label.
 _SUFFIXES = {
@@ -127,7 +127,7 @@ def _title(path: str) -> str:
 
 @lru_cache(maxsize=1)
 def _schema() -> dict[str, Any]:
-    return ScenarioFile.model_json_schema()
+    return with_extensions().model_json_schema()
 
 
 def _options(node: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:

@@ -1,1 +1,1 @@
-"""RobotSpec and World as MJCF: the model, its export, and the check of MJCF files."""
+"""RobotSpec and World as MJCF: the model and its export."""

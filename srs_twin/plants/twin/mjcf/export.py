@@ -103,16 +103,6 @@ def write_files(files: dict[str, str], folder: Path) -> list[Path]:
     return [folder / name for name in files]
 
 
-def stale_files(spec: RobotSpec, folder: Path) -> list[str]:
-    """Return the names of a robot's files that are missing or differ from the output of `export_robot`."""
-    return [
-        name
-        for name, text in robot_files(spec).items()
-        if not (folder / name).is_file()
-        or (folder / name).read_bytes() != text.encode("utf-8")
-    ]
-
-
 def robot_files(
     spec: RobotSpec, *, supply_pa: float | None = None, linear: bool = False
 ) -> dict[str, str]:
