@@ -115,12 +115,11 @@ class PegsTask(CrawlTask):
     def _observation_groups(self) -> dict[str, Signals]:
         groups = super()._observation_groups()
         del groups["obstacles"]
-        text = "position of the post with rank {} by distance,"
-        pegs = (
-            place_signals(f"peg_{k}", _FAR_M, text.format(k))
-            for k in range(1, _SEEN_PEGS + 1)
-        )
-        return groups | {"pegs": tuple(signal for pair in pegs for signal in pair)}
+        pegs: list[Signal] = []
+        for k in range(1, _SEEN_PEGS + 1):
+            text = f"position of the post with rank {k} by distance,"
+            pegs += place_signals(f"peg_{k}", _FAR_M, text)
+        return groups | {"pegs": tuple(pegs)}
 
     def _draw_obstacles(self, goal: Goal, seed: int) -> tuple[Circle, ...]:
         first = (-(_COLUMNS - 1) / 2 * _PITCH_M, 0.0)
@@ -259,12 +258,9 @@ class GraspTask(CameraTask):
             "object_radius_m", "m", *_OBJECT_RADII_M, "radius of the object"
         )
         item = (*place_signals("object", _FAR_M, "position of the object"), radius)
-        range_m = -_FAR_M, _FAR_M
-        self._set_observations(
-            observation_groups(
-                range_m, range_m, {"object": item}, self.robot, self.actions
-            )
-        )
+        bounds = Bounds((-_FAR_M, _FAR_M), (-_FAR_M, _FAR_M))
+        groups = observation_groups(bounds, {"object": item}, self.robot, self.actions)
+        self._set_observations(groups)
 
     def begin(
         self, rng: np.random.Generator, last: Episode | None = None
@@ -272,10 +268,11 @@ class GraspTask(CameraTask):
         """See `Task.begin`."""
         spec = self._variation.draw(rng)
         seed = int(rng.integers(2**32))
-        ranges = (_OBJECT_RADII_M, _MASSES_KG, _LOADS_N, _BEHIND_M, _GAPS_M)
-        radius, mass, load, behind, gap = (
-            float(rng.uniform(*limits)) for limits in ranges
-        )
+        radius = float(rng.uniform(*_OBJECT_RADII_M))
+        mass = float(rng.uniform(*_MASSES_KG))
+        load = float(rng.uniform(*_LOADS_N))
+        behind = float(rng.uniform(*_BEHIND_M))
+        gap = float(rng.uniform(*_GAPS_M))
         side = 1 if rng.random() < 0.5 else -1
         geometry = spec.geometry
         front = geometry.body_length / 2 - (geometry.segments - HOLD) * geometry.pitch
@@ -388,8 +385,9 @@ class GraspEpisode(ObservedEpisode):
 
     def _info(self) -> dict[str, Any]:
         x, y = self._object_place()
-        return (
-            super()._info()
-            | {"object_x_m": x, "object_y_m": y, "object_moved_m": self._moved}
-            | {"held": self._is_held()}
-        )
+        return super()._info() | {
+            "object_x_m": x,
+            "object_y_m": y,
+            "object_moved_m": self._moved,
+            "held": self._is_held(),
+        }

@@ -42,7 +42,6 @@ from srs_twin.envs.task import (
     RewardTerm,
     Signal,
     Signals,
-    StepResult,
     abbreviate,
     as_finite_array,
 )
@@ -162,7 +161,7 @@ class CrawlEpisode(ObservedEpisode):
         self.goal = world.goal
         limits = task.limits
         mean_command = GaitCommand(
-            0.0, *(sum(pair) / 2 for pair in (limits.frequency, limits.pressure))
+            0.0, sum(limits.frequency) / 2, sum(limits.pressure) / 2
         )
         state = twin.reset(pose=(0.0, 0.0, heading), seed=seed)
         self._gait = CommandedGait(twin.spec, twin.tick, twin.pneumatics, mean_command)
@@ -185,10 +184,7 @@ class CrawlEpisode(ObservedEpisode):
         name = f"option goal ({x:g}, {y:g}) is not allowed"
         goal = Goal(x, y, None, GOAL_RADIUS_M)
         if hit := obstacle_at(self.world, x, y):
-            if hit.startswith("the bounds"):
-                relation = "outside"
-            else:
-                relation = "inside"
+            relation = "outside" if hit.startswith("the bounds") else "inside"
             raise InputError(f"{name}; it is {relation} {hit}")
         self.goal = goal
         self.world = replace(self.world, goal=goal)
@@ -197,7 +193,7 @@ class CrawlEpisode(ObservedEpisode):
             raise InputError(
                 f"{name}; the snake is there already, within {goal.radius:g} m"
             )
-        self.first = StepResult(self._observation(), 0.0, False, False, self._info())
+        self._set_first(self._observation())
 
     def _initialise_from_state(self) -> None:
         """See `Episode._initialise_from_state`."""
@@ -231,7 +227,6 @@ class CrawlEpisode(ObservedEpisode):
         return values
 
     def _reward_values(self) -> dict[str, float]:
-        room, (x, y) = self.world.bounds, self.state.com
         before = self._distance
         self._distance = self._goal_distance(self.state)
         offset_before = self._offset
@@ -240,7 +235,7 @@ class CrawlEpisode(ObservedEpisode):
             self.ending = "goal_reached"
         elif self.collisions_end and self._touching():
             self.ending = "collided"
-        elif room and not (room.x[0] <= x <= room.x[1] and room.y[0] <= y <= room.y[1]):
+        elif not self._is_in_room():
             self.ending = "room_left"
         return {
             "progress_m": before - self._distance,
@@ -261,13 +256,18 @@ class CrawlEpisode(ObservedEpisode):
             "touching": self._touching(),
         }
 
+    def _is_in_room(self) -> bool:
+        room = self.world.bounds
+        assert room is not None, "an arena has a room"
+        x, y = self.state.com
+        return bool(room.x[0] <= x <= room.x[1] and room.y[0] <= y <= room.y[1])
+
     def _touching(self) -> bool:
         return bool((np.abs(self.state.obstacle_force) > 0).any())
 
     def _goal_distance(self, state: SnakeState) -> float:
-        return math.hypot(
-            self.goal.x - float(state.com[0]), self.goal.y - float(state.com[1])
-        )
+        x, y = map(float, state.com)
+        return math.hypot(self.goal.x - x, self.goal.y - y)
 
 
 class SpatialCrawlEpisode(CrawlEpisode):
@@ -330,8 +330,8 @@ class CrawlTask(CameraTask):
             robot: name, path or keys of the robot.
             limit_s: time limit, s.
             camera: frame rate and noise of the camera; at least one frame per step.
-            **settings: `fit`, `ranges`, `rewards`, `observations`, `action_range` and
-                settings of the twin, see `Task`.
+            **settings: `fit`, `ranges`, `rewards`, `observations` and settings of the
+                twin, see `Task`.
 
         Raises:
             UnknownNameError: the twin does not have a setting of that name.
@@ -364,18 +364,12 @@ class CrawlTask(CameraTask):
     def _draw_world(self, rng: np.random.Generator) -> tuple[World, float, int]:
         """Return the world, the initial heading (rad) and the random seed of an episode."""
         arena = self.arena
-        draws = (
-            rng.uniform(*limits)
-            for limits in (arena.headings, arena.distances, arena.bearings)
-        )
-        heading, distance, bearing = map(float, draws)
-        direction = heading + bearing
-        goal = Goal(
-            distance * math.cos(direction),
-            distance * math.sin(direction),
-            None,
-            GOAL_RADIUS_M,
-        )
+        heading = float(rng.uniform(*arena.headings))
+        distance = float(rng.uniform(*arena.distances))
+        direction = heading + float(rng.uniform(*arena.bearings))
+        x = distance * math.cos(direction)
+        y = distance * math.sin(direction)
+        goal = Goal(x, y, None, GOAL_RADIUS_M)
         seed = int(rng.integers(2**32))
         world = World(
             self._draw_obstacles(goal, seed), arena.room, goal, friction=arena.friction
@@ -422,20 +416,23 @@ class CrawlTask(CameraTask):
 
     def _observation_groups(self) -> dict[str, Signals]:
         """Return the components of an observation by group."""
-        sides = self.arena.room.x, self.arena.room.y
-        x, y = ((low - _MARGIN_M, high + _MARGIN_M) for low, high in sides)
-        far = math.hypot(*(high - low for low, high in sides)) + 1.0
+        room = self.arena.room
+        far = math.hypot(room.x[1] - room.x[0], room.y[1] - room.y[0]) + 1.0
+        seen = Bounds(
+            (room.x[0] - _MARGIN_M, room.x[1] + _MARGIN_M),
+            (room.y[0] - _MARGIN_M, room.y[1] + _MARGIN_M),
+        )
         goal = place_signals("goal", far, "position of the goal")
-        groups = observation_groups(x, y, {"goal": goal}, self.robot, self.actions)
+        groups = observation_groups(seen, {"goal": goal}, self.robot, self.actions)
         circles: list[Signal] = []
         for k in range(1, self.arena.obstacles + 1):
-            circles += place_signals(f"obstacle_{k}", far, f"position of circle {k}")
-            circles.append(
-                Signal(
-                    f"obstacle_{k}_radius_m", "m", *_RADII_M, f"radius of circle {k}"
-                )
-            )
-        return groups | ({"obstacles": tuple(circles)} if circles else {})
+            name = f"obstacle_{k}"
+            circles += place_signals(name, far, f"position of circle {k}")
+            radius = f"radius of circle {k}"
+            circles.append(Signal(f"{name}_radius_m", "m", *_RADII_M, radius))
+        if circles:
+            groups["obstacles"] = tuple(circles)
+        return groups
 
 
 class SpatialCrawlTask(CrawlTask):

@@ -152,7 +152,7 @@ class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
         Raises:
             InputError: no episode is running, or the action is invalid.
         """
-        return self._current_episode().step(action)
+        return self.current_episode().step(action)
 
     def render(self) -> np.ndarray | None:
         """Return an image, shape (height, width, 3), uint8; None without a render mode.
@@ -163,13 +163,18 @@ class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
         """
         if self.render_mode is None:
             return None
-        return self._renderer.render(self._current_episode())
+        return self._renderer.render(self.current_episode())
 
     def close(self) -> None:
         """Release the renderer."""
         self._renderer.close()
 
-    def _current_episode(self) -> Episode:
+    def current_episode(self) -> Episode:
+        """Return the running or last episode.
+
+        Raises:
+            InputError: no episode has started.
+        """
         if self.episode is None:
             raise InputError("no episode is running; reset the environment first")
         return self.episode
@@ -367,7 +372,7 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
 
     def _reset_device_poses(self, environments: Sequence[int]) -> None:
         """Reset the snakes of some environments to the initial poses of their episodes."""
-        states = [self.envs[k]._current_episode().state for k in environments]
+        states = [self.envs[k].current_episode().state for k in environments]
         self._batch.reset(
             poses=[(*s.com, float(s.heading)) for s in states],
             worlds=list(environments),
@@ -380,11 +385,11 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
         results = {k: self._begin_next(k) for k in ended}
         running = [k for k in range(self.num_envs) if k not in results]
         vented = np.full(
-            (self.envs[0]._current_episode().twin.spec.segments, 2), -1, dtype=np.int8
+            (self.envs[0].current_episode().twin.spec.segments, 2), -1, dtype=np.int8
         )
         valves = [vented] * self.num_envs
         for k in running:
-            valves[k] = self.envs[k]._current_episode().command(actions[k])
+            valves[k] = self.envs[k].current_episode().command(actions[k])
         # Arrays with several valve states per step have three dimensions; repeat a
         # single state.
         substeps = max(states.shape[0] if states.ndim == 3 else 1 for states in valves)
@@ -394,7 +399,7 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
             np.stack([np.broadcast_to(v, shape) if v.ndim == 2 else v for v in valves])
         )
         for k in running:
-            episode = self.envs[k]._current_episode()
+            episode = self.envs[k].current_episode()
             error = batch.errors[k]
             if error is None:
                 results[k] = episode.finish_step(batch.state.at(k))

@@ -14,7 +14,7 @@ from srs_twin.planning.camera import Camera, CameraFrames
 from srs_twin.plants.base import SnakeState
 from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.robot.spec import RobotSpec
-from srs_twin.robot.world import Pose
+from srs_twin.robot.world import Bounds, Pose
 
 STEP_S = 0.1
 """Duration of a step, s."""
@@ -122,8 +122,7 @@ def place_signals(name: str, far: float, description: str) -> Signals:
 
 
 def observation_groups(
-    x: tuple[float, float],
-    y: tuple[float, float],
+    bounds: Bounds,
     target: Mapping[str, Signals],
     robot: RobotSpec,
     actions: Iterable[Signal],
@@ -131,64 +130,42 @@ def observation_groups(
     """Return the groups of observations of a task with a camera.
 
     Args:
-        x: smallest and largest x of the centre of mass, m.
-        y: smallest and largest y, m.
+        bounds: bounds of the centre of mass.
         target: group of the goal or object.
         robot: robot.
         actions: components of an action.
     """
-    directions = (("bend_#_rad", "a bend"), ("pitch_#_rad", "a bend upwards"))[
-        : 1 + robot.is_spatial
-    ]
-    largest = MAX_READING_RAD
+    bends = _bend_signals("bend", "a bend", robot)
+    if robot.is_spatial:
+        bends += _bend_signals("pitch", "a bend upwards", robot)
     return {
         "pose": (
-            Signal("x_m", "m", *x, "x of the centre of mass, from the camera"),
-            Signal("y_m", "m", *y, "y of the centre of mass, from the camera"),
-            Signal(
-                "heading_cos",
-                "1",
-                -1.0,
-                1.0,
-                "cosine of the mean heading, from the camera",
-            ),
-            Signal(
-                "heading_sin",
-                "1",
-                -1.0,
-                1.0,
-                "sine of the mean heading, from the camera",
-            ),
+            Signal("x_m", "m", *bounds.x, "x of the centre of mass, from the camera"),
+            Signal("y_m", "m", *bounds.y, "y of the centre of mass, from the camera"),
+            *_angle_signals("heading", "the mean heading, from the camera"),
         ),
         **target,
-        "gait": (
-            Signal(
-                "gait_cos",
-                "1",
-                -1.0,
-                1.0,
-                "cosine of the gait phase at the first segment",
-            ),
-            Signal(
-                "gait_sin",
-                "1",
-                -1.0,
-                1.0,
-                "sine of the gait phase at the first segment",
-            ),
-        ),
-        "bends": tuple(
-            Signal(
-                name.replace("#", str(k)),
-                "rad",
-                -largest,
-                largest,
-                f"sensor reading of {text}",
-            )
-            for name, text in directions
-            for k in range(1, robot.segments + 1)
-        ),
+        "gait": _angle_signals("gait", "the gait phase at the first segment"),
+        "bends": bends,
         "command": tuple(
             replace(action, description="last command") for action in actions
         ),
     }
+
+
+def _angle_signals(name: str, angle: str) -> Signals:
+    """Return the signals of the cosine and the sine of an angle."""
+    return (
+        Signal(f"{name}_cos", "1", -1.0, 1.0, f"cosine of {angle}"),
+        Signal(f"{name}_sin", "1", -1.0, 1.0, f"sine of {angle}"),
+    )
+
+
+def _bend_signals(name: str, bend: str, robot: RobotSpec) -> Signals:
+    """Return the signals of the sensor readings of all segments in one direction."""
+    largest = MAX_READING_RAD
+    text = f"sensor reading of {bend}"
+    return tuple(
+        Signal(f"{name}_{k}_rad", "rad", -largest, largest, text)
+        for k in range(1, robot.segments + 1)
+    )

@@ -75,16 +75,15 @@ class NetworkPolicy:
         """Return a function from the observations of a task to actions.
 
         Raises:
-            InputError: the task is another one, lacks observations of the policy, or
-                has physical actions.
+            InputError: the task is another one, or lacks observations of the policy.
         """
         names = [signal.name for signal in task.observations]
         missing = [name for name in self.observations if name not in names]
-        if task.name != self.task or missing or task.action_range != "unit":
+        if task.name != self.task or missing:
+            problem = f"has no {', '.join(missing)}" if missing else "differs"
             raise InputError(
-                f"the policy is for task {self.task} with actions from −1 to 1 and the"
-                f" observations {', '.join(self.observations)}; the task {task.name} "
-                + (f"has no {', '.join(missing)}" if missing else "differs")
+                f"the policy is for task {self.task} with the observations"
+                f" {', '.join(self.observations)}; the task {task.name} {problem}"
             )
         indices = [names.index(name) for name in self.observations]
         return lambda observation: self(np.asarray(observation)[indices])

@@ -97,7 +97,5 @@ def _add_goal(scene: mujoco.MjvScene, episode: Episode, distance: float) -> None
     from srs_twin.viewing.plots.style import GOAL_COLOR
 
     if episode.goal is not None:
-        ring = goal_ring(
-            {key: getattr(episode.goal, key) for key in ("x", "y", "radius")}
-        )
+        ring = goal_ring(episode.goal.x, episode.goal.y, episode.goal.radius)
         add_line(scene, ring, GOAL_COLOR, _GOAL_LINE * distance)

@@ -9,7 +9,6 @@ is cut off at the time limit (`truncated`).
 from __future__ import annotations
 
 import reprlib
-import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -24,7 +23,6 @@ from srs_twin.errors import (
     DivergedError,
     InputError,
     UnknownNameError,
-    check_choice,
     count_steps,
 )
 from srs_twin.io.files import StrPath
@@ -140,9 +138,6 @@ def check_seed(seed: object) -> None:
 _MAX_PRINTED_VALUES = 6
 """Largest number of array elements that a message prints."""
 
-ACTION_RANGES = ("unit", "physical")
-"""Ranges of actions: −1 to 1, or the bounds of the signals in their units (until release 1.1)."""
-
 _RESERVED_TWIN_ARGUMENTS = {"tick", "supply_pa", "base", "world"}
 """Arguments of `TwinSnake` that a task sets itself."""
 
@@ -178,7 +173,6 @@ class Task(ABC):
         observations: components of the selected groups.
         reward_terms: terms of the reward with their default weights.
         weights: weight of each term, by name.
-        action_range: one of `ACTION_RANGES`.
         step_s: duration of one step, s.
         limit_s: time limit of an episode, s.
         robot: nominal robot, without random variation.
@@ -204,7 +198,6 @@ class Task(ABC):
         ranges: Ranges | None = None,
         rewards: Mapping[str, float] | None = None,
         observations: Sequence[str] | None = None,
-        action_range: str = "unit",
         **twin_settings: Any,
     ) -> None:
         """Initialise the robot distribution, the time limit, the reward and the settings of the twin.
@@ -218,9 +211,6 @@ class Task(ABC):
             ranges: parameter name → lower and upper limit of a uniform distribution.
             rewards: name of a reward term → weight that replaces its default.
             observations: groups of observations that the agent gets; None: all.
-            action_range: "unit" for actions from −1 to 1, which are scaled to the
-                bounds of the signals; "physical" (deprecated): actions in the units of
-                the signals.
             **twin_settings: arguments of `TwinSnake`, except those that the task sets.
 
         Raises:
@@ -229,22 +219,16 @@ class Task(ABC):
             InputError: the robot, fit or range is invalid, or the time limit is not a
                 multiple of the step.
         """
-        check_choice("action_range", action_range, ACTION_RANGES)
-        if action_range == "physical":
-            text = (
-                "action_range='physical' ends with release 1.1; actions from −1 to 1"
-                " span the same bounds"
+        if "action_range" in twin_settings:
+            raise InputError(
+                "action_range has been removed; actions are from −1 to 1, and"
+                " task.from_physical and task.to_physical convert them"
             )
-            warnings.warn(text, DeprecationWarning, stacklevel=3)
         defaults = {term.name: term.weight for term in self.reward_terms}
         check_names("reward term", rewards or (), defaults)
-        self.action_range = action_range
         self.weights = defaults | dict(rewards or {})
-        if observations is None:
-            self._requested_groups = None
-        else:
-            self._requested_groups = tuple(observations)
-        variation = Variation.load(robot, fit, ranges)
+        self._requested_groups = observations
+        self._variation = Variation.load(robot, fit, ranges)
         count_steps("limit_s", limit_s, "step", self.step_s)
         own = (
             keywords(kind.__init__)
@@ -254,9 +238,8 @@ class Task(ABC):
         allowed = keywords(TwinSnake).union(*own) - _RESERVED_TWIN_ARGUMENTS
         check_names("setting of the task or its twin", twin_settings, allowed)
         self.limit_s = limit_s
-        self._variation = variation
         self._twin_settings = twin_settings
-        self.robot = variation.file.spec()
+        self.robot = self._variation.file.spec()
         if not self.spatial:
             self.robot.require_planar("an environment other than Crawl3D")
         elif not self.robot.is_spatial:
@@ -272,10 +255,9 @@ class Task(ABC):
             UnknownNameError: a group does not exist.
             InputError: no group is selected.
         """
-        if self._requested_groups is None:
+        selected = self._requested_groups
+        if selected is None:
             selected = tuple(groups)
-        else:
-            selected = self._requested_groups
         check_names("group of observations", selected, groups)
         if not selected:
             raise InputError(
@@ -294,9 +276,7 @@ class Task(ABC):
 
     @cached_property
     def commands(self) -> Signals:
-        """Components of an action with the bounds that the agent has: −1 to 1, or physical ones."""
-        if self.action_range == "physical":
-            return self.actions
+        """Components of an action with the bounds that the agent has: −1 to 1."""
         return tuple(
             replace(signal, unit="1", low=-1.0, high=1.0) for signal in self.actions
         )
@@ -307,33 +287,24 @@ class Task(ABC):
         Raises:
             InputError: the shape is wrong, or a value is not a finite number.
         """
-        given = as_finite_array(action, (len(self.commands),))
+        given = as_finite_array(action, (len(self.actions),))
         if given is None:
-            names = [signal.name for signal in self.commands]
+            names = [signal.name for signal in self.actions]
             raise InputError(
                 f"action {abbreviate(action)} is not allowed; "
                 f"give {len(names)} finite numbers: {', '.join(names)}"
             )
-        bounds = zip(given.tolist(), self.commands, strict=True)
-        values = [min(max(value, signal.low), signal.high) for value, signal in bounds]
-        if self.action_range == "physical":
-            return values
+        shares = (np.clip(given, -1.0, 1.0) + 1) / 2
         return [
-            signal.low + (value + 1) / 2 * (signal.high - signal.low)
-            for value, signal in zip(values, self.actions, strict=True)
+            signal.low + share * (signal.high - signal.low)
+            for share, signal in zip(shares.tolist(), self.actions, strict=True)
         ]
 
     def from_physical(self, values: Sequence[float]) -> np.ndarray:
         """Return the action, float32, of values in the units of the signals; the inverse of `to_physical`."""
-        low, high = (
-            bounds(self.actions).astype(float)
-            for bounds in (lower_bounds, upper_bounds)
-        )
-        given = np.asarray(values, dtype=float)
-        if self.action_range == "physical":
-            scaled = given
-        else:
-            scaled = 2 * (given - low) / (high - low) - 1
+        low = lower_bounds(self.actions).astype(float)
+        high = upper_bounds(self.actions).astype(float)
+        scaled = 2 * (np.asarray(values, dtype=float) - low) / (high - low) - 1
         return scaled.astype(np.float32)
 
     @property
@@ -407,7 +378,10 @@ class Episode(Stateful, ABC):
         self._bounds = lower_bounds(task.observations), upper_bounds(task.observations)
         self._steps = 0
         self._max_steps = count_steps("limit_s", task.limit_s, "step", task.step_s)
-        self.first = StepResult(self._observation(), 0.0, False, False, self._info())
+        self._set_first(self._observation())
+
+    def _set_first(self, observation: np.ndarray) -> None:
+        self.first = StepResult(observation, 0.0, False, False, self._info())
 
     def save(self) -> SavedState:
         """Return the saved state of the episode, without the agent, for `restore`."""
@@ -421,9 +395,7 @@ class Episode(Stateful, ABC):
         """
         state.check(f"episode of {self._task.name}", self.identity())
         self.load_state_dict(state.content)
-        self.first = StepResult(
-            self._last_observation.copy(), 0.0, False, False, self._info()
-        )
+        self._set_first(self._last_observation.copy())
 
     def place(self, snake: SnakeState, yaw_rate: float = 0.0) -> None:
         """Start from a physical state instead, as `Plant.place` does.
@@ -433,7 +405,7 @@ class Episode(Stateful, ABC):
         """
         self.state = self.twin.place(snake, yaw_rate=yaw_rate, seed=self.twin.seed)
         self._initialise_from_state()
-        self.first = StepResult(self._observation(), 0.0, False, False, self._info())
+        self._set_first(self._observation())
 
     def set_goal(self, place: object) -> None:
         """Move the goal before the first action.
@@ -505,13 +477,8 @@ class Episode(Stateful, ABC):
         """End the episode with the observation of the previous step, because there is no later one."""
         self._steps += 1
         self.ending = DIVERGED
-        return StepResult(
-            self._last_observation.copy(),
-            0.0,
-            True,
-            False,
-            self._info() | {"error": str(error)},
-        )
+        info = self._info() | {"error": str(error)}
+        return StepResult(self._last_observation.copy(), 0.0, True, False, info)
 
     def _observation(self) -> np.ndarray:
         """Return the observation, float32, clipped to its bounds."""
@@ -535,7 +502,9 @@ class Episode(Stateful, ABC):
 
     def _info(self) -> dict[str, Any]:
         """Return diagnostics as name → value; names end in the unit."""
-        rewards = {f"reward_{name}": value for name, value in self._rewards.items()}
-        time = float(self.state.time)
-        air = float(self.state.air)
-        return {"time_s": time, "air_j": air, "ending": self.ending, **rewards}
+        return {
+            "time_s": float(self.state.time),
+            "air_j": float(self.state.air),
+            "ending": self.ending,
+            **{f"reward_{name}": value for name, value in self._rewards.items()},
+        }

@@ -30,8 +30,9 @@ def make_task(name: str, **settings: Any) -> Task:
 
     if name not in TASKS:
         raise UnknownNameError("task", name, TASKS)
-    if name in ("GoTo", "Obstacles"):
-        return CrawlTask(name, OPEN if name == "GoTo" else CIRCLES, **settings)
+    arenas = {"GoTo": OPEN, "Obstacles": CIRCLES}
+    if name in arenas:
+        return CrawlTask(name, arenas[name], **settings)
     tasks: dict[str, type[Task]] = {
         "Module": ModuleTask,
         "Crawl3D": SpatialCrawlTask,

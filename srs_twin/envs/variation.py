@@ -73,7 +73,7 @@ class Variation:
                 f"fit {fit_file.name} is for robot '{fit_file.robot}', not for '{name}'"
             )
         variation = cls(file, fit_file, dict(ranges or {}))
-        spec = variation.file.spec()
+        spec = file.spec()
         for name, (low, high) in variation.ranges.items():
             if not low <= high:
                 raise InputError(
@@ -106,10 +106,9 @@ def _draw_fitted_values(
     errors = np.array([parameter.standard_error for parameter in fitted], dtype=float)
     covariance = np.array(fit.correlation, dtype=float) * np.outer(errors, errors)
     # Use eigenvalues, because correlations of 1 make the covariance singular.
+    drawn = values
     if fitted:
         drawn = rng.multivariate_normal(values, covariance, method="eigh")
-    else:
-        drawn = values
     unknowns = free_parameters(spec, (parameter.name for parameter in fitted))
     bounds = {unknown.name: unknown for unknown in unknowns}
     result = {
@@ -117,6 +116,7 @@ def _draw_fitted_values(
     }
     for parameter, value in zip(fitted, drawn, strict=True):
         bound = bounds[parameter.name]
-        low, high = max(parameter.low, bound.low), min(parameter.high, bound.high)  # type: ignore[type-var]
+        low = max(parameter.low, bound.low)  # type: ignore[type-var]
+        high = min(parameter.high, bound.high)  # type: ignore[type-var]
         result[parameter.name] = float(np.clip(value, low, high))
     return result

@@ -225,7 +225,8 @@ def plan_lines(
             for offset in (motion.left, -motion.right)
         )
         lines.append(FloorLine("plan/edges", edges, _EDGE_COLOUR, 0.0015))
-    return [*lines, FloorLine("plan/goal", (goal_ring(goal),), GOAL_COLOR, 0.002)]
+    ring = goal_ring(goal["x"], goal["y"], goal["radius"])
+    return [*lines, FloorLine("plan/goal", (ring,), GOAL_COLOR, 0.002)]
 
 
 class FollowingPictures(RunPictures):

@@ -304,9 +304,13 @@ def test_a_goal_in_an_obstacle_is_refused():
         env.reset(seed=1, options={"goal": (circle.x, circle.y)})
 
 
+def test_the_removed_range_of_actions_is_named():
+    with pytest.raises(InputError, match="action_range has been removed"):
+        SnakeEnv("GoTo", action_range="physical")
+
+
 def test_unknown_settings_list_those_of_the_task():
     settings = [
-        "action_range",
         "fit",
         "limit_s",
         "observations",

@@ -74,29 +74,19 @@ def test_gymnasium_checker_passes_without_warnings(task):
 
 
 @pytest.mark.parametrize("task", MARKED_TASKS)
-def test_actions_from_minus_1_to_1_equal_physical_actions(task):
-    with pytest.warns(
-        DeprecationWarning, match="action_range='physical' ends with release"
-    ):
-        physical = SnakeEnv(task, action_range="physical")
+def test_actions_from_minus_1_to_1_span_the_physical_bounds(task):
     env = SnakeEnv(task)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         check_action_space(env.action_space)
         check_space_limit(env.action_space, "action")
     assert (env.action_space.low == -1).all() and (env.action_space.high == 1).all()
-    env.reset(seed=1), physical.reset(seed=1)
-    box = physical.action_space
-    values = (box.low + 3 * box.high) / 4
-    one = env.step(np.full(box.shape, 0.5, dtype=np.float32))
-    other = physical.step(values)
-    assert one[0] == pytest.approx(other[0], abs=1e-5) and one[1] == pytest.approx(
-        other[1], abs=1e-6
-    )
-    assert env.task.from_physical(values) == pytest.approx(0.5, abs=1e-6)
-    assert env.task.to_physical(env.task.from_physical(values)) == pytest.approx(
-        values.tolist(), rel=1e-6
-    )
+    values = [(signal.low + 3 * signal.high) / 4 for signal in env.task.actions]
+    action = env.task.from_physical(values)
+    assert action == pytest.approx(0.5, abs=1e-6)
+    assert env.task.to_physical(action) == pytest.approx(values, rel=1e-6)
+    beyond = np.full(env.action_space.shape, 2.0)
+    assert env.task.to_physical(beyond) == [signal.high for signal in env.task.actions]
 
 
 @pytest.mark.parametrize("task", MARKED_TASKS)

@@ -222,7 +222,7 @@ class LiveSnake:
         if pictures := added_to(run):
             self.floor_lines = pictures.floor_lines(run, latest=True)
         elif goal is not None:
-            ring = goal_ring({"x": goal.x, "y": goal.y, "radius": goal.radius})
+            ring = goal_ring(goal.x, goal.y, goal.radius)
             self.floor_lines = [FloorLine("goal", (ring,), GOAL_COLOR, _GOAL_LINE_M)]
 
     def _take_over(self) -> None:

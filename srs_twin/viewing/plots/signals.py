@@ -25,11 +25,11 @@ def body_line(trajectory: Trajectory, geometry: Geometry, chords: int = 8) -> Ar
     return np.concatenate([inner, lines[:, -1, -1:]], axis=1)
 
 
-def goal_ring(goal: Mapping[str, float]) -> Array:
+def goal_ring(x: float, y: float, radius: float) -> Array:
     """Return the circumference of a goal, shape (n, 2), m."""
     angle = np.linspace(0, 2 * np.pi, 49)
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
-    return np.array([goal["x"], goal["y"]]) + goal["radius"] * circle
+    return np.array([x, y]) + radius * circle
 
 
 def wheel_centres(trajectory: Trajectory, geometry: Geometry) -> Array:
