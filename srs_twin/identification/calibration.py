@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from inspect import signature
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from srs_twin.errors import InputError
 from srs_twin.identification.actuator import Response, fit_actuator
 from srs_twin.identification.damping import HangingBody, fit_damping
-from srs_twin.identification.decay import read_decay
-from srs_twin.identification.estimate import FitEstimate
+from srs_twin.identification.decay import Decay, read_decay
+from srs_twin.identification.estimate import FitEstimate, Parameter
 from srs_twin.identification.fit_file import (
-    Data,
     DataSet,
     FitFile,
     Method,
+    check_fit_suffix,
     data_sets,
     fit_file,
     short_command,
@@ -27,6 +27,7 @@ from srs_twin.identification.fit_file import (
 from srs_twin.identification.friction import (
     PULL_COLUMNS,
     CoastingTest,
+    Pulls,
     fit_coasting,
     fit_pulls,
     is_pull_table,
@@ -42,7 +43,6 @@ from srs_twin.identification.locomotion import (
 )
 from srs_twin.identification.parameters import with_values
 from srs_twin.identification.static_tables import (
-    NamedRecordings,
     StaticTable,
     fit_static,
     is_static_table,
@@ -54,6 +54,7 @@ from srs_twin.io.arguments import checked
 from srs_twin.io.file_sets import replace_files
 from srs_twin.io.files import StrPath, check_file_name, path_from
 from srs_twin.recordings.formats import UnknownFormatError
+from srs_twin.recordings.recording import Recording
 from srs_twin.recordings.takes import RecordingReader, logs_of
 from srs_twin.robot.file import load_robot
 from srs_twin.robot.spec import RobotSpec
@@ -161,56 +162,10 @@ def calibrate_friction(
     Raises:
         InputError: a file cannot be read, or the data do not allow the fit.
     """
-    given = locals()
-    spec = load_robot(robot)
-    paths = _texts(files)
-    kept = _texts(validate)
-    if _all_of_kind(
-        [*paths, *kept], is_pull_table, "table of pulls", "recording of a coasting test"
-    ):
-        if len(paths) > 1:
-            raise InputError(
-                f"{paths[1]}: a fit uses one table of pulls; give further ones with"
-                " --validate"
-            )
-        pulls = read_pull_table(paths[0])
-        validation_pulls = [read_pull_table(path) for path in kept]
-        estimate = fit_pulls(pulls, validation=validation_pulls)
-        title = f"Friction of {spec.name} from pulls"
-        return _finished(
-            calibrate_friction,
-            given,
-            estimate,
-            "pulls",
-            title,
-            [pulls],
-            validation_pulls,
-        )
-
-    def coasting_test(path: str) -> CoastingTest:
-        try:
-            recording = reader.motion(path, spec)
-        except UnknownFormatError as error:
-            raise InputError(
-                f"{error}; a table of pulls has the columns {PULL_COLUMNS}"
-            ) from None
-        notify(recording.summary.text())
-        return CoastingTest.from_trajectory(recording.trajectory, path)
-
-    runs = [coasting_test(path) for path in paths]
-    validation = [coasting_test(path) for path in kept]
-    estimate = fit_coasting(
-        runs,
-        spec,
-        validation=validation,
-        law=law,
-        wheel_inertia=wheel_inertia,
-        watch=progress,
-    )
-    title = f"Friction of {spec.name} from coasting tests"
-    return _finished(
-        calibrate_friction, given, estimate, "coasting", title, runs, validation
-    )
+    task = _Task(calibrate_friction, locals())
+    if task.all_are(is_pull_table, "table of pulls", "recording of a coasting test"):
+        return task.calibrate(_PULLS)
+    return task.calibrate(_COASTING_TESTS, law=law, wheel_inertia=wheel_inertia)
 
 
 @checked
@@ -250,62 +205,15 @@ def calibrate_actuator(
     Raises:
         InputError: a file cannot be read, or the data do not allow the fit.
     """
-    given = locals()
-    spec = load_robot(robot)
-    paths = _texts(files)
-    kept = _texts(validate)
-    held = f"Actuators of {spec.name} from held pressures"
-    if _all_of_kind(
-        [*paths, *kept], is_static_table, "table of constant pressures", "recording"
-    ):
-        _refuse_option(valves, "--valves", "tables of constant pressures have no log")
-        _refuse_option(
-            static, "--static", "tables of constant pressures already contain plateaus"
-        )
-        tables, kept_tables = (
-            [read_static_table(path, spec) for path in group] for group in (paths, kept)
-        )
-        estimate = fit_static(
-            tables, spec, names=find, validation=kept_tables, watch=progress
-        )
-        return _finished(
-            calibrate_actuator, given, estimate, "static", held, tables, kept_tables
-        )
-    supply = spec.supply.nominal if supply_pa is None else supply_pa
-    recordings, kept_recordings = _recordings(
-        paths, kept, _texts(valves), reader, spec, notify
-    )
+    task = _Task(calibrate_actuator, locals())
+    if task.all_are(is_static_table, "table of constant pressures", "recording"):
+        why = "tables of constant pressures"
+        _refuse_option(valves, "--valves", f"{why} have no log")
+        _refuse_option(static, "--static", f"{why} already contain plateaus")
+        return task.calibrate(_STATIC_TABLES, names=find)
     if static:
-        tables = plateau_tables(recordings, spec, supply)
-        kept_tables = [
-            StaticTable.from_recording(r, path, spec, supply)
-            for path, r in kept_recordings
-        ]
-        merged = merge_tables(tables)
-        estimate = fit_static(
-            [merged], spec, names=find, validation=kept_tables, watch=progress
-        )
-        return _finished(
-            calibrate_actuator,
-            given,
-            estimate,
-            "static",
-            held,
-            tables,
-            kept_tables,
-            merged,
-        )
-    fitted, validation = (
-        [Response.from_recording(recording, path, supply) for path, recording in named]
-        for named in (recordings, kept_recordings)
-    )
-    estimate = fit_actuator(
-        fitted, spec, names=find, validation=validation, starts=starts, watch=progress
-    )
-    title = f"Actuators of {spec.name} from responses"
-    return _finished(
-        calibrate_actuator, given, estimate, "actuator", title, fitted, validation
-    )
+        return task.calibrate(_PLATEAUS, names=find)
+    return task.calibrate(_RESPONSES, names=find, starts=starts)
 
 
 @checked
@@ -353,42 +261,16 @@ def calibrate_locomotion(
     Raises:
         InputError: a file cannot be read, or the data do not allow the fit.
     """
-    given = locals()
-    spec = load_robot(robot)
-    paths = _texts(files)
-    kept = _texts(validate)
-    plant_model = PlantModel(plant, _plant_settings(plant, model, law))
-    supply = spec.supply.nominal if supply_pa is None else supply_pa
-    recordings, kept_recordings = _recordings(
-        paths, kept, _texts(valves), reader, spec, notify
-    )
-    length = measured_length([recording for _, recording in recordings], spec, find)
-    if (
-        length is not None
-    ):  # bends and centre of mass depend on the length, so read the recordings again
-        spec = with_values(spec, {length.name: length.value or 0.0})
-        recordings, kept_recordings = _recordings(
-            paths, kept, _texts(valves), reader, spec, str
-        )
-        length = measured_length([recording for _, recording in recordings], spec, find)
-    runs, validation = (
-        _gait_runs(named, supply, notify) for named in (recordings, kept_recordings)
-    )
-    estimate = fit_locomotion(
-        runs,
-        spec,
-        find,
-        model=plant_model,
+    task = _Task(calibrate_locomotion, locals())
+    is_twin = plant == "twin"
+    default_starts = 1 if is_twin and against != "averages" else 3
+    return task.calibrate(
+        _GAIT_RUNS,
+        names=find,
+        model=PlantModel(plant, _plant_settings(plant, model, law)),
         against=against,
-        validation=validation,
-        starts=starts or (1 if plant == "twin" and against != "averages" else 3),
-        watch=progress,
-        reference=None if plant == "twin" else PlantModel("twin"),
-        known=[length] if length else [],
-    )
-    title = f"Locomotion of {spec.name} against the {plant} plant"
-    return _finished(
-        calibrate_locomotion, given, estimate, "locomotion", title, runs, validation
+        starts=starts or default_starts,
+        reference=None if is_twin else PlantModel("twin"),
     )
 
 
@@ -428,113 +310,240 @@ def calibrate_damping(
     Raises:
         InputError: a file cannot be read, or the data do not allow the fit.
     """
-    given = locals()
-    spec = load_robot(robot)
-    body = HangingBody.of(spec, mass_kg, inertia_kg_m2)
-    decays = [read_decay(path, start=from_s, noise=noise_rad) for path in _texts(files)]
-    for decay in decays:
-        notify(decay.text())
-    estimate = fit_damping(
-        decays, spec, valves=valves, body=body, leak=leak_per_s, watch=progress
-    )
-    if valves == "closed":
-        notify(
-            "valves closed: frequency and loss_factor contain the spring of the air and"
-            " its loss"
-        )
-    title = f"Damping of {spec.name} from decays with {valves} valves"
-    return _finished(calibrate_damping, given, estimate, "damping", title, decays, [])
+    task = _Task(calibrate_damping, locals())
+    body = HangingBody.of(task.spec, mass_kg, inertia_kg_m2)
+    return task.calibrate(_DECAYS, valves=valves, body=body, leak=leak_per_s)
 
 
 def _texts(paths: Paths) -> list[str]:
     return [os.fspath(path) for path in paths]
 
 
-def _finished(
-    function: Callable[..., Calibration],
-    given: Mapping[str, Any],
-    estimate: FitEstimate,
-    method: Method,
-    title: str,
-    fitted: Iterable[Data],
-    validation: Iterable[Data],
-    plateaus: StaticTable | None = None,
-) -> Calibration:
-    """Return the result of a fit, and write it if the arguments `given` to the function name a file."""
-    robot = given["robot"]
-    if isinstance(robot, RobotSpec):
-        name = robot.name
-    else:
-        name = os.fspath(robot)
-    data = tuple(data_sets(fitted, validation))
-    result = Calibration(estimate, method, title, name, data, plateaus)
-    if given["out"] is not None:
-        path = Path(given["out"])
-        if path.suffix not in (".yaml", ".yml"):
-            raise InputError(f"out: {path} is not allowed; a fit file ends in .yaml")
-        result.write(
-            path,
-            check_file_name(path.stem, "out names the fit"),
-            _call(function, given),
+class _Task:
+    """Call of a function of this module.
+
+    Attributes:
+        given: arguments by name.
+        notify: function called with a note about each recording.
+        spec: initial robot, with the length that markers show.
+        length: this length, if it is one of the requested parameters.
+        fitted: files of the fit.
+        files: files of the fit, then those of the validation.
+    """
+
+    def __init__(
+        self, function: Callable[..., Calibration], given: Mapping[str, Any]
+    ) -> None:
+        self._function = function
+        self.given = given
+        self.notify: Notify = given["notify"]
+        self.spec = load_robot(given["robot"])
+        self.length: Parameter | None = None
+        self.fitted = _texts(given["files"])
+        self.files = [*self.fitted, *_texts(given.get("validate", ()))]
+
+    @property
+    def supply_pa(self) -> float:
+        """Supply pressure, Pa."""
+        supply: float | None = self.given["supply_pa"]
+        return self.spec.supply.nominal if supply is None else supply
+
+    def all_are(self, is_first: Callable[[str], bool], first: str, second: str) -> bool:
+        """Return whether all files are of the first kind, False if all are of the second.
+
+        Raises:
+            InputError: both kinds occur, or a file cannot be read.
+        """
+        kinds = [is_first(path) for path in self.files]
+        if len(set(kinds)) > 1:
+            one = self.files[kinds.index(True)]
+            other = self.files[kinds.index(False)]
+            raise InputError(
+                f"{one} is a {first}, {other} a {second}; fit them separately"
+            )
+        return kinds[0]
+
+    def recordings(self) -> list[tuple[str, Recording]]:
+        """Return the names of the recordings, and the recordings with their logs."""
+        recordings = []
+        logs = logs_of(self.files, _texts(self.given["valves"]))
+        for path, log in zip(self.files, logs, strict=True):
+            recording = self.given["reader"].take(path, log, self.spec)
+            self.notify(f"{recording.summary.text()}\n")
+            recordings.append((path, recording))
+        return recordings
+
+    def calibrate(self, kind: _Kind, **settings: Any) -> Calibration:
+        """Read data, fit the robot to them, and write the result if a file is named."""
+        data = kind.read(self)
+        fitted = data[: len(self.fitted)]
+        validation = data[len(self.fitted) :]
+        if validation:
+            settings["validation"] = validation
+        if self.length is not None:
+            settings["known"] = [self.length]
+        progress = self.given["progress"]
+        estimate = kind.fit(fitted, self.spec, watch=progress, **settings)
+        robot = self.given["robot"]
+        result = Calibration(
+            estimate,
+            kind.method,
+            kind.title.format(spec=self.spec, **self.given),
+            robot.name if isinstance(robot, RobotSpec) else os.fspath(robot),
+            tuple(data_sets(fitted, validation)),
+            merge_tables(fitted) if kind is _PLATEAUS else None,
         )
-    return result
+        if self.given["out"] is not None:
+            path = Path(self.given["out"])
+            check_fit_suffix("out", path)
+            name = check_file_name(path.stem, "out names the fit")
+            result.write(path, name, self._call())
+        return result
+
+    def _call(self) -> str:
+        """Return the call as text, without arguments that have their default value."""
+        words = [
+            f"{name}={getattr(self.given[name], 'name', self.given[name])!r}"
+            for name, parameter in signature(self._function).parameters.items()
+            if name not in _NOT_RECORDED and self.given[name] != parameter.default
+        ]
+        return short_command(f"srs_twin.{self._function.__name__}({', '.join(words)})")
 
 
-def _call(function: Callable[..., Calibration], given: Mapping[str, Any]) -> str:
-    """Return a call of a function as text, without arguments that have their default value."""
-    words = [
-        f"{name}={getattr(given[name], 'name', given[name])!r}"
-        for name, parameter in signature(function).parameters.items()
-        if name not in _NOT_RECORDED and given[name] != parameter.default
+def _read_pulls(task: _Task) -> list[Pulls]:
+    if len(task.fitted) > 1:
+        raise InputError(
+            f"{task.fitted[1]}: a fit uses one table of pulls; give further ones with"
+            " --validate"
+        )
+    return [read_pull_table(path) for path in task.files]
+
+
+def _read_coasting_tests(task: _Task) -> list[CoastingTest]:
+    tests = []
+    for path in task.files:
+        try:
+            recording = task.given["reader"].motion(path, task.spec)
+        except UnknownFormatError as error:
+            raise InputError(
+                f"{error}; a table of pulls has the columns {PULL_COLUMNS}"
+            ) from None
+        task.notify(recording.summary.text())
+        tests.append(CoastingTest.from_trajectory(recording.trajectory, path))
+    return tests
+
+
+def _read_plateaus(task: _Task) -> list[StaticTable]:
+    recordings = task.recordings()
+    count = len(task.fitted)
+    return [
+        *plateau_tables(recordings[:count], task.spec, task.supply_pa),
+        *(
+            StaticTable.from_recording(recording, path, task.spec, task.supply_pa)
+            for path, recording in recordings[count:]
+        ),
     ]
-    return short_command(f"srs_twin.{function.__name__}({', '.join(words)})")
 
 
-def _recordings(
-    paths: list[str],
-    validation: list[str],
-    logs: list[str],
-    reader: RecordingReader,
-    spec: RobotSpec,
-    notify: Notify,
-) -> tuple[NamedRecordings, NamedRecordings]:
-    """Return the recordings of the fit and of the validation with their logs."""
-    every = [*paths, *validation]
-    recordings = []
-    for path, log in zip(every, logs_of(every, logs), strict=True):
-        recording = reader.take(path, log, spec)
-        notify(f"{recording.summary.text()}\n")
-        recordings.append((path, recording))
-    return recordings[: len(paths)], recordings[len(paths) :]
-
-
-def _gait_runs(
-    recordings: NamedRecordings, supply_pa: float, notify: Notify
-) -> list[GaitRun]:
+def _read_gait_runs(task: _Task) -> list[GaitRun]:
     """Return recordings as gait runs, with a warning if chambers are filling at the start."""
+
+    def measured() -> Parameter | None:
+        fitted = [recording for _, recording in recordings[: len(task.fitted)]]
+        return measured_length(fitted, task.spec, task.given["find"])
+
+    recordings = task.recordings()
+    length = measured()
+    if length is not None:
+        # Bends and centre of mass depend on the length, so read the recordings again.
+        task.spec = with_values(task.spec, {length.name: length.value or 0.0})
+        task.notify = str
+        recordings = task.recordings()
+        task.length = measured()
     for path, recording in recordings:
         if not recording.starts_at_rest():
-            notify(
+            task.given["notify"](
                 f"warning: {path}: chambers are filling at the start; the plants start"
                 " with empty ones"
             )
-    return [gait_run(recording, path, supply_pa) for path, recording in recordings]
+    return [gait_run(recording, path, task.supply_pa) for path, recording in recordings]
 
 
-def _all_of_kind(
-    files: Sequence[str], is_first: Callable[[str], bool], first: str, second: str
-) -> bool:
-    """Return whether all files are of the first kind, False if all are of the second.
+def _read_decays(task: _Task) -> list[Decay]:
+    start = task.given["from_s"]
+    noise = task.given["noise_rad"]
+    decays = [read_decay(path, start=start, noise=noise) for path in task.files]
+    for decay in decays:
+        task.notify(decay.text())
+    if task.given["valves"] == "closed":
+        task.notify(
+            "valves closed: frequency and loss_factor contain the spring of the air and"
+            " its loss"
+        )
+    return decays
 
-    Raises:
-        InputError: both kinds occur, or a file cannot be read.
+
+class _Kind(NamedTuple):
+    """Kind of data to which a robot is fitted.
+
+    Attributes:
+        method: method in a fit file.
+        title: title of a fit, completed with the robot and the arguments.
+        read: reader of the data, those of the fit before those of the validation.
+        fit: function of the fitted data, the robot and settings.
     """
-    kinds = [is_first(path) for path in files]
-    if len(set(kinds)) > 1:
-        one = files[kinds.index(True)]
-        other = files[kinds.index(False)]
-        raise InputError(f"{one} is a {first}, {other} a {second}; fit them separately")
-    return kinds[0]
+
+    method: Method
+    title: str
+    read: Callable[[_Task], Sequence[Any]]
+    fit: Callable[..., FitEstimate]
+
+
+_PULLS = _Kind(
+    "pulls",
+    "Friction of {spec.name} from pulls",
+    _read_pulls,
+    lambda pulls, spec, watch, **settings: fit_pulls(*pulls, **settings),
+)
+_COASTING_TESTS = _Kind(
+    "coasting",
+    "Friction of {spec.name} from coasting tests",
+    _read_coasting_tests,
+    fit_coasting,
+)
+_STATIC_TABLES = _Kind(
+    "static",
+    "Actuators of {spec.name} from held pressures",
+    lambda task: [read_static_table(path, task.spec) for path in task.files],
+    fit_static,
+)
+_PLATEAUS = _STATIC_TABLES._replace(
+    read=_read_plateaus,
+    fit=lambda tables, *robot, **settings: fit_static(
+        [merge_tables(tables)], *robot, **settings
+    ),
+)
+_RESPONSES = _Kind(
+    "actuator",
+    "Actuators of {spec.name} from responses",
+    lambda task: [
+        Response.from_recording(recording, path, task.supply_pa)
+        for path, recording in task.recordings()
+    ],
+    fit_actuator,
+)
+_GAIT_RUNS = _Kind(
+    "locomotion",
+    "Locomotion of {spec.name} against the {plant} plant",
+    _read_gait_runs,
+    fit_locomotion,
+)
+_DECAYS = _Kind(
+    "damping",
+    "Damping of {spec.name} from decays with {valves} valves",
+    _read_decays,
+    fit_damping,
+)
 
 
 def _plant_settings(plant: str, model: str | None, law: str | None) -> dict[str, str]:

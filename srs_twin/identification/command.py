@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from functools import partial
+from collections.abc import Callable
+from functools import partial, wraps
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -19,6 +20,7 @@ from srs_twin.cli.options import (
     RobotArgument,
     argument,
     expand_option_groups,
+    option,
     print_json,
 )
 from srs_twin.errors import InputError
@@ -34,7 +36,6 @@ from srs_twin.identification.fitting import (
     print_table,
 )
 from srs_twin.identification.footprint_command import footprint, margin
-from srs_twin.io.files import display_path
 from srs_twin.recordings.commands import FrequencyOption, OffsetOption, ReadingOptions
 
 with_options = partial(expand_option_groups, plugins=True)
@@ -43,6 +44,13 @@ _LOCOMOTION = (
     "friction.mu_t,friction.mu_n,geometry.rigid_gap_m,bending.stiffness_nm_per_rad"
 )
 """Parameters that `calibrate locomotion` fits by default."""
+
+_INERTIA = (
+    "Moment of inertia of the body about its centre, kg*m^2. [default: the robot's]"
+)
+InertiaOption = Annotated[
+    float | None, option("--inertia KGM2", _INERTIA, min=0, max=1)
+]
 
 _DEFAULT_READING = ReadingOptions()
 _DEFAULT_OUTPUT = FitOptions()
@@ -59,8 +67,38 @@ def calibrate() -> None:
     """Estimate parameters of a robot from recordings, and footprints and margins from simulated runs."""
 
 
-@app.command()
-@with_options
+def _fits(declaration: Callable[..., None]) -> None:
+    """Add a command with the options of a declaration, which fits with `calibrate_NAME`.
+
+    Options that are not given have the defaults of that function of `calibration`.
+    """
+
+    @app.command()
+    @with_options
+    @wraps(declaration)
+    def run(
+        context: typer.Context, files: list[str], fit: FitOptions, **given: Any
+    ) -> None:
+        data = given.pop("data", None)
+        if data is not None:
+            given |= data.given()
+        reading = {
+            "offset_s": given.pop("offset", None),
+            "gait_frequency_hz": given.pop("frequency", None),
+        }
+        name = declaration.__name__
+        output = FitOutput.from_options(context, name, given["robot"], fit)
+        from srs_twin.identification import calibration
+
+        if "markers" in given:
+            given["reader"] = given.pop("markers").reader(**reading)
+        if given.get("find") is not None:
+            given["find"] = parse_names(given["find"])
+        settings = {key: value for key, value in given.items() if value is not None}
+        output.run(getattr(calibration, f"calibrate_{name}"), files, **settings)
+
+
+@_fits
 def friction(
     context: typer.Context,
     files: FilesArgument,
@@ -81,18 +119,6 @@ def friction(
         --wheel-inertia/--no-wheel-inertia: Include the rotational inertia of the wheels
             in coasting tests.
     """
-    output = FitOutput.from_options(context, "friction", robot, fit)
-    from srs_twin.identification.calibration import calibrate_friction
-
-    output.run(
-        calibrate_friction,
-        files,
-        robot,
-        validate=validate or (),
-        law=law,
-        wheel_inertia=wheel_inertia,
-        reader=markers.reader(),
-    )
 
 
 @app.command()
@@ -113,17 +139,7 @@ def design(
     """
     from srs_twin.identification.design import calibrate_design
 
-    targets = {}
-    for text in want.split(","):
-        name, _, share = text.strip().partition("=")
-        try:
-            targets[name] = float(share.removesuffix("%") or 10) / 100
-        except ValueError:
-            targets[name] = math.nan
-        if not 0 < targets[name] < math.inf:
-            raise InputError(
-                f"--want {text}: must be NAME=PERCENT, as in friction.mu_t=5%"
-            )
+    targets = _parse_targets(want)
     with interruptible("nothing was chosen"):
         plan = calibrate_design(robot, targets)
     if as_json:
@@ -151,8 +167,27 @@ def design(
         )
 
 
-@app.command()
-@with_options
+def _parse_targets(text: str) -> dict[str, float]:
+    """Return the requested accuracy of parameters in a list such as friction.mu_t=5%.
+
+    Raises:
+        InputError: an entry is not a name with a percentage.
+    """
+    targets = {}
+    for entry in text.split(","):
+        name, _, share = entry.strip().partition("=")
+        try:
+            targets[name] = float(share.removesuffix("%") or 10) / 100
+        except ValueError:
+            targets[name] = math.nan
+        if not 0 < targets[name] < math.inf:
+            raise InputError(
+                f"--want {entry}: must be NAME=PERCENT, as in friction.mu_t=5%"
+            )
+    return targets
+
+
+@_fits
 def actuator(
     context: typer.Context,
     files: FilesArgument,
@@ -174,29 +209,9 @@ def actuator(
             NAME.table.csv.
         --starts N: Number of searches.
     """
-    output = FitOutput.from_options(context, "actuator", data.robot, fit)
-    from srs_twin.identification.calibration import calibrate_actuator
-    from srs_twin.identification.static_tables import write_static_table
-
-    result = output.run(
-        calibrate_actuator,
-        files,
-        data.robot,
-        **data.given(),
-        find=parse_names(find),
-        static=static,
-        starts=starts,
-        reader=markers.reader(offset_s=offset),
-    )
-    if result.plateaus is not None:
-        write_static_table(
-            result.plateaus, path := output.path.with_suffix(".table.csv")
-        )
-        output.say(f"{len(result.plateaus.bend)} plateaus in {display_path(path)}")
 
 
-@app.command()
-@with_options
+@_fits
 def locomotion(
     context: typer.Context,
     files: FilesArgument,
@@ -223,33 +238,16 @@ def locomotion(
         --against WHAT: Compared signals: averages, shapes or both.
         --starts N: Number of searches. [default: 3; 1 with the twin's shapes]
     """
-    output = FitOutput.from_options(context, "locomotion", data.robot, fit)
-    from srs_twin.identification.calibration import calibrate_locomotion
-
-    output.run(
-        calibrate_locomotion,
-        files,
-        data.robot,
-        **data.given(),
-        find=parse_names(find) or (),
-        plant=plant,
-        model=model,
-        law=law,
-        against=against,
-        starts=starts,
-        reader=markers.reader(offset_s=offset, gait_frequency_hz=frequency),
-    )
 
 
-@app.command()
-@with_options
+@_fits
 def damping(
     context: typer.Context,
     files: FilesArgument,
     robot: RobotOption,
     valves: str = "open",
     mass_kg: Annotated[float | None, Bounds(1e-4, 50)] = None,
-    inertia: Annotated[float | None, Bounds(0, 1)] = None,
+    inertia_kg_m2: InertiaOption = None,
     leak_per_s: Annotated[float | None, Bounds(0, 30)] = None,
     noise_rad: Annotated[float | None, Bounds(1e-7, 1)] = None,
     from_s: float | None = None,
@@ -263,27 +261,11 @@ def damping(
     Options:
         --valves STATE: Chambers during the recordings: open or closed.
         --mass-kg KG: Mass of the body at the end of the segment. [default: the robot's]
-        --inertia KGM2: Moment of inertia of the body about its centre, kg*m^2.
-            [default: the robot's]
         --leak-per-s RATE: Leak rate of closed chambers, 1/s. [default: estimated]
         --noise-rad RAD: Standard deviation of a recorded bend, rad. [default:
             estimated]
         --from-s S: Time from which the segment swings freely, s. [default: detected]
     """
-    output = FitOutput.from_options(context, "damping", robot, fit)
-    from srs_twin.identification.calibration import calibrate_damping
-
-    output.run(
-        calibrate_damping,
-        files,
-        robot,
-        valves=valves,
-        mass_kg=mass_kg,
-        inertia_kg_m2=inertia,
-        leak_per_s=leak_per_s,
-        noise_rad=noise_rad,
-        from_s=from_s,
-    )
 
 
 @app.command()

@@ -374,6 +374,16 @@ def fit_file(
     )
 
 
+def check_fit_suffix(option: str, path: Path) -> None:
+    """Check that a path names a fit file; `option` is its name in the message.
+
+    Raises:
+        InputError: the path has another suffix.
+    """
+    if path.suffix not in (".yaml", ".yml"):
+        raise InputError(f"{option}: {path} is not allowed; a fit file ends in .yaml")
+
+
 def write_fit(file: FitFile, path: StrPath) -> Path:
     """Write a fit file atomically.
 

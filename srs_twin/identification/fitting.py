@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shlex
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -56,7 +56,7 @@ class DataOptions:
     pressure: PressureOption = None
 
     def given(self) -> dict[str, Any]:
-        """Return the arguments of the functions in `calibration`, except for the robot.
+        """Return the arguments of the functions in `calibration`.
 
         Raises:
             InputError: the pressure is not allowed.
@@ -66,11 +66,9 @@ class DataOptions:
                 f"--pressure: {self.pressure:g} kPa is not allowed; it must be from 0.1"
                 " to 2000"
             )
-        return {
-            "valves": self.valves or (),
-            "validate": self.validate or (),
-            "supply_pa": None if self.pressure is None else 1e3 * self.pressure,
-        }
+        given = asdict(self)
+        pressure = given.pop("pressure")
+        return given if pressure is None else given | {"supply_pa": 1e3 * pressure}
 
 
 @dataclass(frozen=True)
@@ -248,34 +246,35 @@ class FitOutput:
             InputError: the name is not allowed, or the file exists and was written by
                 another command.
         """
-        name = options.name
+        from srs_twin.identification.fit_file import check_fit_suffix
+
         out = options.out
-        if name:
-            source = "--name"
+        if options.name:
+            name = check_file_name(options.name, "--name")
+        elif out:
+            name = check_file_name(
+                Path(out).stem, "--out names the fit, without --name"
+            )
         else:
-            source = f"{'--out' if out else '--robot'} names the fit, without --name"
-        if out:
-            default = Path(out).stem
-        else:
-            default = f"{Path(robot).stem}_{method}"
-        checked = check_file_name(name or default, source)
-        path = Path(out) if out else Path(FITS) / f"{checked}.yaml"
-        if path.suffix not in (".yaml", ".yml"):
-            raise InputError(f"--out: {path} is not allowed; a fit file ends in .yaml")
+            name = check_file_name(
+                f"{Path(robot).stem}_{method}", "--robot names the fit, without --name"
+            )
+        path = Path(out or f"{FITS}/{name}.yaml")
+        check_fit_suffix("--out", path)
         command = command_line(context)
         if os.path.lexists(path) and not options.overwrite:
             _check_same_command(path, command)
         check_output_folder(path.parent, (path.name, path.with_suffix(".html").name))
-        return cls(checked, path, robot, command, options.quiet, options.as_json)
+        return cls(name, path, robot, command, options.quiet, options.as_json)
 
     def say(self, text: str) -> None:
         """Print a note on stderr."""
         say(text, quiet=self.quiet)
 
     def run(
-        self, function: Callable[..., Calibration], *arguments: Any, **settings: Any
-    ) -> Calibration:
-        """Fit with a function of `calibration`, write report and fit file, and print the result.
+        self, function: Callable[..., Calibration], files: list[str], **settings: Any
+    ) -> None:
+        """Fit with a function of `calibration`, write its files, and print the result.
 
         An interrupt of the search ends the command, and nothing is written.
         """
@@ -283,9 +282,7 @@ class FitOutput:
             interruptible(NOTHING_WRITTEN),
             FitProgress(self.name, quiet=self.quiet) as progress,
         ):
-            result = function(
-                *arguments, notify=self.say, progress=progress, **settings
-            )
+            result = function(files, notify=self.say, progress=progress, **settings)
         fit = result.write(self.path, self.name, self.command)
         if self.as_json:
             print_json(fit.model_dump(mode="json", exclude_none=True))
@@ -293,7 +290,12 @@ class FitOutput:
             print_estimate(result.estimate)
         report = display_path(self.path.with_suffix(".html"))
         self.say(f"fit in {display_path(self.path)}, residuals in {report}")
-        return result
+        if result.plateaus is not None:
+            from srs_twin.identification.static_tables import write_static_table
+
+            table = self.path.with_suffix(".table.csv")
+            write_static_table(result.plateaus, table)
+            self.say(f"{len(result.plateaus.bend)} plateaus in {display_path(table)}")
 
 
 def _check_same_command(path: Path, command: str) -> None:
