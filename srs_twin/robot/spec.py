@@ -13,7 +13,7 @@ head end to the left.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -102,6 +102,28 @@ def _tuples(values: np.ndarray) -> tuple[object, ...]:
 
 GRAVITY = 9.81
 """Gravitational acceleration of both plants, m/s²."""
+
+
+def raise_violations(violations: Iterable[tuple[str, str]]) -> None:
+    """Raise the reasons of all violations of a rule set together.
+
+    Args:
+        violations: parameter and reason of each.
+
+    Raises:
+        InputError: there is a violation.
+    """
+    if reasons := [reason for _, reason in violations]:
+        raise InputError("; ".join(reasons))
+
+
+def spatial_refusal(robot: str, feature: str) -> str:
+    """Return the reason why a feature does not support a robot that bends in two directions."""
+    return (
+        f"{feature} does not support the spatial robot {robot}"
+        " (chamber.directions_deg); use a robot whose chambers bend it to the left and"
+        " right only"
+    )
 
 
 def _require(ok: bool, name: str, value: float, allowed: str) -> None:
@@ -617,11 +639,7 @@ class RobotSpec:
             InputError: the robot is spatial.
         """
         if self.is_spatial:
-            raise InputError(
-                f"{feature} does not support the spatial robot {self.name}"
-                " (chamber.directions_deg); use a robot whose chambers bend it to the"
-                " left and right only"
-            )
+            raise InputError(spatial_refusal(self.name, feature))
 
     @cached_property
     def modules(self) -> Modules:

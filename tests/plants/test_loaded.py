@@ -28,7 +28,6 @@ from srs_twin import (
     InputError,
     Job,
     LoadedContact,
-    Numerics,
     PreloadedContact,
     TwinBatch,
     TwinSnake,
@@ -308,6 +307,7 @@ def test_runs_are_reproducible_across_processes():
     [
         ({"contact": "lose"}, "did you mean"),
         ({"contact": "preload"}, "did you mean preloaded"),
+        ({"contact": None}, "contact None is not allowed; it must be a LoadedContact"),
     ],
 )
 def test_unknown_contact_raises(given, words):
@@ -331,65 +331,3 @@ def test_contact_rejects_unknown_options():
             make()
     with pytest.raises(TypeError):
         LoadedContact(preload=3.0)
-
-
-@pytest.mark.parametrize(
-    ("former", "contact", "numerics"),
-    [
-        (
-            {"friction": "ellipse", "load": "static"},
-            LoadedContact("ellipse", "static"),
-            Numerics(),
-        ),
-        ({"wheels": "skid"}, LoadedContact("ellipse"), Numerics()),
-        (
-            {"contact": "preloaded", "wheels": "skid", "preload": 3.0},
-            PreloadedContact("skid", 3.0),
-            Numerics(),
-        ),
-        (
-            {"wheel_spin": 0.0, "slip_speed": 2e-3},
-            LoadedContact(slip_speed=2e-3),
-            Numerics(wheel_spin=0.0),
-        ),
-        ({"axle_time": 0.001, "slip_time": 0.001}, LoadedContact(), Numerics()),
-    ],
-)
-def test_deprecated_keywords_work_and_warn(former, contact, numerics):
-    with pytest.warns(
-        DeprecationWarning, match="of TwinSnake are deprecated; pass contact="
-    ):
-        twin = TwinSnake(SPEC, **former)
-    assert (twin.contact, twin._settings.numerics) == (contact, numerics)
-
-
-def test_deprecated_attributes_work_and_warn():
-    twin = TwinSnake(SPEC)
-    contact = PreloadedContact(preload=3.0)
-    with pytest.warns(DeprecationWarning, match="use Plant.max_chunk_s"):
-        assert twin.stretch == twin.max_chunk_s
-    with pytest.warns(DeprecationWarning, match="use preload_ratio"):
-        assert contact.pressed == contact.preload_ratio == 3.0
-    with pytest.warns(DeprecationWarning, match="use Plant.max_chunk_s"):
-        cautious = type("Cautious", (TwinSnake,), {"stretch": 0.1})
-    assert cautious(SPEC).max_chunk_s == 0.1
-
-
-def test_deprecated_keywords_are_checked_as_before():
-    with pytest.raises(TypeError, match="'wheel'"):
-        TwinSnake(SPEC, wheel="skid")
-    for former, words in (
-        ({"preload": 3.0}, "preload is not allowed with contact 'loaded'"),
-        (
-            {"contact": "preloaded", "load": "static"},
-            "load is not allowed with contact 'preloaded'",
-        ),
-        (
-            {"contact": "preloaded", "friction": "wheel"},
-            "friction is not allowed with contact 'preloaded'",
-        ),
-        ({"wheels": "round"}, "wheels 'round' is unknown"),
-        ({"contact": None}, "contact None is not allowed; it must be a LoadedContact"),
-    ):
-        with pytest.raises(InputError, match=words):
-            TwinSnake(SPEC, **former)
