@@ -59,6 +59,7 @@ _SPATIAL_ALGEBRA = (
     "point_jacobian",
     "spatial_velocities",
     "project",
+    "project_slopes",
     "factor",
     "substitute",
 )
@@ -208,6 +209,15 @@ def stack_records(struct: WarpStruct, records: Sequence[Any], device: Any) -> An
             stacked = wp.array(rows, dtype=scalar, device=device)
         setattr(batched, name, stacked)
     return batched
+
+
+def single_record(struct: WarpStruct, record: Any) -> Any:
+    """Return a record of integers and arrays of integers as the struct of one world."""
+    single = struct.single()
+    for name, value in record._asdict().items():
+        is_array = isinstance(value, np.ndarray)
+        setattr(single, name, wp.array(value, dtype=int) if is_array else value)
+    return single
 
 
 def _type_and_ndim(value: Any) -> tuple[type, int]:

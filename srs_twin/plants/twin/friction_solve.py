@@ -61,6 +61,7 @@ from srs_twin.plants.twin.spatial_algebra import (
     inner,
     point_jacobian,
     project,
+    project_slopes,
     spatial_velocities,
     substitute,
 )
@@ -738,22 +739,7 @@ def _assemble(engine, contacts, sparsity, state, work, h):  # type: ignore[no-un
     add_object_slopes(engine, sparsity, work, h)
     for k in range(matrix.shape[0]):
         matrix[k] = work.inertia[k]
-    # From the ends to the root: project the summed slopes beyond each degree of freedom
-    # on its ancestors.
-    for i in range(sparsity.row_length.shape[0] - 1, -1, -1):
-        d = engine.cdof[i]
-        composite = slope[i]
-        p = sparsity.parent[i]
-        row = sparsity.row_start[i]
-        reaction = work.impulse[i]
-        for a in range(6):
-            reaction[a] = dot(composite[a], d)
-        for k in range(row, row + sparsity.row_length[i]):
-            matrix[k] += dot(reaction, engine.cdof[sparsity.column[k]])
-        if p >= 0:
-            for a in range(6):
-                for b in range(6):
-                    slope[p, a, b] += composite[a, b]
+    project_slopes(engine.cdof, sparsity, slope, work.impulse, matrix)
 
 
 @kernel_only

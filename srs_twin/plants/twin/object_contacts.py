@@ -356,6 +356,22 @@ def add_object_slopes(engine, sparsity, work, h):  # type: ignore[no-untyped-def
                 i = sparsity.parent[i]
 
 
+@kernel_only
+def _eliminate(matrix, x):  # type: ignore[no-untyped-def]
+    """Solve a system whose matrix has its right side as last column, and needs no pivoting."""
+    count = matrix.shape[0]
+    for i in range(count):
+        for j in range(i + 1, count):
+            factor = matrix[j, i] / matrix[i, i]
+            for k in range(i, count + 1):
+                matrix[j, k] -= factor * matrix[i, k]
+    for i in range(count - 1, -1, -1):
+        value = matrix[i, count]
+        for k in range(i + 1, count):
+            value -= matrix[i, k] * x[k]
+        x[i] = value / matrix[i, i]
+
+
 @compiled_if(has_objects)
 def couple_objects(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
     """Correct Newton's direction, which was solved without B."""
@@ -382,17 +398,7 @@ def couple_objects(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
         o.matrix[i, count] = work.residual[first + i]
         for j in range(first):
             o.matrix[i, count] -= o.coupling[i, j] * direction[j]
-    # Elimination; the matrix is positive definite and needs no pivoting.
-    for i in range(count):
-        for j in range(i + 1, count):
-            factor = o.matrix[j, i] / o.matrix[i, i]
-            for k in range(i, count + 1):
-                o.matrix[j, k] -= factor * o.matrix[i, k]
-    for i in range(count - 1, -1, -1):
-        value = o.matrix[i, count]
-        for k in range(i + 1, count):
-            value -= o.matrix[i, k] * direction[first + k]
-        direction[first + i] = value / o.matrix[i, i]
+    _eliminate(o.matrix, direction[first:])
     for i in range(count):
         for j in range(first):
             direction[j] -= direction[first + i] * o.solved[i, j]

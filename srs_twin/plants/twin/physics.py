@@ -188,7 +188,12 @@ class EngineWarnings(threading.local):
 ENGINE_WARNINGS = EngineWarnings()
 """Warnings for the message of a DivergedError; without a handler MuJoCo writes them to a log file."""
 
-mujoco.set_mju_user_warning(lambda text: ENGINE_WARNINGS.last.append(text))
+
+def _keep_warning(text: str) -> None:
+    ENGINE_WARNINGS.last.append(text)  # the list of this thread
+
+
+mujoco.set_mju_user_warning(_keep_warning)
 _ROLLOUT = mujoco_rollout.Rollout(nthread=0)  # runs on the calling thread
 _ROLLOUT_STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _SNAKE = 1  # body that carries the whole snake; objects are other trees

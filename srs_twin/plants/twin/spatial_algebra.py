@@ -113,6 +113,36 @@ def project(cdof, sparsity, force, out):  # type: ignore[no-untyped-def]
 
 
 @kernel_only
+def project_slopes(cdof, sparsity, slope, force, matrix):  # type: ignore[no-untyped-def]
+    """Sum spatial slopes toward the root, in place, and add their projection to a matrix.
+
+    As in the composite-rigid-body algorithm, the sum beyond each degree of freedom is
+    projected on this degree of freedom and its ancestors.
+
+    Args:
+        cdof: spatial axes, shape (nv, 6).
+        sparsity: pattern of the matrix.
+        slope: spatial slopes, shape (nv, 6, 6).
+        force: workspace, shape (nv, 6).
+        matrix: in place, shape (nM,).
+    """
+    for i in range(sparsity.row_length.shape[0] - 1, -1, -1):
+        d = cdof[i]
+        composite = slope[i]
+        p = sparsity.parent[i]
+        row = sparsity.row_start[i]
+        reaction = force[i]
+        for a in range(6):
+            reaction[a] = dot(composite[a], d)
+        for k in range(row, row + sparsity.row_length[i]):
+            matrix[k] += dot(reaction, cdof[sparsity.column[k]])
+        if p >= 0:
+            for a in range(6):
+                for b in range(6):
+                    slope[p, a, b] += composite[a, b]
+
+
+@kernel_only
 def factor(matrix, sparsity):  # type: ignore[no-untyped-def]
     """Factor a matrix with the pattern of M into LᵀDL, in place and without fill-in."""
     # From the ends of the chain to the root: eliminating a row changes only rows of its
