@@ -21,7 +21,8 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from srs_twin.errors import InputError, UnknownNameError
-from srs_twin.robot.spec import WHEEL_SHARE, Modules, RobotSpec
+from srs_twin.robot.rules import WHEEL_SHARE
+from srs_twin.robot.spec import Modules, RobotSpec
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any, NamedTuple, get_args
 
 from pydantic import Field
 
@@ -19,6 +19,14 @@ from srs_twin.io.documents import Document, Loc, child, load_yaml, parse_path
 from srs_twin.io.files import StrPath, find_file
 from srs_twin.io.validation import StrictModel, validate
 from srs_twin.robot.plausibility import Doubt, find_doubts, likely_unit
+from srs_twin.robot.rules import (
+    Violation,
+    direction_violations,
+    kind_violations,
+    mass_violations,
+    tail_violations,
+    wheel_violations,
+)
 from srs_twin.robot.scale import Scale
 from srs_twin.robot.sections import (
     ActuatorFile,
@@ -37,7 +45,6 @@ from srs_twin.robot.sections import (
 from srs_twin.robot.sourced import Record, Records, replace_value, split_unit
 from srs_twin.robot.spec import (
     GRAVITY,
-    WHEEL_SHARE,
     Actuator,
     Bending,
     Chamber,
@@ -45,9 +52,9 @@ from srs_twin.robot.spec import (
     Geometry,
     Mass,
     RobotSpec,
+    Skin,
     Supply,
     Tail,
-    widest_gap,
 )
 
 _SUSPICIOUS_RATIO = 300.0
@@ -75,6 +82,36 @@ _TWIST_RATIO = 2 / 3
 
 _RIGID_RATIO = 1000.0
 """Stiffness of a servo joint over weight times body length, 1: floor loads bend it by less than 1 mrad."""
+
+
+_KEY_OF: dict[str, tuple[str, ...]] = {
+    "directions": ("chamber", "directions_deg"),
+    "extension": ("actuator", "extension_m_per_kpa"),
+    "tail": ("tail",),
+    "connectors": ("mass", "connectors_kg"),
+    "segments": ("mass", "segments_kg"),
+    "wheel": ("mass", "wheel_kg"),
+    "com": ("tail", "com_m"),
+}
+"""Parameter of a violation (`rules`) → path of its key in a robot file."""
+
+
+class _Body(NamedTuple):
+    """Parts of a `RobotSpec` that depend on the kind of contact."""
+
+    geometry: Geometry
+    mass: Mass
+    friction: Friction
+    skin: Skin | None
+
+
+class _Drive(NamedTuple):
+    """Parts of a `RobotSpec` that depend on the kind of actuator."""
+
+    bending: Bending
+    actuator: Actuator
+    chamber: Chamber
+    supply: Supply
 
 
 class RobotFile(StrictModel):
@@ -127,71 +164,107 @@ class RobotFile(StrictModel):
         Args:
             seed: random seed of the modules if `modules` has none.
         """
-        bending = self.bending.to_si()
-        if self.is_spatial:
-            stiffness = bending["stiffness"]
-            bending = {
-                "pitch_stiffness": stiffness,
-                "roll_stiffness": _TWIST_RATIO * stiffness,
-            } | bending
-        if self.has_servos:
-            actuator, rigid, chamber, supply = self._servo()
-            bending |= rigid
-        else:
-            actuator, (chamber, supply) = self.actuator.to_si(), self._pneumatics()
-            if self.bending.lead is False:
-                delay = bending["damping_time"] - actuator["tau_mode"]
-                actuator["tau_mode"] = bending["damping_time"]
-                actuator |= {
-                    name: actuator[name] - delay for name in ("tau_fill", "tau_vent")
-                }
-        gain = actuator.pop("bend") / actuator.pop("at_pressure")
-        has_dead_zone = bool(actuator.keys() & {"onset", "onset_width"})
-        segments = self.geometry.connectors.value - 1
-        geometry = self.geometry.to_si()
-        friction = self.friction.to_si()
-        contact = self.contact
-        if contact is None or not contact.is_skin:
-            mass = Mass(**self.mass.to_si() | {"connectors": tuple(self.masses())})
-            skin = None
-        else:
-            mass = Mass.along_body(tuple(self.masses()))
-            skin = contact.skin()
-            friction |= contact.friction()
-            # The section of a spatial robot is round and touches the floor along a
-            # line.
-            if self.is_spatial:
-                track = 1 / _ROUND_TRACK
-            else:
-                track = 2 * math.sqrt(3)
-            geometry |= {
-                "half_track": geometry["width"] / track,
-                "wheel_radius": geometry[
-                    "com_height"
-                ],  # spheres around the centre of the body
-            }
+        drive = self._servos() if self.has_servos else self._air()
+        body = self._body_with_skin() if self.has_skin else self._body_on_wheels()
+        variation = None
+        if self.modules is not None:
+            segments = body.geometry.segments
+            variation = self.modules.draw(segments, seed, self._chambers)
         return RobotSpec(
             name=self.name,
             title=self.title,
-            geometry=Geometry(**geometry),
-            mass=mass,
-            friction=Friction(**friction),
-            bending=Bending(**bending),
-            actuator=Actuator(
-                **{"bend_limit": math.inf, "onset_share": float(has_dead_zone)}
-                | actuator,
-                gain=gain,
-            ),
-            chamber=chamber,
-            supply=supply,
             phase_step=self.gait.phase_step_rad.value,
-            variation=(
-                self.modules.draw(segments, seed, self._chambers)
-                if self.modules
-                else None
-            ),
+            variation=variation,
             tail=Tail(**self.tail.to_si()) if self.tail else None,
-            skin=skin,
+            **body._asdict(),
+            **drive._asdict(),
+        )
+
+    def _body_on_wheels(self) -> _Body:
+        numbers = self.mass.to_si() | {"connectors": tuple(self.masses())}
+        return _Body(
+            Geometry(**self.geometry.to_si()),
+            Mass(**numbers),
+            Friction(**self.friction.to_si()),
+            skin=None,
+        )
+
+    def _body_with_skin(self) -> _Body:
+        assert self.contact is not None, "a robot with skin has the section"
+        geometry = self.geometry.to_si()
+        # The section of a spatial robot is round and touches the floor along a line.
+        share = 1 / _ROUND_TRACK if self.is_spatial else 2 * math.sqrt(3)
+        geometry["half_track"] = geometry["width"] / share
+        # Spheres around the centre of the body.
+        geometry["wheel_radius"] = geometry["com_height"]
+        return _Body(
+            Geometry(**geometry),
+            Mass.along_body(tuple(self.masses())),
+            Friction(**self.friction.to_si() | self.contact.friction()),
+            self.contact.skin(),
+        )
+
+    def _air(self) -> _Drive:
+        """Return the drive of pneumatic modules."""
+        assert self.chamber is not None, "`contradictions` reports missing keys"
+        assert self.supply is not None, "`contradictions` reports missing keys"
+        bending = self.bending.to_si()
+        if self.is_spatial:
+            stiffness = bending["stiffness"]
+            bending.setdefault("pitch_stiffness", stiffness)
+            bending.setdefault("roll_stiffness", _TWIST_RATIO * stiffness)
+        response = self.actuator.to_si()
+        if self.bending.lead is False:
+            delay = bending["damping_time"] - response["tau_mode"]
+            response["tau_mode"] = bending["damping_time"]
+            response["tau_fill"] -= delay
+            response["tau_vent"] -= delay
+        if response.keys() & {"onset", "onset_width"}:
+            response.setdefault("onset_share", 1.0)
+        gain = response.pop("bend") / response.pop("at_pressure")
+        directions = self.chamber.directions_deg
+        if directions is None:
+            angles = None
+        else:
+            angles = tuple(map(math.radians, directions.value))
+        volume = self.chamber.air_volume_ml.value * M3_PER_ML
+        return _Drive(
+            Bending(**bending),
+            Actuator(**response, gain=gain),
+            Chamber(
+                dead_volume=self.chamber.dead_volume_ml.value * M3_PER_ML,
+                displacement=volume / (math.pi / 2),
+                directions=angles,
+            ),
+            Supply(
+                **self.supply.to_si(), limit_source=self.supply.pulsed_limit_kpa.source
+            ),
+        )
+
+    def _servos(self) -> _Drive:
+        """Return the drive of pneumatic modules that move like servos.
+
+        Two equal time constants make a critically damped response. The stiffness k is
+        so high that loads do not matter; with the damping k τ the joints of the twin
+        follow the same response.
+        """
+        time = self.actuator.response_time_s
+        assert time is not None, "`contradictions` reports a missing key"
+        g = self.geometry
+        tau = float(time.value)
+        pressure = SERVO_PRESSURE_KPA * PA_PER_KPA
+        body = (g.connectors.value - 1) * (
+            g.segment_length_m.value + g.rigid_gap_m.value
+        )
+        rigid = {
+            "stiffness": _RIGID_RATIO * GRAVITY * sum(self.masses()) * body,
+            "damping_time": tau,
+        }
+        return _Drive(
+            Bending(**self.bending.to_si() | rigid),
+            Actuator(tau, tau, tau, gain=self.actuator.bend_rad.value / pressure),
+            Chamber(_SERVO_VOLUME_M3, _SERVO_VOLUME_M3),
+            Supply(pressure, pressure, pressure, "full command of a servo"),
         )
 
     @property
@@ -207,16 +280,19 @@ class RobotFile(StrictModel):
     @property
     def _chambers(self) -> int:
         """Number of chambers of a segment."""
-        assert not self.is_spatial or (self.chamber and self.chamber.directions_deg)
-        return len(self.chamber.directions_deg.value) if self.is_spatial else 2  # type: ignore[union-attr]
+        if self.chamber is None or self.chamber.directions_deg is None:
+            return 2
+        return len(self.chamber.directions_deg.value)
 
     def masses(self) -> list[float]:
         """Return the mass of each connector, or of each segment of a robot with skin, kg, head first."""
-        record = self.mass.connectors_kg
-        count = self.geometry.connectors.value
+        connectors = self.geometry.connectors.value
         if self.has_skin:
             record = self.mass.segments_kg
-            count = count - 1
+            count = connectors - 1
+        else:
+            record = self.mass.connectors_kg
+            count = connectors
         assert record is not None, "`contradictions` reports a missing mass"
         if isinstance(record.value, list):
             return list(record.value)
@@ -227,88 +303,33 @@ class RobotFile(StrictModel):
         """Whether servos turn the joints, instead of air."""
         return self.actuator.kind == "position"
 
-    def _servo(self) -> tuple[dict[str, float], dict[str, float], Chamber, Supply]:
-        """Return actuator, bending, chamber and supply of pneumatic modules that move like servos.
-
-        Two equal time constants make a critically damped response. The stiffness k is
-        so high that loads do not matter; with the damping k τ the joints of the twin
-        follow the same response.
-        """
-        time = self.actuator.response_time_s
-        assert time is not None, "`contradictions` reports a missing key"
-        g = self.geometry
-        tau = float(time.value)
-        pressure = SERVO_PRESSURE_KPA * PA_PER_KPA
-        body = (g.connectors.value - 1) * (
-            g.segment_length_m.value + g.rigid_gap_m.value
-        )
-        mass = sum(self.masses())
-        actuator = {"bend": self.actuator.bend_rad.value, "at_pressure": pressure}
-        actuator |= dict.fromkeys(("tau_fill", "tau_vent", "tau_mode"), tau)
-        bending = {
-            "stiffness": _RIGID_RATIO * GRAVITY * mass * body,
-            "damping_time": tau,
-        }
-        supply = Supply(pressure, pressure, pressure, "full command of a servo")
-        return actuator, bending, Chamber(_SERVO_VOLUME_M3, _SERVO_VOLUME_M3), supply
-
-    def _pneumatics(self) -> tuple[Chamber, Supply]:
-        """Return chamber and supply of pneumatic modules."""
-        assert self.chamber is not None, "`contradictions` reports missing keys"
-        assert self.supply is not None, "`contradictions` reports missing keys"
-        directions = self.chamber.directions_deg
-        chamber = Chamber(
-            dead_volume=self.chamber.dead_volume_ml.value * M3_PER_ML,
-            displacement=self.chamber.air_volume_ml.value * M3_PER_ML / (math.pi / 2),
-            directions=(
-                None
-                if directions is None
-                else tuple(map(math.radians, directions.value))
-            ),
-        )
-        return chamber, Supply(
-            **self.supply.to_si(), limit_source=self.supply.pulsed_limit_kpa.source
-        )
-
     def _contradictions_of_kinds(self) -> Iterator[tuple[Loc, str]]:
         """Yield path and message of keys that the kinds of contact and actuator lack or do not have."""
         contact = "skin" if self.has_skin else "wheels"
         actuator = "position" if self.has_servos else "pressure"
-        title_of = dict.fromkeys(("wheels", "skin"), f"contact {contact}")
-        title_of |= dict.fromkeys(("pressure", "position"), f"actuator {actuator}")
         for name in RobotFile.model_fields:
             if (model := _section_model(name)) is None:
                 continue
             for key, kind in (model.needed_by | model.only_for).items():
                 missing = getattr(getattr(self, name), key, None) is None
                 fits = kind in (contact, actuator)
+                robot = f"a robot with contact {contact}"
+                if kind in ("pressure", "position"):
+                    robot = f"a robot with actuator {actuator}"
                 if missing and fits and key in model.needed_by:
-                    yield (
-                        (name, key),
-                        f"missing; a robot with {title_of[kind]} needs it",
-                    )
+                    yield (name, key), f"missing; {robot} needs it"
                 elif not missing and not fits:
-                    yield (
-                        (name, key),
-                        f"a robot with {title_of[kind]} has no {key}; remove it",
-                    )
+                    yield (name, key), f"{robot} has no {key}; remove it"
         for key in ("pitch_stiffness_nm_per_rad", "roll_stiffness_nm_per_rad"):
             if not self.is_spatial and getattr(self.bending, key) is None:
                 yield ("bending", key), "missing; a planar robot needs it"
-        if not self.is_spatial and self.actuator.extension_m_per_kpa is not None:
-            text = (
-                "segments of a planar robot keep their length; remove it, or give"
-                " chamber.directions_deg"
-            )
-            yield ("actuator", "extension_m_per_kpa"), text
-        if self.is_spatial and not self.has_skin:
-            text = (
-                "a robot that bends in two directions needs contact skin: its wheels"
-                " would leave the floor"
-            )
-            yield ("chamber", "directions_deg"), text
-        if self.has_skin and self.tail is not None:
-            yield ("tail",), "a robot with contact skin has no axles; remove the tail"
+        for violation in kind_violations(
+            is_spatial=self.is_spatial,
+            has_skin=self.has_skin,
+            has_tail=self.tail is not None,
+            extends=self.actuator.extension_m_per_kpa is not None,
+        ):
+            yield _KEY_OF[violation.parameter], violation.reason
 
     def doubts(self) -> Iterator[Doubt]:
         """Return the numbers whose unit is in doubt."""
@@ -317,25 +338,6 @@ class RobotFile(StrictModel):
             self.masses(),
         )
 
-    def _contradictions_of_delay(self) -> Iterator[tuple[Loc, str]]:
-        """Yield path and message of a damping with `lead: false` that leaves no time for the chambers."""
-        if self.bending.lead is None:
-            return
-        if self.has_servos:
-            yield (
-                ("bending", "lead"),
-                "a robot with actuator position has no lead; remove it",
-            )
-            return
-        numbers = self.bending.to_si() | self.actuator.to_si()
-        longest = numbers["tau_mode"] + min(numbers["tau_fill"], numbers["tau_vent"])
-        if not self.bending.lead and not numbers["damping_time"] < longest:
-            text = (
-                f"{numbers['damping_time']:g} s is not allowed with lead: false; it"
-                f" must be below {longest:g}"
-            )
-            yield ("bending", "damping_time_s", "value"), text
-
     def contradictions(self) -> Iterator[tuple[Loc, str]]:
         """Yield path and message of numbers that do not fit together."""
         missing = list(self._contradictions_of_kinds())
@@ -343,48 +345,51 @@ class RobotFile(StrictModel):
         if missing:
             return
         yield from self._contradictions_of_delay()
-        connectors = self.geometry.connectors.value
-        masses = self.masses()
-        key, count = (
-            ("segments", connectors - 1)
-            if self.has_skin
-            else ("connectors", connectors)
-        )
-        if len(masses) != count:
-            yield (
-                ("mass", f"{key}_kg", "value"),
-                (
-                    f"{len(masses)} masses for {count} {key}; give {count}, or one"
-                    " number for all"
-                ),
-            )
-        if self.mass.wheel_kg and 2 * (
-            wheel := self.mass.wheel_kg.value
-        ) > WHEEL_SHARE * min(masses):
-            yield (
-                ("mass", "wheel_kg", "value"),
-                (
-                    f"two wheels of {wheel:g} kg are too much for the lightest"
-                    f" connector, {min(masses):g} kg; {WHEEL_SHARE * min(masses) / 2:g}"
-                    " kg each at most"
-                ),
-            )
+        for parameter, reason in self._violations():
+            yield (*_KEY_OF[parameter], "value"), reason
         for doubt in self.doubts():
             if doubt.is_certain:
                 yield (*parse_path(doubt.path), "value"), doubt.text
         if self.modules is not None:
-            yield from self.modules.contradictions(connectors - 1, self._chambers)
-        if self.is_spatial:
-            yield from self._spatial_contradictions()
-        if self.tail is not None and (com := self.tail.com_m.value) > (
-            axle := self.tail.axle_m.value
-        ):
-            text = (
-                f"{com:g} m is behind the second axle at {axle:g} m; the assembly would"
-                " tip over"
-            )
-            yield ("tail", "com_m", "value"), text
+            segments = self.geometry.connectors.value - 1
+            yield from self.modules.contradictions(segments, self._chambers)
+        yield from self._contradictions_of_section()
         yield from self._invalid_priors()
+        yield from self._contradictions_of_supply()
+
+    def _violations(self) -> Iterator[Violation]:
+        """Yield violations of the rules of `RobotSpec`."""
+        connectors = self.geometry.connectors.value
+        masses = self.masses()
+        if self.has_skin:
+            count = mass_violations(masses, connectors - 1, "segments")
+        else:
+            count = mass_violations(masses, connectors, "connectors")
+        for violation in count:
+            reason = f"{violation.reason}, or one number for all"
+            yield violation._replace(reason=reason)
+        if self.mass.wheel_kg:
+            yield from wheel_violations(self.mass.wheel_kg.value, masses)
+        if self.tail is not None:
+            yield from tail_violations(self.tail.com_m.value, self.tail.axle_m.value)
+        if self.chamber is not None and self.chamber.directions_deg is not None:
+            yield from direction_violations(self.chamber.directions_deg.value)
+
+    def _contradictions_of_delay(self) -> Iterator[tuple[Loc, str]]:
+        """Yield path and message of a damping with `lead: false` that leaves no time for the chambers."""
+        if self.bending.lead is not False:
+            return
+        numbers = self.bending.to_si() | self.actuator.to_si()
+        longest = numbers["tau_mode"] + min(numbers["tau_fill"], numbers["tau_vent"])
+        if not numbers["damping_time"] < longest:
+            text = (
+                f"{numbers['damping_time']:g} s is not allowed with lead: false; it"
+                f" must be below {longest:g}"
+            )
+            yield ("bending", "damping_time_s", "value"), text
+
+    def _contradictions_of_supply(self) -> Iterator[tuple[Loc, str]]:
+        """Yield path and message of a nominal pressure above the limit."""
         if self.supply is None:
             return
         nominal = self.supply.nominal_kpa.value
@@ -395,19 +400,11 @@ class RobotFile(StrictModel):
                 text += f"; {likely_unit(limit, 'kPa', nominal)}"
             yield ("supply", "nominal_kpa", "value"), text
 
-    def _spatial_contradictions(self) -> Iterator[tuple[Loc, str]]:
-        """Yield path and message of numbers that a spatial robot cannot have."""
-        assert self.chamber is not None and self.chamber.directions_deg is not None
-        largest = widest_gap(self.chamber.directions_deg.value)
-        if largest > 180.0 - 1e-6:
-            text = (
-                f"no chamber within {largest:g} degrees; neighbours must be less than"
-                " 180 degrees apart"
-            )
-            yield ("chamber", "directions_deg", "value"), text
+    def _contradictions_of_section(self) -> Iterator[tuple[Loc, str]]:
+        """Yield path and message of a spatial robot whose section is not round."""
         width = self.geometry.width_m.value
         height = self.geometry.com_height_m.value
-        if abs(width / (2 * height) - 1) > _ROUNDNESS:
+        if self.is_spatial and abs(width / (2 * height) - 1) > _ROUNDNESS:
             text = (
                 f"{width:g} m is not twice com_height_m; a spatial robot has a round"
                 " section"
@@ -419,40 +416,40 @@ class RobotFile(StrictModel):
         records = self.records()
         for path, record in records.items():
             section, key = path.split(".")
-            prior = record.uncertain
-            value = record.value
-            loc = (section, key, "uncertain")
             bounds = getattr(self, section).bounds.get(key)
-            if prior is None:
-                continue
-            if bounds is None or isinstance(value, list | int):
-                yield (
-                    loc,
-                    "only a single number can be uncertain, not a list or a count",
-                )
-            elif prior.kind == "lognormal" and value <= 0:
-                yield loc, f"lognormal needs a number above 0, not {value:g}"
-            elif prior.low is not None and prior.high is not None:
-                low = max(bounds[0], prior.low)
-                high = min(bounds[1], prior.high)
-                if (low, high) != (prior.low, prior.high):
-                    text = (
-                        f"{prior.low:g} to {prior.high:g} exceeds the allowed"
-                        f" {bounds[0]:g} to {bounds[1]:g}"
-                    )
-                    yield loc, text
-                elif not low <= value <= high:
-                    yield (
-                        loc,
-                        f"the number itself, {value:g}, is outside {low:g} to {high:g}",
-                    )
+            if record.uncertain is not None:
+                for reason in _prior_violations(record, bounds):
+                    yield (section, key, "uncertain"), reason
         for i, pair in enumerate(self.correlated or ()):
             for k, path in enumerate(pair.of):
                 if path not in records:
-                    yield (
-                        ("correlated", i, "of", k),
-                        str(UnknownNameError("number", path, records)),
-                    )
+                    reason = str(UnknownNameError("number", path, records))
+                    yield ("correlated", i, "of", k), reason
+
+
+def _prior_violations(
+    record: Record[Any, Any], bounds: tuple[float, float] | None
+) -> Iterator[str]:
+    """Yield the reasons why the prior distribution of a record does not fit its number."""
+    prior = record.uncertain
+    value = record.value
+    assert prior is not None, "the caller has checked it"
+    if bounds is None or isinstance(value, list | int):
+        yield "only a single number can be uncertain, not a list or a count"
+    elif prior.kind == "lognormal" and value <= 0:
+        yield f"lognormal needs a number above 0, not {value:g}"
+    elif prior.low is not None and prior.high is not None:
+        lowest, highest = bounds
+        if prior.low < lowest or prior.high > highest:
+            yield (
+                f"{prior.low:g} to {prior.high:g} exceeds the allowed {lowest:g} to"
+                f" {highest:g}"
+            )
+        elif not prior.low <= value <= prior.high:
+            yield (
+                f"the number itself, {value:g}, is outside {prior.low:g} to"
+                f" {prior.high:g}"
+            )
 
 
 _PLAIN_KEYS = ("seed", "kind", "law", "lead")
@@ -462,18 +459,11 @@ _PLAIN_KEYS = ("seed", "kind", "law", "lead")
 def _section_model(name: str) -> type[Records] | None:
     """Return the model of a section of records; None for any other name."""
     field = RobotFile.model_fields.get(name)
-    if field:
-        types = get_args(field.annotation) or (field.annotation,)
-    else:
-        types = ()
-    return next(
-        (
-            kind
-            for kind in types
-            if isinstance(kind, type) and issubclass(kind, Records)
-        ),
-        None,
-    )
+    annotation = field.annotation if field else None
+    for kind in get_args(annotation) or (annotation,):
+        if isinstance(kind, type) and issubclass(kind, Records):
+            return kind
+    return None
 
 
 def section_units(section: str) -> dict[str, str]:
@@ -658,9 +648,10 @@ def _merge_override(
         units = section_units(name)
         merged[name] = dict(section)
         for key, entry in value.items():
-            if key in units and not isinstance(entry, Mapping):
-                entry = replace_value(
+            is_number = key in units and not isinstance(entry, Mapping)
+            merged[name][key] = entry
+            if is_number:
+                merged[name][key] = replace_value(
                     section.get(key), entry, units[key], source((name, key))
                 )
-            merged[name][key] = entry
     return merged

@@ -274,6 +274,8 @@ class ContactFile(Records):
 class BendingFile(Records):
     """Compliance of one segment."""
 
+    only_for = {"lead": "pressure"}
+
     lead: bool | None = None
     """Whether the moment of the air leads the pressures, so that a free segment obeys Eq. 14 whatever its
     damping (default: true). With false the damping delays the free bend: damping_time_s

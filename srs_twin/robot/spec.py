@@ -13,7 +13,7 @@ head end to the left.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -23,6 +23,16 @@ import numpy as np
 from srs_twin.compute.arrays import Array
 from srs_twin.errors import InputError, check_choice
 from srs_twin.robot.friction import SKIN_LAWS, SkinLaw
+from srs_twin.robot.rules import (
+    Violation,
+    direction_violations,
+    kind_violations,
+    mass_violations,
+    raise_violations,
+    spatial_refusal,
+    tail_violations,
+    wheel_violations,
+)
 from srs_twin.robot.scale import Scale
 
 PerChamber = tuple[tuple[float, ...], ...]
@@ -57,21 +67,21 @@ class Modules:
     sensor_bias: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        for name in (field.name for field in fields(self)):
+        segments = len(self.gain)
+        chambers = len(self.gain[0])
+        for field in fields(self):
+            name = field.name
             values = np.asarray(getattr(self, name), dtype=float)
-            chambers = len(self.gain[0])
-            shape = (
-                (len(self.gain), chambers) if name in PER_CHAMBER else (len(self.gain),)
-            )
+            shape = (segments, chambers) if name in PER_CHAMBER else (segments,)
             low, high = (-math.pi, math.pi) if name.endswith("bias") else (0.01, 100.0)
             if values.shape != shape:
                 raise InputError(
                     f"modules.{name} has shape {values.shape}; allowed: {shape}"
                 )
-            if not ((values >= low) & (values <= high)).all():
-                wrong = values[~((values >= low) & (values <= high))][0]
+            wrong = values[~((values >= low) & (values <= high))]
+            if wrong.size:
                 raise InputError(
-                    f"modules.{name} {wrong:g} is not allowed; it must be {low:g} to"
+                    f"modules.{name} {wrong[0]:g} is not allowed; it must be {low:g} to"
                     f" {high:g}"
                 )
 
@@ -183,10 +193,6 @@ class Geometry:
         return self.segments * self.pitch
 
 
-WHEEL_SHARE = 0.9
-"""Largest fraction of the mass of a connector that its two wheels may have."""
-
-
 @dataclass(frozen=True)
 class Mass:
     """Masses of connectors and wheels.
@@ -219,13 +225,7 @@ class Mass:
                 mass,
                 "it must be above 0",
             )
-            heaviest = WHEEL_SHARE * mass / 2
-            _require(
-                self.wheel <= heaviest,
-                "wheel",
-                self.wheel,
-                f"it must weigh at most {heaviest:g} kg",
-            )
+        raise_violations(wheel_violations(self.wheel, self.connectors))
 
     @classmethod
     def along_body(cls, segments: tuple[float, ...]) -> Mass:
@@ -266,13 +266,9 @@ class Friction:
     mu_back: float | None = None
 
     def __post_init__(self) -> None:
-        _not_negative(
-            self,
-            "mu_t",
-            "mu_n",
-            "drag",
-            *(["mu_back"] if self.mu_back is not None else []),
-        )
+        _not_negative(self, "mu_t", "mu_n", "drag")
+        if self.mu_back is not None:
+            _not_negative(self, "mu_back")
 
     @property
     def backward(self) -> float:
@@ -385,12 +381,6 @@ class Actuator:
         _not_negative(self, "extension")
 
 
-def widest_gap(directions: Sequence[float] | np.ndarray) -> float:
-    """Return the largest angle between neighbouring directions, in degrees like them."""
-    ordered = np.sort(np.mod(directions, 360.0))
-    return float(np.diff(ordered, append=ordered[0] + 360.0).max())
-
-
 @dataclass(frozen=True)
 class Chamber:
     """Air space of one chamber of a segment: V(q) = dead_volume + displacement · max(0, ± q).
@@ -412,23 +402,14 @@ class Chamber:
     def __post_init__(self) -> None:
         _positive(self, "dead_volume", "displacement")
         if self.directions is not None:
-            gap = widest_gap(np.degrees(self.directions))
-            _require(
-                gap < 180 - 1e-6,
-                "directions",
-                gap,
-                "neighbouring chambers are less than 180° apart",
-            )
+            raise_violations(direction_violations(np.degrees(self.directions)))
 
     @property
     def axes(self) -> np.ndarray:
         """Bend to the left and upwards per unit bend of each chamber, shape (chambers, 2)."""
-        angles = np.array(
-            (0.0, math.pi) if self.directions is None else self.directions
-        )
-        axes: np.ndarray = np.round(
-            np.stack([np.cos(angles), np.sin(angles)], axis=-1), 15
-        )
+        directions = self.directions or (0.0, math.pi)
+        vectors = np.stack([np.cos(directions), np.sin(directions)], axis=-1)
+        axes: np.ndarray = np.round(vectors, 15)
         return axes
 
 
@@ -471,12 +452,8 @@ class Tail:
 
     def __post_init__(self) -> None:
         _positive(self, "axle", "com_height", "gyration")
-        _require(
-            0 <= self.com <= self.axle,
-            "com",
-            self.com,
-            f"it must be between the axles, 0 to {self.axle:g}",
-        )
+        _not_negative(self, "com")
+        raise_violations(tail_violations(self.com, self.axle))
 
 
 class Axle(NamedTuple):
@@ -529,59 +506,39 @@ class RobotSpec:
     skin: Skin | None = None
 
     def __post_init__(self) -> None:
-        count = len(self.mass.connectors)
-        connectors = self.geometry.connectors
-        _require(
-            count == connectors,
-            "mass.connectors",
-            count,
-            f"the robot has {connectors} connectors",
-        )
+        raise_violations(self._violations())
         _require(
             math.isfinite(self.phase_step),
             "phase_step",
             self.phase_step,
             "it must be finite",
         )
-        if self.variation is not None:
-            count = len(self.variation.gain)
-            _require(
-                count == self.segments,
-                "modules",
-                count,
-                f"the robot has {self.segments}",
-            )
-            count = len(self.variation.gain[0])
-            _require(
-                count == self.chambers,
-                "modules",
-                count,
-                f"a segment has {self.chambers} chambers",
-            )
-        if self.is_spatial and self.skin is None:
-            raise InputError(
-                "a spatial robot needs contact skin: its wheels would leave the floor"
-            )
-        if self.actuator.extension and not self.is_spatial:
-            raise InputError(
-                "actuator.extension needs a spatial robot; segments of planar ones keep"
-                " their length"
-            )
-        if (self.skin is None) != (self.mass.segments is None) or (
-            self.skin and self.tail
-        ):
-            raise InputError(
-                "a robot has either a skin and masses of segments, or wheels and"
-                " perhaps a tail"
-            )
+
+    def _violations(self) -> Iterator[Violation]:
+        connectors = self.geometry.connectors
+        yield from mass_violations(self.mass.connectors, connectors, "connectors")
         if self.mass.segments is not None:
-            count = len(self.mass.segments)
-            _require(
-                count == self.segments,
-                "mass.segments",
-                count,
-                f"the robot has {self.segments}",
+            yield from mass_violations(self.mass.segments, self.segments, "segments")
+        yield from kind_violations(
+            is_spatial=self.is_spatial,
+            has_skin=self.skin is not None,
+            has_tail=self.tail is not None,
+            extends=self.actuator.extension > 0.0,
+        )
+        if (self.skin is None) != (self.mass.segments is None):
+            yield Violation(
+                "mass",
+                "a robot has either a skin and masses of segments, or wheels and masses"
+                " of connectors",
             )
+        if self.variation is not None:
+            shape = len(self.variation.gain), len(self.variation.gain[0])
+            if shape != (self.segments, self.chambers):
+                yield Violation(
+                    "modules",
+                    f"modules: {shape[0]} with {shape[1]} chambers are not allowed; the"
+                    f" robot has {self.segments} with {self.chambers}",
+                )
 
     @property
     def segments(self) -> int:
@@ -596,7 +553,8 @@ class RobotSpec:
     @property
     def chambers(self) -> int:
         """Number of chambers of a segment."""
-        return len(self.chamber.directions or "+-")
+        directions = self.chamber.directions
+        return 2 if directions is None else len(directions)
 
     @property
     def axial_stiffness(self) -> float:
@@ -617,11 +575,7 @@ class RobotSpec:
             InputError: the robot is spatial.
         """
         if self.is_spatial:
-            raise InputError(
-                f"{feature} does not support the spatial robot {self.name}"
-                " (chamber.directions_deg); use a robot whose chambers bend it to the"
-                " left and right only"
-            )
+            raise InputError(spatial_refusal(self.name, feature))
 
     @cached_property
     def modules(self) -> Modules:
@@ -668,13 +622,10 @@ class RobotSpec:
         The default is that of a uniform block with the length of the rigid gap and the
         width of the track, 2 w: √((L_o² + (2 w)²)/12).
         """
+        if self.mass.connector_gyration is not None:
+            return self.mass.connector_gyration
         g = self.geometry
-        derived = math.hypot(g.rigid_gap, 2 * g.half_track) / math.sqrt(12)
-        return (
-            derived
-            if self.mass.connector_gyration is None
-            else self.mass.connector_gyration
-        )
+        return math.hypot(g.rigid_gap, 2 * g.half_track) / math.sqrt(12)
 
     def yaw_inertia(self) -> np.ndarray:
         """Return the yaw inertia of each connector about its centre, wheels included, (N,), kg·m²."""

@@ -184,10 +184,7 @@ class WarpBatch(Claimable):
             InputError: the number of poses is wrong, or a start is too far from the
                 origin in a world with obstacles.
         """
-        if worlds is None:
-            chosen = np.arange(len(self))
-        else:
-            chosen = np.asarray(worlds, dtype=int)
+        chosen = np.arange(len(self)) if worlds is None else np.asarray(worlds, int)
         if poses is None:
             places = np.zeros((len(chosen), 3))
         else:
@@ -205,43 +202,25 @@ class WarpBatch(Claimable):
             self._begun = np.zeros(len(self))
             self._time = 0.0
             self._unobserved_steps = 0
+            self._theta = np.zeros((len(self), self.twins[0].spec.geometry.connectors))
             self._engine.count.zero_()
         self._begun[chosen] = self._time
+        self._theta[chosen] = places[:, 2:]
         for k in chosen:
             self.errors[k] = None
-        rest = [self._robots[k].physics for k in self._robot_of_run[chosen]]
-        qpos = np.array([physics.data.qpos for physics in rest])
         self.origins[chosen] = origins
-        x, y = (places[:, :2] - origins).T
-        yaw = places[:, 2]
-        c = np.cos(yaw)
-        s = np.sin(yaw)
-        qpos[:, 0], qpos[:, 1] = (
-            x + c * qpos[:, 0] - s * qpos[:, 1],
-            y + s * qpos[:, 0] + c * qpos[:, 1],
-        )
-        qpos[:, 2] += _INITIAL_LIFT
-        # Quaternion of the yaw times the present one.
-        w, i, j, k = qpos[:, 3:7].T
-        a = np.cos(yaw / 2)
-        b = np.sin(yaw / 2)
-        qpos[:, 3:7] = np.stack(
-            [a * w - b * k, a * i - b * j, a * j + b * i, a * k + b * w], axis=1
-        )
+        places[:, :2] -= origins
+        rest = [self._robots[k].physics for k in self._robot_of_run[chosen]]
+        qpos = _moved(np.array([physics.data.qpos for physics in rest]), places)
         states = [
             physics.stepper.contact_state
             for physics in rest
             if physics.stepper is not None
         ]
         self._engine.rest(chosen, qpos, states)
-        if worlds is None:
-            theta = np.zeros((len(self), self.twins[0].spec.geometry.connectors))
-        else:
-            theta = self._theta
-        theta[chosen] = yaw[:, None]
-        self._theta = theta
+        now = np.array([self._time])
         self.state = self._last_state(
-            self._history([self._observe()], np.array([self._time]), np.ones(1))
+            self._history([self._observe()], now, steps=np.ones(1))
         )
         return self.state
 
@@ -470,45 +449,27 @@ class WarpBatch(Claimable):
                 (samples,).
         """
         table = np.stack([row.numpy() for row in rows]).astype(float)
-        widths = self._engine.widths
-        ends = np.cumsum([0, *widths.values()])
-        cut = {
-            name: table[..., a:b]
-            for name, a, b in zip(widths, ends[:-1], ends[1:], strict=True)
-        }
         shape = table.shape[:2]
+        widths = self._engine.widths
+        parts = np.split(table, np.cumsum(list(widths.values()))[:-1], axis=-1)
+        cut = dict(zip(widths, parts, strict=True))
         physics = self._robots[0].physics
-        spec = self._robots[0].spec
         connectors = cut["connectors"].reshape(*shape, -1, 4)
         chambers = cut["chambers"].reshape(*shape, -1, 7)
         bend, rate = physics.bends_and_rates(cut["qpos"], cut["qvel"])
-        theta = np.unwrap(
-            np.concatenate([self._theta[None], connectors[..., 3]]), axis=0
-        )[1:]
+        theta = np.concatenate([self._theta[None], connectors[..., 3]])
+        theta = np.unwrap(theta, axis=0)[1:]
         self._theta = theta[-1].copy()
-        force = cut["force"].reshape(*shape, -1, 3) / steps[:, None, None, None]
+        over = steps[:, None, None, None]
+        force = cut["force"].reshape(*shape, -1, 3) / over
+        obstacles = cut["obstacles"].reshape(*shape, -1, 3) / over
         wheels = len(physics.sensor_addresses.floor_force)
-        floor = force[..., :wheels, :2].reshape(*shape, -1, 2, 2).sum(axis=-2)
-        obstacles = cut["obstacles"].reshape(*shape, -1, 3) / steps[:, None, None, None]
         if self._engine.loaded:
             obstacles = obstacles + force[..., wheels:, :]
-        torque = np.empty_like(bend)
-        sensed = bend.copy()
-        stored = np.empty(shape)
-        for number, twin in enumerate(self._robots):
-            mine = self._robot_of_run == number
-            own = chambers[:, mine]
-            free = own[..., 5] + twin.spec.modules.array("bias")
-            free_rate = own[..., 6]
-            torque[:, mine] = twin.spec.bending.moment(
-                free - bend[:, mine], free_rate - rate[:, mine]
-            )
-            stored[:, mine] = twin.physics.internal_joints.stored(
-                cut["qpos"][:, mine], free
-            )
-        for k in range(len(self)) if self._robots[0].sensor.kind != "ideal" else ():
-            twin = self.twins[k]
-            sensed[:, k] = twin.sensor.read(bend[:, k], times, twin.seed + k)
+        floor = force[..., :wheels, :2].reshape(*shape, -1, 2, 2).sum(axis=-2)
+        first_axles = np.arange(connectors.shape[-2])
+        free = chambers[..., 5]
+        torque, stored = self._moments(cut["qpos"], bend, rate, free, chambers[..., 6])
         qpos = cut["qpos"].copy()
         qpos[..., :2] += self.origins
         return SnakeState(
@@ -522,10 +483,8 @@ class WarpBatch(Claimable):
             bend_rate=rate,
             pressure=chambers[..., :2],
             valves=chambers[..., 2:4].astype(np.int8),
-            sensed=sensed,
-            contact_force=np.add.reduceat(
-                floor, np.arange(spec.geometry.connectors), axis=-2
-            ),
+            sensed=self._sensed(bend, times),
+            contact_force=np.add.reduceat(floor, first_axles, axis=-2),
             obstacle_force=physics.connector_forces(obstacles)[..., :2],
             torque=torque,
             work=cut["energy"].sum(axis=-1) + stored,
@@ -533,6 +492,67 @@ class WarpBatch(Claimable):
             air=chambers[..., 4].sum(axis=-1),
             qpos=qpos,
         )
+
+    def _moments(
+        self,
+        qpos: np.ndarray,
+        bend: np.ndarray,
+        rate: np.ndarray,
+        free: np.ndarray,
+        free_rate: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the moments of the segments, N·m, and the energy that they store, J.
+
+        Args:
+            qpos: positions, shape (samples, runs, nq).
+            bend: shape (samples, runs, segments), rad.
+            rate: bend rates, rad/s.
+            free: free bends without the rest bends, rad.
+            free_rate: their rates, rad/s.
+        """
+        torque = np.empty_like(bend)
+        stored = np.empty(bend.shape[:2])
+        for number, twin in enumerate(self._robots):
+            mine = self._robot_of_run == number
+            target = free[:, mine] + twin.spec.modules.array("bias")
+            torque[:, mine] = twin.spec.bending.moment(
+                target - bend[:, mine], free_rate[:, mine] - rate[:, mine]
+            )
+            joints = twin.physics.internal_joints
+            stored[:, mine] = joints.stored(qpos[:, mine], target)
+        return torque, stored
+
+    def _sensed(self, bend: np.ndarray, times: np.ndarray) -> np.ndarray:
+        """Return the sensor readings of bends, shape (samples, runs, segments), rad."""
+        sensed = bend.copy()
+        if self._robots[0].sensor.kind != "ideal":
+            for k, twin in enumerate(self.twins):
+                sensed[:, k] = twin.sensor.read(bend[:, k], times, twin.seed + k)
+        return sensed
+
+
+def _moved(qpos: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Return the positions of snakes after a rotation about the origin and a translation, slightly lifted.
+
+    Args:
+        qpos: positions, one row per snake.
+        places: translation x, y (m) and rotation (rad) of each snake, shape (…, 3).
+    """
+    moved = qpos.copy()
+    yaw = places[:, 2]
+    c = np.cos(yaw)
+    s = np.sin(yaw)
+    moved[:, 0] = places[:, 0] + c * qpos[:, 0] - s * qpos[:, 1]
+    moved[:, 1] = places[:, 1] + s * qpos[:, 0] + c * qpos[:, 1]
+    moved[:, 2] += _INITIAL_LIFT
+    # Quaternion of the yaw times the present one.
+    w, i, j, k = qpos[:, 3:7].T
+    a = np.cos(yaw / 2)
+    b = np.sin(yaw / 2)
+    moved[:, 3:7] = np.stack(
+        [a * w - b * k, a * i - b * j, a * j + b * i, a * k + b * w], axis=1
+    )
+    return moved
 
 
 def _check_supported(twin: TwinSnake, first: TwinSnake) -> None:

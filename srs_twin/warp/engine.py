@@ -26,7 +26,12 @@ from srs_twin.warp.kernels import (
     StepSettings,
     build_kernels,
 )
-from srs_twin.warp.translation import WarpStruct, stack_records, warp_struct
+from srs_twin.warp.translation import (
+    WarpStruct,
+    single_record,
+    stack_records,
+    warp_struct,
+)
 
 _CAPACITY_FACTOR = 4
 """Capacity for contacts and constraint rows, as a multiple of those of a snake at rest.
@@ -79,7 +84,7 @@ class DeviceEngine:
         self._worlds = len(robot_of_run)
         self._segments = robots[0].spec.segments
         self.loaded = isinstance(robots[0].contact, LoadedContact)
-        models = [twin.physics.model for twin in self._robots]
+        models = [twin.physics.model for twin in robots]
         raw = copy.copy(models[0])
         raw.opt.disableflags &= ~_AUTORESET  # MuJoCo Warp supports no other value
         raw.opt.solver = mujoco.mjtSolver.mjSOL_NEWTON
@@ -94,96 +99,65 @@ class DeviceEngine:
         }
         tick = robots[0].tick
         h = robots[0].timestep
-        slot = self._slot = min(valve_slot(tick, robots[0].spec.scale), h)
-        self.slots = round(h / slot)
+        self._slot = min(valve_slot(tick, robots[0].spec.scale), h)
+        self.slots = round(h / self._slot)
         self.steps = round(tick / h)
-        segments = self._segments
-        with wp.ScopedDevice(self._device):
+        settings = StepSettings(
+            h, self._slot, self.slots, self.steps, mean_control=self.loaded
+        )
+        with wp.ScopedDevice(device):
             self._model = mjw.put_model(raw)
             self._model.opt.deterministic = deterministic
             self.data = mjw.put_data(raw, data, nworld=self._worlds, **capacity)
-            _set_individual_parameters(
-                self._model, [models[k] for k in self._robot_of_run]
-            )
+            _set_individual_parameters(self._model, [models[k] for k in robot_of_run])
             structs = self._copy_records(data.qpos)
-            self.count = wp.zeros(1, dtype=int)
-            self._valves = wp.zeros((self._worlds, self.slots, segments, 2), dtype=int)
-            self._commands = wp.zeros((self._worlds, 1, segments, 2), dtype=int)
-            self._energy_loss = wp.zeros(self._worlds, dtype=wp.float64)
-            self._internal_loss = wp.zeros(self._worlds, dtype=wp.float64)
-            damping = [twin.physics.internal_joints.damping for twin in self._robots]
-            self._damping = wp.array(
-                np.stack([damping[k] for k in self._robot_of_run]), dtype=float
-            )
-        settings = StepSettings(
-            h, slot, self.slots, self.steps, mean_control=self.loaded
-        )
+            self._allocate()
         self._kernels = build_kernels(structs, settings)
         self._graphs: dict[bool, Any] = {}
 
+    def _allocate(self) -> None:
+        """Allocate the arrays that are not records."""
+        slots = (self._worlds, self.slots, self._segments, 2)
+        self.count = wp.zeros(1, dtype=int)
+        self._valves = wp.zeros(slots, dtype=int)
+        self._commands = wp.zeros((self._worlds, 1, self._segments, 2), dtype=int)
+        self._energy_loss = wp.zeros(self._worlds, dtype=wp.float64)
+        self._internal_loss = wp.zeros(self._worlds, dtype=wp.float64)
+        damping = [twin.physics.internal_joints.damping for twin in self._robots]
+        rows = np.stack([damping[k] for k in self._robot_of_run])
+        self._damping = wp.array(rows, dtype=float)
+
     def _copy_records(self, qpos: np.ndarray) -> dict[str, WarpStruct]:
         """Copy the records of all worlds to the device; return their structs by name."""
-        segments = self._segments
         addresses = self._robots[0].physics.sensor_addresses
         hulls = len(addresses.obstacle_force)
         contacts = len(addresses.floor_force) + (hulls if self.loaded else 0)
-        self._chambers = [
-            twin.pneumatics
-            for twin in self._robots
-            if isinstance(twin.pneumatics, LagPneumatics)
-        ]
-        empty = np.zeros((segments, 2))
-        rest = np.zeros(segments)
-        whole = empty.astype(int)
         forces = np.zeros((contacts, 3))
-        records: dict[str, Sequence[Any]] = {
-            "relaxation": [
-                chambers.relaxation(self._slot) for chambers in self._chambers
-            ],
-            "chambers": [
-                ChamberState(
-                    pressure=empty,
-                    linear=rest,
-                    bend=rest,
-                    bend_rate=rest,
-                    valves=whole - 1,
-                    openings=whole,
-                    drawn=rest,
-                )
-            ],
-            "accumulators": [Accumulators(qpos, forces, forces, np.zeros((hulls, 3)))],
-            "wave": [GaitWave(1.0, 0.0, 0.0, empty[:, 0])],
-        }
-        solves = [
-            twin.physics.stepper.records
-            for twin in self._robots
-            if twin.physics.stepper is not None
+        records = self._chamber_records()
+        records["accumulators"] = [
+            Accumulators(qpos, forces, forces, np.zeros((hulls, 3)))
         ]
+        steppers = [twin.physics.stepper for twin in self._robots]
+        solves = [stepper.records for stepper in steppers if stepper is not None]
         if self.loaded:
-            names = "contacts", "sparsity", "contact_state", "work"
-            records |= {name: [solve[name] for solve in solves] for name in names}
+            for name in ("contacts", "sparsity", "contact_state", "work"):
+                records[name] = [solve[name] for solve in solves]
         structs = {name: warp_struct(values[0]) for name, values in records.items()}
         # There is one record for all robots, or one per robot.
         self.structs = {
             name: stack_records(
                 structs[name],
-                [v[k] if len(v) > 1 else v[0] for k in self._robot_of_run],
+                [values[k % len(values)] for k in self._robot_of_run],
                 self._device,
             )
-            for name, v in records.items()
+            for name, values in records.items()
         }
-        bodies = BodyViews(
-            *(np.zeros(self._view(name).shape[1:]) for name in BodyViews._fields)
-        )
-        structs |= {"addresses": warp_struct(addresses), "bodies": warp_struct(bodies)}
-        self.structs["bodies"] = self._views(structs["bodies"], BodyViews._fields)
-        self.structs["addresses"] = structs["addresses"].single()
-        for name, value in addresses._asdict().items():
-            if isinstance(value, np.ndarray):
-                on_device = wp.array(value, dtype=int)
-            else:
-                on_device = value
-            setattr(self.structs["addresses"], name, on_device)
+        names = BodyViews._fields
+        bodies = BodyViews(*(np.zeros(self._view(name).shape[1:]) for name in names))
+        structs["bodies"] = warp_struct(bodies)
+        self.structs["bodies"] = self._views(structs["bodies"], names)
+        structs["addresses"] = warp_struct(addresses)
+        self.structs["addresses"] = single_record(structs["addresses"], addresses)
         if self.loaded:
             engine = solves[0]["engine"]
             structs["engine"] = warp_struct(
@@ -200,12 +174,39 @@ class DeviceEngine:
             "qvel": self._model.nv,
             "com": 6,
             "connectors": 4 * len(addresses.connectors),
-            "chambers": 7 * segments,
+            "chambers": 7 * self._segments,
             "force": 3 * contacts,
             "obstacles": 3 * hulls,
             "energy": 3,
         }
         return structs
+
+    def _chamber_records(self) -> dict[str, list[Any]]:
+        """Return the records of chambers and valves by name."""
+        self._chambers = [
+            twin.pneumatics
+            for twin in self._robots
+            if isinstance(twin.pneumatics, LagPneumatics)
+        ]
+        empty = np.zeros((self._segments, 2))
+        rest = np.zeros(self._segments)
+        none = empty.astype(int)
+        state = ChamberState(
+            pressure=empty,
+            linear=rest,
+            bend=rest,
+            bend_rate=rest,
+            valves=none - 1,
+            openings=none,
+            drawn=rest,
+        )
+        return {
+            "relaxation": [
+                chambers.relaxation(self._slot) for chambers in self._chambers
+            ],
+            "chambers": [state],
+            "wave": [GaitWave(frequency=1.0, offset=0.0, rest=0.0, lag=rest)],
+        }
 
     def _view(self, name: str) -> wp.array:
         """Return an array of vectors or matrices of the engine's data as an array of numbers."""
@@ -228,70 +229,52 @@ class DeviceEngine:
         k = self._kernels
         structs = self.structs
         data = self.data
-        model = self._model
-        segments = (self._worlds, self._segments)
-        worlds = self._worlds
         accumulators = structs["accumulators"]
+        chambers = structs["chambers"]
         if gait:
-            wp.launch(
-                k.set_gait,
-                dim=segments,
-                inputs=[self.count, structs["wave"], self._valves],
-            )
+            valves = k.set_gait, self.count, structs["wave"]
         else:
-            wp.launch(
-                k.set_commands,
-                dim=segments,
-                inputs=[self.count, self._commands, self._valves],
-            )
-        wp.launch(
+            valves = k.set_commands, self.count, self._commands
+        self._start(*valves, self._valves, axes=2)
+        self._start(
             k.advance_chambers,
-            dim=segments,
-            inputs=[
-                structs["relaxation"],
-                structs["chambers"],
-                self._valves,
-                data.ctrl,
-            ],
+            *(structs["relaxation"], chambers, self._valves, data.ctrl),
+            axes=2,
         )
-        if not self.loaded:
-            mjw.step(model, data)
+        if self.loaded:
+            self._step_loaded_bodies()
         else:
-            names = "engine", "contacts", "sparsity", "contact_state", "work"
-            friction = [structs[name] for name in names]
-            engine = structs["engine"]
-            work = structs["work"]
-            wp.launch(k.begin_step, dim=worlds, inputs=[engine, work, accumulators])
-            mjw.step1(model, data)
-            wp.launch(k.apply_friction, dim=worlds, inputs=friction)
-            mjw.step2(model, data)
-            wp.launch(
-                k.return_to_middle,
-                dim=worlds,
-                inputs=[engine, work, accumulators, data.qfrc_bias],
-            )
-            mjw.com_vel(model, data)
-            mjw.rne(model, data)
-            wp.launch(
-                k.finish_step,
-                dim=worlds,
-                inputs=[*friction, accumulators, self._energy_loss],
-            )
-        wp.launch(
+            mjw.step(self._model, data)
+        self._start(
             k.accumulate,
-            dim=worlds,
-            inputs=[
-                self.count,
-                data.sensordata,
-                structs["addresses"],
-                accumulators,
-                structs["chambers"],
-                data.qvel,
-                self._damping,
-                self._energy_loss,
-                self._internal_loss,
-            ],
+            *(self.count, data.sensordata, structs["addresses"]),
+            *(accumulators, chambers, data.qvel, self._damping),
+            *(self._energy_loss, self._internal_loss),
         )
+
+    def _step_loaded_bodies(self) -> None:
+        """Launch the steps of the engine with the friction solve, as in `contact_loaded`."""
+        k = self._kernels
+        model = self._model
+        data = self.data
+        names = "engine", "contacts", "sparsity", "contact_state", "work"
+        friction = [self.structs[name] for name in names]
+        engine = self.structs["engine"]
+        work = self.structs["work"]
+        accumulators = self.structs["accumulators"]
+        self._start(k.begin_step, engine, work, accumulators)
+        mjw.step1(model, data)
+        self._start(k.apply_friction, *friction)
+        mjw.step2(model, data)
+        self._start(k.return_to_middle, engine, work, accumulators, data.qfrc_bias)
+        mjw.com_vel(model, data)
+        mjw.rne(model, data)
+        self._start(k.finish_step, *friction, accumulators, self._energy_loss)
+
+    def _start(self, kernel: Any, *inputs: Any, axes: int = 1) -> None:
+        """Launch a kernel with one thread per world, or with 2 axes one per world and segment."""
+        threads = (self._worlds, self._segments)[:axes]
+        wp.launch(kernel, dim=threads, inputs=inputs)
 
     def rest(
         self, chosen: np.ndarray, qpos: np.ndarray, contacts: Sequence[ContactState]
@@ -379,7 +362,6 @@ class DeviceEngine:
 
     def observe(self) -> Any:
         """Return an observation of all worlds on the device, one row per world; reset the accumulators."""
-        structs = self.structs
         data = self.data
         model = self._model
         out = wp.zeros(
@@ -390,19 +372,10 @@ class DeviceEngine:
             mjw.com_pos(model, data)
             mjw.com_vel(model, data)
             mjw.subtree_vel(model, data)
-            wp.launch(
-                self._kernels.observe,
-                dim=self._worlds,
-                inputs=[
-                    structs["bodies"],
-                    structs["addresses"],
-                    structs["chambers"],
-                    structs["accumulators"],
-                    self._energy_loss,
-                    self._internal_loss,
-                    out,
-                ],
-            )
+            names = "bodies", "addresses", "chambers", "accumulators"
+            records = (self.structs[name] for name in names)
+            losses = self._energy_loss, self._internal_loss
+            self._start(self._kernels.observe, *records, *losses, out)
         return out
 
 

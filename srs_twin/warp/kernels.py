@@ -12,10 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import warp as wp
 
-from srs_twin.pneumatics.chambers import AMBIENT_PA
-from srs_twin.warp.translation import WarpStruct, warp_functions
-
-"""Linear bend below which φ(x)/x is replaced by its limit, rad; single precision."""
+from srs_twin.pneumatics.chambers import AMBIENT_PA, apply_bend_law
+from srs_twin.pneumatics.lag import advance_segment, filling_content
+from srs_twin.warp.translation import WarpStruct, as_warp_functions, warp_functions
 
 
 class StepSettings(NamedTuple):
@@ -127,20 +126,14 @@ def build_kernels(
             `sparsity`, `contact_state` and `work`.
         settings: constants that are the same for all worlds.
     """
-    functions = warp_functions()
+    functions = as_warp_functions(_PARTS, **warp_functions())
     loaded = "work" in structs
     kernels = _valve_kernels(structs["wave"], settings)
     kernels |= _chamber_kernel(
         structs["relaxation"], structs["chambers"], settings, functions
     )
-    kernels |= _accumulation_kernel(
-        structs["accumulators"],
-        structs["chambers"],
-        structs["addresses"].single,
-        settings.h,
-        loaded,
-    )
-    kernels |= _observation_kernel(structs)
+    kernels |= _accumulation_kernel(structs, settings.h, loaded, functions)
+    kernels |= _observation_kernel(structs, functions)
     if loaded:
         kernels |= _middle_kernels(structs, settings.h, functions["set_mid_velocity"])
         kernels |= _friction_kernels(structs, settings.h, functions)
@@ -200,9 +193,8 @@ def _chamber_kernel(
     functions: Mapping[str, Any],
 ) -> Kernels:
     """Return the kernel that advances the chambers over a step."""
+    slot = functions["advance_slot"]
     bend_law = functions["apply_bend_law"]
-    segment = functions["advance_segment"]
-    filling = functions["filling_content"]
     Relaxations = relaxation.batched
     relaxation_of = relaxation.select
     ChamberStates = chambers.batched
@@ -222,41 +214,14 @@ def _chamber_kernel(
         law = relaxation_of(relaxations, i)
         air = chambers_of(all_chambers, i)
         pressure = air.pressure[j]
-        driven = (
-            air.bend[j] + law.damping_time * air.bend_rate[j]
-        )  # at the beginning of the step
-        before = air.bend[j] + law.bias[j]
+        # At the beginning of the step.
+        driven = air.bend[j] + law.damping_time * air.bend_rate[j]
+        bend = air.bend[j] + law.bias[j]
         for s in range(SLOTS):
-            state = valves[i, s, j]
-            content_before = filling(
-                state, pressure[0], pressure[1], before, law.space, AMBIENT_PA
-            )
-            plus, minus, x = segment(
-                state,
-                law.kinds[j],
-                pressure,
-                air.linear[j],
-                law.asymptotes,
-                law.gain[j],
-                law.decay,
-                law.lag,
-                law.mode,
-            )
-            after, _, _ = bend_law(x, law.law)
-            after += law.bias[j]
-            content = filling(state, plus, minus, after, law.space, AMBIENT_PA)
-            air.drawn[j] = air.drawn[j] + law.worth * (content - content_before)
-            pressure[0] = plus
-            pressure[1] = minus
-            air.linear[j] = x
-            for side in range(2):
-                if state[side] == 1 and air.valves[j, side] != 1:
-                    air.openings[j, side] = air.openings[j, side] + 1
-                air.valves[j, side] = state[side]
-            before = after
-        bend, slope, _ = bend_law(air.linear[j], law.law)
+            bend = slot(law, air, valves[i, s, j], j, bend)
+        free, slope, _ = bend_law(air.linear[j], law.law)
         pull = law.gain[j, 0] * pressure[0] - law.gain[j, 1] * pressure[1]
-        air.bend[j] = bend
+        air.bend[j] = free
         air.bend_rate[j] = slope * (pull - air.linear[j]) / law.tau
         end = air.bend[j] + law.damping_time * air.bend_rate[j]
         driven += END_WEIGHT * (end - driven)
@@ -267,26 +232,28 @@ def _chamber_kernel(
 
 
 def _accumulation_kernel(
-    accumulators: WarpStruct,
-    chambers: WarpStruct,
-    addresses: Any,
+    structs: Mapping[str, WarpStruct],
     h: float,
     loaded: bool,
+    functions: Mapping[str, Any],
 ) -> Kernels:
     """Return the kernel that adds up what samples are means or integrals of.
 
     Args:
-        accumulators: struct of the sums.
-        chambers: struct of the chambers.
-        addresses: struct of the addresses of one world.
+        structs: as in `build_kernels`.
         h: time step, s.
         loaded: whether the contacts are loaded.
+        functions: Warp functions by name.
     """
-    AllAccumulators = accumulators.batched
-    accumulators_of = accumulators.select
-    ChamberStates = chambers.batched
-    chambers_of = chambers.select
-    Addresses = addresses
+    internal_power = functions["internal_power"]
+    preloaded_power = functions["preloaded_power"]
+    external_power = functions["external_power"]
+    add_forces = functions["add_forces"]
+    AllAccumulators = structs["accumulators"].batched
+    accumulators_of = structs["accumulators"].select
+    ChamberStates = structs["chambers"].batched
+    chambers_of = structs["chambers"].select
+    Addresses = structs["addresses"].single
     H = h
     LOADED = loaded
 
@@ -305,47 +272,27 @@ def _accumulation_kernel(
         """Add the forces and energy losses of a step; under a preloaded contact from the engine's sensors."""
         i = wp.tid()
         air = chambers_of(all_chambers, i)
-        internal_power = float(0.0)  # see `internal_joints`
-        for j in range(at.hinges.shape[0]):
-            share = air.bend_rate[j] / float(at.hinges.shape[1])
-            for n in range(at.hinges.shape[1]):
-                deviation = qvel[i, at.hinges[j, n]] - share
-                internal_power += damping[i, at.hinges[j, n]] * deviation * deviation
-        for n in range(at.out_of_plane.shape[0]):
-            speed = qvel[i, at.out_of_plane[n]]
-            internal_power += damping[i, at.out_of_plane[n]] * speed * speed
-        internal_loss[i] = internal_loss[i] + wp.float64(H * internal_power)
         sums = accumulators_of(all_accumulators, i)
-        power = float(0.0)
-        for w in range(at.floor_force.shape[0]):
-            if not LOADED:
-                # The force of the previous step acts with the velocity that the sensors
-                # report now.
-                for k in range(2):
-                    power -= sums.step_force[w, k] * sensors[i, at.foot_velocity[w] + k]
-                for k in range(3):
-                    sums.step_force[w, k] = sensors[i, at.floor_force[w] + k]
-        for w in range(sums.step_force.shape[0]):
-            for k in range(3):
-                sums.force_sum[w, k] = sums.force_sum[w, k] + sums.step_force[w, k]
-        for w in range(at.obstacle_force.shape[0]):
-            for k in range(3):
-                sums.obstacle_sum[w, k] = (
-                    sums.obstacle_sum[w, k] + sensors[i, at.obstacle_force[w] + k]
-                )
-        for w in range(at.external_force.shape[0]):
-            power -= (
-                sensors[i, at.external_force[w]] * sensors[i, at.external_velocity[w]]
-            )
+        internal = internal_power(air, at, qvel[i], damping[i])
+        internal_loss[i] = internal_loss[i] + wp.float64(H * internal)
+        power = external_power(at, sensors[i])
+        if not LOADED:
+            power += preloaded_power(sums, at, sensors[i])
         energy_loss[i] = energy_loss[i] + wp.float64(H * power)
+        add_forces(sums, at, sensors[i])
         if i == 0:
             count[0] = count[0] + 1
 
     return {"accumulate": accumulate}
 
 
-def _observation_kernel(structs: Mapping[str, WarpStruct]) -> Kernels:
+def _observation_kernel(
+    structs: Mapping[str, WarpStruct], functions: Mapping[str, Any]
+) -> Kernels:
     """Return the kernel that writes an observation."""
+    write_bodies = functions["write_bodies"]
+    write_chambers = functions["write_chambers"]
+    move_sums = functions["move_sums"]
     AllBodies = structs["bodies"].batched
     bodies_of = structs["bodies"].select
     ChamberStates = structs["chambers"].batched
@@ -367,49 +314,156 @@ def _observation_kernel(structs: Mapping[str, WarpStruct]) -> Kernels:
         """Write the observation of each world into a row of `out`, and reset the accumulators."""
         i = wp.tid()
         body = bodies_of(bodies, i)
-        air = chambers_of(all_chambers, i)
         sums = accumulators_of(all_accumulators, i)
-        k = int(0)
-        for n in range(body.qpos.shape[0]):
-            out[i, k] = body.qpos[n]
-            k += 1
-        for n in range(body.qvel.shape[0]):
-            out[i, k] = body.qvel[n]
-            k += 1
-        for n in range(3):
-            out[i, k + n] = body.subtree_com[0, n]
-            out[i, k + 3 + n] = body.subtree_linvel[0, n]
-        k += 6
-        for c in range(at.connectors.shape[0]):
-            for n in range(3):
-                out[i, k + n] = body.xpos[at.connectors[c], n]
-            out[i, k + 3] = wp.atan2(
-                body.xmat[at.connectors[c], 3], body.xmat[at.connectors[c], 0]
-            )
-            k += 4
-        for j in range(air.linear.shape[0]):
-            for side in range(2):
-                out[i, k + side] = air.pressure[j, side]
-                out[i, k + 2 + side] = float(air.valves[j, side])
-            out[i, k + 4] = air.drawn[j]
-            out[i, k + 5] = air.bend[j]
-            out[i, k + 6] = air.bend_rate[j]
-            k += 7
-        for w in range(sums.force_sum.shape[0]):
-            for n in range(3):
-                out[i, k + n] = sums.force_sum[w, n]
-                sums.force_sum[w, n] = 0.0
-            k += 3
-        for w in range(sums.obstacle_sum.shape[0]):
-            for n in range(3):
-                out[i, k + n] = sums.obstacle_sum[w, n]
-                sums.obstacle_sum[w, n] = 0.0
-            k += 3
-        out[i, k] = float(energy_loss[i])
-        out[i, k + 1] = body.sensordata[at.kinetic_energy]
-        out[i, k + 2] = float(internal_loss[i])
+        row = out[i]
+        k = write_bodies(body, at, row)
+        k = write_chambers(chambers_of(all_chambers, i), row, k)
+        k = move_sums(sums.force_sum, row, k)
+        k = move_sums(sums.obstacle_sum, row, k)
+        row[k] = float(energy_loss[i])
+        row[k + 1] = body.sensordata[at.kinetic_energy]
+        row[k + 2] = float(internal_loss[i])
 
     return {"observe": observe}
+
+
+def advance_slot(law, air, state, j, before):  # type: ignore[no-untyped-def]
+    """Advance the chambers of segment j over a valve slot; return its bend at the end, rad."""
+    pressure = air.pressure[j]
+    content_before = filling_content(
+        state, pressure[0], pressure[1], before, law.space, AMBIENT_PA
+    )
+    plus, minus, x = advance_segment(
+        state,
+        law.kinds[j],
+        pressure,
+        air.linear[j],
+        law.asymptotes,
+        law.gain[j],
+        law.decay,
+        law.lag,
+        law.mode,
+    )
+    after, _, _ = apply_bend_law(x, law.law)
+    after += law.bias[j]
+    content = filling_content(state, plus, minus, after, law.space, AMBIENT_PA)
+    air.drawn[j] = air.drawn[j] + law.worth * (content - content_before)
+    pressure[0] = plus
+    pressure[1] = minus
+    air.linear[j] = x
+    for side in range(2):
+        if state[side] == 1 and air.valves[j, side] != 1:
+            air.openings[j, side] = air.openings[j, side] + 1
+        air.valves[j, side] = state[side]
+    return after
+
+
+def internal_power(air, at, qvel, damping):  # type: ignore[no-untyped-def]
+    """Return the power that the dampers of the segments dissipate, W (`internal_joints`)."""
+    power = float(0.0)
+    hinges = at.hinges.shape[1]
+    for j in range(at.hinges.shape[0]):
+        share = air.bend_rate[j] / float(hinges)
+        for n in range(hinges):
+            deviation = qvel[at.hinges[j, n]] - share
+            power += damping[at.hinges[j, n]] * deviation * deviation
+    for n in range(at.out_of_plane.shape[0]):
+        speed = qvel[at.out_of_plane[n]]
+        power += damping[at.out_of_plane[n]] * speed * speed
+    return power
+
+
+def preloaded_power(sums, at, sensors):  # type: ignore[no-untyped-def]
+    """Return the power that the floor takes, W, and read its force on the wheels of this step.
+
+    The force of the previous step acts with the velocity that the sensors report now.
+    """
+    power = float(0.0)
+    for w in range(at.floor_force.shape[0]):
+        for k in range(2):
+            power -= sums.step_force[w, k] * sensors[at.foot_velocity[w] + k]
+        for k in range(3):
+            sums.step_force[w, k] = sensors[at.floor_force[w] + k]
+    return power
+
+
+def external_power(at, sensors):  # type: ignore[no-untyped-def]
+    """Return the power that forces other than those on wheels take, W."""
+    power = float(0.0)
+    for w in range(at.external_force.shape[0]):
+        power -= sensors[at.external_force[w]] * sensors[at.external_velocity[w]]
+    return power
+
+
+def add_forces(sums, at, sensors):  # type: ignore[no-untyped-def]
+    """Add the forces of this step to the sums."""
+    for w in range(sums.step_force.shape[0]):
+        for k in range(3):
+            sums.force_sum[w, k] = sums.force_sum[w, k] + sums.step_force[w, k]
+    for w in range(at.obstacle_force.shape[0]):
+        for k in range(3):
+            force = sensors[at.obstacle_force[w] + k]
+            sums.obstacle_sum[w, k] = sums.obstacle_sum[w, k] + force
+
+
+def write_bodies(body, at, row):  # type: ignore[no-untyped-def]
+    """Write the state of the bodies into a row; return the next column."""
+    k = int(0)
+    for n in range(body.qpos.shape[0]):
+        row[k] = body.qpos[n]
+        k += 1
+    for n in range(body.qvel.shape[0]):
+        row[k] = body.qvel[n]
+        k += 1
+    for n in range(3):
+        row[k + n] = body.subtree_com[0, n]
+        row[k + 3 + n] = body.subtree_linvel[0, n]
+    k += 6
+    for c in range(at.connectors.shape[0]):
+        b = at.connectors[c]
+        for n in range(3):
+            row[k + n] = body.xpos[b, n]
+        row[k + 3] = wp.atan2(body.xmat[b, 3], body.xmat[b, 0])
+        k += 4
+    return k
+
+
+def write_chambers(air, row, begin):  # type: ignore[no-untyped-def]
+    """Write the state of the chambers into a row from a column on; return the next column."""
+    k = int(begin)
+    for j in range(air.linear.shape[0]):
+        for side in range(2):
+            row[k + side] = air.pressure[j, side]
+            row[k + 2 + side] = float(air.valves[j, side])
+        row[k + 4] = air.drawn[j]
+        row[k + 5] = air.bend[j]
+        row[k + 6] = air.bend_rate[j]
+        k += 7
+    return k
+
+
+def move_sums(sums, row, begin):  # type: ignore[no-untyped-def]
+    """Move sums of forces into a row from a column on, and reset them; return the next column."""
+    k = int(begin)
+    for w in range(sums.shape[0]):
+        for n in range(3):
+            row[k + n] = sums[w, n]
+            sums[w, n] = 0.0
+        k += 3
+    return k
+
+
+_PARTS = (
+    advance_slot,
+    internal_power,
+    preloaded_power,
+    external_power,
+    add_forces,
+    write_bodies,
+    write_chambers,
+    move_sums,
+)
+"""Functions that the kernels call; `as_warp_functions` translates them."""
 
 
 @wp.func
@@ -514,14 +568,11 @@ def _friction_kernels(
     ):
         """Apply the friction of the previous step."""
         i = wp.tid()
-        apply_stored_friction(
-            engine_of(engines, i),
-            contacts_of(contacts, i),
-            sparsity_of(sparsities, i),
-            state_of(states, i),
-            work_of(works, i),
-            H,
-        )
+        contact = contacts_of(contacts, i)
+        sparsity = sparsity_of(sparsities, i)
+        state = state_of(states, i)
+        work = work_of(works, i)
+        apply_stored_friction(engine_of(engines, i), contact, sparsity, state, work, H)
 
     @wp.kernel(**_OPTIONS)
     def finish_step(

@@ -3,8 +3,8 @@
 Warp needs argument types, the Warp versions of called functions under their names, and
 single precision. A function that uses only the common subset of both compilers is
 copied with these; its tolerances are replaced by those of single precision. A record, a
-named tuple of arrays and numbers, becomes a Warp struct of one world and one of all
-worlds.
+named tuple of arrays, numbers and further records, becomes a Warp struct of one world
+and one of all worlds.
 """
 
 from __future__ import annotations
@@ -18,14 +18,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import warp as wp
 
-from srs_twin.plants.twin import friction_solve, stick_slip
+from srs_twin.plants.twin import friction_solve, spatial_algebra, stick_slip
 from srs_twin.pneumatics import chambers, lag
 
 _TOLERANCES = {
     "_RIM_TOLERANCE": 1e-6,  # relative, of the rim speed (`stick_slip`)
-    "_ABSOLUTE_TOLERANCE": (
-        1e-15
-    ),  # (kg·m/s)², of the squared residual (`friction_solve`)
+    # (kg·m/s)², of the squared residual (`friction_solve`)
+    "_ABSOLUTE_TOLERANCE": 1e-15,
 }
 """Module constants in the translated functions → their values in single precision."""
 
@@ -39,7 +38,7 @@ def as_warp_functions(
         functions: functions compiled by numba, callees before their callers.
         **translated: Warp functions that the functions call, by name.
     """
-    namespace: dict[str, Any] = _TOLERANCES | translated
+    namespace: dict[str, Any] = _TOLERANCES | {"Traction": _TRACTION} | translated
     for function in functions:
         plain = getattr(function, "py_func", function)
         copy = FunctionType(
@@ -52,30 +51,45 @@ def as_warp_functions(
     return namespace
 
 
-_FRICTION_SOLVE = (
-    "_clear",
-    "_add_product",
+_SPATIAL_ALGEBRA = (
+    "clear",
+    "add_product",
     "dot",
+    "inner",
     "point_jacobian",
+    "spatial_velocities",
+    "project",
+    "project_slopes",
+    "factor",
+    "substitute",
+)
+"""Functions of `spatial_algebra`."""
+
+_FRICTION_SOLVE = (
+    "solve_direction_portably",
     "_locate_wheels",
     "_read_normal_forces",
-    "_spatial_velocities",
-    "_project",
     "_generalised_forces",
     "_contact_velocity",
     "_friction_load",
     "_evaluation_fraction",
     "_friction_law",
+    "_evaluate_friction",
+    "_sum_impulses",
     "_evaluate_residual",
     "_assemble",
     "_line_search",
+)
+"""Functions of `friction_solve`, ordered so that callees come before their callers."""
+
+_FRICTION_STEP = (
     "_newton",
     "apply_stored_friction",
     "set_mid_velocity",
     "solve_friction",
     "store_friction",
 )
-"""Functions of `friction_solve`, ordered so that callees come before their callers."""
+"""Functions of `friction_solve` that call the solution for Newton's direction, in the same order."""
 
 _OBJECT_FUNCTIONS = (
     "apply_object_friction",
@@ -94,32 +108,28 @@ def _no_objects(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
 
 def warp_functions() -> dict[str, Any]:
     """Return the Warp versions of the chamber laws, friction laws and friction solve, by name."""
-    laws: list[Any] = [
-        stick_slip.stick_slip_friction,
-        stick_slip.skin_friction,
-        stick_slip.rolling_friction,
-    ]
-    functions = as_warp_functions([*laws, chambers.volume, chambers._log_cosh])
-    chamber_laws: list[Any] = [
-        chambers.apply_bend_law,
-        lag.advance_segment,
-        lag.filling_content,
-    ]
-    functions = as_warp_functions(chamber_laws, **functions)
-    linear_algebra = [
-        friction_solve._factor,
-        friction_solve._substitute,
-        friction_solve.solve_direction_portably,
-    ]
-    functions = as_warp_functions(linear_algebra, **functions)
-    functions |= dict.fromkeys(
-        _OBJECT_FUNCTIONS, as_warp_functions([_no_objects])["_no_objects"]
+    functions = as_warp_functions(
+        [
+            stick_slip.stick_slip_friction,
+            stick_slip.skin_friction,
+            stick_slip.rolling_friction,
+            stick_slip.axis_friction,
+            chambers.volume,
+            chambers._log_cosh,
+            chambers.apply_bend_law,
+            lag.advance_segment,
+            lag.filling_content,
+            *(getattr(spatial_algebra, name) for name in _SPATIAL_ALGEBRA),
+        ]
     )
+    no_objects = as_warp_functions([_no_objects])["_no_objects"]
+    functions |= dict.fromkeys(_OBJECT_FUNCTIONS, no_objects)
+    solve = [getattr(friction_solve, name) for name in _FRICTION_SOLVE]
+    functions = as_warp_functions(solve, **functions)
     # The CPU version calls the engine's C functions.
     functions["_solve_direction"] = functions["solve_direction_portably"]
-    return as_warp_functions(
-        [getattr(friction_solve, name) for name in _FRICTION_SOLVE], **functions
-    )
+    step = [getattr(friction_solve, name) for name in _FRICTION_STEP]
+    return as_warp_functions(step, **functions)
 
 
 class WarpStruct(NamedTuple):
@@ -130,61 +140,60 @@ class WarpStruct(NamedTuple):
         batched: struct of all worlds; its fields have a leading axis of worlds.
         select: Warp function that maps a batched struct and an index to the struct of
             that world.
+        inner: Warp versions of the fields that are records themselves, by name.
     """
 
     single: Any
     batched: Any
     select: Any
+    inner: Mapping[str, WarpStruct]
 
 
 def warp_struct(example: Any, without: Sequence[str] = ()) -> WarpStruct:
     """Return the Warp versions of a record.
 
     Args:
-        example: record of one world, a named tuple.
+        example: record of one world, a named tuple of arrays, numbers and records.
         without: fields that are left out.
     """
-    kind = type(example)
-    names = [name for name in example._fields if name not in without]
-    shapes = {name: _type_and_ndim(getattr(example, name)) for name in names}
-    single, batched = (
-        wp.struct(
-            type(
-                f"{kind.__name__}{suffix}",
-                (),
-                {"__annotations__": fields, "__module__": __name__},
-            )
-        )
-        for suffix, fields in (
-            (
-                "Single",
-                {
-                    name: wp.array(dtype=t, ndim=d) if d else t
-                    for name, (t, d) in shapes.items()
-                },
-            ),
-            (
-                "Batched",
-                {
-                    name: wp.array(dtype=t, ndim=d + 1)
-                    for name, (t, d) in shapes.items()
-                },
-            ),
-        )
-    )
+    kind = type(example).__name__
+    inner: dict[str, WarpStruct] = {}
+    single: dict[str, Any] = {}
+    batched: dict[str, Any] = {}
     lines = [
-        f"def select_{kind.__name__}(batched: Batched, i: int):",
+        f"def select_{kind}(batched: Batched, i: int):",
         "    single = Single()",
     ]
-    lines += [f"    single.{name} = batched.{name}[i]" for name in names] + [
-        "    return single"
-    ]
-    source = "\n".join(lines) + "\n"
-    return WarpStruct(
-        single,
-        batched,
-        _function_from_source(source, {"Single": single, "Batched": batched}),
-    )
+    for name in example._fields:
+        value = getattr(example, name)
+        if name in without:
+            continue
+        if hasattr(value, "_fields"):
+            inner[name] = warp_struct(value)
+            single[name] = inner[name].single
+            batched[name] = inner[name].batched
+            lines.append(f"    single.{name} = select_{name}(batched.{name}, i)")
+            continue
+        scalar, axes = _type_and_ndim(value)
+        single[name] = wp.array(dtype=scalar, ndim=axes) if axes else scalar
+        batched[name] = wp.array(dtype=scalar, ndim=axes + 1)
+        lines.append(f"    single.{name} = batched.{name}[i]")
+    lines.append("    return single")
+    names = {f"select_{name}": part.select for name, part in inner.items()}
+    names["Single"] = _struct(f"{kind}Single", single)
+    names["Batched"] = _struct(f"{kind}Batched", batched)
+    select = _function_from_source("\n".join(lines) + "\n", names)
+    return WarpStruct(names["Single"], names["Batched"], select, inner)
+
+
+def _struct(name: str, fields: Mapping[str, Any]) -> Any:
+    """Return a Warp struct with fields of given types."""
+    members = {"__annotations__": dict(fields), "__module__": __name__}
+    return wp.struct(type(name, (), members))
+
+
+_TRACTION = _struct("Traction", dict.fromkeys(stick_slip.Traction._fields, float))
+"""Warp version of `stick_slip.Traction`."""
 
 
 def stack_records(struct: WarpStruct, records: Sequence[Any], device: Any) -> Any:
@@ -192,13 +201,23 @@ def stack_records(struct: WarpStruct, records: Sequence[Any], device: Any) -> An
     batched = struct.batched()
     for name in records[0]._fields:
         values = [getattr(record, name) for record in records]
-        rows = np.stack([np.asarray(value) for value in values])
-        setattr(
-            batched,
-            name,
-            wp.array(rows, dtype=_type_and_ndim(values[0])[0], device=device),
-        )
+        if name in struct.inner:
+            stacked = stack_records(struct.inner[name], values, device)
+        else:
+            rows = np.stack([np.asarray(value) for value in values])
+            scalar, _ = _type_and_ndim(values[0])
+            stacked = wp.array(rows, dtype=scalar, device=device)
+        setattr(batched, name, stacked)
     return batched
+
+
+def single_record(struct: WarpStruct, record: Any) -> Any:
+    """Return a record of integers and arrays of integers as the struct of one world."""
+    single = struct.single()
+    for name, value in record._asdict().items():
+        is_array = isinstance(value, np.ndarray)
+        setattr(single, name, wp.array(value, dtype=int) if is_array else value)
+    return single
 
 
 def _type_and_ndim(value: Any) -> tuple[type, int]:

@@ -98,5 +98,7 @@ def test_planar_robots_and_single_hinges_are_refused():
     ):
         TwinSnake(spec, hinges_per_segment=1)
     planar = load_robot("skin_example")
-    with pytest.raises(InputError, match="segments of planar ones keep their length"):
+    with pytest.raises(
+        InputError, match="segments of a planar robot keep their length"
+    ):
         replace(planar, actuator=replace(planar.actuator, extension=1e-7))

@@ -28,7 +28,6 @@ from srs_twin import (
     InputError,
     Job,
     LoadedContact,
-    Numerics,
     PreloadedContact,
     TwinBatch,
     TwinSnake,
@@ -37,7 +36,11 @@ from srs_twin import (
 )
 from srs_twin.plants.twin.friction_solve import _friction_law
 from srs_twin.plants.twin.mjcf.numerics import LAWS_ON_LOADS
-from srs_twin.plants.twin.stick_slip import rolling_friction, stick_slip_friction
+from srs_twin.plants.twin.stick_slip import (
+    FloorLaw,
+    rolling_friction,
+    stick_slip_friction,
+)
 from srs_twin.robot import friction
 from srs_twin.robot.friction import ellipse, wheel
 from srs_twin.robot.spec import Friction, Tail
@@ -46,6 +49,17 @@ SPEC = robot()
 LOAD = 0.3
 SPEED = st.floats(-1, 1, allow_subnormal=False)
 MU = st.floats(0.01, 1.0)
+
+
+def wheel_law(mu_t: float, mu_n: float, slip: float) -> FloorLaw:
+    return FloorLaw(
+        kind=LAWS_ON_LOADS.index("wheel"),
+        forward=mu_t,
+        across=mu_n,
+        slip_speed=slip,
+        spin_mass=1e-12,
+        backward=mu_t,
+    )
 
 
 @given(v_t=SPEED, v_n=SPEED, mu_t=MU, mu_n=MU, at=st.floats(0, 6.3))
@@ -70,18 +84,15 @@ def test_fast_contact_follows_the_ellipse_and_resting_contact_keeps_its_force(
 @given(v_t=SPEED, v_n=SPEED, rim=SPEED, mu_t=MU, mu_n=MU, lag=st.floats(1e-3, 10), p=MU)
 def test_rim_speed_balances_contact_and_axle(v_t, v_n, rim, mu_t, mu_n, lag, p):
     push = (p * LOAD, -p * LOAD)
-    f_t, f_n, _, _, _, w = rolling_friction(
-        v_t, v_n, LOAD, mu_t, mu_n, 1e-3, *push, rim, lag
-    )
+    law = wheel_law(mu_t, mu_n, 1e-3)
+    (f_t, f_n, *_), w = rolling_friction(v_t, v_n, LOAD, law, *push, rim, lag)
     assert math.hypot(f_t, f_n) <= mu_n * LOAD * (1 + 1e-12)
     drag = -f_t - lag * (w - rim)  # what the axle takes
     assert abs(drag) <= mu_t * LOAD * (1 + 1e-6)
     if w != 0:
         assert drag == pytest.approx(math.copysign(mu_t * LOAD, w), rel=1e-6)
     # With a rim at rest and no force from before friction only takes power.
-    f_t, f_n, *_ = rolling_friction(
-        v_t, v_n, LOAD, mu_t, mu_n, 1e-3, 0.0, 0.0, 0.0, lag
-    )
+    (f_t, f_n, *_), _ = rolling_friction(v_t, v_n, LOAD, law, 0.0, 0.0, 0.0, lag)
     assert f_t * v_t + f_n * v_n <= 1e-15
 
 
@@ -90,10 +101,9 @@ def test_wheel_without_inertia_follows_the_wheel_law(v_t, v_n, mu_n, share):
     assume(abs(v_n) > 1e-3 and abs(v_t) > 1e-3)
     slip = 1e-6
     expected = wheel(v_t, v_n, LOAD, share * mu_n, mu_n, slip)[:2]
-    actual = rolling_friction(
-        v_t, v_n, LOAD, share * mu_n, mu_n, slip, 0.0, 0.0, 0.0, 1e-12
-    )[:2]
-    assert actual == pytest.approx(expected, abs=1e-4 * LOAD)
+    law = wheel_law(share * mu_n, mu_n, slip)
+    traction, _ = rolling_friction(v_t, v_n, LOAD, law, 0.0, 0.0, 0.0, 1e-12)
+    assert traction[:2] == pytest.approx(expected, abs=1e-4 * LOAD)
 
 
 @pytest.mark.parametrize("law", LAWS_ON_LOADS)
@@ -106,13 +116,12 @@ def test_sliding_contact_follows_the_law_of_its_name(law, v_t, v_n, mu_n, share)
     expected = getattr(friction, law)(v_t, v_n, LOAD, mu_t, mu_n, slip)[:2]
     contact = SimpleNamespace(
         wheels=1,
-        law=LAWS_ON_LOADS.index(law),
-        coefficients=(mu_t, mu_n, slip, 1e-12, mu_t),
+        floor=wheel_law(mu_t, mu_n, slip)._replace(kind=LAWS_ON_LOADS.index(law)),
     )
-    actual = _friction_law.py_func(
+    traction, _ = _friction_law.py_func(
         contact, 0, v_t, v_n, LOAD, (0.0, 0.0, 0.0), 0.0, 1.0
-    )[:2]
-    assert actual == pytest.approx(expected, abs=1e-4 * LOAD)
+    )
+    assert traction[:2] == pytest.approx(expected, abs=1e-4 * LOAD)
 
 
 @pytest.mark.parametrize("slip", [1e-2, 10.0])  # slides; sticks
@@ -122,16 +131,16 @@ def test_rolling_friction_slopes_match_finite_differences(seed, slip):
         [-1, -1, -1, 0.01, 0.1, -0.1, -0.1], [1, 1, 1, 0.1, 1, 0.1, 0.1]
     )
     step = 1e-7
-    arguments = (LOAD, mu_t, mu_n, slip, p_t, p_n, rim, 0.5)
-    _, _, tt, tn, nn, _ = rolling_friction(v_t, v_n, *arguments)
-    ahead = rolling_friction(v_t + step, v_n, *arguments)
-    behind = rolling_friction(v_t - step, v_n, *arguments)
-    left = rolling_friction(v_t, v_n + step, *arguments)
-    right = rolling_friction(v_t, v_n - step, *arguments)
+    arguments = (LOAD, wheel_law(mu_t, mu_n, slip), p_t, p_n, rim, 0.5)
+    here, _ = rolling_friction(v_t, v_n, *arguments)
+    ahead, _ = rolling_friction(v_t + step, v_n, *arguments)
+    behind, _ = rolling_friction(v_t - step, v_n, *arguments)
+    left, _ = rolling_friction(v_t, v_n + step, *arguments)
+    right, _ = rolling_friction(v_t, v_n - step, *arguments)
     found = [(ahead[k] - behind[k]) / (2 * step) for k in (0, 1)] + [
         (left[1] - right[1]) / (2 * step)
     ]
-    assert found == pytest.approx([tt, tn, nn], rel=1e-4, abs=1e-6)
+    assert found == pytest.approx(here[2:], rel=1e-4, abs=1e-6)
 
 
 def assert_close(twin: Result, speed: float, yaw_rate: float, drift: float) -> None:
@@ -308,6 +317,7 @@ def test_runs_are_reproducible_across_processes():
     [
         ({"contact": "lose"}, "did you mean"),
         ({"contact": "preload"}, "did you mean preloaded"),
+        ({"contact": None}, "contact None is not allowed; it must be a LoadedContact"),
     ],
 )
 def test_unknown_contact_raises(given, words):
@@ -331,65 +341,3 @@ def test_contact_rejects_unknown_options():
             make()
     with pytest.raises(TypeError):
         LoadedContact(preload=3.0)
-
-
-@pytest.mark.parametrize(
-    ("former", "contact", "numerics"),
-    [
-        (
-            {"friction": "ellipse", "load": "static"},
-            LoadedContact("ellipse", "static"),
-            Numerics(),
-        ),
-        ({"wheels": "skid"}, LoadedContact("ellipse"), Numerics()),
-        (
-            {"contact": "preloaded", "wheels": "skid", "preload": 3.0},
-            PreloadedContact("skid", 3.0),
-            Numerics(),
-        ),
-        (
-            {"wheel_spin": 0.0, "slip_speed": 2e-3},
-            LoadedContact(slip_speed=2e-3),
-            Numerics(wheel_spin=0.0),
-        ),
-        ({"axle_time": 0.001, "slip_time": 0.001}, LoadedContact(), Numerics()),
-    ],
-)
-def test_deprecated_keywords_work_and_warn(former, contact, numerics):
-    with pytest.warns(
-        DeprecationWarning, match="of TwinSnake are deprecated; pass contact="
-    ):
-        twin = TwinSnake(SPEC, **former)
-    assert (twin.contact, twin._settings.numerics) == (contact, numerics)
-
-
-def test_deprecated_attributes_work_and_warn():
-    twin = TwinSnake(SPEC)
-    contact = PreloadedContact(preload=3.0)
-    with pytest.warns(DeprecationWarning, match="use Plant.max_chunk_s"):
-        assert twin.stretch == twin.max_chunk_s
-    with pytest.warns(DeprecationWarning, match="use preload_ratio"):
-        assert contact.pressed == contact.preload_ratio == 3.0
-    with pytest.warns(DeprecationWarning, match="use Plant.max_chunk_s"):
-        cautious = type("Cautious", (TwinSnake,), {"stretch": 0.1})
-    assert cautious(SPEC).max_chunk_s == 0.1
-
-
-def test_deprecated_keywords_are_checked_as_before():
-    with pytest.raises(TypeError, match="'wheel'"):
-        TwinSnake(SPEC, wheel="skid")
-    for former, words in (
-        ({"preload": 3.0}, "preload is not allowed with contact 'loaded'"),
-        (
-            {"contact": "preloaded", "load": "static"},
-            "load is not allowed with contact 'preloaded'",
-        ),
-        (
-            {"contact": "preloaded", "friction": "wheel"},
-            "friction is not allowed with contact 'preloaded'",
-        ),
-        ({"wheels": "round"}, "wheels 'round' is unknown"),
-        ({"contact": None}, "contact None is not allowed; it must be a LoadedContact"),
-    ):
-        with pytest.raises(InputError, match=words):
-            TwinSnake(SPEC, **former)

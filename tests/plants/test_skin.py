@@ -22,7 +22,7 @@ from srs_twin.plants.twin.mjcf.numerics import (
     PreloadedContact,
 )
 from srs_twin.plants.twin.snake import TwinSnake
-from srs_twin.plants.twin.stick_slip import skin_friction
+from srs_twin.plants.twin.stick_slip import FloorLaw, skin_friction
 from srs_twin.robot import friction
 from srs_twin.robot.file import load_robot
 from srs_twin.robot.spec import RobotSpec, Skin
@@ -92,13 +92,19 @@ def test_cells_divide_the_arc_and_leave_the_gap_straight():
     assert division.total(division.split(q)) == pytest.approx(q)
 
 
+def floor_law(slip: float) -> FloorLaw:
+    return FloorLaw(
+        kind=0, forward=0.1, across=0.5, slip_speed=slip, spin_mass=0.0, backward=0.15
+    )
+
+
 @LAWS
 def test_sliding_skin_of_the_twin_follows_the_law(law):
     rng = np.random.default_rng(1)
     for v_t, v_n in rng.normal(size=(50, 2)):
         mu = 0.1 if v_t > 0 else 0.15
         slipping = skin_friction(
-            v_t, v_n, 2.0, 0.1, 0.15, 0.5, 1e-9, 0.0, 0.0, law == "cosine"
+            v_t, v_n, 2.0, floor_law(1e-9), 0.0, 0.0, law == "cosine"
         )
         assert slipping[:2] == pytest.approx(
             getattr(friction, law)(v_t, v_n, 2.0, mu, 0.5, 1e-12)[:2], rel=1e-6
@@ -112,15 +118,11 @@ def test_slopes_of_the_skin_of_the_twin_match_finite_differences(law):
     for _ in range(50):
         v = rng.normal(scale=slip, size=2)
         p = rng.normal(scale=0.2, size=2)
-        values = skin_friction(*v, 2.0, 0.1, 0.15, 0.5, slip, *p, law == "cosine")
+        values = skin_friction(*v, 2.0, floor_law(slip), *p, law == "cosine")
         for k in range(2):
             h = np.eye(2)[k] * 1e-6 * slip
-            ahead = skin_friction(
-                *(v + h), 2.0, 0.1, 0.15, 0.5, slip, *p, law == "cosine"
-            )
-            behind = skin_friction(
-                *(v - h), 2.0, 0.1, 0.15, 0.5, slip, *p, law == "cosine"
-            )
+            ahead = skin_friction(*(v + h), 2.0, floor_law(slip), *p, law == "cosine")
+            behind = skin_friction(*(v - h), 2.0, floor_law(slip), *p, law == "cosine")
             slopes = (np.array(ahead[:2]) - behind[:2]) / (2e-6 * slip)
             assert [values[2 + k], values[4 + k]] == pytest.approx(
                 list(slopes), rel=1e-4, abs=1e-3

@@ -17,7 +17,6 @@ import srs_twin.envs  # noqa: F401
 from srs_twin import Gait, InputError, TwinBatch, TwinSnake, load_robot, run_scripts
 from srs_twin.compute.workers import TaskResult
 from srs_twin.errors import EngineWarning
-from srs_twin.plants.twin.stick_slip import rolling_friction, stick_slip_friction
 from srs_twin.robot.world import Circle, World
 from srs_twin.studies.sweep.execution import local, on_device
 from srs_twin.studies.sweep.loading import load_sweep
@@ -48,64 +47,6 @@ def both(specs, gaits, seconds, **settings):
         batch = TwinBatch(specs, **settings, **more)
         result.append(run_scripts(batch, [Gait(*item) for item in gaits], seconds))
     return result
-
-
-def test_friction_laws_agree_in_warp():
-    from srs_twin.warp.translation import as_warp_functions
-
-    laws = as_warp_functions([stick_slip_friction, rolling_friction])
-    wheel = laws["rolling_friction"]
-
-    @wp.kernel(enable_backward=False)
-    def each(inputs: wp.array2d(dtype=float), out: wp.array2d(dtype=float)):
-        i = wp.tid()
-        a, b, c, d, e, f = wheel(
-            inputs[i, 0],
-            inputs[i, 1],
-            inputs[i, 2],
-            inputs[i, 3],
-            inputs[i, 4],
-            0.001,
-            inputs[i, 5],
-            inputs[i, 6],
-            inputs[i, 7],
-            inputs[i, 8],
-        )
-        out[i, 0] = a
-        out[i, 1] = b
-        out[i, 2] = c
-        out[i, 3] = d
-        out[i, 4] = e
-        out[i, 5] = f
-
-    rng = np.random.default_rng(3)
-    speed = rng.normal(scale=0.1, size=(200, 2))
-    load = rng.uniform(0, 1, size=(200, 1))
-    mu = np.sort(rng.uniform(0.01, 0.5, size=(200, 2)), axis=1)
-    push = rng.normal(scale=0.05, size=(200, 2))
-    inputs = np.hstack(
-        [
-            speed,
-            load,
-            mu,
-            push,
-            rng.normal(scale=0.1, size=(200, 1)),
-            rng.uniform(0.1, 9, (200, 1)),
-        ]
-    )
-    out = wp.zeros((200, 6), dtype=float, device="cpu")
-    wp.launch(
-        each,
-        dim=200,
-        inputs=[wp.array(inputs, dtype=float, device="cpu"), out],
-        device="cpu",
-    )
-    on_cpu = np.array([rolling_friction(*row[:5], 0.001, *row[5:]) for row in inputs])
-    scale = np.abs(on_cpu).max(axis=0)
-    assert np.abs(out.numpy() - on_cpu).max(axis=0) == pytest.approx(
-        0 * scale, abs=1e-3 * scale.max()
-    )
-    assert np.abs(out.numpy() - on_cpu)[:, :2].max() < 1e-5
 
 
 def waves(gaits, slot, slots, steps):

@@ -10,6 +10,8 @@ import pytest
 from srs_twin.plants.twin.friction_solve import _friction_law
 from srs_twin.plants.twin.mjcf.numerics import LAWS_ON_LOADS
 from srs_twin.plants.twin.stick_slip import (
+    FloorLaw,
+    axis_friction,
     rolling_friction,
     skin_friction,
     stick_slip_friction,
@@ -26,19 +28,26 @@ CONTACTS = 60
 
 
 class Constants(NamedTuple):
-    """Constants of the contacts that the law reads, as in `friction_solve.ContactConstants`."""
+    """Constants of the contacts that the law reads, as in `friction_solve.Contacts`."""
 
     wheels: int
-    law: int
-    coefficients: np.ndarray
+    floor: FloorLaw
+    obstacle_friction: float
 
 
 @pytest.fixture(scope="module")
 def evaluated():
     """Return a function that evaluates the law in Warp for constants, states and previous forces."""
-    struct = warp_struct(Constants(1, 0, np.zeros(6)))
+    floor = FloorLaw(0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    struct = warp_struct(Constants(1, floor, 0.0))
     laws = as_warp_functions(
-        [stick_slip_friction, skin_friction, rolling_friction, _friction_law]
+        [
+            stick_slip_friction,
+            skin_friction,
+            rolling_friction,
+            axis_friction,
+            _friction_law,
+        ]
     )
     law = laws["_friction_law"]
     All = struct.batched
@@ -52,7 +61,7 @@ def evaluated():
         out: wp.array2d(dtype=float),
     ):
         i = wp.tid()
-        f_t, f_n, tt, tn, nn, rim = law(
+        traction, rim = law(
             select(constants, i),
             0,
             state[i, 0],
@@ -62,11 +71,11 @@ def evaluated():
             state[i, 3],
             state[i, 4],
         )
-        out[i, 0] = f_t
-        out[i, 1] = f_n
-        out[i, 2] = tt
-        out[i, 3] = tn
-        out[i, 4] = nn
+        out[i, 0] = traction.along
+        out[i, 1] = traction.across
+        out[i, 2] = traction.slope_along
+        out[i, 3] = traction.slope_mixed
+        out[i, 4] = traction.slope_across
         out[i, 5] = rim
 
     def evaluate(constants, state, force):
@@ -98,18 +107,24 @@ def test_every_law_of_the_twin_agrees_in_warp(evaluated, law, skin):
     mu = np.sort(rng.uniform(0.01, 0.5, size=(CONTACTS, 2)), axis=1)
     constants = [
         Constants(
-            1,
-            LAWS_ON_LOADS.index(law),
-            np.array([t, n, 1e-3, 1e-3, 1.5 * t if skin else t, 0.3]),
+            wheels=1,
+            floor=FloorLaw(
+                kind=LAWS_ON_LOADS.index(law),
+                forward=t,
+                across=n,
+                slip_speed=1e-3,
+                spin_mass=1e-3,
+                backward=1.5 * t if skin else t,
+            ),
+            obstacle_friction=0.3,
         )
         for t, n in mu
     ]
-    expected = np.array(
-        [
-            _friction_law.py_func(given, 0, *row[:3], previous, *row[3:])
-            for given, row, previous in zip(constants, state, force, strict=True)
-        ]
-    )
+    expected = []
+    for given, row, previous in zip(constants, state, force, strict=True):
+        traction, rim = _friction_law.py_func(given, 0, *row[:3], previous, *row[3:])
+        expected.append([*traction, rim])
+    expected = np.array(expected)
     error = np.abs(evaluated(constants, state, force) - expected).max(axis=0)
     assert (np.abs(expected[:, 2]) > 100).any() and (
         np.abs(expected[:, 2]) < 10

@@ -52,23 +52,29 @@ import llvmlite.binding as llvm
 import mujoco
 import numpy as np
 import scipy.linalg
-from numba import types
 
 from srs_twin.compute.arrays import one_blas_thread
 from srs_twin.compute.compiled import compiled, kernel_only
 from srs_twin.errors import InputError
 from srs_twin.io.saved_state import Stateful
+from srs_twin.plants.twin.engine import (
+    EngineData,
+    StepInputs,
+    mj_comVel,
+    mj_forwardSkip,
+    mj_integratePos,
+    mj_rne,
+    mj_step1,
+)
 from srs_twin.plants.twin.friction_solve import (
     Contacts,
     ContactState,
-    EngineData,
-    Sparsity,
     Workspace,
     apply_stored_friction,
-    c_function,
     set_mid_velocity,
     solve_friction,
     store_friction,
+    workspace,
 )
 from srs_twin.plants.twin.mjcf import surroundings
 from srs_twin.plants.twin.mjcf.numerics import (
@@ -88,29 +94,46 @@ from srs_twin.plants.twin.object_contacts import (
     object_contacts,
     store_object_friction,
 )
+from srs_twin.plants.twin.spatial_algebra import Sparsity, inner
+from srs_twin.plants.twin.stick_slip import FloorLaw
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import MovableObject
 
-_SKIP_TO_FORCES = int(
-    mujoco.mjtStage.mjSTAGE_VEL
-)  # positions and velocities are already evaluated
-_SINKING_TIME = (
-    0.05  # after which a snake at rest has sunk into the floor, at a time unit of 1, s
-)
-_MIN_DECAY = 1e-9  # of a mode over one step, 1; smaller values are rounding errors of undamped motions
+_SKIP_TO_FORCES = int(mujoco.mjtStage.mjSTAGE_VEL)
+"""Stage up to which everything is already evaluated: positions and velocities."""
 
-mj_step1 = c_function("mj_step1")
-mj_comVel = c_function("mj_comVel")
-mj_forwardSkip = c_function("mj_forwardSkip", types.int32, types.int32)
-mj_rne = c_function("mj_rne", types.int32, types.intp)
-mj_integratePos = c_function("mj_integratePos", types.intp, types.float64)
+_SINKING_TIME = 0.05
+"""Time after which a snake at rest has sunk into the floor, at a time unit of 1, s."""
+
+_MIN_DECAY = 1e-9
+"""Smallest decay of a mode over one step, 1; below it there are only rounding errors of undamped motions."""
 
 
-class StepInputs(NamedTuple):
-    """Views of the engine's data that only the loop writes, named as in MjData."""
+class StepRecords(NamedTuple):
+    """Records of the friction solve (`friction_solve`), with the time step h, s."""
 
-    ctrl: np.ndarray
-    qacc_warmstart: np.ndarray
+    contacts: Contacts
+    sparsity: Sparsity
+    state: ContactState
+    work: Workspace
+    h: float
+
+
+class StepOutputs(NamedTuple):
+    """Results of steps, one row per step; see `LoadedStepper.run`.
+
+    Attributes:
+        force: force on each contact in the world frame, for a hull friction only, shape
+            (steps, C, 3), N.
+        pair_force: friction of each pair of an object and a hull, shape (steps, pairs,
+            3), N.
+    """
+
+    states: np.ndarray
+    sensors: np.ndarray
+    force: np.ndarray
+    power: np.ndarray
+    pair_force: np.ndarray
 
 
 class LoadedStepper(Stateful):
@@ -152,34 +175,23 @@ class LoadedStepper(Stateful):
             str(next(Path(mujoco.__file__).parent.glob("libmujoco*")))
         )
         self._contacts, self._sparsity = _constants(model, spec, settings, air)
+        wheels = self._contacts.wheels
+        self._objects = object_contacts(
+            model,
+            objects,
+            slip=self._contacts.floor.slip_speed,
+            hull_admittance=self._contacts.admittance[wheels:],
+        )
         views = (getattr(data, name) for name in EngineData._fields[3:])
-        hull_admittance = self._contacts.admittance[self._contacts.wheels :]
-        slip = self._contacts.coefficients[2]
-        self._objects = object_contacts(model, objects, slip, hull_admittance)
         pairs = self._objects if objects else None
         self._engine = EngineData(model._address, data._address, pairs, *views)
         self._inputs = StepInputs(data.ctrl, data.qacc_warmstart)
-        self._model, self._data = (
-            model,
-            data,
-        )  # keep references: the kernels hold only addresses
+        # Keep references: the kernels hold only addresses.
+        self._model = model
+        self._data = data
         self._h = settings.timestep
-        nv = model.nv
         self._sinking_time = _SINKING_TIME * spec.scale.time
-        count = len(self._contacts.body)
-        entries = len(data.M)
-        # In the order of the fields of `Workspace`.
-        shapes = [
-            (count, 4, 6),
-            (count, 2),
-            (count, 8),
-            (count,),
-            (count,),
-            *[(nv, 6)] * 4,
-            (nv, 6, 6),
-        ]
-        shapes += [(entries,)] * 2 + [(nv,)] * 7
-        self._work = Workspace(*map(np.zeros, shapes))._replace(newton_matrix=data.M)
+        self._work = workspace(len(self._contacts.body), model.nv, data.M)
         self._reset_contact_state()
 
     def __reduce_ex__(self, protocol: SupportsIndex) -> NoReturn:
@@ -247,15 +259,8 @@ class LoadedStepper(Stateful):
         contacts = self._contacts
         gravity = model.opt.gravity.copy()
         solid = model.geom_contype.copy()
-        self._contacts = contacts._replace(
-            coefficients=(
-                0.0,
-                0.0,
-                *contacts.coefficients[2:4],
-                0.0,
-                contacts.coefficients[5],
-            )
-        )
+        no_friction = contacts.floor._replace(forward=0.0, backward=0.0, across=0.0)
+        self._contacts = contacts._replace(floor=no_friction)
         model.opt.gravity[:2] = 0.0
         model.geom_contype[:] = 0
         self._reset_contact_state()
@@ -311,28 +316,26 @@ class LoadedStepper(Stateful):
         data = self._data
         steps = len(controls)
         wheels = self._contacts.wheels
-        states = np.full((steps, 1 + model.nq + model.nv), np.nan)
-        sensors = np.zeros((steps, model.nsensordata))
-        force = np.zeros((steps, len(self._contacts.static_load), 3))
-        power = np.zeros(steps)
-        pairs = np.zeros((steps, self._objects.pairs, 3))
-        out = states, sensors, force, power, pairs
-        friction = (
-            self._contacts,
-            self._sparsity,
-            self.contact_state,
-            self._work,
-            self._h,
+        count = len(self._contacts.body)
+        out = StepOutputs(
+            states=np.full((steps, 1 + model.nq + model.nv), np.nan),
+            sensors=np.zeros((steps, model.nsensordata)),
+            force=np.zeros((steps, count, 3)),
+            power=np.zeros(steps),
+            pair_force=np.zeros((steps, self._objects.pairs, 3)),
         )
-        _run(self._inputs, self._engine, *friction, controls, out)
-        states[:, 0] = data.time + self._h * np.arange(1, steps + 1)
+        records = StepRecords(
+            self._contacts, self._sparsity, self.contact_state, self._work, self._h
+        )
+        _run(self._inputs, self._engine, records, controls, out)
+        out.states[:, 0] = data.time + self._h * np.arange(1, steps + 1)
         data.time += self._h * steps
-        hulls = force[:, None, wheels:]
-        if pairs.size:
-            hulls = np.concatenate(
-                [hulls, pairs.reshape(steps, -1, *hulls.shape[2:])], axis=1
-            )
-        return states, sensors, force[:, :wheels].reshape(steps, -1, 2, 3), power, hulls
+        floor = out.force[:, :wheels].reshape(steps, -1, 2, 3)
+        hulls = out.force[:, None, wheels:]
+        if out.pair_force.size:
+            on_hulls = out.pair_force.reshape(steps, -1, *hulls.shape[2:])
+            hulls = np.concatenate([hulls, on_hulls], axis=1)
+        return out.states, out.sensors, floor, out.power, hulls
 
 
 def _constants(
@@ -342,54 +345,17 @@ def _constants(
     air: np.ndarray | None,
 ) -> tuple[Contacts, Sparsity]:
     """Return the constants of the contacts and of the mass matrix; arguments as in `LoadedStepper`."""
-    contact = settings.contact
     nv = model.nv
-    h = settings.timestep
-    assert isinstance(contact, LoadedContact)
     wheels = treads(spec, settings)
     hulls = surroundings.hulls(model)
-    geoms = [model.geom(name) for name in wheels + hulls]
-    body = np.array([geom.bodyid[0] for geom in geoms])
     mass, jacobian = _reference_dynamics(model, wheels, hulls)
+    if air is None:
+        air = np.zeros((nv, nv))
     with one_blas_thread():
-        no_air = np.zeros((nv, nv))
-        damping, excess = _damping_matrices(
-            model, mass, h, no_air if air is None else air
-        )
-        admittance = np.einsum(
-            "wi,ij,wj->w", jacobian, np.linalg.inv(mass + damping), jacobian
-        )
+        damping, excess = _damping_matrices(model, mass, settings.timestep, air)
+        inverse = np.linalg.inv(mass + damping)
+        admittance = np.einsum("wi,ij,wj->w", jacobian, inverse, jacobian)
     triangle = np.repeat(np.arange(nv), model.M_rownnz), model.M_colind
-    # The spin of a rolling solid disc adds half of its mass to the inertia along the
-    # heading.
-    slides = contact.law in ("ellipse", "cosine")
-    if slides:
-        spin_mass = 0.0
-    else:
-        spin_mass = settings.numerics.wheel_spin * spec.mass.wheel / 2
-    zeros = np.zeros(len(hulls))
-    mu = spec.friction
-    floor = mu.mu_t, mu.mu_n, stated(contact.slip_speed), spin_mass
-    sensors = [model.sensor(f"floor_force_{wheel}").adr[0] + 2 for wheel in wheels]
-    sensors += [model.sensor(f"obstacle_force_{hull}").adr[0] for hull in hulls]
-    contacts = Contacts(
-        wheels=len(wheels),
-        body=body,
-        centre=np.stack([geom.pos for geom in geoms[: len(wheels)]]),
-        last_dof=model.body_dofadr[body] + model.body_dofnum[body] - 1,
-        regularisation=np.append(
-            contact_regularisation(model, spec, settings), zeros + math.inf
-        ),
-        admittance=admittance,
-        static_load=np.append(
-            static_loads(spec, settings, -model.opt.gravity[2]), zeros
-        ),
-        load_kind=LOADS.index(contact.load),
-        sensor=np.array(sensors),
-        wheel_radius=spec.geometry.wheel_radius,
-        law=LAWS_ON_LOADS.index(contact.law),
-        coefficients=(*floor, mu.backward, surroundings.friction_of(model)),
-    )
     sparsity = Sparsity(
         row_length=model.M_rownnz.astype(int),
         row_start=model.M_rowadr.astype(int),
@@ -398,7 +364,55 @@ def _constants(
         damping=damping[triangle],
         damping_excess=excess[triangle],
     )
-    return contacts, sparsity
+    return _contacts(model, spec, settings, admittance), sparsity
+
+
+def _contacts(
+    model: mujoco.MjModel,
+    spec: RobotSpec,
+    settings: ModelSettings,
+    admittance: np.ndarray,
+) -> Contacts:
+    contact = settings.contact
+    assert isinstance(contact, LoadedContact)
+    wheels = treads(spec, settings)
+    hulls = surroundings.hulls(model)
+    geoms = [model.geom(name) for name in wheels + hulls]
+    body = np.array([geom.bodyid[0] for geom in geoms])
+    sensors = [model.sensor(f"floor_force_{wheel}").adr[0] + 2 for wheel in wheels]
+    sensors += [model.sensor(f"obstacle_force_{hull}").adr[0] for hull in hulls]
+    loads = static_loads(spec, settings, -model.opt.gravity[2])
+    regularisation = contact_regularisation(model, spec, settings)
+    no_load = np.zeros(len(hulls))
+    return Contacts(
+        wheels=len(wheels),
+        body=body,
+        centre=np.stack([geom.pos for geom in geoms[: len(wheels)]]),
+        last_dof=model.body_dofadr[body] + model.body_dofnum[body] - 1,
+        regularisation=np.append(regularisation, no_load + math.inf),
+        admittance=admittance,
+        static_load=np.append(loads, no_load),
+        load_kind=LOADS.index(contact.load),
+        sensor=np.array(sensors),
+        wheel_radius=spec.geometry.wheel_radius,
+        floor=_floor_law(spec, contact, settings.numerics.wheel_spin),
+        obstacle_friction=surroundings.friction_of(model),
+    )
+
+
+def _floor_law(spec: RobotSpec, contact: LoadedContact, wheel_spin: float) -> FloorLaw:
+    slides = contact.law in ("ellipse", "cosine")
+    # The spin of a rolling solid disc adds half of its mass to the inertia along the
+    # heading.
+    spin_mass = 0.0 if slides else wheel_spin * spec.mass.wheel / 2
+    return FloorLaw(
+        kind=LAWS_ON_LOADS.index(contact.law),
+        forward=spec.friction.mu_t,
+        backward=spec.friction.backward,
+        across=spec.friction.mu_n,
+        slip_speed=stated(contact.slip_speed),
+        spin_mass=spin_mass,
+    )
 
 
 def _reference_dynamics(
@@ -463,20 +477,21 @@ def _damping_matrices(
 
 
 @compiled
-def _run(inputs, engine, contacts, sparsity, state, work, h, controls, out):  # type: ignore[no-untyped-def]
-    """Make one step per row of controls; fill `out`, the results of `LoadedStepper.run`."""
+def _run(inputs, engine, records, controls, out):  # type: ignore[no-untyped-def]
+    """Make one step per row of controls; fill `out`, a `StepOutputs`."""
     for step in range(controls.shape[0]):
-        _begin_step(inputs, engine, contacts, sparsity, state, work, h, controls[step])
+        _begin_step(inputs, engine, records, controls[step])
         mj_forwardSkip(engine.model, engine.data, _SKIP_TO_FORCES, 0)
-        if not _end_step(inputs, engine, contacts, sparsity, state, work, h, step, out):
+        if not _end_step(inputs, engine, records, step, out):
             break
     for i in range(engine.qvel.shape[0]):
         engine.qfrc_applied[i] = 0.0
 
 
 @kernel_only
-def _begin_step(inputs, engine, contacts, sparsity, state, work, h, control):  # type: ignore[no-untyped-def]
+def _begin_step(inputs, engine, records, control):  # type: ignore[no-untyped-def]
     """Move to mid-step and apply the friction of the previous step."""
+    contacts, sparsity, state, work, h = records
     _copy(control, inputs.ctrl)
     mj_integratePos(
         engine.model, engine.qpos.ctypes.data, engine.qvel.ctypes.data, h / 2
@@ -487,32 +502,28 @@ def _begin_step(inputs, engine, contacts, sparsity, state, work, h, control):  #
 
 
 @kernel_only
-def _end_step(inputs, engine, contacts, sparsity, state, work, h, step, out):  # type: ignore[no-untyped-def]
+def _end_step(inputs, engine, records, step, out):  # type: ignore[no-untyped-def]
     """Solve for friction, move to the end of the step and record it; return whether the step is finite."""
-    states, sensors, force, power, pairs = out
+    contacts, sparsity, state, work, h = records
     model = engine.model
-    data = engine.data
     nq = engine.qpos.shape[0]
-    nv = engine.qvel.shape[0]
     _copy(engine.qacc, inputs.qacc_warmstart)
-    for i in range(nv):
+    for i in range(engine.qvel.shape[0]):
         work.v_predicted[i] = work.v_start[i] + h * engine.qacc[i]
     # Coriolis forces at mid-step; `solve_friction` expects them in `residual`.
     set_mid_velocity(engine, work)
-    mj_comVel(model, data)
-    mj_rne(model, data, 0, work.residual.ctypes.data)
+    mj_comVel(model, engine.data)
+    mj_rne(model, engine.data, 0, work.residual.ctypes.data)
     solve_friction(engine, contacts, sparsity, state, work, h)
-    total = 0.0
-    for i in range(nv):
-        total += engine.qvel[i] * engine.qvel[i]
-    if not np.isfinite(total):
+    if not np.isfinite(inner(engine.qvel, engine.qvel)):
         return False
     mj_integratePos(model, engine.qpos.ctypes.data, engine.qvel.ctypes.data, h / 2)
-    _copy(engine.qpos, states[step, 1:])
-    _copy(engine.qvel, states[step, 1 + nq :])
-    _copy(engine.sensordata, sensors[step])
-    power[step] = store_friction(contacts, state, work, force[step])
-    power[step] += store_object_friction(engine, sparsity, work, pairs[step])
+    _copy(engine.qpos, out.states[step, 1:])
+    _copy(engine.qvel, out.states[step, 1 + nq :])
+    _copy(engine.sensordata, out.sensors[step])
+    friction_power = store_friction(contacts, state, work, out.force[step])
+    object_power = store_object_friction(engine, sparsity, work, out.pair_force[step])
+    out.power[step] = friction_power + object_power
     return True
 
 

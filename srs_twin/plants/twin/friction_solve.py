@@ -39,23 +39,36 @@ loops. Numbers have a decimal point, and a variable that a loop changes is creat
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numba import types
 
 from srs_twin.compute.compiled import kernel_only
+from srs_twin.plants.twin.engine import mj_factorM, mj_solveM
 from srs_twin.plants.twin.mjcf.numerics import LAWS_ON_LOADS, LOADS
 from srs_twin.plants.twin.object_contacts import (
-    ObjectContacts,
     add_object_impulses,
     add_object_slopes,
     apply_object_friction,
     couple_objects,
-    dot,
     locate_objects,
 )
+from srs_twin.plants.twin.spatial_algebra import (
+    add_product,
+    clear,
+    dot,
+    factor,
+    inner,
+    point_jacobian,
+    project,
+    project_slopes,
+    spatial_velocities,
+    substitute,
+)
 from srs_twin.plants.twin.stick_slip import (
+    FloorLaw,
+    Traction,
+    axis_friction,
     rolling_friction,
     skin_friction,
     stick_slip_friction,
@@ -70,17 +83,16 @@ _COSINE = LAWS_ON_LOADS.index("cosine")
 _MAX_ITERATIONS = 30  # Newton steps under the final loads
 _MAX_TRIALS = 12  # evaluations of one line search
 
-# Tolerances of the squared residual, all relative but the last.
-_RELATIVE_TOLERANCE = (
-    1e-14  # relative to the squared friction impulse: friction is then exact to 1e-7
-)
-_ROUNDING_TOLERANCE = 1e-24  # relative to the largest first residual: below it there are only rounding errors
-_ABSOLUTE_TOLERANCE = (
-    0.0  # (kg·m/s)²; Warp, in single precision, replaces it (`warp.translation`)
-)
+# Tolerances of the squared residual: relative to the squared friction impulse, so that
+# friction is exact to 1e-7; relative to the largest first residual, below which there
+# are only rounding errors; and absolute, (kg·m/s)². Warp, in single precision, replaces
+# the last one (`warp.translation`).
+_RELATIVE_TOLERANCE = 1e-14
+_ROUNDING_TOLERANCE = 1e-24
+_ABSOLUTE_TOLERANCE = 0.0
 
-# A line search ends when the slope has fallen below this fraction of the initial slope,
-# 1.
+# A line search ends when the slope has fallen below this fraction of the slope at its
+# start.
 _MAX_SLOPE_RATIO = 0.5
 
 # Rows of `Workspace.jacobian`.
@@ -104,63 +116,6 @@ _SPIN_FORCE = 7  # part of the force along that spins the wheel, N
 _STORED_SPIN = 2
 
 
-def c_function(name: str, *more: Any) -> Any:
-    """Return a C function of MuJoCo for kernels, which takes a model, its data, and further arguments."""
-    return types.ExternalFunction(name, types.void(types.intp, types.intp, *more))
-
-
-mj_factorM = c_function("mj_factorM")
-mj_solveM = c_function("mj_solveM", types.intp, types.intp, types.int32)
-
-
-class EngineData(NamedTuple):
-    """Views of the engine's data that the friction solve reads and writes, named as in MjData.
-
-    Attributes:
-        model: address of the MjModel; only for numba.
-        data: address of the MjData; only for numba.
-        objects: contacts of movable objects, None without any; only for numba.
-    """
-
-    model: int
-    data: int
-    objects: ObjectContacts | None
-    qpos: np.ndarray
-    qvel: np.ndarray
-    qfrc_applied: np.ndarray
-    qacc: np.ndarray
-    qfrc_bias: np.ndarray
-    M: np.ndarray
-    xpos: np.ndarray
-    xmat: np.ndarray
-    cdof: np.ndarray
-    subtree_com: np.ndarray
-    sensordata: np.ndarray
-
-
-class Sparsity(NamedTuple):
-    """Lower triangle of M in compressed rows, and the damping matrices with the same pattern.
-
-    The entries of a row belong to the ancestors of its degree of freedom, which is
-    itself the last entry.
-
-    Attributes:
-        row_length: number of entries of each row, shape (nv,).
-        row_start: index of the first entry of each row, shape (nv,).
-        column: column of each entry, shape (nM,).
-        parent: ancestor before each degree of freedom, −1 for the root, shape (nv,).
-        damping: C of the module docstring, A = M + C, shape (nM,), kg or kg·m².
-        damping_excess: h D − C, shape (nM,), same unit.
-    """
-
-    row_length: np.ndarray
-    row_start: np.ndarray
-    column: np.ndarray
-    parent: np.ndarray
-    damping: np.ndarray
-    damping_excess: np.ndarray
-
-
 class Contacts(NamedTuple):
     """Constants of the C possible contacts: the wheels first, then the hulls that may touch obstacles.
 
@@ -177,10 +132,8 @@ class Contacts(NamedTuple):
         sensor: index into `sensordata` of a wheel's normal force, or of the force on a
             hull and its point of application, shape (C,).
         wheel_radius: m.
-        law: friction law of the wheels, an index into `numerics.LAWS_ON_LOADS`.
-        coefficients: μ_t, μ_n, slip speed ε (m/s), the added mass of a spinning wheel
-            (kg), μ_t of a skin for slip towards the tail, and the coefficient between
-            body and obstacles.
+        floor: friction law of the wheels on the floor.
+        obstacle_friction: friction coefficient between hulls and obstacles, 1.
     """
 
     wheels: int
@@ -193,8 +146,8 @@ class Contacts(NamedTuple):
     load_kind: int
     sensor: np.ndarray
     wheel_radius: float
-    law: int
-    coefficients: tuple[float, float, float, float, float, float]
+    floor: FloorLaw
+    obstacle_friction: float
 
 
 class ContactState(NamedTuple):
@@ -268,6 +221,33 @@ class Workspace(NamedTuple):
     direction: np.ndarray
 
 
+def workspace(contacts: int, nv: int, newton_matrix: np.ndarray) -> Workspace:
+    """Return an empty workspace for given numbers of contacts and of degrees of freedom.
+
+    Args:
+        contacts: number of contacts.
+        nv: number of degrees of freedom.
+        newton_matrix: array for Newton's matrix.
+    """
+    spatial = {
+        name: np.zeros((nv, 6))
+        for name in ("step_motion", "mid_motion", "motion", "impulse")
+    }
+    vectors = ("v_start", "v_predicted", "bias", "v_change", "residual")
+    return Workspace(
+        jacobian=np.zeros((contacts, 4, 6)),
+        heading=np.zeros((contacts, 2)),
+        response=np.zeros((contacts, 8)),
+        normal_force=np.zeros(contacts),
+        theta=np.zeros(contacts),
+        slope=np.zeros((nv, 6, 6)),
+        inertia=np.zeros_like(newton_matrix),
+        newton_matrix=newton_matrix,
+        **spatial,
+        **{name: np.zeros(nv) for name in (*vectors, "trial_residual", "direction")},
+    )
+
+
 @kernel_only
 def apply_stored_friction(engine, contacts, sparsity, state, work, h):  # type: ignore[no-untyped-def]
     """Locate the wheels and write the friction of the previous step to `qfrc_applied`."""
@@ -295,24 +275,24 @@ def solve_friction(engine, contacts, sparsity, state, work, h):  # type: ignore[
     for i in range(work.v_start.shape[0]):
         work.bias[i] = h * (engine.qfrc_bias[i] - work.residual[i])
         work.trial_residual[i] = work.v_predicted[i] - work.v_start[i]
-    _add_product(sparsity, sparsity.damping_excess, work.trial_residual, work.bias)
+    add_product(sparsity, sparsity.damping_excess, work.trial_residual, work.bias)
     for k in range(work.inertia.shape[0]):
         work.inertia[k] = engine.M[k] + sparsity.damping[k]
-    _spatial_velocities(engine.cdof, sparsity, engine.qvel, work.mid_motion)
-    _spatial_velocities(engine.cdof, sparsity, work.trial_residual, work.step_motion)
+    spatial_velocities(engine.cdof, sparsity, engine.qvel, work.mid_motion)
+    spatial_velocities(engine.cdof, sparsity, work.trial_residual, work.step_motion)
     _read_normal_forces(engine, contacts, work)
     locate_objects(engine, sparsity, work, h)
     for w in range(contacts.body.shape[0]):
         if w < contacts.wheels:
-            mu = contacts.coefficients[1]
+            mu = contacts.floor.across
         else:
-            mu = contacts.coefficients[5]
+            mu = contacts.obstacle_friction
         # Friction force per slip speed of the previous step (secant slope), N·s/m. It
         # decides whether the contact slides (θ near 1/2) or sticks (θ near 1).
         grip = (
             mu
             * work.normal_force[w]
-            / max(state.slip_speed[w], contacts.coefficients[2])
+            / max(state.slip_speed[w], contacts.floor.slip_speed)
         )
         work.theta[w] = _evaluation_fraction(h * grip * contacts.admittance[w])
     _newton(engine, contacts, sparsity, state, work, h)
@@ -340,12 +320,12 @@ def store_friction(contacts, state, work, force):  # type: ignore[no-untyped-def
     """
     power = float(0.0)
     for w in range(contacts.body.shape[0]):
-        f_t = work.response[w, 0]
-        f_n = work.response[w, 1]
-        rim = work.response[w, 5]
+        f_t = work.response[w, _FORCE_ALONG]
+        f_n = work.response[w, _FORCE_ACROSS]
+        rim = work.response[w, _RIM_SPEED]
         along, across = _contact_velocity(contacts, work, w, 0.5)
         power -= f_t * along + f_n * across
-        slip_along = along - rim if contacts.law == _WHEEL else along
+        slip_along = along - rim if contacts.floor.kind == _WHEEL else along
         state.slip_speed[w] = np.sqrt(slip_along * slip_along + across * across)
         state.force[w, _FORCE_ALONG] = f_t
         state.force[w, _FORCE_ACROSS] = f_n
@@ -370,25 +350,6 @@ def store_friction(contacts, state, work, force):  # type: ignore[no-untyped-def
                 )
                 power -= work.normal_force[w] * velocity
     return power
-
-
-@kernel_only
-def _clear(array):  # type: ignore[no-untyped-def]
-    for i in range(array.shape[0]):
-        for k in range(array.shape[1]):
-            array[i, k] = 0.0
-
-
-@kernel_only
-def _add_product(sparsity, matrix, x, out):  # type: ignore[no-untyped-def]
-    """Add the product of a symmetric matrix and the vector x to `out`."""
-    for i in range(x.shape[0]):
-        row = sparsity.row_start[i]
-        last = sparsity.row_start[i] + sparsity.row_length[i] - 1
-        for k in range(row, last):
-            out[i] += matrix[k] * x[sparsity.column[k]]
-            out[sparsity.column[k]] += matrix[k] * x[i]
-        out[i] += matrix[last] * x[i]
 
 
 @kernel_only
@@ -440,17 +401,6 @@ def _locate_wheels(engine, contacts, work):  # type: ignore[no-untyped-def]
 
 
 @kernel_only
-def point_jacobian(row, x, y, z, ex, ey, ez):  # type: ignore[no-untyped-def]
-    """Fill the spatial vector that gives the velocity of the point (x, y, z) along the axis e."""
-    row[0] = y * ez - z * ey
-    row[1] = z * ex - x * ez
-    row[2] = x * ey - y * ex
-    row[3] = ex
-    row[4] = ey
-    row[5] = ez
-
-
-@kernel_only
 def _read_normal_forces(engine, contacts, work):  # type: ignore[no-untyped-def]
     """Read the normal forces from the sensors; locate the contacts with the vertical faces of obstacles."""
     com = engine.subtree_com[1]
@@ -478,42 +428,20 @@ def _read_normal_forces(engine, contacts, work):  # type: ignore[no-untyped-def]
 
 
 @kernel_only
-def _spatial_velocities(cdof, sparsity, velocity, motion):  # type: ignore[no-untyped-def]
-    """Fill the spatial velocity beyond each degree of freedom, from the root to the ends."""
-    for i in range(velocity.shape[0]):
-        p = sparsity.parent[i]
-        for k in range(6):
-            motion[i, k] = cdof[i, k] * velocity[i]
-            if p >= 0:
-                motion[i, k] += motion[p, k]
-
-
-@kernel_only
-def _project(cdof, sparsity, force, out):  # type: ignore[no-untyped-def]
-    """Sum spatial forces toward the root, in place, and fill the generalised forces `out`, shape (nv,)."""
-    for i in range(out.shape[0] - 1, -1, -1):
-        out[i] = dot(cdof[i], force[i])
-        p = sparsity.parent[i]
-        if p >= 0:
-            for k in range(6):
-                force[p, k] += force[i, k]
-
-
-@kernel_only
 def _generalised_forces(cdof, contacts, sparsity, force, work, out):  # type: ignore[no-untyped-def]
     """Fill the generalised forces of given friction forces, shape (nv,)."""
-    _clear(work.motion)
+    clear(work.motion)
     for w in range(contacts.body.shape[0]):
         for k in range(6):
             component = (
-                force[w, 0] * work.jacobian[w, _ALONG, k]
-                + force[w, 1] * work.jacobian[w, _ACROSS, k]
+                force[w, _FORCE_ALONG] * work.jacobian[w, _ALONG, k]
+                + force[w, _FORCE_ACROSS] * work.jacobian[w, _ACROSS, k]
             )
-            component += force[w, 2] * (
+            component += force[w, _STORED_SPIN] * (
                 work.jacobian[w, _HUB, k] - work.jacobian[w, _ALONG, k]
             )
             work.motion[contacts.last_dof[w], k] += component
-    _project(cdof, sparsity, work.motion, out)
+    project(cdof, sparsity, work.motion, out)
 
 
 @kernel_only
@@ -573,55 +501,57 @@ def _friction_law(contacts, w, along, across, load, force, rim, h):  # type: ign
         h: time from the beginning of the step to the evaluation, s.
 
     Returns:
-        Force along and across (N), slopes along, mixed and across (N·s/m), and rim
-        speed (m/s).
+        `Traction` and rim speed (m/s).
     """
-    law = contacts.coefficients
-    mu_t = law[0]
-    mu_n = law[1]
-    slip = law[2]
-    mass = law[3]
+    floor = contacts.floor
+    mu_t = floor.forward
+    mu_n = floor.across
+    slip = floor.slip_speed
     if w >= contacts.wheels:
-        f_t, f_n, tt, tn, nn = stick_slip_friction(
-            along, across, load, law[5], law[5], slip, force[0], force[1]
-        )
-        return f_t, f_n, tt, tn, nn, 0.0
-    inertia = mass / h
-    drag = force[0] - force[2]
-    if contacts.law == _WHEEL:
-        return rolling_friction(
-            along, across, load, mu_t, mu_n, slip, force[0], force[1], rim, inertia
-        )
-    if contacts.law == _COSINE or law[4] != mu_t:
-        f_t, f_n, tt, tn, nt, nn = skin_friction(
+        mu = contacts.obstacle_friction
+        grip = stick_slip_friction(
             along,
             across,
             load,
-            mu_t,
-            law[4],
-            mu_n,
+            mu,
+            mu,
             slip,
-            drag,
-            force[1],
-            contacts.law == _COSINE,
+            force[_FORCE_ALONG],
+            force[_FORCE_ACROSS],
+        )
+        return grip, 0.0
+    inertia = floor.spin_mass / h
+    drag = force[_FORCE_ALONG] - force[_STORED_SPIN]
+    if floor.kind == _WHEEL:
+        return rolling_friction(
+            along,
+            across,
+            load,
+            floor,
+            force[_FORCE_ALONG],
+            force[_FORCE_ACROSS],
+            rim,
+            inertia,
+        )
+    is_cosine = floor.kind == _COSINE
+    if is_cosine or floor.backward != mu_t:
+        f_t, f_n, tt, tn, nt, nn = skin_friction(
+            along, across, load, floor, drag, force[_FORCE_ACROSS], is_cosine
         )
         # Newton's matrix is symmetric. The geometric mean of the mixed slopes keeps it
         # positive definite.
-        return f_t, f_n, tt, np.sign(tn) * np.sqrt(tn * nt), nn, along
-    if contacts.law == _ELLIPSE:
-        f_t, f_n, tt, tn, nn = stick_slip_friction(
-            along, across, load, mu_t, mu_n, slip, drag, force[1]
+        return Traction(f_t, f_n, tt, np.sign(tn) * np.sqrt(tn * nt), nn), along
+    if floor.kind == _ELLIPSE:
+        grip = stick_slip_friction(
+            along, across, load, mu_t, mu_n, slip, drag, force[_FORCE_ACROSS]
         )
-        return f_t, f_n, tt, tn, nn, along
-    # Law "axis": the two directions are independent, and the wheel rolls, so that its
-    # spin adds mass.
-    f_t, _, tt, _, _ = stick_slip_friction(
-        along, 0.0, load, mu_t, mu_t, slip, drag, 0.0
+        return grip, along
+    return (
+        axis_friction(
+            along, across, load, floor, drag, force[_FORCE_ACROSS], rim, inertia
+        ),
+        along,
     )
-    _, f_n, _, _, nn = stick_slip_friction(
-        0.0, across, load, mu_n, mu_n, slip, 0.0, force[1]
-    )
-    return f_t - inertia * (along - rim), f_n, tt - inertia, 0.0, nn, along
 
 
 @kernel_only
@@ -631,7 +561,7 @@ def _newton(engine, contacts, sparsity, state, work, h):  # type: ignore[no-unty
     direction = work.direction
     for i in range(change.shape[0]):
         change[i] = 0.0
-    _clear(work.response)
+    clear(work.response)
     first = float(0.0)
     # The first pass uses the loads of v̂ and need not converge; the second pass uses
     # the loads after the first.
@@ -640,7 +570,7 @@ def _newton(engine, contacts, sparsity, state, work, h):  # type: ignore[no-unty
         friction_impulse = float(0.0)
         for w in range(contacts.body.shape[0]):
             state.load[w] = _friction_load(contacts, work, w)
-            friction_impulse += h * contacts.coefficients[1] * state.load[w]
+            friction_impulse += h * contacts.floor.across * state.load[w]
         best = _evaluate_residual(
             engine, contacts, sparsity, state, work, h, work.residual
         )
@@ -672,9 +602,7 @@ def _line_search(engine, contacts, sparsity, state, work, h):  # type: ignore[no
     """
     change = work.v_change
     direction = work.direction
-    slope_start = float(0.0)
-    for i in range(direction.shape[0]):
-        slope_start += work.residual[i] * direction[i]
+    slope_start = inner(work.residual, direction)
     low = float(0.0)
     high = float(1.0)
     scale = float(1.0)
@@ -689,9 +617,7 @@ def _line_search(engine, contacts, sparsity, state, work, h):  # type: ignore[no
         square = _evaluate_residual(
             engine, contacts, sparsity, state, work, h, work.trial_residual
         )
-        slope = float(0.0)
-        for i in range(direction.shape[0]):
-            slope += work.trial_residual[i] * direction[i]
+        slope = inner(work.trial_residual, direction)
         limit = _MAX_SLOPE_RATIO * slope_start
         # A full step may end early (slope > 0): Newton's next step continues from
         # there.
@@ -711,18 +637,14 @@ def _line_search(engine, contacts, sparsity, state, work, h):  # type: ignore[no
 
 
 @kernel_only
-def _evaluate_residual(engine, contacts, sparsity, state, work, h, out):  # type: ignore[no-untyped-def]
-    """Fill r(δ) (kg·m/s or kg·m²/s) and the response of the friction law; return the square of r."""
-    change = work.v_change
-    motion = work.motion
-    jacobian = work.jacobian
+def _evaluate_friction(contacts, state, work, h):  # type: ignore[no-untyped-def]
+    """Fill the response of the friction law to δ, whose spatial velocities are in `motion`."""
     response = work.response
-    _spatial_velocities(engine.cdof, sparsity, change, motion)
     for w in range(contacts.body.shape[0]):
         if w >= contacts.wheels and state.load[w] == 0.0:
             continue  # the hull touches no obstacle
         along, across = _contact_velocity(contacts, work, w, work.theta[w])
-        f_t, f_n, tt, tn, nn, rim = _friction_law(
+        traction, rim = _friction_law(
             contacts,
             w,
             along,
@@ -732,25 +654,32 @@ def _evaluate_residual(engine, contacts, sparsity, state, work, h, out):  # type
             state.rim_speed[w],
             h * work.theta[w],
         )
-        response[w, _FORCE_ALONG] = f_t
-        response[w, _FORCE_ACROSS] = f_n
+        response[w, _FORCE_ALONG] = traction.along
+        response[w, _FORCE_ACROSS] = traction.across
         response[w, _RIM_SPEED] = rim
-        response[w, _SLOPE_ALONG] = tt
-        response[w, _SLOPE_MIXED] = tn
-        response[w, _SLOPE_ACROSS] = nn
+        response[w, _SLOPE_ALONG] = traction.slope_along
+        response[w, _SLOPE_MIXED] = traction.slope_mixed
+        response[w, _SLOPE_ACROSS] = traction.slope_across
         response[w, _SPIN_FORCE] = (
-            -contacts.coefficients[3] / (h * work.theta[w]) * (rim - state.rim_speed[w])
+            -contacts.floor.spin_mass / (h * work.theta[w]) * (rim - state.rim_speed[w])
         )
-        upward = dot(jacobian[w, _UP], motion[contacts.last_dof[w]])
+        upward = dot(work.jacobian[w, _UP], work.motion[contacts.last_dof[w]])
         if work.normal_force[w] > 0.0:
             response[w, _UNLOADING] = upward / (h * contacts.regularisation[w])
         else:
             response[w, _UNLOADING] = 0.0
+
+
+@kernel_only
+def _sum_impulses(contacts, state, work, h):  # type: ignore[no-untyped-def]
+    """Fill the spatial impulses by which the contact forces deviate from those of the engine's step."""
     impulse = work.impulse
-    _clear(impulse)
+    jacobian = work.jacobian
+    response = work.response
+    clear(impulse)
     for w in range(contacts.body.shape[0]):
-        f_t = h * (response[w, 0] - state.force[w, 0])
-        f_n = h * (response[w, 1] - state.force[w, 1])
+        f_t = h * (response[w, _FORCE_ALONG] - state.force[w, _FORCE_ALONG])
+        f_n = h * (response[w, _FORCE_ACROSS] - state.force[w, _FORCE_ACROSS])
         spin = h * (response[w, _SPIN_FORCE] - state.force[w, _STORED_SPIN])
         for k in range(6):
             normal = h * response[w, _UNLOADING] * jacobian[w, _UP, k]
@@ -760,15 +689,21 @@ def _evaluate_residual(engine, contacts, sparsity, state, work, h, out):  # type
                 + f_n * jacobian[w, _ACROSS, k]
             )
             impulse[contacts.last_dof[w], k] += normal - tangential
+
+
+@kernel_only
+def _evaluate_residual(engine, contacts, sparsity, state, work, h, out):  # type: ignore[no-untyped-def]
+    """Fill r(δ) (kg·m/s or kg·m²/s) and the response of the friction law; return the square of r."""
+    change = work.v_change
+    spatial_velocities(engine.cdof, sparsity, change, work.motion)
+    _evaluate_friction(contacts, state, work, h)
+    _sum_impulses(contacts, state, work, h)
     add_object_impulses(engine, sparsity, work, h)
-    _project(engine.cdof, sparsity, impulse, out)
+    project(engine.cdof, sparsity, work.impulse, out)
     for i in range(change.shape[0]):
         out[i] -= work.bias[i]
-    _add_product(sparsity, work.inertia, change, out)
-    total = float(0.0)
-    for i in range(change.shape[0]):
-        total += out[i] * out[i]
-    return total
+    add_product(sparsity, work.inertia, change, out)
+    return inner(out, out)
 
 
 @kernel_only
@@ -779,7 +714,7 @@ def _assemble(engine, contacts, sparsity, state, work, h):  # type: ignore[no-un
     response = work.response
     slope = work.slope
     for i in range(slope.shape[0]):
-        _clear(slope[i])
+        clear(slope[i])
     for w in range(contacts.body.shape[0]):
         weight = -work.theta[w] * h  # ∂u/∂δ = θ, and friction enters r with −h
         tt = weight * response[w, _SLOPE_ALONG]
@@ -804,22 +739,7 @@ def _assemble(engine, contacts, sparsity, state, work, h):  # type: ignore[no-un
     add_object_slopes(engine, sparsity, work, h)
     for k in range(matrix.shape[0]):
         matrix[k] = work.inertia[k]
-    # From the ends to the root: project the summed slopes beyond each degree of freedom
-    # on its ancestors.
-    for i in range(sparsity.row_length.shape[0] - 1, -1, -1):
-        d = engine.cdof[i]
-        composite = slope[i]
-        p = sparsity.parent[i]
-        row = sparsity.row_start[i]
-        reaction = work.impulse[i]
-        for a in range(6):
-            reaction[a] = dot(composite[a], d)
-        for k in range(row, row + sparsity.row_length[i]):
-            matrix[k] += dot(reaction, engine.cdof[sparsity.column[k]])
-        if p >= 0:
-            for a in range(6):
-                for b in range(6):
-                    slope[p, a, b] += composite[a, b]
+    project_slopes(engine.cdof, sparsity, slope, work.impulse, matrix)
 
 
 @kernel_only
@@ -840,38 +760,5 @@ def solve_direction_portably(engine, sparsity, work):  # type: ignore[no-untyped
     """Solve for Newton's direction without the engine's factorisation, as Warp needs it."""
     for i in range(work.direction.shape[0]):
         work.direction[i] = work.residual[i]
-    _factor(work.newton_matrix, sparsity)
-    _substitute(work.newton_matrix, sparsity, work.direction)
-
-
-@kernel_only
-def _factor(matrix, sparsity):  # type: ignore[no-untyped-def]
-    """Factor a matrix with the pattern of M into LᵀDL, in place and without fill-in."""
-    # From the ends of the chain to the root: eliminating a row changes only rows of its
-    # ancestors.
-    for k in range(sparsity.row_length.shape[0] - 1, -1, -1):
-        row = sparsity.row_start[k]
-        last = sparsity.row_length[k] - 1
-        inverse_pivot = 1.0 / matrix[row + last]
-        for a in range(last - 1, -1, -1):
-            factor = matrix[row + a] * inverse_pivot
-            ancestor = sparsity.row_start[sparsity.column[row + a]]
-            for b in range(a + 1):
-                matrix[ancestor + b] -= factor * matrix[row + b]
-            matrix[row + a] = factor
-
-
-@kernel_only
-def _substitute(matrix, sparsity, x):  # type: ignore[no-untyped-def]
-    """Solve LᵀDL x = b in place, with b in `x`."""
-    for i in range(x.shape[0] - 1, -1, -1):
-        for k in range(
-            sparsity.row_start[i], sparsity.row_start[i] + sparsity.row_length[i] - 1
-        ):
-            x[sparsity.column[k]] -= matrix[k] * x[i]
-    for i in range(x.shape[0]):
-        last = sparsity.row_start[i] + sparsity.row_length[i] - 1
-        value = x[i] / matrix[last]
-        for k in range(sparsity.row_start[i], last):
-            value -= matrix[k] * x[sparsity.column[k]]
-        x[i] = value
+    factor(work.newton_matrix, sparsity)
+    substitute(work.newton_matrix, sparsity, work.direction)

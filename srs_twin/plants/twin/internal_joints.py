@@ -20,15 +20,8 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from srs_twin.plants.twin.mjcf.numerics import ModelSettings
+from srs_twin.plants.twin.mjcf.numerics import ModelSettings, bend_joints
 from srs_twin.robot.spec import RobotSpec
-
-
-def bend_joints(spec: RobotSpec) -> tuple[str, ...]:
-    """Return the kinds of joints that bend a segment."""
-    if spec.is_spatial:
-        return ("hinge", "tilt")
-    return ("hinge",)
 
 
 class InternalJoints:

@@ -22,21 +22,35 @@ Without objects they are not compiled. Warp omits them.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 from numba import types
 
 from srs_twin.compute.compiled import compiled_if, kernel_only
+from srs_twin.plants.twin.engine import mj_solveM
 from srs_twin.plants.twin.mjcf import surroundings
 from srs_twin.plants.twin.mjcf.surroundings import object_force_sensor, object_names
+from srs_twin.plants.twin.spatial_algebra import clear, dot, point_jacobian
 from srs_twin.plants.twin.stick_slip import stick_slip_friction
 from srs_twin.robot.world import MovableObject
 
-mj_solveM: Any = types.ExternalFunction(
-    "mj_solveM", types.void(*[types.intp] * 4, types.int32)
-)
+# Columns of `ObjectContacts.dof`, and sides of its Jacobian.
+_HULL = 0
+_OBJECT = 1
+
+# Rows of the Jacobian.
+_ALONG = 0
+_ACROSS = 1
+_AWAY = 2
+
+# Columns of `ObjectContacts.response`, in the order of `stick_slip.Traction`.
+_FORCE_ALONG = 0
+_FORCE_ACROSS = 1
+_SLOPE_ALONG = 2
+_SLOPE_MIXED = 3
+_SLOPE_ACROSS = 4
 
 
 class ObjectState(NamedTuple):
@@ -61,10 +75,9 @@ class ObjectContacts(NamedTuple):
         pairs: number of pairs.
         first: first degree of freedom of the objects.
         slip: slip speed ε, m/s.
-        hull_dof: last degree of freedom of the hull of each contact, −1 for a point,
-            shape (C,).
+        dof: last degree of freedom of the hull, −1 for a point, and of the object,
+            shape (C, 2).
         object_body: body of the object, shape (C,).
-        object_dof: last degree of freedom of the object, shape (C,).
         place: place of a point in the frame of the object, shape (C, 2), m.
         sensor: index into `sensordata` of the force on the hull and its point of
             application, shape (C,).
@@ -86,9 +99,8 @@ class ObjectContacts(NamedTuple):
     pairs: int
     first: int
     slip: float
-    hull_dof: np.ndarray
+    dof: np.ndarray
     object_body: np.ndarray
-    object_dof: np.ndarray
     place: np.ndarray
     sensor: np.ndarray
     load: np.ndarray
@@ -120,41 +132,39 @@ def object_contacts(
     """
     hulls = surroundings.hulls(model)
     names = object_names(model)
-    ids = np.array([model.body(name).id for name in names], dtype=int)
-    hull_dof = _last_dof(
-        model, np.array([model.geom(name).bodyid[0] for name in hulls], dtype=int)
-    )
-    body = np.concatenate([np.repeat(ids, len(hulls)), np.repeat(ids, 4)])
     pairs = len(hulls) * len(names)
     free = 3 * len(names)
-    count = len(body)
+    ids = np.array([model.body(name).id for name in names], dtype=int)
+    hull_body = np.array([model.geom(name).bodyid[0] for name in hulls], dtype=int)
+    no_hull = np.full(4 * len(names), -1)
+    hull_dof = np.append(np.tile(_last_dof(model, hull_body), len(names)), no_hull)
+    body = np.concatenate([np.repeat(ids, len(hulls)), np.repeat(ids, 4)])
     mass = model.body_mass[body]
-    place = np.zeros((count, 2))
-    load = np.zeros(count)
-    place[pairs:] = np.array([item.supports for item in objects]).reshape(-1, 2)
-    load[pairs:] = -model.opt.gravity[2] / 4 * mass[pairs:]
+    count = len(body)
     sensors = [
         model.sensor(object_force_sensor(name, hull)).adr[0]
         for name in names
         for hull in hulls
     ]
+    place = np.zeros((count, 2))
+    place[pairs:] = np.array([item.supports for item in objects]).reshape(-1, 2)
+    load = np.zeros(count)
+    load[pairs:] = -model.opt.gravity[2] / 4 * mass[pairs:]
     friction = np.full(count, surroundings.friction_of(model))
     friction[pairs:] = np.repeat([item.friction for item in objects], 4)
+    admittance = 1 / mass
+    admittance[:pairs] += np.tile(hull_admittance, len(names))
     return ObjectContacts(
         pairs=pairs,
         first=model.nv - free,
         slip=slip,
-        hull_dof=np.concatenate(
-            [np.tile(hull_dof, len(names)), np.full(count - pairs, -1)]
-        ),
+        dof=np.stack([hull_dof, _last_dof(model, body)], axis=1),
         object_body=body,
-        object_dof=_last_dof(model, body),
         place=place,
-        sensor=np.array(sensors + [0] * (count - pairs), dtype=int),
+        sensor=np.array(sensors + [0] * len(no_hull), dtype=int),
         load=load,
         friction=friction,
-        admittance=1 / mass
-        + np.append(np.tile(hull_admittance, len(names)), np.zeros(count - pairs)),
+        admittance=admittance,
         force=np.zeros((count, 2)),
         slip_speed=np.zeros(count),
         jacobian=np.zeros((count, 2, 3, 6)),
@@ -176,57 +186,31 @@ def _last_dof(model: mujoco.MjModel, body: np.ndarray) -> np.ndarray:
     return last
 
 
-@kernel_only
-def dot(a, b):  # type: ignore[no-untyped-def]
-    """Return the product of two spatial vectors."""
-    return (
-        a[0] * b[0]
-        + a[1] * b[1]
-        + a[2] * b[2]
-        + a[3] * b[3]
-        + a[4] * b[4]
-        + a[5] * b[5]
-    )
-
-
-@kernel_only
-def _fill(row, x, y, z, c, s, sign):  # type: ignore[no-untyped-def]
-    """Fill the spatial vectors of a point's velocity along the axis (c, s), upward, and along (s, −c)."""
-    row[0, 0] = -sign * z * s
-    row[0, 1] = sign * z * c
-    row[0, 2] = sign * (x * s - y * c)
-    row[0, 3] = sign * c
-    row[0, 4] = sign * s
-    row[0, 5] = 0.0
-    row[1, 0] = sign * y
-    row[1, 1] = -sign * x
-    row[1, 2] = 0.0
-    row[1, 3] = 0.0
-    row[1, 4] = 0.0
-    row[1, 5] = sign
-    row[2, 0] = sign * z * c
-    row[2, 1] = sign * z * s
-    row[2, 2] = -sign * (x * c + y * s)
-    row[2, 3] = sign * s
-    row[2, 4] = -sign * c
-    row[2, 5] = 0.0
-
-
 @compiled_if(has_objects)
 def apply_object_friction(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
     """Add the friction of the previous step to `qfrc_applied`, after that of the wheels was added."""
     o = engine.objects
     for w in range(o.force.shape[0]):
         for side in range(2):
-            i = o.hull_dof[w] if side == 0 else o.object_dof[w]
-            along = o.jacobian[w, side, 0]
-            across = o.jacobian[w, side, 1]
+            i = o.dof[w, side]
+            along = o.jacobian[w, side, _ALONG]
+            across = o.jacobian[w, side, _ACROSS]
             while i >= 0:
-                moment = o.force[w, 0] * dot(along, engine.cdof[i])
-                engine.qfrc_applied[i] += moment + o.force[w, 1] * dot(
+                moment = o.force[w, _FORCE_ALONG] * dot(along, engine.cdof[i])
+                engine.qfrc_applied[i] += moment + o.force[w, _FORCE_ACROSS] * dot(
                     across, engine.cdof[i]
                 )
                 i = sparsity.parent[i]
+
+
+@kernel_only
+def _locate(jacobian, x, y, z, c, s, sign):  # type: ignore[no-untyped-def]
+    """Fill the Jacobian of a contact, times a sign, for the direction (c, s) along."""
+    c = sign * c
+    s = sign * s
+    point_jacobian(jacobian[_ALONG], x, y, z, c, s, 0.0)
+    point_jacobian(jacobian[_ACROSS], x, y, z, 0.0, 0.0, sign)
+    point_jacobian(jacobian[_AWAY], x, y, z, s, -c, 0.0)
 
 
 @compiled_if(has_objects)
@@ -238,20 +222,15 @@ def locate_objects(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
     for w in range(o.force.shape[0]):
         body = o.object_body[w]
         own = engine.subtree_com[body]
-        row = o.jacobian[w]
+        hull = o.jacobian[w, _HULL]
+        item = o.jacobian[w, _OBJECT]
         if w >= o.pairs:
             m = engine.xmat[body]
             place = o.place[w]
             x = engine.xpos[body, 0] + m[0] * place[0] + m[1] * place[1] - own[0]
             y = engine.xpos[body, 1] + m[3] * place[0] + m[4] * place[1] - own[1]
-            _fill(row[1], x, y, 0.0, 1.0, 0.0, 1.0)
-            # The direction across is also horizontal.
-            row[1, 1, 0] = 0.0
-            row[1, 1, 1] = 0.0
-            row[1, 1, 2] = x
-            row[1, 1, 3] = 0.0
-            row[1, 1, 4] = 1.0
-            row[1, 1, 5] = 0.0
+            point_jacobian(item[_ALONG], x, y, 0.0, 1.0, 0.0, 0.0)
+            point_jacobian(item[_ACROSS], x, y, 0.0, 0.0, 1.0, 0.0)
         else:
             k = o.sensor[w]
             fx = sensors[k]
@@ -264,8 +243,8 @@ def locate_objects(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
                 x = sensors[k + 3]
                 y = sensors[k + 4]
                 z = sensors[k + 5]
-                _fill(row[0], x - com[0], y - com[1], z - com[2], c, s, 1.0)
-                _fill(row[1], x - own[0], y - own[1], z - own[2], c, s, -1.0)
+                _locate(hull, x - com[0], y - com[1], z - com[2], c, s, 1.0)
+                _locate(item, x - own[0], y - own[1], z - own[2], c, s, -1.0)
         grip = o.friction[w] * o.load[w] / max(o.slip_speed[w], o.slip)
         decay = h * grip * o.admittance[w]
         # As `friction_solve._evaluation_fraction`.
@@ -281,13 +260,13 @@ def _velocity(o, work, w, theta):  # type: ignore[no-untyped-def]
     u_t = 0.0
     u_n = 0.0
     for side in range(2):
-        i = o.hull_dof[w] if side == 0 else o.object_dof[w]
+        i = o.dof[w, side]
         if i >= 0:
             middle = work.mid_motion[i]
             step = work.step_motion[i]
             change = work.motion[i]
-            along = o.jacobian[w, side, 0]
-            across = o.jacobian[w, side, 1]
+            along = o.jacobian[w, side, _ALONG]
+            across = o.jacobian[w, side, _ACROSS]
             shift = theta - 0.5
             u_t += (
                 dot(along, middle)
@@ -311,23 +290,30 @@ def add_object_impulses(engine, sparsity, work, h):  # type: ignore[no-untyped-d
         mu = o.friction[w]
         force = o.force[w]
         out = o.response[w]
-        f_t, f_n, tt, tn, nn = stick_slip_friction(
-            u_t, u_n, o.load[w], mu, mu, o.slip, force[0], force[1]
+        traction = stick_slip_friction(
+            u_t,
+            u_n,
+            o.load[w],
+            mu,
+            mu,
+            o.slip,
+            force[_FORCE_ALONG],
+            force[_FORCE_ACROSS],
         )
-        out[0] = f_t
-        out[1] = f_n
-        out[2] = tt
-        out[3] = tn
-        out[4] = nn
-        along = h * (f_t - force[0])
-        across = h * (f_n - force[1])
+        out[_FORCE_ALONG] = traction.along
+        out[_FORCE_ACROSS] = traction.across
+        out[_SLOPE_ALONG] = traction.slope_along
+        out[_SLOPE_MIXED] = traction.slope_mixed
+        out[_SLOPE_ACROSS] = traction.slope_across
+        along = h * (traction.along - force[_FORCE_ALONG])
+        across = h * (traction.across - force[_FORCE_ACROSS])
         for side in range(2):
-            i = o.hull_dof[w] if side == 0 else o.object_dof[w]
+            i = o.dof[w, side]
             if i >= 0:
                 for k in range(6):
                     change = (
-                        along * o.jacobian[w, side, 0, k]
-                        + across * o.jacobian[w, side, 1, k]
+                        along * o.jacobian[w, side, _ALONG, k]
+                        + across * o.jacobian[w, side, _ACROSS, k]
                     )
                     work.impulse[i, k] -= change
 
@@ -336,40 +322,54 @@ def add_object_impulses(engine, sparsity, work, h):  # type: ignore[no-untyped-d
 def add_object_slopes(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
     """Add the slopes of friction to the spatial matrices `slope` of hulls and objects, and fill B."""
     o = engine.objects
-    for i in range(o.coupling.shape[0]):
-        for k in range(o.coupling.shape[1]):
-            o.coupling[i, k] = 0.0
+    clear(o.coupling)
     for w in range(o.force.shape[0]):
         if o.load[w] == 0.0:
             continue
         weight = -o.theta[w] * h
-        tt = weight * o.response[w, 2]
-        tn = weight * o.response[w, 3]
-        nn = weight * o.response[w, 4]
+        tt = weight * o.response[w, _SLOPE_ALONG]
+        tn = weight * o.response[w, _SLOPE_MIXED]
+        nn = weight * o.response[w, _SLOPE_ACROSS]
         for side in range(2):
-            i = o.hull_dof[w] if side == 0 else o.object_dof[w]
+            i = o.dof[w, side]
             if i >= 0:
-                along = o.jacobian[w, side, 0]
-                across = o.jacobian[w, side, 1]
+                along = o.jacobian[w, side, _ALONG]
+                across = o.jacobian[w, side, _ACROSS]
                 for a in range(6):
                     t = tt * along[a] + tn * across[a]
                     n = tn * along[a] + nn * across[a]
                     for b in range(6):
                         work.slope[i, a, b] += t * along[b] + n * across[b]
-        hull = o.jacobian[w, 0]
-        own = o.jacobian[w, 1]
-        for dof in range(o.object_dof[w] - 2, o.object_dof[w] + 1):
-            s_t = dot(own[0], engine.cdof[dof])
-            s_n = dot(own[1], engine.cdof[dof])
+        hull = o.jacobian[w, _HULL]
+        own = o.jacobian[w, _OBJECT]
+        last = o.dof[w, _OBJECT]
+        for dof in range(last - 2, last + 1):
+            s_t = dot(own[_ALONG], engine.cdof[dof])
+            s_n = dot(own[_ACROSS], engine.cdof[dof])
             t = tt * s_t + tn * s_n
             n = tn * s_t + nn * s_n
-            i = o.hull_dof[w]
+            i = o.dof[w, _HULL]
             while i >= 0:
                 cdof = engine.cdof[i]
-                o.coupling[dof - o.first, i] += t * dot(hull[0], cdof) + n * dot(
-                    hull[1], cdof
-                )
+                on_hull = t * dot(hull[_ALONG], cdof) + n * dot(hull[_ACROSS], cdof)
+                o.coupling[dof - o.first, i] += on_hull
                 i = sparsity.parent[i]
+
+
+@kernel_only
+def _eliminate(matrix, x):  # type: ignore[no-untyped-def]
+    """Solve a system whose matrix has its right side as last column, and needs no pivoting."""
+    count = matrix.shape[0]
+    for i in range(count):
+        for j in range(i + 1, count):
+            factor = matrix[j, i] / matrix[i, i]
+            for k in range(i, count + 1):
+                matrix[j, k] -= factor * matrix[i, k]
+    for i in range(count - 1, -1, -1):
+        value = matrix[i, count]
+        for k in range(i + 1, count):
+            value -= matrix[i, k] * x[k]
+        x[i] = value / matrix[i, i]
 
 
 @compiled_if(has_objects)
@@ -381,13 +381,9 @@ def couple_objects(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
     count = o.coupling.shape[0]
     if count == 0:
         return
-    mj_solveM(
-        engine.model,
-        engine.data,
-        o.solved.ctypes.data,
-        o.coupling.ctypes.data,
-        np.int32(count),
-    )
+    coupling = o.coupling.ctypes.data
+    solved = o.solved.ctypes.data
+    mj_solveM(engine.model, engine.data, solved, coupling, np.int32(count))
     for i in range(count):
         row = sparsity.row_start[first + i]
         for k in range(count + 1):
@@ -402,18 +398,7 @@ def couple_objects(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
         o.matrix[i, count] = work.residual[first + i]
         for j in range(first):
             o.matrix[i, count] -= o.coupling[i, j] * direction[j]
-    for i in range(
-        count
-    ):  # elimination; the matrix is positive definite and needs no pivoting
-        for j in range(i + 1, count):
-            factor = o.matrix[j, i] / o.matrix[i, i]
-            for k in range(i, count + 1):
-                o.matrix[j, k] -= factor * o.matrix[i, k]
-    for i in range(count - 1, -1, -1):
-        value = o.matrix[i, count]
-        for k in range(i + 1, count):
-            value -= o.matrix[i, k] * direction[first + k]
-        direction[first + i] = value / o.matrix[i, i]
+    _eliminate(o.matrix, direction[first:])
     for i in range(count):
         for j in range(first):
             direction[j] -= direction[first + i] * o.solved[i, j]
@@ -433,21 +418,21 @@ def store_object_friction(engine, sparsity, work, force):  # type: ignore[no-unt
     o = engine.objects
     power = 0.0
     for w in range(o.force.shape[0]):
-        f_t = o.response[w, 0]
-        f_n = o.response[w, 1]
+        f_t = o.response[w, _FORCE_ALONG]
+        f_n = o.response[w, _FORCE_ACROSS]
         u_t, u_n = _velocity(o, work, w, 0.5)
         power -= f_t * u_t + f_n * u_n
         o.slip_speed[w] = np.sqrt(u_t * u_t + u_n * u_n)
-        o.force[w, 0] = f_t
-        o.force[w, 1] = f_n
+        o.force[w, _FORCE_ALONG] = f_t
+        o.force[w, _FORCE_ACROSS] = f_n
         if w < o.pairs:
-            along = o.jacobian[w, 0, 0]
+            along = o.jacobian[w, _HULL, _ALONG]
             force[w, 0] = f_t * along[3]
             force[w, 1] = f_t * along[4]
             force[w, 2] = f_n
             for side in range(2):
-                i = o.hull_dof[w] if side == 0 else o.object_dof[w]
-                away = o.jacobian[w, side, 2]
+                i = o.dof[w, side]
+                away = o.jacobian[w, side, _AWAY]
                 power -= o.load[w] * (
                     dot(away, work.mid_motion[i]) + 0.5 * dot(away, work.motion[i])
                 )

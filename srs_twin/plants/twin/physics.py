@@ -18,9 +18,13 @@ from srs_twin.errors import InputError
 from srs_twin.io.saved_state import Stateful
 from srs_twin.plants.base import Pose
 from srs_twin.plants.twin.contact_loaded import LoadedStepper
-from srs_twin.plants.twin.internal_joints import InternalJoints, bend_joints
+from srs_twin.plants.twin.internal_joints import InternalJoints
 from srs_twin.plants.twin.mjcf.model import scene_mjcf
-from srs_twin.plants.twin.mjcf.numerics import ModelSettings, PreloadedContact
+from srs_twin.plants.twin.mjcf.numerics import (
+    ModelSettings,
+    PreloadedContact,
+    bend_joints,
+)
 from srs_twin.plants.twin.mjcf.surroundings import (
     hulls as hull_names,
     object_force_sensor,
@@ -90,6 +94,63 @@ class SensorAddresses(NamedTuple):
     out_of_plane: np.ndarray
 
 
+class Sensors(NamedTuple):
+    """Addresses of the components of all vector sensors, x, y and z last, and of scalar sensors.
+
+    Attributes:
+        floor_force: force of the floor on each wheel, shape (axles, 2, 3).
+        foot_velocity: velocity of each foot, in the shape of `floor_force`; empty under
+            loaded contact.
+        hull_force: force of the obstacles on each hull, shape (hulls, 3).
+        hull_velocity: velocity of each hull's centre, shape (hulls, 3).
+        object_force: force of each object on each hull, shape (objects, hulls, 3).
+        drag_force: axial drag of each connector, shape (N,); empty without drag.
+        drag_velocity: velocity of each connector along its heading, shape (N,).
+        kinetic_energy: address of the kinetic energy.
+    """
+
+    floor_force: np.ndarray
+    foot_velocity: np.ndarray
+    hull_force: np.ndarray
+    hull_velocity: np.ndarray
+    object_force: np.ndarray
+    drag_force: np.ndarray
+    drag_velocity: np.ndarray
+    kinetic_energy: int
+
+
+def find_sensors(
+    model: mujoco.MjModel, spec: RobotSpec, settings: ModelSettings
+) -> Sensors:
+    """Return the addresses of the sensors of a compiled scene."""
+
+    def addresses(names: list[str]) -> np.ndarray:
+        first = np.array([model.sensor(name).adr[0] for name in names], dtype=int)
+        return first[:, None] + np.arange(3)
+
+    treads_on_floor = treads(spec, settings) if settings.base == "free" else []
+    feet = [tread.replace("tread", "foot") for tread in treads_on_floor]
+    hulls = hull_names(model)
+    objects = object_names(model)
+    on_hulls = [object_force_sensor(name, hull) for name in objects for hull in hulls]
+    has_drag = settings.base == "free" and spec.friction.drag > 0.0
+    dragged = range(1, spec.geometry.connectors + 1) if has_drag else ()
+    return Sensors(
+        floor_force=addresses(
+            [f"floor_force_{tread}" for tread in treads_on_floor]
+        ).reshape(-1, 2, 3),
+        foot_velocity=addresses(
+            [] if settings.loaded else [f"velocity_{foot}" for foot in feet]
+        ).reshape(-1, 2, 3),
+        hull_force=addresses([f"obstacle_force_{hull}" for hull in hulls]),
+        hull_velocity=addresses([f"velocity_{hull}" for hull in hulls]),
+        object_force=addresses(on_hulls).reshape(len(objects), len(hulls), 3),
+        drag_force=addresses([f"drag_frc_{i}" for i in dragged])[:, 0],
+        drag_velocity=addresses([f"drag_vel_{i}" for i in dragged])[:, 0],
+        kinetic_energy=int(model.sensor("kinetic_energy").adr[0]),
+    )
+
+
 @dataclass(frozen=True)
 class Kinematics:
     """Positions and velocities of the bodies in several states, world frame, connectors head first.
@@ -127,13 +188,17 @@ class EngineWarnings(threading.local):
 ENGINE_WARNINGS = EngineWarnings()
 """Warnings for the message of a DivergedError; without a handler MuJoCo writes them to a log file."""
 
-mujoco.set_mju_user_warning(lambda text: ENGINE_WARNINGS.last.append(text))
+
+def _keep_warning(text: str) -> None:
+    ENGINE_WARNINGS.last.append(text)  # the list of this thread
+
+
+mujoco.set_mju_user_warning(_keep_warning)
 _ROLLOUT = mujoco_rollout.Rollout(nthread=0)  # runs on the calling thread
 _ROLLOUT_STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _SNAKE = 1  # body that carries the whole snake; objects are other trees
-_SAVED_STATE = (
-    mujoco.mjtState.mjSTATE_INTEGRATION
-)  # with the warm start, so that steps continue bit for bit
+# With the warm start, so that steps continue bit for bit.
+_SAVED_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
 class SnakePhysics(Stateful):
@@ -169,10 +234,8 @@ class SnakePhysics(Stateful):
             world: obstacles and floor; None for a level floor without obstacles.
         """
         # Other worlds do not affect the scene: share the compiled model.
-        if world and (world.is_solid or world.uneven):
-            relevant = world
-        else:
-            relevant = None
+        matters = world is not None and (world.is_solid or world.uneven)
+        relevant = world if matters else None
         # A copy, so that changes of one twin's model do not affect other twins.
         model = copy.copy(_compile_scene(spec, settings, supply_pa, relevant))
         return cls(model, spec, settings, chambers, world or World())
@@ -194,60 +257,23 @@ class SnakePhysics(Stateful):
         self._settings = settings
         self._world = world
         self.free = settings.base == "free"
-        contact = settings.contact
         self._static_load = static_loads(spec, settings, -model.opt.gravity[2])
         self._preload = np.zeros_like(self._static_load)
-        if isinstance(contact, PreloadedContact) and self.free:
-            self._preload = preload_force(spec, contact)
-        self._connectors = [
-            model.body(f"connector_{i}").id
-            for i in range(1, spec.geometry.connectors + 1)
-        ]
-        self._probe = mujoco.MjData(model)
-        self._start = np.empty((1, mujoco.mj_stateSize(model, _ROLLOUT_STATE)))
-        feet = treads(spec, settings) if self.free else []
-        # Sensor addresses of the left and right foot of each axle, shape (axles, 2, 3).
-        self._force_addresses = self._addresses(
-            [f"floor_force_{foot}" for foot in feet]
-        ).reshape(-1, 2, 3)
-        if settings.loaded:
-            velocities = []
-        else:
-            velocities = [foot.replace("tread", "velocity_foot") for foot in feet]
-        self._foot_addresses = self._addresses(velocities).reshape(-1, 2, 3)
-        self._energy_address = model.sensor("kinetic_energy").adr[0]
-        if self.free and spec.friction.drag > 0.0:
-            count = spec.geometry.connectors
-        else:
-            count = 0
-        drags = [
-            [f"drag_{kind}_{i + 1}" for i in range(count)] for kind in ("frc", "vel")
-        ]
-        self._drag_force, self._drag_velocity = (
-            self._addresses(names)[:, 0] for names in drags
-        )
-        self._set_up_hulls(spec)
-        self._set_up_objects()
-        # A bend is the sum of hinge angles: matrices from qpos to bends and from qvel
-        # to bend rates. The rows of a spatial robot are all bends to the left, then all
-        # bends upwards.
-        kinds = bend_joints(spec)
-        rows = len(kinds) * spec.segments
-        self._angles = np.zeros((rows, model.nq))
-        self._rates = np.zeros((rows, model.nv))
-        for row in range(rows):
-            component, j = divmod(row, spec.segments)
-            for k in range(settings.hinges_per_segment):
-                hinge = model.joint(f"{kinds[component]}_{j + 1}_{k + 1}")
-                self._angles[row, hinge.qposadr[0]] = self._rates[
-                    row, hinge.dofadr[0]
-                ] = 1.0
-        self.internal_joints = InternalJoints(model, spec, settings)
+        if isinstance(settings.contact, PreloadedContact) and self.free:
+            self._preload = preload_force(spec, settings.contact)
         self._no_force = np.zeros((*self._preload.shape, 3))
         self._floor_force = self._last_force = self._no_force
-        air = chambers.stiffness * self._rates.T @ self._rates
+        connectors = range(1, spec.geometry.connectors + 1)
+        self._connectors = [model.body(f"connector_{i}").id for i in connectors]
+        self._probe = mujoco.MjData(model)
+        self._start = np.empty((1, mujoco.mj_stateSize(model, _ROLLOUT_STATE)))
+        self._sensors = find_sensors(model, spec, settings)
+        self._hull_shares = _hull_shares(hull_names(model), len(connectors))
+        self._angles, self._rates = _bend_matrices(model, spec, settings)
+        self.internal_joints = InternalJoints(model, spec, settings)
         self.stepper = None
         if settings.loaded:
+            air = chambers.stiffness * self._rates.T @ self._rates
             self.stepper = LoadedStepper(
                 model, self.data, spec, settings, air, world.objects
             )
@@ -263,16 +289,12 @@ class SnakePhysics(Stateful):
         )
         # The model may have been changed since these constants were taken from it: copy
         # them, too.
-        kinds = np.ndarray | InternalJoints
         constants = {
             name: value
             for name, value in vars(self).items()
-            if isinstance(value, kinds)
+            if isinstance(value, np.ndarray | InternalJoints)
         }
-        if self.stepper is None:
-            contact = None
-        else:
-            contact = self.stepper.constants
+        contact = self.stepper.constants if self.stepper else None
         return type(self), arguments, (self.state_dict(), constants, contact)
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
@@ -282,38 +304,17 @@ class SnakePhysics(Stateful):
             self.stepper.constants = contact
         self.load_state_dict(memory)
 
-    def _set_up_hulls(self, spec: RobotSpec) -> None:
-        hulls = hull_names(self.model)
-        self._hull_force = self._addresses([f"obstacle_force_{hull}" for hull in hulls])
-        self._hull_velocity = self._addresses([f"velocity_{hull}" for hull in hulls])
-        # Hulls 0…n of segment j are numbered from the head. The front half of the
-        # segment counts for connector j, the rear half for connector j + 1.
-        self._hull_shares = np.zeros((spec.geometry.connectors, len(hulls)))
-        for k, hull in enumerate(hulls):
-            segment, number = place_of(hull)
-            count = sum(name.startswith(f"hull_{segment}_") for name in hulls)
-            share = np.clip(count / 2 - number, 0.0, 1.0)
-            self._hull_shares[segment - 1, k] = share
-            self._hull_shares[segment, k] = 1 - share
-
-    def _set_up_objects(self) -> None:
-        names = object_names(self.model)
-        hulls = hull_names(self.model)
-        sensors = [object_force_sensor(name, hull) for name in names for hull in hulls]
-        # Address of the force of each object on each hull, shape (objects, hulls, 3);
-        # its point follows.
-        self._object_force = self._addresses(sensors).reshape(len(names), len(hulls), 3)
-
     @property
     def sensor_addresses(self) -> SensorAddresses:
         """Addresses for an engine that steps the bodies elsewhere."""
+        sensors = self._sensors
         return SensorAddresses(
-            floor_force=self._force_addresses[..., 0].ravel(),
-            foot_velocity=self._foot_addresses[..., 0].ravel(),
-            obstacle_force=self._hull_force[:, 0],
-            external_force=self._drag_force,
-            external_velocity=self._drag_velocity,
-            kinetic_energy=int(self._energy_address),
+            floor_force=sensors.floor_force[..., 0].ravel(),
+            foot_velocity=sensors.foot_velocity[..., 0].ravel(),
+            obstacle_force=sensors.hull_force[:, 0],
+            external_force=sensors.drag_force,
+            external_velocity=sensors.drag_velocity,
+            kinetic_energy=sensors.kinetic_energy,
             connectors=np.array(self._connectors),
             hinges=self.internal_joints.hinges,
             out_of_plane=self.internal_joints.out_of_plane,
@@ -323,19 +324,13 @@ class SnakePhysics(Stateful):
         self, qpos: np.ndarray, qvel: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return bends and bend rates of states with shapes (…, nq) and (…, nv)."""
-        return self._by_segment(qpos @ self._angles.T), self._by_segment(
-            qvel @ self._rates.T
-        )
+        bends = self._by_segment(qpos @ self._angles.T)
+        return bends, self._by_segment(qvel @ self._rates.T)
 
     def connector_forces(self, hull_force: np.ndarray) -> np.ndarray:
         """Return the obstacles' forces on connectors, shape (…, N, 3), from those on hulls, (…, hulls, 3)."""
         force: np.ndarray = np.einsum("ih,...hk->...ik", self._hull_shares, hull_force)
         return force
-
-    def _addresses(self, names: list[str]) -> np.ndarray:
-        """Return the addresses of the three components of each sensor, shape (sensors, 3)."""
-        first = np.array([self.model.sensor(name).adr[0] for name in names], dtype=int)
-        return first[:, None] + np.arange(3)
 
     def lay_down(self, pose: Pose) -> None:
         """Reset to a snake at rest with its rest bends, empty chambers and a given pose.
@@ -405,26 +400,23 @@ class SnakePhysics(Stateful):
         data = self.data
         if self.stepper is not None:
             self.stepper.roll()
-        for number in range(1, len(self._preload) + 1):
-            for side in ("left", "right"):
-                joint = mujoco.mj_name2id(
-                    model, mujoco.mjtObj.mjOBJ_JOINT, f"axle_{side}_{number}"
-                )
-                if joint < 0:
-                    continue
-                wheel = model.jnt_bodyid[joint]
-                axis = data.xaxis[joint]
-                velocity = np.empty(6)
-                mujoco.mj_objectVelocity(
-                    model, data, mujoco.mjtObj.mjOBJ_BODY, wheel, velocity, 0
-                )
-                ahead = np.cross(axis, [0.0, 0.0, 1.0])
-                spin = (
-                    velocity[3:]
-                    @ ahead
-                    / (self._spec.geometry.wheel_radius * (ahead @ ahead))
-                )
-                data.qvel[model.jnt_dofadr[joint]] = spin
+        for joint in range(model.njnt):
+            if not model.joint(joint).name.startswith("axle_"):
+                continue
+            velocity = np.empty(6)
+            mujoco.mj_objectVelocity(
+                model,
+                data,
+                mujoco.mjtObj.mjOBJ_BODY,
+                model.jnt_bodyid[joint],
+                velocity,
+                0,
+            )
+            ahead = np.cross(data.xaxis[joint], [0.0, 0.0, 1.0])
+            radius = self._spec.geometry.wheel_radius
+            data.qvel[model.jnt_dofadr[joint]] = (
+                velocity[3:] @ ahead / (radius * (ahead @ ahead))
+            )
 
     def state_dict(self) -> dict[str, object]:
         """Return the saved state; the engine's part is MuJoCo's integration state."""
@@ -478,15 +470,11 @@ class SnakePhysics(Stateful):
                 rows.
         """
         controls = self.controls(trace)
-        # Positions are those at the beginning of a step, or at its middle under loaded
-        # contact.
         if self.stepper is None:
-            controls = controls[:-1]
-        else:
-            controls = (controls[:-1] + controls[1:]) / 2
-        if self.stepper is None:
-            return self._run_engine(controls)
-        return self.stepper.run(controls)
+            # Positions are those at the beginning of a step.
+            return self._run_engine(controls[:-1])
+        # Positions are those at the middle of a step.
+        return self.stepper.run((controls[:-1] + controls[1:]) / 2)
 
     def controls(self, trace: Trace) -> np.ndarray:
         """Return the controls of the actuators for each row of a trace.
@@ -500,16 +488,13 @@ class SnakePhysics(Stateful):
             - self._pneumatics.rest_bend
             + spec.bending.damping_time * trace.bend_rate
         )
-        if spec.is_spatial:  # the actuators take bends
-            if spec.actuator.extension:
-                lengths = free_extensions(spec, trace.pressure)[..., None]
-                driven = np.concatenate([driven, lengths], axis=-1)
-            controls: np.ndarray = driven
-        else:  # the actuators take the pressures of two chambers
-            controls = np.maximum(
-                np.stack([driven, -driven], axis=-1), 0.0
-            ) / chamber_gains(spec)
-        return controls.reshape(len(driven), -1)
+        if not spec.is_spatial:  # the actuators take the pressures of two chambers
+            moments = np.maximum(np.stack([driven, -driven], axis=-1), 0.0)
+            driven = moments / chamber_gains(spec)
+        elif spec.actuator.extension:  # the actuators take bends and lengths
+            lengths = free_extensions(spec, trace.pressure)[..., None]
+            driven = np.concatenate([driven, lengths], axis=-1)
+        return driven.reshape(len(driven), -1)
 
     def evaluate(
         self,
@@ -534,25 +519,22 @@ class SnakePhysics(Stateful):
                 the sensors do not contain, shape (steps, 1 + objects, hulls, 3), N.
         """
         self.refresh()
-        hull_force = sensors[:, self._hull_force]
+        at = self._sensors
+        hull_force = sensors[:, at.hull_force]
         if floor_force is None or contact_power is None:
-            floor_force = self._at_feet(sensors, self._force_addresses)
+            floor_force = self._at_feet(sensors, at.floor_force)
             # The engine is implicit: a force acts with the velocity at the end of its
             # step, which the sensors report one step later.
-            earlier = np.concatenate([self._last_force[None], floor_force[:-1]])[
-                ..., :2
-            ]
-            velocity = self._at_feet(sensors, self._foot_addresses)[..., :2]
-            contact_power = -(earlier * velocity).sum(axis=(1, 2, 3))
-            contact_power -= (hull_force * sensors[:, self._hull_velocity]).sum(
-                axis=(1, 2)
-            )
-        power = contact_power - (
-            sensors[:, self._drag_force] * sensors[:, self._drag_velocity]
-        ).sum(axis=1)
-        normal = np.concatenate(
-            [hull_force[:, None], sensors[:, self._object_force]], axis=1
-        )
+            earlier = np.concatenate([self._last_force[None], floor_force[:-1]])
+            velocity = self._at_feet(sensors, at.foot_velocity)
+            on_feet = earlier[..., :2] * velocity[..., :2]
+            contact_power = -on_feet.sum(axis=(1, 2, 3))
+            on_hulls = hull_force * sensors[:, at.hull_velocity]
+            contact_power -= on_hulls.sum(axis=(1, 2))
+        drag = sensors[:, at.drag_force] * sensors[:, at.drag_velocity]
+        power = contact_power - drag.sum(axis=1)
+        object_force = sensors[:, at.object_force]
+        normal = np.concatenate([hull_force[:, None], object_force], axis=1)
         obstacle_force = self.connector_forces((normal + obstacle_friction).sum(axis=1))
         self._floor_force = floor_force.mean(axis=0)
         self._last_force = floor_force[-1]
@@ -560,7 +542,7 @@ class SnakePhysics(Stateful):
         internal = self.internal_joints.dissipated(
             states[:, 1 + self.model.nq :], free_rate
         )
-        energy = sensors[:, self._energy_address]
+        energy = sensors[:, at.kinetic_energy]
         return StepBatch(states, floor_force, energy, obstacle_force, power, internal)
 
     def _run_engine(
@@ -686,6 +668,47 @@ class SnakePhysics(Stateful):
         A negative load means that the wheel would lift without the preload.
         """
         return self.floor_forces()[..., 2]
+
+
+def _hull_shares(hulls: list[str], connectors: int) -> np.ndarray:
+    """Return the share of each hull that counts for each connector, shape (connectors, hulls).
+
+    Hulls 0…n of segment j are numbered from the head. The front half of the segment
+    counts for connector j, the rear half for connector j + 1.
+    """
+    shares = np.zeros((connectors, len(hulls)))
+    for k, hull in enumerate(hulls):
+        segment, number = place_of(hull)
+        count = sum(name.startswith(f"hull_{segment}_") for name in hulls)
+        share = np.clip(count / 2 - number, 0.0, 1.0)
+        shares[segment - 1, k] = share
+        shares[segment, k] = 1 - share
+    return shares
+
+
+def _bend_matrices(
+    model: mujoco.MjModel, spec: RobotSpec, settings: ModelSettings
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the matrices from qpos to bends and from qvel to bend rates.
+
+    A bend is the sum of hinge angles. The rows of a spatial robot are all bends to the
+    left, then all bends upwards.
+    """
+    bends = [
+        [
+            model.joint(f"{kind}_{j + 1}_{k + 1}")
+            for k in range(settings.hinges_per_segment)
+        ]
+        for kind in bend_joints(spec)
+        for j in range(spec.segments)
+    ]
+    angles = np.zeros((len(bends), model.nq))
+    rates = np.zeros((len(bends), model.nv))
+    for row, hinges in enumerate(bends):
+        for hinge in hinges:
+            angles[row, hinge.qposadr[0]] = 1.0
+            rates[row, hinge.dofadr[0]] = 1.0
+    return angles, rates
 
 
 @lru_cache(maxsize=8)

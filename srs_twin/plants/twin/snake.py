@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import replace
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,9 +25,7 @@ from srs_twin.plants.base import (
 )
 from srs_twin.plants.twin.mjcf.belly import patches
 from srs_twin.plants.twin.mjcf.numerics import (
-    LAW_OF,
     TIMESTEP_S,
-    WHEELS,
     Contact,
     ContactName,
     LoadedContact,
@@ -38,6 +35,7 @@ from srs_twin.plants.twin.mjcf.numerics import (
     as_contact,
     preset_of,
 )
+from srs_twin.plants.twin.mjcf.rules import check
 from srs_twin.plants.twin.physics import ENGINE_WARNINGS, SnakePhysics, StepBatch
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace
 from srs_twin.robot.scale import divide
@@ -45,7 +43,11 @@ from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import World
 from srs_twin.sensing import Sensor
 
-_MAX_SPEED = 1e4  # of any joint, above which a state is not plausible, rad/s or m/s
+_MAX_SPEED = 1e4
+"""Speed of any joint from which a state is not plausible, rad/s or m/s."""
+
+_ROUNDING = 1 + 1e-9
+"""Factor that allows for rounding when two times are compared."""
 
 # Option of a contact → key in the provenance of a run, where the two differ.
 _CONTACT_KEYS = {
@@ -54,6 +56,26 @@ _CONTACT_KEYS = {
     "slip_time": "slip_time_s",
     "axle_time": "axle_time_s",
 }
+
+
+class Loads(NamedTuple):
+    """Forces and energies of the samples of a history.
+
+    Attributes:
+        floor_force: mean force of the floor on each wheel since the previous sample,
+            world frame, shape (samples, axles, 2, 3), N.
+        obstacle_force: mean horizontal force of obstacles on each connector since the
+            previous sample, shape (samples, N, 2), N.
+        body_work: kinetic energy and losses to floor and obstacles, shape (samples,),
+            J.
+        internal_loss: energy that joints dissipated inside segments, shape (samples,),
+            J.
+    """
+
+    floor_force: np.ndarray
+    obstacle_force: np.ndarray
+    body_work: np.ndarray
+    internal_loss: np.ndarray
 
 
 class TwinSnake(PneumaticPlant):
@@ -98,7 +120,6 @@ class TwinSnake(PneumaticPlant):
         world: World | None = None,
         base: str = ModelSettings.base,
         numerics: Numerics = ModelSettings.numerics,
-        **deprecated: Any,
     ) -> None:
         """Build and compile the twin.
 
@@ -121,65 +142,59 @@ class TwinSnake(PneumaticPlant):
             base: "free", or "clamped": the head is held, and the snake hangs in the
                 air.
             numerics: switches for studies of the twin itself.
-            deprecated: former keywords, which are now fields of the contact or of
-                `numerics`; each warns.
 
         Raises:
-            InputError: the contact or the layout is unknown, the tick is not a multiple
-                of the time step, or the time step is too long for the chambers.
+            InputError: a name is unknown, the tick is not a multiple of the time step,
+                or the twin does not support the combination (`mjcf.rules`).
         """
         contact = as_contact(contact)
+        if spec.skin is not None and isinstance(contact, LoadedContact):
+            contact = replace(contact, law=spec.skin.law)
         unit = spec.scale.time
-        if deprecated:
-            contact, numerics = _apply_deprecated(contact, numerics, deprecated)
-        tick = TICK_S * unit if tick is None else tick
+        if tick is None:
+            tick = TICK_S * unit
         if timestep is None:
             timestep = divide(tick, TIMESTEP_S * unit)
         check_choice("base", base, BASES)
-        if world is not None and world.uneven and isinstance(contact, PreloadedContact):
-            raise InputError("a floor that slopes or has steps needs contact 'loaded'")
         count_steps("tick", tick, "time step", timestep)
-        if spec.skin is not None and isinstance(contact, LoadedContact):
-            contact = replace(contact, law=spec.skin.law)
+        settings = ModelSettings(timestep, hinges_per_segment, contact, base, numerics)
         self.spec = spec
         self.tick = tick
         self.timestep = timestep
         self.contact = contact
-        supply = self._make_pneumatics_and_sensor(pneumatics, supply_pa, layout, sensor)
-        settings = ModelSettings(timestep, hinges_per_segment, contact, base, numerics)
         self._settings = settings.for_robot(spec)
-        self._stiffness: float | np.ndarray = spec.bending.stiffness
+        check(spec, self._settings, world or World())
+        supply = self._make_pneumatics_and_sensor(pneumatics, supply_pa, layout, sensor)
+        self._check_coupling_step()
+        self._set_world(world)
         if spec.is_spatial:
-            self._stiffness = np.array(
-                [spec.bending.stiffness, spec.bending.pitch_stiffness]
-            )
-            if world is not None and (world.is_solid or world.uneven or world.objects):
-                spec.require_planar(
-                    "a world with obstacles, objects or an uneven floor"
-                )
-        if (
-            self.pneumatics.depends_on_bend
-            and timestep > self.pneumatics.coupling_step_s * (1 + 1e-9)
-        ):
-            raise InputError(
-                f"time step {timestep:g} s is too long for chambers whose pressures"
-                f" depend on the bends; it must be {self.pneumatics.coupling_step_s:g}"
-                " s or less (timestep_s in a scenario)"
-            )
-        self.touches = world is not None and world.is_solid
-        self.uneven = world is not None and world.uneven
-        self.world = world
-        self.objects = len(world.objects) if world else 0
-        if world:
-            self._first_step_x = min((step.x for step in world.steps), default=math.inf)
+            stiffness = [spec.bending.stiffness, spec.bending.pitch_stiffness]
+            self._stiffness: float | np.ndarray = np.array(stiffness)
         else:
-            self._first_step_x = math.inf
+            self._stiffness = spec.bending.stiffness
         largest = supply * self.pneumatics.max_pressure_ratio
-        self._world = short_digest(world)
         self.physics = SnakePhysics.build(
             spec, self._settings, self.pneumatics, largest, world
         )
         self.reset()
+
+    def _check_coupling_step(self) -> None:
+        longest = self.pneumatics.coupling_step_s
+        if self.pneumatics.depends_on_bend and self.timestep > longest * _ROUNDING:
+            raise InputError(
+                f"time step {self.timestep:g} s is too long for chambers whose"
+                f" pressures depend on the bends; it must be {longest:g} s or less"
+                " (timestep_s in a scenario)"
+            )
+
+    def _set_world(self, world: World | None) -> None:
+        self.world = world
+        self._world = short_digest(world)
+        given = world or World()
+        self.touches = given.is_solid
+        self.uneven = given.uneven
+        self.objects = len(given.objects)
+        self._first_step_x = min((step.x for step in given.steps), default=math.inf)
 
     def reset(self, *, pose: Pose = (0.0, 0.0, 0.0), seed: int = 0) -> SnakeState:
         """Lay the snake straight and at rest with empty chambers.
@@ -229,13 +244,13 @@ class TwinSnake(PneumaticPlant):
         self.seed = seed
         self._energy_loss = self._internal_loss = 0.0
         state = np.concatenate([[0.0], physics.data.qpos, physics.data.qvel])[None]
-        force = np.zeros((1, len(self.physics.wheel_loads()), 2, 3))
-        obstacles = np.zeros((1, len(self._theta), 2))
-        work = np.array([physics.kinetic_energy()])
-        loss = np.zeros(1)
-        self.state = self._observe(
-            np.zeros(1), state, trace, force, obstacles, work, loss
-        ).at(0)
+        loads = Loads(
+            floor_force=np.zeros((1, len(physics.wheel_loads()), 2, 3)),
+            obstacle_force=np.zeros((1, len(self._theta), 2)),
+            body_work=np.array([physics.kinetic_energy()]),
+            internal_loss=np.zeros(1),
+        )
+        self.state = self._observe(np.zeros(1), state, trace, loads).at(0)
         return self.state
 
     @property
@@ -264,10 +279,7 @@ class TwinSnake(PneumaticPlant):
             except DivergedError as error:
                 if error.history is not None:
                     histories.append(error.history)
-                if histories:
-                    error.history = SnakeState.history(histories)
-                else:
-                    error.history = None
+                error.history = SnakeState.history(histories) if histories else None
                 raise
         self._ticks += ticks
         return check_plausible(self.name, SnakeState.history(histories))
@@ -282,17 +294,16 @@ class TwinSnake(PneumaticPlant):
         }
         if isinstance(contact, PreloadedContact):
             options["preload"] = contact.preload_ratio
-        rest = {
-            name: getattr(settings, name) for name in ("hinges_per_segment", "base")
+        return {
+            **super().describe(),
+            "contact": contact.name,
+            **options,
+            "hinges_per_segment": settings.hinges_per_segment,
+            "base": settings.base,
+            "timestep_s": self.timestep,
+            "preset": preset_of(settings),
+            **vars(settings.numerics),
         }
-        rest |= {"timestep_s": self.timestep, "preset": preset_of(settings)}
-        return (
-            super().describe()
-            | {"contact": contact.name}
-            | options
-            | rest
-            | vars(settings.numerics)
-        )
 
     def _simulate_chunk(
         self, schedule: Schedule, begun: float, samples: int, steps: int
@@ -332,13 +343,14 @@ class TwinSnake(PneumaticPlant):
 
     def _advance(self, schedule: Schedule, steps: int) -> tuple[Trace, StepBatch]:
         """Advance chambers and bodies; return their states at the end of each step."""
-        coupling_step = self.pneumatics.coupling_step_s
         if not self.pneumatics.depends_on_bend:
             interval = steps
         elif self.physics.stepper is not None:
-            interval = 1  # closed chambers are stiff springs, stable with the bends of each step
+            # Closed chambers are stiff springs, stable with the bends of each step.
+            interval = 1
         else:
-            interval = max(1, math.floor(coupling_step / self.timestep * (1 + 1e-9)))
+            coupled = self.pneumatics.coupling_step_s / self.timestep
+            interval = max(1, math.floor(coupled * _ROUNDING))
         traces = []
         results = []
         for first in range(0, steps, interval):
@@ -356,28 +368,30 @@ class TwinSnake(PneumaticPlant):
     ) -> SnakeState:
         """Return the history at `times`, each at the end of a number of steps."""
         count = len(times)
-        used = len(times) * steps
+        used = count * steps
         ends = np.arange(1, count + 1) * steps - 1
-        floor_force = batch.floor_force[:used]
-        energy_loss = self._energy_loss + self.timestep * np.cumsum(batch.power[:used])
+        loss = self._energy_loss + self.timestep * np.cumsum(batch.power[:used])
         internal = self._internal_loss + self.timestep * np.cumsum(
             batch.internal[:used]
         )
         if used:
-            self._energy_loss = float(energy_loss[-1])
+            self._energy_loss = float(loss[-1])
             self._internal_loss = float(internal[-1])
-        # Energy balance: the work of the torques is kinetic energy plus losses.
-        work = batch.energy[ends] + energy_loss[ends]
-        loss = internal[ends]
-        force = floor_force.reshape(count, steps, *floor_force.shape[1:]).mean(axis=1)
-        contact = batch.obstacle_force[:used, :, :2]
-        obstacles = contact.reshape(count, steps, *contact.shape[1:]).mean(axis=1)
-        return self._observe(
-            times, batch.states[ends], trace.at(ends), force, obstacles, work, loss
+
+        def mean_per_sample(force: np.ndarray) -> np.ndarray:
+            return force[:used].reshape(count, steps, *force.shape[1:]).mean(axis=1)
+
+        loads = Loads(
+            floor_force=mean_per_sample(batch.floor_force),
+            obstacle_force=mean_per_sample(batch.obstacle_force[:, :, :2]),
+            # Energy balance: the work of the torques is kinetic energy plus losses.
+            body_work=batch.energy[ends] + loss[ends],
+            internal_loss=internal[ends],
         )
+        return self._observe(times, batch.states[ends], trace.at(ends), loads)
 
     def _observe(
-        self, times: np.ndarray, states: np.ndarray, trace: Trace, *loads: np.ndarray
+        self, times: np.ndarray, states: np.ndarray, trace: Trace, loads: Loads
     ) -> SnakeState:
         """Return the history of some states.
 
@@ -385,31 +399,20 @@ class TwinSnake(PneumaticPlant):
             times: shape (samples,), s.
             states: shape (samples, 1 + nq + nv), see `StepBatch`.
             trace: trace of the chambers.
-            *loads: forces of the floor, shape (samples, axles, 2, 3), and of obstacles,
-                shape (samples, N, 2), N; energy of body, floor and obstacles, shape
-                (samples,), J; energy that joints dissipated inside segments, shape
-                (samples,), J.
+            loads: forces and energies of the samples.
         """
-        force, obstacles, work, loss = loads
         kinematics = self.physics.kinematics(states)
+        theta = self._unwrap(kinematics.headings)
+        body_work = loads.body_work
         if self.uneven or self.spec.is_spatial:
-            work = (
-                work
-                + self._potential_energy(kinematics.com)
-                - self._start_height_energy
-            )
-        # Unwrap from the previous sample: a connector turns by far less than π between
-        # two samples.
-        theta = np.concatenate([self._theta[None], kinematics.headings])
-        if (np.abs(theta[1:] - theta[:-1]) >= math.pi).any():
-            theta = np.unwrap(theta, axis=0)
-        theta = theta[1:]
-        if len(theta):
-            self._theta = theta[-1].copy()  # callers may change the returned arrays
+            height_energy = self._potential_energy(kinematics.com)
+            body_work = body_work + height_energy - self._start_height_energy
+        stored = self.physics.internal_joints.stored(kinematics.qpos, trace.bend)
         deviation = trace.bend - kinematics.bends
         deviation += self.spec.bending.damping_time * (
             trace.bend_rate - kinematics.bend_rates
         )
+        floor_force = loads.floor_force.sum(axis=2)
         state = SnakeState(
             time=times,
             com=kinematics.com[:, :2],
@@ -422,14 +425,12 @@ class TwinSnake(PneumaticPlant):
             pressure=trace.pressure,
             valves=trace.valves,
             sensed=self.sensor.read(kinematics.bends, times, self.seed),
-            contact_force=self._force_on_connectors(force.sum(axis=2)[..., :2]),
-            obstacle_force=obstacles,
+            contact_force=self._force_on_connectors(floor_force[..., :2]),
+            obstacle_force=loads.obstacle_force,
             torque=self._stiffness * deviation,
             # ∫ Σ T q̇_f dt, see `internal_joints`.
-            work=work
-            + loss
-            + self.physics.internal_joints.stored(kinematics.qpos, trace.bend),
-            internal_loss=loss,
+            work=body_work + loads.internal_loss + stored,
+            internal_loss=loads.internal_loss,
             air=trace.air,
             qpos=kinematics.qpos,
         )
@@ -439,8 +440,19 @@ class TwinSnake(PneumaticPlant):
             **vars(state),
             height=kinematics.positions[..., 2],
             orientation=kinematics.orientations,
-            load=self._force_on_connectors(force.sum(axis=2)[..., 2:])[..., 0],
+            load=self._force_on_connectors(floor_force[..., 2:])[..., 0],
         )
+
+    def _unwrap(self, headings: np.ndarray) -> np.ndarray:
+        """Return headings without jumps by 2π since the previous sample, and keep the last ones.
+
+        A connector turns by far less than π between two samples.
+        """
+        theta = np.concatenate([self._theta[None], headings])
+        if (np.abs(theta[1:] - theta[:-1]) >= math.pi).any():
+            theta = np.unwrap(theta, axis=0)
+        self._theta = theta[-1].copy()  # callers may change the returned arrays
+        return theta[1:]
 
     def _force_on_connectors(self, force: np.ndarray) -> np.ndarray:
         """Return the forces on the connectors, (samples, N, …), from those on axles or contact points."""
@@ -467,18 +479,12 @@ class TwinSnake(PneumaticPlant):
     def _count_plausible_steps(self, states: np.ndarray) -> int:
         """Return the number of steps, from the first, with finite and plausible states."""
         clock = states[:, 0]
-        moved = np.append(
-            True, clock[1:] > clock[:-1]
-        )  # the engine's clock stops after a divergence
+        # The engine's clock stops after a divergence.
+        moved = np.append(True, clock[1:] > clock[:-1])
         speeds = states[:, 1 + self.physics.model.nq :]
-        fine = (
-            moved
-            & np.isfinite(states).all(axis=1)
-            & (np.abs(speeds) < _MAX_SPEED).all(axis=1)
-        )
-        if not fine.all():
-            return int(np.argmin(fine))
-        return len(fine)
+        finite = np.isfinite(states).all(axis=1)
+        fine = moved & finite & (np.abs(speeds) < _MAX_SPEED).all(axis=1)
+        return int(np.argmin(np.append(fine, False)))
 
     def _divergence_error(
         self, time: float, before: np.ndarray, history: SnakeState | None
@@ -500,49 +506,3 @@ class TwinSnake(PneumaticPlant):
         reason = warned or "implausible speeds"
         text = f"{reason}; last plausible state: {pose}, bends {bends} rad, {fastest}"
         return DivergedError(self.name, time, text, history=history)
-
-
-def _apply_deprecated(
-    contact: Contact, numerics: Numerics, deprecated: dict[str, Any]
-) -> tuple[Contact, Numerics]:
-    """Return contact and numerics with deprecated keywords of `TwinSnake` applied.
-
-    Raises:
-        TypeError: a keyword is unknown.
-        InputError: the contact does not have a keyword, or a value is not allowed.
-    """
-    options = dict(deprecated)
-    unknown = options.keys() - {
-        "friction",
-        *vars(LoadedContact()),
-        *vars(PreloadedContact()),
-        *vars(numerics),
-    }
-    if unknown:
-        raise TypeError(f"TwinSnake has no argument {min(unknown)!r}")
-    switches = {
-        name: options.pop(name) for name in list(options) if name in vars(numerics)
-    }
-    if isinstance(contact, LoadedContact):
-        wheels = options.pop("wheels", None)
-        law = options.pop("friction", None)
-        if wheels is not None:
-            check_choice("wheels", wheels, WHEELS)
-            law = law or LAW_OF[wheels]
-        options |= {"law": law} if law else {}
-        # A loaded twin always ignored these.
-        options = {
-            name: value
-            for name, value in options.items()
-            if name not in ("slip_time", "axle_time")
-        }
-    for name in options:
-        if name not in vars(contact):
-            raise InputError(f"{name} is not allowed with contact {contact.name!r}")
-    warnings.warn(
-        f"the arguments {', '.join(deprecated)} of TwinSnake are deprecated; pass "
-        "contact=LoadedContact(…) or PreloadedContact(…), or numerics=Numerics(…)",
-        DeprecationWarning,
-        stacklevel=3,
-    )
-    return replace(contact, **options), replace(numerics, **switches)

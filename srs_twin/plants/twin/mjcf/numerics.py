@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import dataclass, replace
 from typing import ClassVar, Literal, get_args
 
@@ -17,6 +16,7 @@ TIMESTEP_S = 0.001
 
 MAX_STEP_RATIO = 1.5
 """Upper limit of the time step over the damping time of the segments, 1; from 2 on the springs diverge."""
+
 SLIP_SPEED_M_S = 0.001
 """Default slip speed at a time unit of 1, m/s."""
 
@@ -143,16 +143,6 @@ class PreloadedContact:
             return PRELOAD[self.wheels]
         return self.preload
 
-    @property
-    def pressed(self) -> float:
-        """Deprecated name of `preload_ratio`."""
-        warnings.warn(
-            "PreloadedContact.pressed is deprecated; use preload_ratio",
-            DeprecationWarning,
-            stacklevel=2,
-        )
-        return self.preload_ratio
-
 
 def _check_positive(contact: LoadedContact | PreloadedContact, *names: str) -> None:
     for name in names:
@@ -191,11 +181,8 @@ def as_contact(contact: Contact | str) -> Contact:
     """
     if isinstance(contact, LoadedContact | PreloadedContact):
         return contact
-    kinds: dict[str, type[LoadedContact] | type[PreloadedContact]] = {
-        kind.name: kind for kind in (LoadedContact, PreloadedContact)
-    }
-    check_choice("contact", str(contact), kinds)
-    return kinds[contact]()
+    check_choice("contact", str(contact), get_args(ContactName))
+    return LoadedContact() if contact == LoadedContact.name else PreloadedContact()
 
 
 @dataclass(frozen=True)
@@ -244,6 +231,11 @@ class ModelSettings:
         """Return the settings with those of the contact that are None in the units of a robot."""
         return replace(self, contact=self.contact.for_robot(spec))
 
+    def link_mass(self, spec: RobotSpec) -> float:
+        """Return the mass of one link between two hinges, kg; it is subtracted from the connectors."""
+        links = max(1, self.hinges_per_segment - 1)
+        return self.numerics.link_share * min(spec.mass.connectors) / links
+
     def contact_time(self, spec: RobotSpec) -> float:
         """Return the time constant of the normal contact, s.
 
@@ -256,9 +248,8 @@ class ModelSettings:
         return spec.bending.out_of_plane_damping_time / _CONTACT_RATIO
 
 
-_CONTACT_RATIO = (
-    10.0  # damping time of pitch and roll over the contact time under a preload, 1
-)
+_CONTACT_RATIO = 10.0
+"""Damping time of pitch and roll over the contact time under a preload, 1."""
 
 Preset = Literal["reference", "fast"]
 PRESETS: dict[str, dict[str, float]] = {
@@ -276,14 +267,17 @@ def preset_of(settings: ModelSettings) -> str | None:
     """Return the name of the preset with these settings, or None."""
     if not settings.loaded:
         return None
-    return next(
-        (
-            name
-            for name, preset in PRESETS.items()
-            if preset.items() <= vars(settings).items()
-        ),
-        None,
-    )
+    for name, preset in PRESETS.items():
+        if preset["timestep"] == settings.timestep:
+            return name
+    return None
+
+
+def bend_joints(spec: RobotSpec) -> tuple[str, ...]:
+    """Return the kinds of joints that bend a segment."""
+    if spec.is_spatial:
+        return ("hinge", "tilt")
+    return ("hinge",)
 
 
 def hinge_stations(hinges: int, length: float, gap: float) -> np.ndarray:

@@ -26,7 +26,6 @@ import mujoco
 import numpy as np
 from mujoco import mjtGeom, mjtObj
 
-from srs_twin.errors import InputError
 from srs_twin.plants.twin.mjcf.classes import ROOT
 from srs_twin.plants.twin.mjcf.numerics import ModelSettings
 from srs_twin.plants.twin.mjcf.wheels import add_force_sensor, add_velocity_sensor
@@ -224,25 +223,12 @@ def add_surroundings(mj: mujoco.MjSpec, body_length: float) -> None:
 _COLOR = [0.86, 0.56, 0.22, 1]  # RGBA
 
 
-def add_objects(
-    mj: mujoco.MjSpec, spec: RobotSpec, settings: ModelSettings, world: World
-) -> None:
+def add_objects(mj: mujoco.MjSpec, spec: RobotSpec, world: World) -> None:
     """Add the objects of a world after the robot, with their initial poses in the keyframe ``home``.
 
     Sensors measure the force of each object on each hull with its point of application,
     and the velocity and the angular velocity of each object (world frame).
-
-    Raises:
-        InputError: the contact with the floor is not loaded, or the floor has steps.
     """
-    if not world.objects:
-        return
-    if not settings.loaded:
-        raise InputError("objects need contact 'loaded' and a free snake")
-    if world.steps:
-        raise InputError(
-            "objects need a plane floor; remove the steps of the floor or the objects"
-        )
     default = mj.add_default("object", mj.default)
     hull = mj.find_default("hull").geom
     solid = default.geom

@@ -31,7 +31,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -129,8 +129,20 @@ def pair_attributes(spec: RobotSpec, settings: ModelSettings) -> dict[str, Any]:
     } | normal
 
 
-def fixed_inertia(spec: RobotSpec, settings: ModelSettings) -> tuple[float, np.ndarray]:
-    """Return mass (kg) and moments of inertia (kg·m²) of skids or wheels fixed to a connector.
+class FixedInertia(NamedTuple):
+    """Inertia of parts that are fixed to a body.
+
+    Attributes:
+        mass: kg.
+        moments: moments of inertia, shape (3,), kg·m².
+    """
+
+    mass: float
+    moments: np.ndarray
+
+
+def fixed_inertia(spec: RobotSpec, settings: ModelSettings) -> FixedInertia:
+    """Return the inertia of skids or wheels fixed to a connector.
 
     Skids have the mass of the wheels that they replace. Under a preloaded contact,
     wheels on axles are separate bodies and add 0. Without a floor the wheels do not
@@ -138,7 +150,7 @@ def fixed_inertia(spec: RobotSpec, settings: ModelSettings) -> tuple[float, np.n
     """
     rolling = settings.contact.rolling and settings.base == "free"
     if rolling and not settings.loaded:
-        return 0.0, np.zeros(3)
+        return FixedInertia(0.0, np.zeros(3))
     across = (
         2
         * spec.mass.wheel
@@ -148,7 +160,7 @@ def fixed_inertia(spec: RobotSpec, settings: ModelSettings) -> tuple[float, np.n
         spin = 0.0
     else:
         spin = spec.mass.wheel * spec.geometry.wheel_radius**2
-    return 2 * spec.mass.wheel, np.array([across, spin, across])
+    return FixedInertia(2 * spec.mass.wheel, np.array([across, spin, across]))
 
 
 def add_wheels(

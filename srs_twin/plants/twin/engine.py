@@ -1,0 +1,54 @@
+"""MuJoCo's C functions and data, as kernels use them."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import types
+
+
+def c_function(name: str, *more: Any) -> Any:
+    """Return a C function of MuJoCo for kernels, which takes a model, its data, and further arguments."""
+    return types.ExternalFunction(name, types.void(types.intp, types.intp, *more))
+
+
+mj_factorM = c_function("mj_factorM")
+mj_solveM = c_function("mj_solveM", types.intp, types.intp, types.int32)
+mj_step1 = c_function("mj_step1")
+mj_comVel = c_function("mj_comVel")
+mj_forwardSkip = c_function("mj_forwardSkip", types.int32, types.int32)
+mj_rne = c_function("mj_rne", types.int32, types.intp)
+mj_integratePos = c_function("mj_integratePos", types.intp, types.float64)
+
+
+class EngineData(NamedTuple):
+    """Views of the engine's data that the friction solve reads and writes, named as in MjData.
+
+    Attributes:
+        model: address of the MjModel; only for numba.
+        data: address of the MjData; only for numba.
+        objects: the `ObjectContacts` of movable objects, None without any; only for numba.
+    """
+
+    model: int
+    data: int
+    objects: Any
+    qpos: np.ndarray
+    qvel: np.ndarray
+    qfrc_applied: np.ndarray
+    qacc: np.ndarray
+    qfrc_bias: np.ndarray
+    M: np.ndarray
+    xpos: np.ndarray
+    xmat: np.ndarray
+    cdof: np.ndarray
+    subtree_com: np.ndarray
+    sensordata: np.ndarray
+
+
+class StepInputs(NamedTuple):
+    """Views of the engine's data that only the loop over steps writes, named as in MjData."""
+
+    ctrl: np.ndarray
+    qacc_warmstart: np.ndarray

@@ -1,0 +1,175 @@
+"""Algebra of spatial vectors and of matrices on the tree of bodies, compiled by numba and by Warp.
+
+Spatial vectors have rotation first and refer to the centre of mass of the snake, as
+`cdof` in MuJoCo. Symmetric matrices have the sparsity pattern of the joint-space
+inertia M (`Sparsity`).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from srs_twin.compute.compiled import kernel_only
+
+
+class Sparsity(NamedTuple):
+    """Lower triangle of M in compressed rows, and the damping matrices with the same pattern.
+
+    The entries of a row belong to the ancestors of its degree of freedom, which is
+    itself the last entry.
+
+    Attributes:
+        row_length: number of entries of each row, shape (nv,).
+        row_start: index of the first entry of each row, shape (nv,).
+        column: column of each entry, shape (nM,).
+        parent: ancestor before each degree of freedom, −1 for the root, shape (nv,).
+        damping: C of the module docstring, A = M + C, shape (nM,), kg or kg·m².
+        damping_excess: h D − C, shape (nM,), same unit.
+    """
+
+    row_length: np.ndarray
+    row_start: np.ndarray
+    column: np.ndarray
+    parent: np.ndarray
+    damping: np.ndarray
+    damping_excess: np.ndarray
+
+
+@kernel_only
+def dot(a, b):  # type: ignore[no-untyped-def]
+    """Return the product of two spatial vectors."""
+    return (
+        a[0] * b[0]
+        + a[1] * b[1]
+        + a[2] * b[2]
+        + a[3] * b[3]
+        + a[4] * b[4]
+        + a[5] * b[5]
+    )
+
+
+@kernel_only
+def inner(a, b):  # type: ignore[no-untyped-def]
+    """Return the inner product of two vectors."""
+    total = float(0.0)
+    for i in range(a.shape[0]):
+        total += a[i] * b[i]
+    return total
+
+
+@kernel_only
+def clear(array):  # type: ignore[no-untyped-def]
+    """Set a matrix to zero."""
+    for i in range(array.shape[0]):
+        for k in range(array.shape[1]):
+            array[i, k] = 0.0
+
+
+@kernel_only
+def add_product(sparsity, matrix, x, out):  # type: ignore[no-untyped-def]
+    """Add the product of a symmetric matrix and the vector x to `out`."""
+    for i in range(x.shape[0]):
+        row = sparsity.row_start[i]
+        last = sparsity.row_start[i] + sparsity.row_length[i] - 1
+        for k in range(row, last):
+            out[i] += matrix[k] * x[sparsity.column[k]]
+            out[sparsity.column[k]] += matrix[k] * x[i]
+        out[i] += matrix[last] * x[i]
+
+
+@kernel_only
+def point_jacobian(row, x, y, z, ex, ey, ez):  # type: ignore[no-untyped-def]
+    """Fill the spatial vector that gives the velocity of the point (x, y, z) along the axis e."""
+    row[0] = y * ez - z * ey
+    row[1] = z * ex - x * ez
+    row[2] = x * ey - y * ex
+    row[3] = ex
+    row[4] = ey
+    row[5] = ez
+
+
+@kernel_only
+def spatial_velocities(cdof, sparsity, velocity, motion):  # type: ignore[no-untyped-def]
+    """Fill the spatial velocity beyond each degree of freedom, from the root to the ends."""
+    for i in range(velocity.shape[0]):
+        p = sparsity.parent[i]
+        for k in range(6):
+            motion[i, k] = cdof[i, k] * velocity[i]
+            if p >= 0:
+                motion[i, k] += motion[p, k]
+
+
+@kernel_only
+def project(cdof, sparsity, force, out):  # type: ignore[no-untyped-def]
+    """Sum spatial forces toward the root, in place, and fill the generalised forces `out`, shape (nv,)."""
+    for i in range(out.shape[0] - 1, -1, -1):
+        out[i] = dot(cdof[i], force[i])
+        p = sparsity.parent[i]
+        if p >= 0:
+            for k in range(6):
+                force[p, k] += force[i, k]
+
+
+@kernel_only
+def project_slopes(cdof, sparsity, slope, force, matrix):  # type: ignore[no-untyped-def]
+    """Sum spatial slopes toward the root, in place, and add their projection to a matrix.
+
+    As in the composite-rigid-body algorithm, the sum beyond each degree of freedom is
+    projected on this degree of freedom and its ancestors.
+
+    Args:
+        cdof: spatial axes, shape (nv, 6).
+        sparsity: pattern of the matrix.
+        slope: spatial slopes, shape (nv, 6, 6).
+        force: workspace, shape (nv, 6).
+        matrix: in place, shape (nM,).
+    """
+    for i in range(sparsity.row_length.shape[0] - 1, -1, -1):
+        d = cdof[i]
+        composite = slope[i]
+        p = sparsity.parent[i]
+        row = sparsity.row_start[i]
+        reaction = force[i]
+        for a in range(6):
+            reaction[a] = dot(composite[a], d)
+        for k in range(row, row + sparsity.row_length[i]):
+            matrix[k] += dot(reaction, cdof[sparsity.column[k]])
+        if p >= 0:
+            for a in range(6):
+                for b in range(6):
+                    slope[p, a, b] += composite[a, b]
+
+
+@kernel_only
+def factor(matrix, sparsity):  # type: ignore[no-untyped-def]
+    """Factor a matrix with the pattern of M into LᵀDL, in place and without fill-in."""
+    # From the ends of the chain to the root: eliminating a row changes only rows of its
+    # ancestors.
+    for k in range(sparsity.row_length.shape[0] - 1, -1, -1):
+        row = sparsity.row_start[k]
+        last = sparsity.row_length[k] - 1
+        inverse_pivot = 1.0 / matrix[row + last]
+        for a in range(last - 1, -1, -1):
+            factor = matrix[row + a] * inverse_pivot
+            ancestor = sparsity.row_start[sparsity.column[row + a]]
+            for b in range(a + 1):
+                matrix[ancestor + b] -= factor * matrix[row + b]
+            matrix[row + a] = factor
+
+
+@kernel_only
+def substitute(matrix, sparsity, x):  # type: ignore[no-untyped-def]
+    """Solve LᵀDL x = b in place, with b in `x`."""
+    for i in range(x.shape[0] - 1, -1, -1):
+        for k in range(
+            sparsity.row_start[i], sparsity.row_start[i] + sparsity.row_length[i] - 1
+        ):
+            x[sparsity.column[k]] -= matrix[k] * x[i]
+    for i in range(x.shape[0]):
+        last = sparsity.row_start[i] + sparsity.row_length[i] - 1
+        value = x[i] / matrix[last]
+        for k in range(sparsity.row_start[i], last):
+            value -= matrix[k] * x[sparsity.column[k]]
+        x[i] = value
