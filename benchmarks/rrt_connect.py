@@ -104,7 +104,7 @@ def _motion_validator(base: Any) -> Any:
             )
             return bool(
                 follow_dubins_path(
-                    initial_state(*a, self.moves), path, self.moves, self.grid
+                    initial_state(*a, self.moves), path, 0, self.moves, self.grid
                 )[0]
             )
 

@@ -181,8 +181,10 @@ def _touches_obstacle(middle, region, grid):  # type: ignore[no-untyped-def]
     circles = len(grid.circles)
     for column in range(first, last):
         for row in range(low, high):
-            begin, end = grid.cell_ranges[column, row]
-            for item in grid.cell_items[begin:end]:
+            begin = grid.cell_ranges[column, row, 0]
+            end = grid.cell_ranges[column, row, 1]
+            for place in range(begin, end):
+                item = grid.cell_items[place]
                 if item < circles:
                     touches = _touches_circle(middle, region, grid.circles[item])
                 else:
@@ -219,14 +221,13 @@ def _touches_circle(middle, region, circle):  # type: ignore[no-untyped-def]
 @kernel_only
 def _touches_side(middle, region, side):  # type: ignore[no-untyped-def]
     """Return whether a region touches a line segment, given by x and y of both ends."""
-    ax, ay, bx, by = side
     distance = _distance_from_origin(
-        ax - middle.x, ay - middle.y, bx - middle.x, by - middle.y
+        side[0] - middle.x, side[1] - middle.y, side[2] - middle.x, side[3] - middle.y
     )
     if distance >= region.reach:
         return False
-    au, aw = _local(middle, ax, ay)
-    bu, bw = _local(middle, bx, by)
+    au, aw = _local(middle, side[0], side[1])
+    bu, bw = _local(middle, side[2], side[3])
     return _side_crosses(au, aw, bu, bw, region)
 
 

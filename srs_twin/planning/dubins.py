@@ -20,6 +20,7 @@ unmaintained and have no wheels.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -32,6 +33,20 @@ _FULL_TURN = 2 * math.pi
 
 _ROUNDING = 1e-9
 """Distances (in radii) and angles (rad) below this are rounding errors."""
+
+
+class DubinsPath(NamedTuple):
+    """Path of three pieces.
+
+    Attributes:
+        turns: direction of each piece: 1 left, 0 straight, -1 right.
+        lengths: length of each piece, m.
+        length: length of the path, m.
+    """
+
+    turns: tuple[float, float, float]
+    lengths: tuple[float, float, float]
+    length: float
 
 
 def shortest_path(
@@ -49,14 +64,13 @@ def shortest_path(
     path = dubins_path(
         *start, *Pose(x, y, heading or 0.0), heading is None, float(radius)
     )
-    return [
-        (turn / radius, length) for turn, length in zip(path[:3], path[3:], strict=True)
-    ]
+    pieces = zip(path.turns, path.lengths, strict=True)
+    return [(turn / radius, length) for turn, length in pieces]
 
 
 @compiled
 def dubins_path(x, y, heading, to_x, to_y, to_heading, any_heading, radius):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return turns (+1 left, 0 straight, -1 right) and lengths (m) of the pieces of a shortest path.
+    """Return a shortest path, see `DubinsPath`.
 
     Args:
         x, y, heading: pose at the start, m and rad.
@@ -67,14 +81,15 @@ def dubins_path(x, y, heading, to_x, to_y, to_heading, any_heading, radius):  # 
     """
     dx = (to_x - x) / radius
     dy = (to_y - y) / radius
-    best = (0.0, 0.0, 0.0, np.inf, np.inf, np.inf)
+    nothing = (0.0, 0.0, 0.0)
+    best = DubinsPath(nothing, nothing, np.inf)
     if any_heading:
         c = np.cos(heading)
         s = np.sin(heading)
         u = c * dx + s * dy
         w = c * dy - s * dx
         if np.sqrt(u * u + w * w) < _ROUNDING:  # start and end coincide
-            best = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+            best = DubinsPath(nothing, nothing, 0.0)
         for side in (1.0, -1.0):
             best = _shortest_to_point(best, side, u, side * w)
     else:
@@ -89,8 +104,9 @@ def dubins_path(x, y, heading, to_x, to_y, to_heading, any_heading, radius):  # 
             best = _shortest_to_pose(
                 best, side, d, side * (heading - line), side * (to_heading - line)
             )
-    first, middle, last, t, p, q = best
-    return first, middle, last, radius * t, radius * p, radius * q
+    t, p, q = best.lengths
+    lengths = (radius * t, radius * p, radius * q)
+    return DubinsPath(best.turns, lengths, lengths[0] + lengths[1] + lengths[2])
 
 
 @kernel_only
@@ -98,7 +114,7 @@ def _shortest_to_pose(best, side, d, a, b):  # type: ignore[no-untyped-def]  # n
     """Return the shortest of `best` and the words that begin with L (`side` 1) or R (`side` -1).
 
     Args:
-        best: turns and lengths of the shortest path so far, lengths in radii.
+        best: shortest path so far, lengths in radii.
         side: 1, or -1 for the mirror image.
         d: distance between the poses in radii.
         a, b: headings at start and end relative to the line between them, rad.
@@ -116,29 +132,23 @@ def _shortest_to_pose(best, side, d, a, b):  # type: ignore[no-untyped-def]  # n
         # one arc is the path.
         square = 0.0
         turn = b
-    best = _shorter(
-        best,
-        side,
-        0.0,
-        side,
-        _wrapped(turn - a),
-        np.sqrt(max(square, 0.0)),
-        _wrapped(b - turn),
-    )
+    p = np.sqrt(max(square, 0.0))
+    lengths = (_wrapped(turn - a), p, _wrapped(b - turn))
+    best = _shorter(best, (side, 0.0, side), lengths)
     # LSR: an inner tangent, which exists only if the circles do not overlap.
     square = d * d - 2 + 2 * cab + 2 * d * (sa + sb)
     if square >= 0:
         p = np.sqrt(square)
         turn = np.arctan2(-ca - cb, d + sa + sb) - np.arctan2(-2.0, p)
-        best = _shorter(
-            best, side, 0.0, -side, _wrapped(turn - a), p, _wrapped(turn - b)
-        )
+        lengths = (_wrapped(turn - a), p, _wrapped(turn - b))
+        best = _shorter(best, (side, 0.0, -side), lengths)
     # LRL: a third circle touches both, which needs close circles.
     cosine = (6 - d * d + 2 * cab + 2 * d * (sb - sa)) / 8
     if abs(cosine) <= 1:
         p = _FULL_TURN - np.arccos(cosine)
         t = _wrapped(p / 2 - a - np.arctan2(ca - cb, d + sa - sb))
-        best = _shorter(best, side, -side, side, t, p, _wrapped(b - a - t + p))
+        lengths = (t, p, _wrapped(b - a - t + p))
+        best = _shorter(best, (side, -side, side), lengths)
     return best
 
 
@@ -152,7 +162,8 @@ def _shortest_to_point(best, side, u, w):  # type: ignore[no-untyped-def]
     away = u * u + (w - 1) * (w - 1)
     if away >= 1:
         tangent = np.arctan2(u, 1 - w) - np.arccos(1 / np.sqrt(away))
-        return _shorter(best, side, 0.0, 0.0, _wrapped(tangent), np.sqrt(away - 1), 0.0)
+        lengths = (_wrapped(tangent), np.sqrt(away - 1), 0.0)
+        return _shorter(best, (side, 0.0, 0.0), lengths)
     # The point is inside the left turning circle: turn right about (0, -1), then left
     # on a tangent circle.
     far = np.sqrt(u * u + (w + 1) * (w + 1))
@@ -162,15 +173,16 @@ def _shortest_to_point(best, side, u, w):  # type: ignore[no-untyped-def]
         cx = 2 * np.sin(t)
         cy = 2 * np.cos(t) - 1
         q = _wrapped(np.arctan2(w - cy, u - cx) - np.arctan2(-np.cos(t), -np.sin(t)))
-        best = _shorter(best, -side, side, 0.0, t, q, 0.0)
+        best = _shorter(best, (-side, side, 0.0), (t, q, 0.0))
     return best
 
 
 @kernel_only
-def _shorter(best, first, middle, last, t, p, q):  # type: ignore[no-untyped-def]
-    """Return the shorter of two paths, each with its turns and lengths."""
-    if t + p + q < best[3] + best[4] + best[5]:
-        return first, middle, last, t, p, q
+def _shorter(best, turns, lengths):  # type: ignore[no-untyped-def]
+    """Return the shorter of a path and that of three pieces."""
+    length = lengths[0] + lengths[1] + lengths[2]
+    if length < best.length:
+        return DubinsPath(turns, lengths, length)
     return best
 
 

@@ -1,9 +1,4 @@
-"""Moves of a search: arcs with edges that are widened by transients, and shortening of paths by them.
-
-The kernels pass an arc state, a tuple with the pose (x, y, heading) at the end of an
-arc, the move that led there, and the transient of the last changes of offset: extra
-left and right width and remaining length, m.
-"""
+"""Moves of a search: arcs with edges that are widened by transients, and shortening of paths by them."""
 
 from __future__ import annotations
 
@@ -71,6 +66,28 @@ class MoveSet(NamedTuple):
     behind: float
 
 
+class ArcState(NamedTuple):
+    """End of an arc, with the transient of the last changes of offset.
+
+    Attributes:
+        x: m.
+        y: m.
+        heading: rad.
+        move: index of the curvature of the arc; the number of curvatures at the start.
+        left: extra width of the left edge, m.
+        right: extra width of the right edge, m.
+        lasting: remaining length of the wider edges, m.
+    """
+
+    x: float
+    y: float
+    heading: float
+    move: int
+    left: float
+    right: float
+    lasting: float
+
+
 def make_move_set(primitives: Primitives, footprint: Footprint) -> MoveSet:
     """Return the arcs of a search: the primitives, the tightest and wider turns, and straight ahead.
 
@@ -113,17 +130,26 @@ def make_move_set(primitives: Primitives, footprint: Footprint) -> MoveSet:
 @compiled
 def initial_state(x, y, heading, moves):  # type: ignore[no-untyped-def]
     """Return the arc state at the start of a path, without a previous move."""
-    return x, y, heading, len(moves.curvatures), 0.0, 0.0, 0.0
+    return ArcState(x, y, heading, len(moves.curvatures), 0.0, 0.0, 0.0)
 
 
 @compiled
-def follow_dubins_path(state, path, moves, grid):  # type: ignore[no-untyped-def]
-    """Return whether a path of `dubins.dubins_path` is free, and the arc state at its end."""
+def follow_dubins_path(state, path, factor, moves, grid):  # type: ignore[no-untyped-def]
+    """Return whether a path of `dubins.dubins_path` is free, and the arc state at its end.
+
+    Args:
+        state: arc state at its start.
+        path: the path.
+        factor: index of its turning radius in `MoveSet.radius_factors`.
+        moves: arcs that the snake can follow.
+        grid: obstacles and bounds.
+    """
     free = True
     for piece in range(3):
-        if path[3 + piece] > 0:
-            move = moves.dubins_moves[0, 1 + int(path[piece])]
-            free, state = follow_arc(state, move, path[3 + piece], moves, grid)
+        length = path.lengths[piece]
+        if length > 0:
+            move = moves.dubins_moves[factor, 1 + int(path.turns[piece])]
+            free, state = follow_arc(state, move, length, moves, grid)
             if not free:
                 break
     return free, state
@@ -134,22 +160,24 @@ def follow_arc(state, move, length, moves, grid):  # type: ignore[no-untyped-def
     """Return whether an arc is free, and the arc state at its end.
 
     Args:
-        state: arc state at its start (module docstring).
+        state: arc state at its start.
         move: index of its curvature.
         length: its length, m.
         moves: arcs that the snake can follow.
         grid: obstacles and bounds.
     """
-    x, y, heading, before, left, right, lasting = state
-    if lasting <= 0:
-        left = 0.0
-        right = 0.0
-        lasting = 0.0
-    # Overlapping transients: the larger width and length of each.
-    change = moves.transients[before, move]
-    left = max(left, change[0])
-    right = max(right, change[1])
-    lasting = max(lasting, change[2])
+    x = state.x
+    y = state.y
+    heading = state.heading
+    change = moves.transients[state.move, move]
+    left = change[0]
+    right = change[1]
+    lasting = change[2]
+    if state.lasting > 0:
+        # Overlapping transients: the larger width and length of each.
+        left = max(state.left, left)
+        right = max(state.right, right)
+        lasting = max(state.lasting, lasting)
     curvature = moves.curvatures[move]
     steady = Extent(moves.ahead, moves.behind, moves.left[move], moves.right[move])
     # The first part of the arc has the wider edges, the rest the steady ones.
@@ -165,7 +193,7 @@ def follow_arc(state, move, length, moves, grid):  # type: ignore[no-untyped-def
         rest = length - first
         free = not arc_collides((x, y, heading), curvature, rest, steady, grid)
     x, y, heading = arc_end(x, y, heading, curvature, length - first)
-    return free, (x, y, heading, move, left, right, lasting - first)
+    return free, ArcState(x, y, heading, move, left, right, lasting - first)
 
 
 def shorten_path(
@@ -225,10 +253,17 @@ def _cut_corners(x, y, heading, indices, lengths, moves, grid, radius):  # type:
         while last > k:
             pose = states[last]
             path = dubins_path(
-                state[0], state[1], state[2], pose[0], pose[1], pose[2], False, radius
+                state.x,
+                state.y,
+                state.heading,
+                pose.x,
+                pose.y,
+                pose.heading,
+                False,
+                radius,
             )
-            if path[3] + path[4] + path[5] < distances[last] - distances[k] - 1e-9:
-                free, end = follow_dubins_path(state, path, moves, grid)
+            if path.length < distances[last] - distances[k] - 1e-9:
+                free, end = follow_dubins_path(state, path, 0, moves, grid)
                 # The transient of the last change widens the edges on the path that
                 # follows.
                 if free and _stays_free(
@@ -239,11 +274,10 @@ def _cut_corners(x, y, heading, indices, lengths, moves, grid, radius):  # type:
             last = k + min(last - k - 1, int(_RETREAT * (last - k)))
         if last > k:
             for piece in range(3):
-                if path[3 + piece] > 0:
-                    move = moves.dubins_moves[0, 1 + int(path[piece])]
-                    size = _append_arc(
-                        new_indices, new_lengths, size, move, path[3 + piece]
-                    )
+                length = path.lengths[piece]
+                if length > 0:
+                    move = moves.dubins_moves[0, 1 + int(path.turns[piece])]
+                    size = _append_arc(new_indices, new_lengths, size, move, length)
             state = end
             k = last
         else:
@@ -268,15 +302,13 @@ def _append_arc(indices, lengths, size, move, length):  # type: ignore[no-untype
 def _stays_free(state, k, indices, lengths, states, moves, grid):  # type: ignore[no-untyped-def]
     """Return whether the path from piece k on stays free if it begins with another arc state."""
     while k < len(indices):
-        before = state[3]
-        left = state[4]
-        right = state[5]
-        lasting = state[6]
         original = states[k]
         covered = (
-            left <= original[4] and right <= original[5] and lasting <= original[6]
+            state.left <= original.left
+            and state.right <= original.right
+            and state.lasting <= original.lasting
         )
-        if before == original[3] and (lasting <= 0 or covered):
+        if state.move == original.move and (state.lasting <= 0 or covered):
             return True
         free, state = follow_arc(state, indices[k], lengths[k], moves, grid)
         if not free:

@@ -10,8 +10,6 @@ free, both together are a plan. The open list is a binary heap. The closed set i
 table with one node per cell of poses: a later node replaces it only if its path is
 shorter. This makes the search finite, and also incomplete: another pose of the same
 cell might have had a free continuation.
-
-Arc states are those of `moves`.
 """
 
 from __future__ import annotations
@@ -25,7 +23,7 @@ from srs_twin.planning.arcs import arc_end
 from srs_twin.planning.collision import ObstacleGrid
 from srs_twin.planning.dubins import dubins_path
 from srs_twin.planning.guidance import GridHeuristic, grid_distance
-from srs_twin.planning.moves import MoveSet, follow_arc, follow_dubins_path
+from srs_twin.planning.moves import ArcState, MoveSet, follow_arc, follow_dubins_path
 
 NODES = 0
 """Index in `Frontier.counts`: created nodes."""
@@ -59,13 +57,38 @@ _PASSAGE_REACH = 6.0
 """Distance beyond which a narrow passage is not tried, in turning radii."""
 
 
+class Node(NamedTuple):
+    """Pose of a search.
+
+    Attributes:
+        x: m.
+        y: m.
+        heading: rad.
+        cost: length of the path so far, m.
+        bound: lower bound on the length of the rest, m.
+        left: extra width of the left edge by transients, m.
+        right: extra width of the right edge by transients, m.
+        lasting: remaining length of the wider edges, m.
+    """
+
+    x: float
+    y: float
+    heading: float
+    cost: float
+    bound: float
+    left: float
+    right: float
+    lasting: float
+
+
+_COST = Node._fields.index("cost")
+
+
 class Frontier(NamedTuple):
     """State of a search: nodes, open list and closed set.
 
     Attributes:
-        nodes: x, y, heading, path length so far (m), lower bound on the rest (m), and
-            the transient: extra left and right width and remaining length (m); shape
-            (capacity, 8).
+        nodes: fields of each `Node`, shape (capacity, 8).
         links: parent (-1: root) and move from it, shape (capacity, 2).
         keys: keys in heap order, m, shape (capacity,).
         heap: nodes in heap order, shape (capacity,).
@@ -88,7 +111,7 @@ def empty_frontier(capacity: int) -> Frontier:
     """Return the state of a new search for up to `capacity` nodes."""
     # At least twice as many slots as nodes keep probing short.
     slots = 1 << (2 * capacity - 1).bit_length()
-    nodes = np.empty((capacity, 8))
+    nodes = np.empty((capacity, len(Node._fields)))
     links = np.empty((capacity, 2), dtype=np.int32)
     keys = np.empty(capacity)
     heap = np.empty(capacity, dtype=np.int32)
@@ -248,7 +271,12 @@ class SearchSpec(NamedTuple):
 @compiled
 def lower_bound(x, y, heading, target):  # type: ignore[no-untyped-def]
     """Return the lower bound h on the path length from a pose to the goal, m."""
-    path = dubins_path(
+    return _path_to_goal(x, y, heading, target, target.bound_radius).length
+
+
+@kernel_only
+def _path_to_goal(x, y, heading, target, radius):  # type: ignore[no-untyped-def]
+    return dubins_path(
         x,
         y,
         heading,
@@ -256,9 +284,8 @@ def lower_bound(x, y, heading, target):  # type: ignore[no-untyped-def]
         target.y,
         target.heading,
         target.any_heading,
-        target.bound_radius,
+        radius,
     )
-    return path[3] + path[4] + path[5]
 
 
 @compiled
@@ -267,10 +294,8 @@ def add_root(frontier, x, y, heading, spec):  # type: ignore[no-untyped-def]
     slot = cell_slot(frontier, x, y, heading, spec.cell, spec.sector)
     bound = lower_bound(x, y, heading, spec.target)
     if frontier.owners[slot] == 0:
-        link = -1, spec.moves.curvatures.shape[0]
-        root = _add_node(
-            frontier, slot, link, (x, y, heading), (0.0, bound), (0.0, 0.0, 0.0)
-        )
+        node = Node(x, y, heading, 0.0, bound, 0.0, 0.0, 0.0)
+        root = _add_node(frontier, slot, -1, len(spec.moves.curvatures), node)
         push(frontier, root, bound)
 
 
@@ -286,8 +311,6 @@ def expand(frontier, spec, best, count):  # type: ignore[no-untyped-def]
         count: largest number of nodes to expand.
     """
     moves = spec.moves
-    cell = spec.cell
-    sector = spec.sector
     until = frontier.counts[EXPANDED] + count
     while frontier.counts[OPEN] > 0:
         if frontier.counts[EXPANDED] >= until:
@@ -300,13 +323,13 @@ def expand(frontier, spec, best, count):  # type: ignore[no-untyped-def]
         if frontier.counts[NODES] + children > frontier.nodes.shape[0]:
             return FULL, -1
         node = pop(frontier)
-        x, y, heading, cost, bound = frontier.nodes[node, :5]
-        owner = frontier.owners[cell_slot(frontier, x, y, heading, cell, sector)]
+        at = _node(frontier, node)
+        slot = cell_slot(frontier, at.x, at.y, at.heading, spec.cell, spec.sector)
         # Skip nodes that a shorter path to their cell has replaced.
-        if owner != node + 1 or cost + bound >= best:
+        if frontier.owners[slot] != node + 1 or at.cost + at.bound >= best:
             continue
         frontier.counts[EXPANDED] += 1
-        if _in_goal(x, y, heading, spec.target):
+        if _in_goal(at, spec.target):
             return ARRIVED, node
         if _connects_to_goal(frontier, node, spec, best):
             return CONNECTED, node
@@ -325,29 +348,22 @@ def expand(frontier, spec, best, count):  # type: ignore[no-untyped-def]
 @kernel_only
 def _try_arc(frontier, node, move, spec, best):  # type: ignore[no-untyped-def]
     """Add the child at the end of an arc if it is free, improves its cell and may improve the best plan."""
-    state, cost = _arc_state(frontier, node, spec)
-    length = spec.moves.length
-    to_x, to_y, to_heading = arc_end(
-        state[0], state[1], state[2], spec.moves.curvatures[move], length
-    )
-    slot = cell_slot(frontier, to_x, to_y, to_heading, spec.cell, spec.sector)
-    cost += length
-    owner = frontier.owners[slot] - 1
-    if owner >= 0 and frontier.nodes[owner, 3] <= cost + _COST_TOLERANCE:
+    moves = spec.moves
+    state, cost = _arc_state(frontier, node, moves)
+    curvature = moves.curvatures[move]
+    x, y, heading = arc_end(state.x, state.y, state.heading, curvature, moves.length)
+    slot = cell_slot(frontier, x, y, heading, spec.cell, spec.sector)
+    cost += moves.length
+    if _is_taken(frontier, slot, cost):
         return
-    free, state = follow_arc(state, move, length, spec.moves, spec.grid)
+    free, state = follow_arc(state, move, moves.length, moves, spec.grid)
     if not free:
         return
-    bound = lower_bound(to_x, to_y, to_heading, spec.target)
+    bound = lower_bound(x, y, heading, spec.target)
     if cost + bound >= best:
         return
-    pose = to_x, to_y, to_heading
-    child = _add_node(frontier, slot, (node, move), pose, (cost, bound), state[4:])
-    push(
-        frontier,
-        child,
-        cost + spec.weight * max(bound, grid_distance(spec.heuristic, to_x, to_y)),
-    )
+    child = Node(x, y, heading, cost, bound, state.left, state.right, state.lasting)
+    _open_node(frontier, slot, node, move, child, spec)
 
 
 @kernel_only
@@ -358,109 +374,117 @@ def _try_passage(frontier, node, passage, factor, spec, best):  # type: ignore[n
     """
     moves = spec.moves
     target = spec.target
-    grid = spec.grid
-    state, cost = _arc_state(frontier, node, spec)
-    entry_x, entry_y, heading, through = spec.passages[passage]
-    dx = entry_x - state[0]
-    dy = entry_y - state[1]
+    state, cost = _arc_state(frontier, node, moves)
+    entry_x, entry_y, entry_heading, through = spec.passages[passage]
+    dx = entry_x - state.x
+    dy = entry_y - state.y
     reach = _PASSAGE_REACH * target.dubins_radius + 2 * through
     if dx * dx + dy * dy > reach * reach:
         return
-    to_x, to_y, to_heading = arc_end(entry_x, entry_y, heading, 0.0, through)
-    slot = cell_slot(frontier, to_x, to_y, to_heading, spec.cell, spec.sector)
-    owner = frontier.owners[slot] - 1
+    x, y, heading = arc_end(entry_x, entry_y, entry_heading, 0.0, through)
+    slot = cell_slot(frontier, x, y, heading, spec.cell, spec.sector)
     radius = target.dubins_radius * moves.radius_factors[factor]
-    path = dubins_path(*state[:3], entry_x, entry_y, heading, False, radius)
-    cost += path[3] + path[4] + path[5] + through
-    bound = lower_bound(to_x, to_y, to_heading, target)
-    if (
-        owner >= 0 and frontier.nodes[owner, 3] <= cost + _COST_TOLERANCE
-    ) or cost + bound >= best:
-        return
-    for piece in range(
-        4
-    ):  # three pieces of the Dubins path, then straight through the passage
-        length = through if piece == 3 else path[3 + piece]
-        turn = 0 if piece == 3 else int(path[piece])
-        if length > 0:
-            free, state = follow_arc(
-                state, moves.dubins_moves[factor, 1 + turn], length, moves, grid
-            )
-            if not free:
-                return
-    link = (node, -1 - passage * moves.dubins_moves.shape[0] - factor)
-    pose = (to_x, to_y, to_heading)
-    child = _add_node(frontier, slot, link, pose, (cost, bound), state[4:])
-    push(
-        frontier,
-        child,
-        cost + spec.weight * max(bound, grid_distance(spec.heuristic, to_x, to_y)),
+    path = dubins_path(
+        state.x,
+        state.y,
+        state.heading,
+        entry_x,
+        entry_y,
+        entry_heading,
+        False,
+        radius,
     )
+    cost += path.length + through
+    bound = lower_bound(x, y, heading, target)
+    if _is_taken(frontier, slot, cost) or cost + bound >= best:
+        return
+    free, state = follow_dubins_path(state, path, factor, moves, spec.grid)
+    if free:
+        straight = moves.dubins_moves[factor, 1]
+        free, state = follow_arc(state, straight, through, moves, spec.grid)
+    if not free:
+        return
+    move = -1 - passage * len(moves.radius_factors) - factor
+    child = Node(x, y, heading, cost, bound, state.left, state.right, state.lasting)
+    _open_node(frontier, slot, node, move, child, spec)
 
 
 @kernel_only
-def _add_node(frontier, slot, link, pose, costs, transient):  # type: ignore[no-untyped-def]
+def _is_taken(frontier, slot, cost):  # type: ignore[no-untyped-def]
+    """Return whether the node of a cell has a path of at most this length, m."""
+    owner = frontier.owners[slot] - 1
+    return owner >= 0 and frontier.nodes[owner, _COST] <= cost + _COST_TOLERANCE
+
+
+@kernel_only
+def _open_node(frontier, slot, parent, move, node, spec):  # type: ignore[no-untyped-def]
+    """Add a node and put it on the heap; arguments as for `_add_node`."""
+    child = _add_node(frontier, slot, parent, move, node)
+    rest = max(node.bound, grid_distance(spec.heuristic, node.x, node.y))
+    push(frontier, child, node.cost + spec.weight * rest)
+
+
+@kernel_only
+def _add_node(frontier, slot, parent, move, node):  # type: ignore[no-untyped-def]
     """Add a node as the owner of its cell and return its number.
 
     Args:
         frontier: state of the search.
         slot: slot of the cell.
-        link: parent and move, as in `Frontier.links`.
-        pose: x, y and heading.
-        costs: path length so far, and lower bound on the rest, m.
-        transient: extra left and right width and remaining length, m.
+        parent: number of the parent, -1 for a root.
+        move: move from the parent.
+        node: the node.
     """
     # The new node replaces the former owner of the cell, which is skipped when it is
     # popped.
     child = frontier.counts[NODES]
     frontier.counts[NODES] += 1
     frontier.owners[slot] = child + 1
-    frontier.links[child, 0], frontier.links[child, 1] = link
-    row = frontier.nodes[child]
-    row[0], row[1], row[2] = pose
-    row[3], row[4] = costs
-    row[5], row[6], row[7] = transient
+    frontier.links[child, 0] = parent
+    frontier.links[child, 1] = move
+    for column in range(len(node)):
+        frontier.nodes[child, column] = node[column]
     return child
 
 
 @kernel_only
-def _arc_state(frontier, node, spec):  # type: ignore[no-untyped-def]
-    """Return the arc state at a node and the length of the path to it, m."""
-    x, y, heading, cost, _, left, right, lasting = frontier.nodes[node]
-    move = frontier.links[node, 1]
-    # A passage (a negative move) ends straight.
-    before = np.int64(move if move >= 0 else spec.moves.dubins_moves[0, 1])
-    return (x, y, heading, before, left, right, lasting), cost
+def _node(frontier, node):  # type: ignore[no-untyped-def]
+    x, y, heading, cost, bound, left, right, lasting = frontier.nodes[node]
+    return Node(x, y, heading, cost, bound, left, right, lasting)
 
 
 @kernel_only
-def _in_goal(x, y, heading, target):  # type: ignore[no-untyped-def]
-    """Return whether a pose is within the tolerances of the goal."""
-    dx = target.x - x
-    dy = target.y - y
+def _arc_state(frontier, node, moves):  # type: ignore[no-untyped-def]
+    """Return the arc state at a node and the length of the path to it, m."""
+    at = _node(frontier, node)
+    move = np.int64(frontier.links[node, 1])
+    if move < 0:
+        # A passage ends straight.
+        move = np.int64(moves.dubins_moves[0, 1])
+    return (
+        ArcState(at.x, at.y, at.heading, move, at.left, at.right, at.lasting),
+        at.cost,
+    )
+
+
+@kernel_only
+def _in_goal(node, target):  # type: ignore[no-untyped-def]
+    """Return whether a node is within the tolerances of the goal."""
+    dx = target.x - node.x
+    dy = target.y - node.y
     if dx * dx + dy * dy > target.radius * target.radius:
         return False
-    turn = target.heading - heading
-    return (
-        target.any_heading
-        or abs(turn - 2 * np.pi * np.round(turn / (2 * np.pi)))
-        <= target.heading_tolerance
-    )
+    turn = target.heading - node.heading
+    turn -= 2 * np.pi * np.round(turn / (2 * np.pi))
+    return target.any_heading or abs(turn) <= target.heading_tolerance
 
 
 @kernel_only
 def _connects_to_goal(frontier, node, spec, best):  # type: ignore[no-untyped-def]
     """Return whether the Dubins path from a node to the goal is free and improves the best plan."""
-    state, cost = _arc_state(frontier, node, spec)
+    state, cost = _arc_state(frontier, node, spec.moves)
     target = spec.target
-    path = dubins_path(
-        *state[:3],
-        target.x,
-        target.y,
-        target.heading,
-        target.any_heading,
-        target.dubins_radius,
-    )
-    if cost + path[3] + path[4] + path[5] >= best:
+    path = _path_to_goal(state.x, state.y, state.heading, target, target.dubins_radius)
+    if cost + path.length >= best:
         return False
-    return follow_dubins_path(state, path, spec.moves, spec.grid)[0]
+    return follow_dubins_path(state, path, 0, spec.moves, spec.grid)[0]
