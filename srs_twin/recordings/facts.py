@@ -216,9 +216,9 @@ def proposed_map(facts: Sequence[RecordingFacts]) -> str:
             "# log:  # assign valve_plus_1, pressure_kpa_plus_1, … of each segment"
         )
     for key, signal in zip(keys, logged, strict=True):
-        key = key if log_meaning(key) else "# valve_plus_1"
+        known = key if log_meaning(key) else "# valve_plus_1"
         comment = f"{signal.looks_like}, {signal.low or 0:g} to {signal.high or 0:g}"
-        lines.append(f"  {key}: {json.dumps(signal.name)}  # {comment}")
+        lines.append(f"  {known}: {json.dumps(signal.name)}  # {comment}")
     return "\n".join(lines) + "\n"
 
 

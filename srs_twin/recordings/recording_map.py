@@ -264,10 +264,10 @@ def read_map(data: Mapping[str, Any]) -> RecordingMap:
         InputFileError: the data are invalid; all errors are listed.
     """
     document = Document("--map", dict(data))
-    map = validate(RecordingMap, document, document.data)
+    model = validate(RecordingMap, document, document.data)
     document.raise_problems()
-    assert map is not None, "a map without a problem was checked"
-    return map
+    assert model is not None, "a map without a problem was checked"
+    return model
 
 
 def canonical_key(name: str) -> str:

@@ -262,33 +262,23 @@ class _Topics:
         if decode is None:
             self.skipped[f"{topic} ({kind})"] += 1
         elif kind in _BODIES:
+            series = self.bodies.setdefault(topic, {})
             for label, stamped, pose in _BODIES[kind](
                 topic, decode(bytes(message.data))
             ):
+                name = label
                 if label != topic and hasattr(stamped, "child_frame_id"):
-                    label = escape_unprintable(label[:200])
-                    self.parents[label] = stamped.header.frame_id
-                self._append(
-                    self.bodies.setdefault(topic, {}),
-                    label,
-                    stamped,
-                    message,
-                    _numbers(pose),
-                )
+                    name = escape_unprintable(label[:200])
+                    self.parents[name] = stamped.header.frame_id
+                self._append(series, name, stamped, message, _numbers(pose))
         elif self.with_signals:
             content = decode(bytes(message.data))
-            for name, value in (
-                _joints(content)
-                if kind.endswith("JointState")
-                else _leaves("", content)
-            ):
-                self._append(
-                    self.signals,
-                    f"{topic}{escape_unprintable(name)}",
-                    content,
-                    message,
-                    (value,),
-                )
+            leaves = _leaves("", content)
+            if kind.endswith("JointState"):
+                leaves = _joints(content)
+            for path, value in leaves:
+                name = f"{topic}{escape_unprintable(path)}"
+                self._append(self.signals, name, content, message, (value,))
 
     def _append(
         self,
