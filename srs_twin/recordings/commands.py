@@ -74,7 +74,7 @@ class TableOptions:
     separator: Annotated[str | None, option("--separator CHARACTER")] = None
     decimal: Annotated[str | None, option("--decimal CHARACTER")] = None
 
-    def map_data(self, markers: Sequence[str] = ()) -> dict[str, Any]:
+    def map_data(self, markers: Sequence[str] = ()) -> dict[str, object]:
         """Return the map with the other options as plain data; `markers` are those of `given_map`.
 
         Raises:

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -125,7 +125,7 @@ class Scene:
 def inspect(
     path: StrPath,
     *,
-    map: StrPath | Mapping[str, Any] = MappingProxyType({}),  # noqa: A002
+    map: StrPath | Mapping[str, object] = MappingProxyType({}),  # noqa: A002
     robot: StrPath | RobotSpec | None = None,
 ) -> RecordingFacts:
     """Describe a recording and propose a map, as `srs-twin inspect`.

@@ -14,13 +14,17 @@ from dataclasses import dataclass, replace
 from decimal import Decimal
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from srs_twin.errors import InputError
 from srs_twin.io.files import StrPath, decode_text, display_path, require_file
 from srs_twin.recordings.signals.units import TIMES, clean
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+    from pyarrow.csv import InvalidRow
 
 MAX_BYTES = 256 << 20
 """Largest size of a file: twice that of an hour of ten markers at 120 Hz."""
@@ -304,17 +308,17 @@ class RecordedFile:
         header_lines: int,
         columns: Sequence[int],
         width: int,
-        kind: Any = None,
-    ) -> list[Any]:
+        kind: pa.DataType | None = None,
+    ) -> list[pa.ChunkedArray]:
         """Return the columns of rows as read by Arrow, as numbers or as another type."""
         import pyarrow as pa
         from pyarrow.csv import ConvertOptions, ParseOptions, ReadOptions, read_csv
 
         names = [str(k) for k in range(width)]
         chosen = [names[k] for k in columns]
-        uneven: list[Any] = []
+        uneven: list[InvalidRow] = []
 
-        def refuse(row: Any) -> str:
+        def refuse(row: InvalidRow) -> str:
             uneven.append(row)
             return "error"
 
@@ -333,10 +337,9 @@ class RecordedFile:
             decimal_point=self.decimal,
         )
 
-        def read(rows: memoryview | bytes) -> list[Any]:
-            return list(
-                read_csv(pa.py_buffer(rows), reading, parsing, converting).columns
-            )
+        def read(rows: memoryview | bytes) -> list[pa.ChunkedArray]:
+            table = read_csv(pa.py_buffer(rows), reading, parsing, converting)
+            return list(table.columns)
 
         try:
             try:
@@ -346,12 +349,10 @@ class RecordedFile:
                 return read(_BLANKS.sub(b"", bytes(cut)))
         except (pa.ArrowException, OSError) as error:
             if uneven:
-                problem = (
-                    f"{uneven[0].actual_columns} cells, but the header has {width}"
-                )
-                raise self.error(
-                    problem, header_lines + (uneven[0].number or 0)
-                ) from error
+                cells = uneven[0].actual_columns
+                line = header_lines + (uneven[0].number or 0)
+                problem = f"{cells} cells, but the header has {width}"
+                raise self.error(problem, line) from error
             raise self._not_a_number(
                 bytes(cut).split(b"\n"), header_lines + 1, columns, str(error)
             ) from error
