@@ -157,36 +157,34 @@ def inspect_file(
     Raises:
         InputError: the file cannot be read; the message gives the reason.
     """
-    facts, scene = _file_facts(path, recording_map, spec)
+    facts, scene = _file_facts(path, recording_map)
+    if spec is not None and facts.content == "markers":
+        facts.robot = _robot_facts(path, recording_map, spec)
     facts.proposals = proposed_map([facts]).splitlines()
     return facts, scene
 
 
 def _file_facts(
-    path: StrPath, recording_map: RecordingMap, spec: RobotSpec | None
+    path: StrPath, recording_map: RecordingMap
 ) -> tuple[RecordingFacts, Scene | None]:
-    """Return the facts of a file without the proposed map, and its markers; as `inspect_file`."""
+    """Return the facts of a file without robot and proposed map, and its markers."""
     start = start_of(path, recording_map.dialect)
-    timed = {clean(name) for name in recording_map.meanings(["time"])} & set(
-        start.names
-    )
-    kind = PlainCsv.name if timed else identify(path, recording_map.dialect)
+    timed = {clean(name) for name in recording_map.meanings(["time"])}
+    kind = PlainCsv.name
+    if timed.isdisjoint(start.names):
+        kind = identify(path, recording_map.dialect)
     if kind == PlainCsv.name:
         file = laid_out(read_file(path), recording_map.dialect)
         if not axis_columns(file.names):
             return _table_facts(file, recording_map), None
     topics = read_topics(path)
-    if topics is None:
-        table = read_markers(path, recording_map.unstated)
-    elif topics.markers is None and topics.signals:
+    if topics is not None and topics.markers is None and topics.signals:
         return _topics_facts(topics, kind, recording_map), None
-    elif topics.markers is None:
+    if topics is None or topics.markers is None:
         table = read_markers(path, recording_map.unstated)
     else:
         table = in_unit(topics.markers, recording_map.units)
     facts, scene = _motion_facts(recording_map.applied(table), recording_map)
-    if spec is not None:
-        facts.robot = _robot_facts(path, recording_map, spec)
     if topics is not None:
         facts.signals = _topics_facts(topics, kind, recording_map).signals
     return facts, scene
