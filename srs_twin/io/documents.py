@@ -142,7 +142,8 @@ class Document:
         """Set the value of an override; a name on its path becomes the `base` of a mapping."""
         self.override_labels.append(override.label)
         position = (-len(self.override_labels), 0)
-        self.data = self.data if isinstance(self.data, dict) else {}
+        if not isinstance(self.data, dict):
+            self.data = {}
         data: Any = self.data
         for k, key in enumerate(override.loc):
             loc = override.loc[: k + 1]
@@ -168,16 +169,20 @@ class Document:
                     f" {json.dumps(inner)}"
                 )
                 self.problems.append((self.values[loc], text))
-            data[key] = data = inner if isinstance(inner, dict | list) else {}
+            if not isinstance(inner, dict | list):
+                inner = {}
+            data[key] = data = inner
         data[key] = override.value
         self._set_positions(override.loc, override.value, position)
 
     def _set_positions(self, loc: Loc, value: object, position: Position) -> None:
         """Set the position of a value and of all values inside it."""
         self.keys[loc] = self.values[loc] = position
-        if isinstance(value, dict | list):
-            for key in value if isinstance(value, dict) else range(len(value)):
-                self._set_positions((*loc, key), value[key], position)
+        if isinstance(value, list):
+            value = dict(enumerate(value))
+        if isinstance(value, dict):
+            for key, inner in value.items():
+                self._set_positions((*loc, key), inner, position)
 
     def origin(self, loc: Loc) -> str:
         """Return the origin of a value: "set by --set …", or "set in" and the file."""
@@ -245,13 +250,14 @@ class Document:
     def report(self, loc: Loc, message: str, *, at_key: bool = False) -> None:
         """Add a problem with the value or key at a path; a missing value has the position of its parent."""
         existing = self.existing_prefix(loc)
-        position = (self.keys if at_key and existing == loc else self.values).get(
-            existing, (0, 0)
-        )
+        positions = self.values
+        if at_key and existing == loc:
+            positions = self.keys
+        position = positions.get(existing, (0, 0))
+        if loc:
+            message = f"{format_path(loc)}: {message}"
         if position not in self.refused:
-            self.problems.append(
-                (position, f"{format_path(loc)}: {message}" if loc else message)
-            )
+            self.problems.append((position, message))
 
     def describe(self, loc: Loc, message: str) -> str:
         """Return a message with the place and the path of a value."""
@@ -467,15 +473,10 @@ class _Reader:
         """Return the value that begins with an event, and record its position."""
         self._check(event)
         scalar = isinstance(event, yaml.ScalarEvent)
-        if (
-            scalar
-            and event.implicit[0]
-            and not event.value
-            and loc in self.document.keys
-        ):
+        if scalar and event.implicit[0] and not event.value:
             # If nothing follows the colon, the mark is behind it or in the next line:
             # use that of the key.
-            self.last = self.document.keys[loc]
+            self.last = self.document.keys.get(loc, self.last)
         self.document.values[loc] = self.last
         if scalar:
             # A value may have several lines; other control characters could change a

@@ -47,7 +47,9 @@ def data_root() -> Path:
     """
     package = Path(__file__).resolve().parents[1]
     packed = package / "_data"
-    return packed if packed.is_dir() else package.parent
+    if packed.is_dir():
+        return packed
+    return package.parent
 
 
 def shipped_folder(kind: str) -> Path:
@@ -475,11 +477,10 @@ def check_output_folder(
             with tempfile.TemporaryFile(dir=trial):
                 pass
     except OSError as error:
-        remedy = f"; give another folder with {option}" if option else ""
-        reason = error.strerror or str(error)
-        raise InputError(
-            f"{display_path(folder)}: cannot write there ({reason}){remedy}"
-        ) from error
+        problem = f"cannot write there ({error.strerror or error})"
+        if option:
+            problem += f"; give another folder with {option}"
+        raise InputError(f"{display_path(folder)}: {problem}") from error
     check_not_folders(folder, products)
 
 

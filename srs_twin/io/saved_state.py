@@ -310,8 +310,9 @@ def _encode(value: object, arrays: dict[str, np.ndarray]) -> object:
             "items": [[str(key), _encode(item, arrays)] for key, item in value.items()],
         }
     if isinstance(value, tuple | list | deque):
-        named = hasattr(value, "_fields")
-        kind = _class_name(type(value)) if named else type(value).__name__
+        kind = type(value).__name__
+        if hasattr(value, "_fields"):
+            kind = _class_name(type(value))
         return {"@": kind, "items": [_encode(item, arrays) for item in value]}
     if value is None or isinstance(value, bool | int | float | str):
         return value

@@ -173,7 +173,9 @@ def validate(
         for loc, message in file.contradictions():
             document.report(document.user_path(prefix, loc), message)
             valid = False
-    return file if valid else None
+    if valid:
+        return file
+    return None
 
 
 @cache
@@ -246,7 +248,7 @@ def _message(item: ErrorDetails, schema: Schema, loc: Loc, data: object) -> str:
         dict.fromkeys(describe_schema(option, schema, brief=True) for option in options)
     )
     if kind == "missing":
-        return f"missing; it must be {words}" if words else "missing"
+        return "; it must be ".join(filter(None, ["missing", words]))
     value = item["input"]
     flat = [inner for option in options for inner in _alternatives(option, schema)]
     choices = [choice for option in options for choice in _choices(option, schema)]
@@ -280,8 +282,10 @@ def _suggest_unit(value: object, loc: Loc, options: Iterable[Schema]) -> str:
         high = option.get("maximum")
         if low is not None and high is not None and not low <= value <= high:
             scaled = (factor * value for factor in factors)
-            fitting = next((each for each in scaled if low < each < high), None)
-            return "" if fitting is None else f"; did you mean {fitting:.4g}?"
+            for fitting in scaled:
+                if low < fitting < high:
+                    return f"; did you mean {fitting:.4g}?"
+            return ""
     return ""
 
 
@@ -325,10 +329,10 @@ def _describe_value(value: Any) -> str:
 
 def _format_number(value: float) -> str:
     """Return a number as text: integers with all digits, other numbers with six."""
+    if abs(value) > 1e300:  # also an integer that no float can hold
+        return "infinity"
     if math.isnan(value):
         return "NaN"
-    if abs(value) > 1e300:
-        return "infinity"
     if value == int(value) and abs(value) < 1e15:
         return str(int(value))
     return f"{value:g}"
@@ -339,8 +343,9 @@ def _describe_option(schema: Schema, root: Schema, brief: bool) -> str:
         names = [c if isinstance(c, str) else json.dumps(c) for c in choices]
         if len(names) == 1:
             return names[0]
-        listed = format_names(names, _LIST_HINT) if brief else ", ".join(names)
-        return f"one of {listed}"
+        if brief:
+            return f"one of {format_names(names, _LIST_HINT)}"
+        return f"one of {', '.join(names)}"
     match schema.get("type"):
         case "number":
             return f"a number{_describe_range(schema)}"
@@ -349,11 +354,13 @@ def _describe_option(schema: Schema, root: Schema, brief: bool) -> str:
         case "array":
             return _describe_list(schema, root, brief)
         case "object":
-            keys = ", ".join(schema.get("properties", {}))
-            return f"{_BLOCK} ({keys})" if keys else _BLOCK
+            if keys := ", ".join(schema.get("properties", {})):
+                return f"{_BLOCK} ({keys})"
+            return _BLOCK
         case "string":
-            longest = schema.get("maxLength")
-            return f"text of 1 to {longest} characters" if longest else "text"
+            if longest := schema.get("maxLength"):
+                return f"text of 1 to {longest} characters"
+            return "text"
         case "boolean":
             return "true or false"
     return ""
@@ -363,8 +370,9 @@ def _describe_list(schema: Schema, root: Schema, brief: bool) -> str:
     text = "a list"
     if schema.get("minItems") == schema.get("maxItems", -1):
         text += f" of {schema['minItems']}"
-    inner = describe_schema(schema.get("items", {}), root, brief=brief)
-    return f"{text} (each {inner})" if inner else text
+    if inner := describe_schema(schema.get("items", {}), root, brief=brief):
+        text += f" (each {inner})"
+    return text
 
 
 def _describe_range(schema: Schema) -> str:
@@ -423,7 +431,8 @@ def _schemas_at(root: Schema, loc: Loc, data: object) -> Iterator[Schema]:
                     )
                 else:
                     inner = option.get("items")
-                inner_schemas += [inner] if isinstance(inner, Mapping) else []
+                if isinstance(inner, Mapping):
+                    inner_schemas.append(inner)
         schemas = inner_schemas
         data = child(data, key)
     yield from schemas
