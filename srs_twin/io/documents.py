@@ -49,7 +49,7 @@ _UNUSUAL = re.compile(
     "[^\x20-\x7e\xa1-\u1fff\u2030-\ud7ff\ue000-\ufefe\U00010000-\U0010ffff]"
 )
 
-_CORE_SCHEMA: tuple[tuple[re.Pattern[str], Callable[[str], Any]], ...] = (
+_CORE_SCHEMA: tuple[tuple[re.Pattern[str], Callable[[str], object]], ...] = (
     (re.compile(r"~|null|Null|NULL|"), lambda text: None),
     (re.compile(r"true|True|TRUE"), lambda text: True),
     (re.compile(r"false|False|FALSE"), lambda text: False),
@@ -142,7 +142,8 @@ class Document:
         """Set the value of an override; a name on its path becomes the `base` of a mapping."""
         self.override_labels.append(override.label)
         position = (-len(self.override_labels), 0)
-        self.data = self.data if isinstance(self.data, dict) else {}
+        if not isinstance(self.data, dict):
+            self.data = {}
         data: Any = self.data
         for k, key in enumerate(override.loc):
             loc = override.loc[: k + 1]
@@ -168,16 +169,20 @@ class Document:
                     f" {json.dumps(inner)}"
                 )
                 self.problems.append((self.values[loc], text))
-            data[key] = data = inner if isinstance(inner, dict | list) else {}
+            if not isinstance(inner, dict | list):
+                inner = {}
+            data[key] = data = inner
         data[key] = override.value
         self._set_positions(override.loc, override.value, position)
 
     def _set_positions(self, loc: Loc, value: object, position: Position) -> None:
         """Set the position of a value and of all values inside it."""
         self.keys[loc] = self.values[loc] = position
-        if isinstance(value, dict | list):
-            for key in value if isinstance(value, dict) else range(len(value)):
-                self._set_positions((*loc, key), value[key], position)
+        if isinstance(value, list):
+            value = dict(enumerate(value))
+        if isinstance(value, dict):
+            for key, inner in value.items():
+                self._set_positions((*loc, key), inner, position)
 
     def origin(self, loc: Loc) -> str:
         """Return the origin of a value: "set by --set …", or "set in" and the file."""
@@ -245,13 +250,14 @@ class Document:
     def report(self, loc: Loc, message: str, *, at_key: bool = False) -> None:
         """Add a problem with the value or key at a path; a missing value has the position of its parent."""
         existing = self.existing_prefix(loc)
-        position = (self.keys if at_key and existing == loc else self.values).get(
-            existing, (0, 0)
-        )
+        positions = self.values
+        if at_key and existing == loc:
+            positions = self.keys
+        position = positions.get(existing, (0, 0))
+        if loc:
+            message = f"{format_path(loc)}: {message}"
         if position not in self.refused:
-            self.problems.append(
-                (position, f"{format_path(loc)}: {message}" if loc else message)
-            )
+            self.problems.append((position, message))
 
     def describe(self, loc: Loc, message: str) -> str:
         """Return a message with the place and the path of a value."""
@@ -260,11 +266,12 @@ class Document:
 
     def _placed(self, position: Position, message: str) -> str:
         line, column = position
+        place = self.name
         if line > 0:
-            place = f"{self.name}:{line}:{column}"
-        else:
-            place = self.name
-        return f"{self.override_labels[-line - 1] if line < 0 else place}: {message}"
+            place += f":{line}:{column}"
+        elif line < 0:
+            place = self.override_labels[-line - 1]
+        return f"{place}: {message}"
 
     @contextmanager
     def report_errors(self, *loc: str | int) -> Iterator[None]:
@@ -358,7 +365,7 @@ def parse_yaml(text: str, name: str) -> Document:
     return reader.document
 
 
-def _explain(problem: str, lines: list[str], mark: Any) -> str:
+def _explain(problem: str, lines: list[str], mark: yaml.Mark) -> str:
     """Return a sentence on the probable mistake: a colon in text, or a wrong indent."""
     before = "".join(lines)[: mark.column]
     if "mapping values are not allowed" in problem and ": " in before:
@@ -405,7 +412,7 @@ def parse_path(name: str) -> Loc:
     )
 
 
-def has_child(value: Any, key: str | int) -> bool:
+def has_child(value: object, key: str | int) -> bool:
     """Return whether a dict has a key, or a list an index."""
     if isinstance(value, Mapping):
         return key in value
@@ -419,14 +426,14 @@ def child(value: Any, key: str | int) -> Any:
     return None
 
 
-def _position(mark: Any) -> Position:
+def _position(mark: yaml.Mark) -> Position:
     return mark.line + 1, mark.column + 1
 
 
 class _Reader:
     """Recursive reader of parse events, with limits on depth and size."""
 
-    def __init__(self, parsed: Iterator[Any], document: Document) -> None:
+    def __init__(self, parsed: Iterator[yaml.Event], document: Document) -> None:
         self.document = document
         self.last: Position = (1, 1)
         self._events = parsed
@@ -457,24 +464,19 @@ class _Reader:
                 self.document.data = self._value(event, ())
         return self.document
 
-    def _next(self) -> Any:
+    def _next(self) -> yaml.Event:
         event = next(self._events)
         self.last = _position(event.start_mark)
         return event
 
-    def _value(self, event: Any, loc: Loc) -> Any:
+    def _value(self, event: yaml.Event, loc: Loc) -> object:
         """Return the value that begins with an event, and record its position."""
         self._check(event)
         scalar = isinstance(event, yaml.ScalarEvent)
-        if (
-            scalar
-            and event.implicit[0]
-            and not event.value
-            and loc in self.document.keys
-        ):
+        if scalar and event.implicit[0] and not event.value:
             # If nothing follows the colon, the mark is behind it or in the next line:
             # use that of the key.
-            self.last = self.document.keys[loc]
+            self.last = self.document.keys.get(loc, self.last)
         self.document.values[loc] = self.last
         if scalar:
             # A value may have several lines; other control characters could change a
@@ -489,13 +491,13 @@ class _Reader:
             self.fail(self.last, f"nested more than {MAX_DEPTH} deep")
         if isinstance(event, yaml.MappingStartEvent):
             return self._mapping(loc)
-        values: list[Any] = []
+        values: list[object] = []
         while not isinstance(event := self._next(), yaml.CollectionEndEvent):
             values.append(self._value(event, (*loc, len(values))))
         return values
 
-    def _mapping(self, loc: Loc) -> dict[str, Any]:
-        mapping: dict[str, Any] = {}
+    def _mapping(self, loc: Loc) -> dict[str, object]:
+        mapping: dict[str, object] = {}
         while not isinstance(event := self._next(), yaml.CollectionEndEvent):
             self._check(event)
             if not isinstance(event, yaml.ScalarEvent):
@@ -513,7 +515,7 @@ class _Reader:
             mapping[key] = self._value(self._next(), key_loc)
         return mapping
 
-    def _check(self, event: Any) -> None:
+    def _check(self, event: yaml.Event) -> None:
         """Count a node; report an alias, anchor or tag as a problem."""
         self._nodes += 1
         if self._nodes > MAX_NODES:
@@ -530,16 +532,14 @@ class _Reader:
         if event.tag is not None:
             self._refuse(f"tags ({event.tag}) are not allowed; write the plain value")
 
-    def _text(self, event: Any, *, keep: str) -> str:
+    def _text(self, event: yaml.Event, *, keep: str) -> str:
         """Return the text of a scalar with escapes; report characters that are not allowed."""
         text = escape_unprintable(event.value, keep=keep)
         if text != event.value:
             bad = event.value[len(os.path.commonprefix([text, event.value]))]
-            surrogate = "\ud800" <= bad <= "\udfff"
-            if surrogate:
+            what = f"the control character {escape_unprintable(bad)}"
+            if "\ud800" <= bad <= "\udfff":
                 what = "half a surrogate pair"
-            else:
-                what = f"the control character {escape_unprintable(bad)}"
             self._refuse(f"{what} is not allowed in text")
         return text
 
@@ -570,21 +570,23 @@ class _CompactDumper(_Dumper):
     """Writer of lists and dicts that contain only numbers in one line each."""
 
     def represent_sequence(
-        self, tag: Any, sequence: Any, flow_style: Any = None
-    ) -> Any:
+        self, tag: str, sequence: Collection[object], flow_style: object = None
+    ) -> yaml.Node:
         """Represent a list; see PyYAML."""
         return super().represent_sequence(tag, sequence, _is_row(sequence))
 
-    def represent_mapping(self, tag: Any, mapping: Any, flow_style: Any = None) -> Any:
+    def represent_mapping(
+        self, tag: str, mapping: Mapping[str, object], flow_style: object = None
+    ) -> yaml.Node:
         """Represent a dict; see PyYAML."""
         return super().represent_mapping(tag, mapping, _is_row(mapping.values()))
 
 
-def _is_row(values: Collection[Any]) -> bool:
+def _is_row(values: Collection[object]) -> bool:
     return bool(values) and all(isinstance(value, int | float) for value in values)
 
 
-def _resolve_scalar(text: str) -> Any:
+def _resolve_scalar(text: str) -> object:
     """Return the value of an unquoted scalar under the core schema of YAML 1.2."""
     for pattern, convert in _CORE_SCHEMA:
         if pattern.fullmatch(text):

@@ -188,10 +188,9 @@ def check_printable(argument: StrPath) -> None:
     """
     text = os.fspath(argument)
     if match := _UNPRINTABLE.search(text):
+        reason = "a control character in it"
         if match[0] >= "\ud800":
             reason = "not UTF-8"
-        else:
-            reason = "a control character in it"
         raise InputError(
             f"{escape_unprintable(text)}: cannot be used ({reason}); rename it"
         )
@@ -423,10 +422,9 @@ def require_file(
             return path
         if path.is_dir():
             inside = sorted(p.name for p in path.glob(f"*{suffix}"))
+            hint = f" ({suffix}; there is none in it)"
             if inside:
                 hint = f", such as {display_path(path / inside[0])}"
-            else:
-                hint = f" ({suffix}; there is none in it)"
             raise InputError(f"{display_path(path)}: a folder; give one file{hint}")
         if path.exists():
             raise InputError(f"{display_path(path)}: not a regular file")
@@ -445,10 +443,9 @@ def require_file(
         if path.name
     ]
     hint = did_you_mean(str(path), siblings) or did_you_mean(str(path), names) or remedy
+    looked = ""
     if len(places) > 1:
         looked = f" (looked for {' and '.join(map(display_path, places))})"
-    else:
-        looked = ""
     raise InputError(f"{display_path(path)}: no such file{looked}{hint}")
 
 
@@ -480,14 +477,10 @@ def check_output_folder(
             with tempfile.TemporaryFile(dir=trial):
                 pass
     except OSError as error:
+        problem = f"cannot write there ({error.strerror or error})"
         if option:
-            remedy = f"; give another folder with {option}"
-        else:
-            remedy = ""
-        reason = error.strerror or str(error)
-        raise InputError(
-            f"{display_path(folder)}: cannot write there ({reason}){remedy}"
-        ) from error
+            problem += f"; give another folder with {option}"
+        raise InputError(f"{display_path(folder)}: {problem}") from error
     check_not_folders(folder, products)
 
 

@@ -30,7 +30,7 @@ from enum import Enum
 from functools import partial
 from pathlib import Path
 from types import FunctionType, GeneratorType, MethodType
-from typing import Any, ClassVar, Self, cast
+from typing import Any, ClassVar, Self, SupportsIndex, cast
 
 import numpy as np
 
@@ -61,7 +61,7 @@ class DeepCopied:
     def __copy__(self) -> Self:
         return copy.deepcopy(self)
 
-    def __reduce_ex__(self, protocol: Any) -> str | tuple[Any, ...]:
+    def __reduce_ex__(self, protocol: SupportsIndex) -> str | tuple[Any, ...]:
         """Return the class and the attributes, for `copy` and `pickle`.
 
         Raises:
@@ -204,7 +204,7 @@ class SavedState:
     content: Mapping[str, Any]
     version: int = VERSION
 
-    def check(self, label: str, owner: Mapping[str, Any]) -> None:
+    def check(self, label: str, owner: Mapping[str, object]) -> None:
         """Check that an object can restore this state.
 
         Args:
@@ -226,12 +226,9 @@ class SavedState:
                 for key in differing[:3]
             ]
             if len(differing) > 3:
-                rest = f", and {len(differing) - 3} more"
-            else:
-                rest = ""
+                listed.append(f"and {len(differing) - 3} more")
             raise InputError(
-                f"{label}: the saved state has other settings:"
-                f" {', '.join(listed)}{rest}"
+                f"{label}: the saved state has other settings: {', '.join(listed)}"
             )
 
     def write(self, path: Path) -> None:
@@ -313,10 +310,9 @@ def _encode(value: object, arrays: dict[str, np.ndarray]) -> object:
             "items": [[str(key), _encode(item, arrays)] for key, item in value.items()],
         }
     if isinstance(value, tuple | list | deque):
+        kind = type(value).__name__
         if hasattr(value, "_fields"):
             kind = _class_name(type(value))
-        else:
-            kind = type(value).__name__
         return {"@": kind, "items": [_encode(item, arrays) for item in value]}
     if value is None or isinstance(value, bool | int | float | str):
         return value
@@ -350,10 +346,9 @@ def _class_name(kind: type) -> str:
 def _find_class(name: str) -> type:
     """Return a dataclass, named tuple or enum of this package by name; other classes could run code."""
     module, _, kind = name.partition(":")
+    cls = None
     if module.startswith(_PACKAGE):
         cls = getattr(importlib.import_module(module), kind)
-    else:
-        cls = None
     is_record = isinstance(cls, type) and (
         issubclass(cls, Enum) or hasattr(cls, "_fields")
     )

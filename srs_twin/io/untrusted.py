@@ -23,7 +23,7 @@ import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 
@@ -32,6 +32,7 @@ from srs_twin.io.files import decode_text, display_path, require_file
 
 if TYPE_CHECKING:
     import pyarrow
+    from pyarrow.parquet import ParquetFile
 
 MAX_DEPTH = 64
 """Largest depth of nested lists and objects; results have fewer than ten levels."""
@@ -93,7 +94,7 @@ def parse_json(text: str, name: str) -> Any:
     return data
 
 
-def _refuse(constant: str) -> Any:
+def _refuse(constant: str) -> NoReturn:
     raise ValueError(f"{constant} is not JSON")
 
 
@@ -228,7 +229,7 @@ def _check_size(path: Path) -> None:
             raise ValueError(f"a {name} of {value} bytes; the limit is {limit}")
 
 
-def _check_bounds(file: Any) -> None:
+def _check_bounds(file: ParquetFile) -> None:
     """Check the declared sizes in the footer; no data have been read yet.
 
     Raises:
@@ -253,7 +254,7 @@ def _check_bounds(file: Any) -> None:
         raise ValueError(f"column {duplicates[0]}: given twice")
 
 
-def _read(file: Any) -> pyarrow.Table:
+def _read(file: ParquetFile) -> pyarrow.Table:
     """Return the table.
 
     Raises:

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
@@ -25,6 +25,9 @@ from srs_twin.io.documents import (
     has_child,
     load_yaml,
 )
+
+if TYPE_CHECKING:
+    from pydantic_core import ErrorDetails
 
 Schema = Mapping[str, Any]
 """JSON schema."""
@@ -137,7 +140,7 @@ def load_model(model: type[Model], path: Path, paths: Mapping[Loc, str] = {}) ->
 
 
 def validate(
-    model: type[Model], document: Document, data: Any, *, prefix: Loc = ()
+    model: type[Model], document: Document, data: object, *, prefix: Loc = ()
 ) -> Model | None:
     """Return plain data as a model, or None after reporting all problems to the document.
 
@@ -167,21 +170,17 @@ def validate(
                 and (path := format_path(loc)) in elsewhere
             ):
                 message = f"unknown key; did you mean {elsewhere[path]}?"
-            if absent:
-                user_loc = prefix + loc
-            else:
-                user_loc = document.user_path(prefix, loc)
+            user_loc = prefix + loc if absent else document.user_path(prefix, loc)
             document.report(user_loc, message, at_key=item["type"] == "extra_forbidden")
         return None
+    valid = True
     if hasattr(file, "contradictions"):
-        contradictions = list(file.contradictions())
-    else:
-        contradictions = []
-    for loc, message in contradictions:
-        document.report(document.user_path(prefix, loc), message)
-    if contradictions:
-        return None
-    return file
+        for loc, message in file.contradictions():
+            document.report(document.user_path(prefix, loc), message)
+            valid = False
+    if valid:
+        return file
+    return None
 
 
 @cache
@@ -206,7 +205,7 @@ def describe_schema(schema: Schema, root: Schema, *, brief: bool = False) -> str
     return " or ".join(dict.fromkeys(filter(None, texts)))
 
 
-def _report_block_kind(document: Document, item: Any, loc: Loc) -> None:
+def _report_block_kind(document: Document, item: ErrorDetails, loc: Loc) -> None:
     """Report a block whose kind (the discriminator of a union) is missing or unknown."""
     context = item["ctx"]
     block = item["input"]
@@ -239,19 +238,19 @@ def _hint(value: object, names: Iterable[str]) -> str:
     return did_you_mean(value, names)
 
 
-def _message(item: Any, schema: Schema, loc: Loc, data: Any) -> str:
+def _message(item: ErrorDetails, schema: Schema, loc: Loc, data: object) -> str:
     kind = item["type"]
     if kind == "extra_forbidden":
         keys = _allowed_keys(schema, loc[:-1], data)
         close = _hint(loc[-1], keys)
         if str(loc[-1]).isdigit():
             return "unknown key; write a decimal point, not a comma"
+        if close:
+            return f"unknown key{close}"
         listed = ", ".join(keys[:MAX_LISTED_NAMES])
         if len(keys) > MAX_LISTED_NAMES:
-            more = f", … ({_LIST_HINT} lists all {len(keys)})"
-        else:
-            more = ""
-        return f"unknown key{close or f'; allowed: {listed}{more}'}"
+            listed += f", … ({_LIST_HINT} lists all {len(keys)})"
+        return f"unknown key; allowed: {listed}"
     if kind == "value_error":
         return str(item["ctx"]["error"])
     options = list(_schemas_at(schema, loc, data))
@@ -259,23 +258,18 @@ def _message(item: Any, schema: Schema, loc: Loc, data: Any) -> str:
         dict.fromkeys(describe_schema(option, schema, brief=True) for option in options)
     )
     if kind == "missing":
-        if words:
-            return f"missing; it must be {words}"
-        return "missing"
+        return "; it must be ".join(filter(None, ["missing", words]))
     value = item["input"]
     flat = [inner for option in options for inner in _alternatives(option, schema)]
     choices = [choice for option in options for choice in _choices(option, schema)]
-    close = _hint(value, choices) if len(choices) > 1 else ""
-    if (
-        isinstance(value, str)
-        and _WITH_UNIT.fullmatch(value)
-        and any("minimum" in option for option in flat)
-    ):
-        close = "; write the number without a unit, which the key names"
-    return (
-        f"must be {words}, not"
-        f" {_describe_value(value)}{close or _suggest_unit(value, loc, flat)}"
-    )
+    close = _suggest_unit(value, loc, flat)
+    if isinstance(value, str):
+        bounded = any("minimum" in option for option in flat)
+        if bounded and _WITH_UNIT.fullmatch(value):
+            close = "; write the number without a unit, which the key names"
+        elif len(choices) > 1:
+            close = _hint(value, choices)
+    return f"must be {words}, not {_describe_value(value)}{close}"
 
 
 def _suggest_unit(value: object, loc: Loc, options: Iterable[Schema]) -> str:
@@ -297,11 +291,10 @@ def _suggest_unit(value: object, loc: Loc, options: Iterable[Schema]) -> str:
         low = option.get("minimum")
         high = option.get("maximum")
         if low is not None and high is not None and not low <= value <= high:
-            fitting = [
-                factor * value for factor in factors if low < factor * value < high
-            ]
-            if fitting:
-                return f"; did you mean {fitting[0]:.4g}?"
+            scaled = (factor * value for factor in factors)
+            for fitting in scaled:
+                if low < fitting < high:
+                    return f"; did you mean {fitting:.4g}?"
             return ""
     return ""
 
@@ -316,7 +309,7 @@ def _existing_path(loc: Loc, data: object) -> Loc:
     return tuple(existing)
 
 
-def _is_absent(item: Any, schema: Schema, loc: Loc, data: Any) -> bool:
+def _is_absent(item: ErrorDetails, schema: Schema, loc: Loc, data: object) -> bool:
     """Return whether the file lacks the problem's key, because it is missing or has its default."""
     last = item["loc"][-1] if item["loc"] else None
     known = (
@@ -346,10 +339,10 @@ def _describe_value(value: Any) -> str:
 
 def _format_number(value: float) -> str:
     """Return a number as text: integers with all digits, other numbers with six."""
-    if value != value:
-        return "NaN"
-    if abs(value) > 1e300:
+    if abs(value) > 1e300:  # also an integer that no float can hold
         return "infinity"
+    if math.isnan(value):
+        return "NaN"
     if value == int(value) and abs(value) < 1e15:
         return str(int(value))
     return f"{value:g}"
@@ -360,34 +353,36 @@ def _describe_option(schema: Schema, root: Schema, brief: bool) -> str:
         names = [c if isinstance(c, str) else json.dumps(c) for c in choices]
         if len(names) == 1:
             return names[0]
-        return (
-            f"one of {format_names(names, _LIST_HINT) if brief else ', '.join(names)}"
-        )
-    kind = schema.get("type")
-    if kind in ("number", "integer"):
-        return (
-            "a whole number" if kind == "integer" else "a number"
-        ) + _describe_range(schema)
-    if kind == "array":
-        inner = describe_schema(schema.get("items", {}), root, brief=brief)
-        if schema.get("minItems") == schema.get("maxItems", -1):
-            count = f" of {schema['minItems']}"
-        else:
-            count = ""
-        if inner:
-            return f"a list{count} (each {inner})"
-        return f"a list{count}"
-    if kind == "object":
-        keys = ", ".join(schema.get("properties", {}))
-        if keys:
-            return f"a block of keys ({keys})"
-        return "a block of keys"
-    if kind == "string":
-        longest = schema.get("maxLength")
-        if longest:
-            return f"text of 1 to {longest} characters"
-        return "text"
-    return {"boolean": "true or false"}.get(str(kind), "")
+        if brief:
+            return f"one of {format_names(names, _LIST_HINT)}"
+        return f"one of {', '.join(names)}"
+    match schema.get("type"):
+        case "number":
+            return f"a number{_describe_range(schema)}"
+        case "integer":
+            return f"a whole number{_describe_range(schema)}"
+        case "array":
+            return _describe_list(schema, root, brief)
+        case "object":
+            if keys := ", ".join(schema.get("properties", {})):
+                return f"{_BLOCK} ({keys})"
+            return _BLOCK
+        case "string":
+            if longest := schema.get("maxLength"):
+                return f"text of 1 to {longest} characters"
+            return "text"
+        case "boolean":
+            return "true or false"
+    return ""
+
+
+def _describe_list(schema: Schema, root: Schema, brief: bool) -> str:
+    text = "a list"
+    if schema.get("minItems") == schema.get("maxItems", -1):
+        text += f" of {schema['minItems']}"
+    if inner := describe_schema(schema.get("items", {}), root, brief=brief):
+        text += f" (each {inner})"
+    return text
 
 
 def _describe_range(schema: Schema) -> str:
@@ -402,11 +397,9 @@ def _describe_range(schema: Schema) -> str:
 
 def _choices(schema: Schema, root: Schema) -> list[Any]:
     """Return the constants that a schema allows."""
-    choices = []
+    choices: list[Any] = []
     for option in _alternatives(schema, root):
-        choices += (
-            [option["const"]] if "const" in option else list(option.get("enum", ()))
-        )
+        choices += [option["const"]] if "const" in option else option.get("enum", ())
     return choices
 
 
@@ -427,20 +420,15 @@ def _alternatives(
     if not inner:
         yield schema
         return
-    if data is _ANY:
-        key = None
-    else:
-        key = schema.get("discriminator", {}).get("propertyName")
-    for option in (
-        flat for member in inner for flat in _alternatives(member, root, data)
-    ):
-        if key is None or option.get("properties", {}).get(key, {}).get(
-            "const"
-        ) == child(data, key):
-            yield option
+    key = schema.get("discriminator", {}).get("propertyName")
+    for member in inner:
+        for option in _alternatives(member, root, data):
+            kind = option.get("properties", {}).get(key, {})
+            if data is _ANY or key is None or kind.get("const") == child(data, key):
+                yield option
 
 
-def _schemas_at(root: Schema, loc: Loc, data: Any) -> Iterator[Schema]:
+def _schemas_at(root: Schema, loc: Loc, data: object) -> Iterator[Schema]:
     """Yield the schemas that a value at a path may have; a discriminator selects one of a union."""
     schemas: list[Schema] = [root]
     for key in loc:
@@ -453,21 +441,20 @@ def _schemas_at(root: Schema, loc: Loc, data: Any) -> Iterator[Schema]:
                     )
                 else:
                     inner = option.get("items")
-                inner_schemas += [inner] if isinstance(inner, Mapping) else []
+                if isinstance(inner, Mapping):
+                    inner_schemas.append(inner)
         schemas = inner_schemas
         data = child(data, key)
     yield from schemas
 
 
-def _allowed_keys(root: Schema, loc: Loc, data: Any) -> list[str]:
+def _allowed_keys(root: Schema, loc: Loc, data: object) -> list[str]:
     """Return the keys that a block at a path may have."""
     schemas = list(_schemas_at(root, loc, data))
     for key in loc:
         data = child(data, key)
-    found = (
-        key
-        for s in schemas
-        for o in _alternatives(s, root, data)
-        for key in o.get("properties", {})
-    )
-    return list(dict.fromkeys(found))
+    found: dict[str, None] = {}
+    for schema in schemas:
+        for option in _alternatives(schema, root, data):
+            found |= dict.fromkeys(option.get("properties", {}))
+    return list(found)

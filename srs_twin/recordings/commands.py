@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -27,6 +27,7 @@ from srs_twin.errors import InputError, UnknownNameError
 if TYPE_CHECKING:
     from srs_twin.recordings.inspection import Scene
     from srs_twin.recordings.takes import RecordingReader
+    from srs_twin.trajectory import Trajectory
 
 
 _LOGS = (
@@ -73,7 +74,7 @@ class TableOptions:
     separator: Annotated[str | None, option("--separator CHARACTER")] = None
     decimal: Annotated[str | None, option("--decimal CHARACTER")] = None
 
-    def map_data(self, markers: Sequence[str] = ()) -> dict[str, Any]:
+    def map_data(self, markers: Sequence[str] = ()) -> dict[str, object]:
         """Return the map with the other options as plain data; `markers` are those of `given_map`.
 
         Raises:
@@ -160,7 +161,7 @@ def inspect(
             of each is put in front.
         write_map: File for the proposed map.
     """
-    from srs_twin.io.files import check_output_folder, escape_unprintable, write_text
+    from srs_twin.io.files import escape_unprintable, write_text
     from srs_twin.recordings.facts import in_words, proposed_map
     from srs_twin.recordings.inspection import inspect_file
     from srs_twin.recordings.recording_map import read_map
@@ -168,11 +169,7 @@ def inspect(
 
     read_map(table.map_data())  # reject an invalid map at once
     spec = None if robot is None else load_robot(robot)
-    for name, target in (("--picture", picture), ("--write-map", write_map)):
-        if target is not None:
-            check_output_folder(Path(target).parent, (Path(target).name,), option=name)
-    if write_map is not None and os.path.lexists(write_map) and not overwrite:
-        raise InputError(f"{write_map}: exists; give --overwrite, or another name")
+    _check_outputs(picture, write_map, overwrite=overwrite)
     found = []
     failed = []
     for path in files:
@@ -184,10 +181,8 @@ def inspect(
         try:
             facts, scene = inspect_file(path, read_map(options.map_data()), spec)
         except InputError as error:
-            message = str(error)
-            failed.append(
-                message if Path(path).name in message else f"{path}: {message}"
-            )
+            named = Path(path).name in str(error)
+            failed.append(str(error) if named else f"{path}: {error}")
             continue
         found.append(facts)
         if not as_json:
@@ -206,6 +201,18 @@ def inspect(
         raise InputError("\n".join(failed))
 
 
+def _check_outputs(
+    picture: str | None, write_map: str | None, *, overwrite: bool
+) -> None:
+    from srs_twin.io.files import check_output_folder
+
+    for name, target in (("--picture", picture), ("--write-map", write_map)):
+        if target is not None:
+            check_output_folder(Path(target).parent, (Path(target).name,), option=name)
+    if write_map is not None and os.path.lexists(write_map) and not overwrite:
+        raise InputError(f"{write_map}: exists; give --overwrite, or another name")
+
+
 def _save_picture(scene: Scene, path: Path) -> None:
     from srs_twin.recordings.inspection import markers_view
     from srs_twin.viewing.plots.style import own_settings, save
@@ -220,13 +227,44 @@ _FORMATS = ("mcap", "csv", "npz")
 MAP_SUFFIX = ".map.yaml"
 """Suffix of the recording map that `export` writes, and `inspect` reads, beside a recording."""
 
+_LAYOUT_SUFFIX = ".foxglove.json"
+
+
+@dataclass(frozen=True)
+class FormatOptions:
+    """Format of an exported file.
+
+    Options:
+        mcap: ROS 2 messages, for Foxglove, PlotJuggler and ros2 bag.
+        csv: Columns of the trajectory in SI units.
+        npz: Columns of the trajectory as a NumPy archive.
+    """
+
+    mcap: Annotated[bool, option("--mcap")] = False
+    csv: Annotated[bool, option("--csv")] = False
+    npz: Annotated[bool, option("--npz")] = False
+
+    def chosen(self, out: str | None) -> str:
+        """Return the chosen format, or else that of the suffix of the file.
+
+        Raises:
+            InputError: there is not exactly one.
+        """
+        names = [name for name, chosen in vars(self).items() if chosen]
+        if not names and out and Path(out).suffix[1:] in _FORMATS:
+            return Path(out).suffix[1:]
+        if len(names) != 1:
+            raise InputError(f"give one format: --{', --'.join(_FORMATS)}")
+        return names[0]
+
+
+_BY_SUFFIX = FormatOptions()
+
 
 def export(
     run: Annotated[str, argument("RUN")],
     file: Annotated[str | None, argument("FILE")] = None,
-    mcap: Annotated[bool, option("--mcap")] = False,
-    csv: Annotated[bool, option("--csv")] = False,
-    npz: Annotated[bool, option("--npz")] = False,
+    form: FormatOptions = _BY_SUFFIX,
     plant: Annotated[str | None, option("--plant NAME")] = None,
     out: Annotated[str | None, option("--out FILE")] = None,
     overwrite: OverwriteOption = False,
@@ -240,28 +278,16 @@ def export(
     Options:
         run: Folder of a run, or its name in ./runs.
         file: File to write, as with --out; its suffix selects the format.
-        mcap: ROS 2 messages, for Foxglove, PlotJuggler and ros2 bag.
-        csv: Columns of the trajectory in SI units.
-        npz: Columns of the trajectory as a NumPy archive.
         plant: analytical, twin or measured. [default: all in MCAP, else the twin]
         out: File to write. [default: RUN/twin.csv, RUN/run.mcap]
     """
     from srs_twin.experiment import load_run
-    from srs_twin.io.documents import dump_yaml
-    from srs_twin.io.files import check_output_folder, display_path, write_text
+    from srs_twin.io.files import check_output_folder, display_path
 
     if file and Path(run).suffix[1:] in _FORMATS:
         run, file = file, run
     out = out or file
-    chosen = [
-        name for name, wanted in zip(_FORMATS, (mcap, csv, npz), strict=True) if wanted
-    ]
-    chosen = chosen or [
-        name for name in _FORMATS if out and Path(out).suffix == f".{name}"
-    ]
-    if len(chosen) != 1:
-        raise InputError(f"give one format: --{', --'.join(_FORMATS)}")
-    (kind,) = chosen
+    kind = form.chosen(out)
     finished = load_run(run)
     runs = dict(finished.trajectories)
     if plant is not None:
@@ -269,33 +295,35 @@ def export(
             raise UnknownNameError("plant", plant, runs)
         runs = {plant: runs[plant]}
     first = "twin" if "twin" in runs else next(iter(runs))
-    if out:
-        path = Path(out)
-    else:
-        path = finished.folder / f"{'run' if kind == 'mcap' else first}.{kind}"
+    default = "run" if kind == "mcap" else first
+    path = Path(out) if out else finished.folder / f"{default}.{kind}"
     if path.suffix != f".{kind}":
         raise InputError(f"{path.name}: a file of --{kind} ends in .{kind}")
+    targets = [path]
     if kind == "mcap":
-        beside = [path.with_suffix(MAP_SUFFIX), path.with_suffix(".foxglove.json")]
-    else:
-        beside = []
-    for target in (path, *beside):
+        targets += [path.with_suffix(MAP_SUFFIX), path.with_suffix(_LAYOUT_SUFFIX)]
+    for target in targets:
         if target.exists() and not overwrite:
             raise InputError(f"{display_path(target)} exists; --overwrite replaces it")
-    check_output_folder(path.parent, tuple(target.name for target in (path, *beside)))
+    check_output_folder(path.parent, tuple(target.name for target in targets))
+    _write(path, runs, first)
+    say(f"wrote {', '.join(map(display_path, targets))}", quiet=quiet)
+
+
+def _write(path: Path, runs: Mapping[str, Trajectory], first: str) -> None:
+    """Write the runs in the format of the suffix; CSV and NumPy archives contain the first one."""
+    from srs_twin.io.documents import dump_yaml
+    from srs_twin.io.files import write_text
     from srs_twin.recordings import export as exporting
 
-    if kind == "csv":
+    if path.suffix == ".csv":
         exporting.write_csv(path, runs[first])
-    elif kind == "npz":
+        return
+    if path.suffix == ".npz":
         exporting.write_npz(path, runs[first])
-    else:
-        exporting.write_mcap(path, runs)
-        write_text(beside[0], dump_yaml(exporting.recording_map(first, runs[first])))
-        write_text(
-            beside[1], json.dumps(exporting.foxglove_layout(runs), indent=2) + "\n"
-        )
-    say(
-        f"wrote {', '.join(display_path(target) for target in (path, *beside))}",
-        quiet=quiet,
-    )
+        return
+    exporting.write_mcap(path, runs)
+    recording_map = exporting.recording_map(first, runs[first])
+    write_text(path.with_suffix(MAP_SUFFIX), dump_yaml(recording_map))
+    layout = json.dumps(exporting.foxglove_layout(runs), indent=2)
+    write_text(path.with_suffix(_LAYOUT_SUFFIX), layout + "\n")

@@ -219,15 +219,8 @@ def read_table(
     line = file.header_lines or 1
     if file.problem:
         raise file.error(file.problem, file.header_lines + (not file.names))
-    mapped = {clean(name): meaning for name, meaning in (meanings or {}).items()}
-    for name in mapped:
-        if name not in file.names:
-            raise UnknownNameError("column", name, file.names)
+    mapped = _mapped_names(file, meanings or {}, timed="time" in known)
     taken = {meaning.key for meaning in mapped.values()}
-    if "time" in known and "time" not in taken:
-        clocks = [name for name in file.names if is_clock(name) and name not in mapped]
-        usual = [name for name in clocks if name.lower() in ("time", "t")]
-        mapped |= dict.fromkeys([*usual, *clocks][:1], Meaning("time", "time"))
     columns: dict[tuple[str, int], CsvColumn] = {}
     unused = []
     notes = []
@@ -250,6 +243,25 @@ def read_table(
             problem = f"{text}: the same as column '{file.names[first.place]}'"
             raise file.error(problem, line, place + 1)
     return CsvTable(file, tuple(columns.values()), tuple(unused), tuple(notes))
+
+
+def _mapped_names(
+    file: RecordedFile, meanings: Mapping[str, Meaning], *, timed: bool
+) -> dict[str, Meaning]:
+    """Return the meanings of a map, with the column of the time if it is not among them.
+
+    Raises:
+        UnknownNameError: a column does not exist.
+    """
+    mapped = {clean(name): meaning for name, meaning in meanings.items()}
+    for name in mapped:
+        if name not in file.names:
+            raise UnknownNameError("column", name, file.names)
+    if not timed or any(meaning.kind == "time" for meaning in mapped.values()):
+        return mapped
+    clocks = [name for name in file.names if is_clock(name) and name not in mapped]
+    usual = [name for name in clocks if name.lower() in ("time", "t")]
+    return mapped | dict.fromkeys([*usual, *clocks][:1], Meaning("time", "time"))
 
 
 def _own_column(

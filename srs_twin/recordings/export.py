@@ -18,9 +18,10 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from itertools import takewhile
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -28,6 +29,9 @@ from srs_twin.errors import InputError
 from srs_twin.io.files import atomic_write
 from srs_twin.pneumatics.chambers import AMBIENT_PA
 from srs_twin.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
 
 WORLD = "world"
 """Frame of all poses."""
@@ -162,84 +166,112 @@ def foxglove_layout(runs: Mapping[str, Trajectory]) -> dict[str, object]:
     }
 
 
+class _Sample(NamedTuple):
+    """Sample of a plant.
+
+    Attributes:
+        plant: name of the plant.
+        values: column → value.
+        header: header of its messages.
+        make: message type without package → its class.
+    """
+
+    plant: str
+    values: Mapping[str, float]
+    header: object
+    make: Mapping[str, Callable[..., object]]
+
+    def numbered(self, name: str) -> list[float]:
+        """Return the values of the columns name_1, name_2 and so on."""
+        keys = (f"{name}_{j}" for j in range(1, len(self.values)))
+        return [self.values[key] for key in takewhile(self.values.__contains__, keys)]
+
+
+class _Message(NamedTuple):
+    """Message below the topics of a plant, with its type."""
+
+    topic: str
+    kind: str
+    content: object
+
+
 def _messages(
-    runs: Mapping[str, Trajectory], store: Any
+    runs: Mapping[str, Trajectory], store: Typestore
 ) -> Iterator[tuple[str, str, int, object]]:
     """Yield topic, type, time (ns) and message, in the order of time."""
-    types = {name.rsplit("/", 1)[1]: kind for name, kind in store.types.items()}
+    make = {name.rsplit("/", 1)[1]: kind for name, kind in store.types.items()}
     times = sorted(
         (round(time * _NS), plant, k)
         for plant, run in runs.items()
         for k, time in enumerate(run.time)
     )
     for time, plant, k in times:
-        columns = runs[plant].columns
-        sample = {name: float(column[k]) for name, column in columns.items()}
-        for topic, kind, message in _sample_messages(plant, sample, time, types):
-            yield topic, kind, time, message
+        values = {name: float(own[k]) for name, own in runs[plant].columns.items()}
+        stamp = make["Time"](sec=time // _NS, nanosec=time % _NS)
+        header = make["Header"](stamp=stamp, frame_id=WORLD)
+        sample = _Sample(plant, values, header, make)
+        for message in (*_pose_messages(sample), *_segment_messages(sample)):
+            topic = message.topic
+            if topic != "/tf":
+                topic = f"/{plant}/{topic}"
+            yield topic, message.kind, time, message.content
 
 
-def _sample_messages(
-    plant: str, sample: Mapping[str, float], time: int, make: Mapping[str, Any]
-) -> Iterator[tuple[str, str, object]]:
-    """Yield topic, type and message of a sample.
-
-    Args:
-        plant: name of the plant.
-        sample: column → value.
-        time: time of the sample, ns.
-        make: message type → its class.
-    """
-
-    def numbered(name: str) -> list[float]:
-        return [
-            sample[key]
-            for j in range(1, len(sample))
-            if (key := f"{name}_{j}") in sample
-        ]
-
-    stamp = make["Time"](sec=time // _NS, nanosec=time % _NS)
-    header = make["Header"](stamp=stamp, frame_id=WORLD)
-    poses = zip(numbered("x"), numbered("y"), numbered("theta"), strict=True)
+def _pose_messages(sample: _Sample) -> Iterator[_Message]:
+    """Yield the poses of connectors and centre of mass, also as transforms."""
+    _, values, header, make = sample
+    poses = zip(
+        sample.numbered("x"),
+        sample.numbered("y"),
+        sample.numbered("theta"),
+        strict=True,
+    )
     bodies = {f"connector_{i}": pose for i, pose in enumerate(poses, start=1)}
-    bodies["com"] = (sample["com_x"], sample["com_y"], sample["heading"])
+    bodies["com"] = (values["com_x"], values["com_y"], values["heading"])
     transforms = []
     for name, (x, y, angle) in bodies.items():
         turn = make["Quaternion"](
             x=0.0, y=0.0, z=math.sin(angle / 2), w=math.cos(angle / 2)
         )
         pose = make["Pose"](position=make["Point"](x=x, y=y, z=0.0), orientation=turn)
-        message = make["PoseStamped"](header=header, pose=pose)
-        yield f"/{plant}/{name}/pose", "geometry_msgs/msg/PoseStamped", message
-        transform = make["Transform"](
-            translation=make["Vector3"](x=x, y=y, z=0.0), rotation=turn
-        )
-        child = f"{plant}/{name}"
+        stamped = make["PoseStamped"](header=header, pose=pose)
+        yield _Message(f"{name}/pose", "geometry_msgs/msg/PoseStamped", stamped)
+        place = make["Vector3"](x=x, y=y, z=0.0)
         transforms.append(
             make["TransformStamped"](
-                header=header, child_frame_id=child, transform=transform
+                header=header,
+                child_frame_id=f"{sample.plant}/{name}",
+                transform=make["Transform"](translation=place, rotation=turn),
             )
         )
-    yield "/tf", "tf2_msgs/msg/TFMessage", make["TFMessage"](transforms=transforms)
-    bends = np.array(numbered("bend"))
-    names = [f"segment_{j}" for j in range(1, len(bends) + 1)]
+    message = make["TFMessage"](transforms=transforms)
+    yield _Message("/tf", "tf2_msgs/msg/TFMessage", message)
+
+
+def _segment_messages(sample: _Sample) -> Iterator[_Message]:
+    """Yield bends, pressures and valve states of the segments."""
+    _, _, header, make = sample
+    bends = np.array(sample.numbered("bend"))
     nothing = np.zeros(0)
     joints = make["JointState"](
-        header=header, name=names, position=bends, velocity=nothing, effort=nothing
+        header=header,
+        name=[f"segment_{j}" for j in range(1, len(bends) + 1)],
+        position=bends,
+        velocity=nothing,
+        effort=nothing,
     )
-    yield f"/{plant}/bends", "sensor_msgs/msg/JointState", joints
+    yield _Message("bends", "sensor_msgs/msg/JointState", joints)
     for side in _SIDES:
-        for j, gauge in enumerate(numbered(f"pressure_{side}"), start=1):
-            message = make["FluidPressure"](
+        for j, gauge in enumerate(sample.numbered(f"pressure_{side}"), start=1):
+            pressure = make["FluidPressure"](
                 header=header, fluid_pressure=gauge + AMBIENT_PA, variance=0.0
             )
-            yield (
-                f"/{plant}/pressure_{side}_{j}",
-                "sensor_msgs/msg/FluidPressure",
-                message,
-            )
-    states = np.array([numbered(f"valve_{side}") for side in _SIDES], dtype=np.int8)
+            topic = f"pressure_{side}_{j}"
+            yield _Message(topic, "sensor_msgs/msg/FluidPressure", pressure)
+    states = np.array(
+        [sample.numbered(f"valve_{side}") for side in _SIDES], dtype=np.int8
+    )
     if states.size:
         layout = make["MultiArrayLayout"](dim=[], data_offset=0)
-        message = make["Int8MultiArray"](layout=layout, data=states.T.reshape(-1))
-        yield f"/{plant}/valves", "std_msgs/msg/Int8MultiArray", message
+        valves = make["Int8MultiArray"](layout=layout, data=states.T.reshape(-1))
+        yield _Message("valves", "std_msgs/msg/Int8MultiArray", valves)

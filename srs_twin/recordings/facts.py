@@ -216,9 +216,9 @@ def proposed_map(facts: Sequence[RecordingFacts]) -> str:
             "# log:  # assign valve_plus_1, pressure_kpa_plus_1, … of each segment"
         )
     for key, signal in zip(keys, logged, strict=True):
-        key = key if log_meaning(key) else "# valve_plus_1"
+        known = key if log_meaning(key) else "# valve_plus_1"
         comment = f"{signal.looks_like}, {signal.low or 0:g} to {signal.high or 0:g}"
-        lines.append(f"  {key}: {json.dumps(signal.name)}  # {comment}")
+        lines.append(f"  {known}: {json.dumps(signal.name)}  # {comment}")
     return "\n".join(lines) + "\n"
 
 
@@ -264,20 +264,20 @@ def in_words(facts: RecordingFacts) -> str:
             count = f"{facts.rows} rows, {facts.rate_hz:.4g} rows per second"
         lines.append(f"{count}, {facts.duration_s:.4g} s")
     if facts.up is not None:
-        if facts.noise_mm is None:
-            noise = ""
-        else:
-            noise = f"noise {facts.noise_mm:.2g} mm; "
-        lines.append(f"up: {facts.up}; {noise}{facts.tracks or 0} lasting markers")
+        summary = [f"up: {facts.up}", f"{facts.tracks or 0} lasting markers"]
+        if facts.noise_mm is not None:
+            summary.insert(1, f"noise {facts.noise_mm:.2g} mm")
+        lines.append("; ".join(summary))
     lines += [f"  {_marker_text(marker)}" for marker in (facts.markers or ())[:40]]
     rigid_pairs = [set(pair) for pair in facts.rigid_pairs or ()]
     for distance in facts.distances or ():
+        text = (
+            f"  {' to '.join(distance.markers)}: {distance.median_mm:.1f} mm, varies by"
+            f" {distance.spread_mm:.2g} mm"
+        )
         if set(distance.markers) in rigid_pairs:
-            rigid = ", one rigid part"
-        else:
-            rigid = ""
-        values = f"{distance.median_mm:.1f} mm, varies by {distance.spread_mm:.2g} mm"
-        lines.append(f"  {' to '.join(distance.markers)}: {values}{rigid}")
+            text += ", one rigid part"
+        lines.append(text)
     if facts.layouts is not None:
         fitting = [
             f"{name} of {count} connectors"
@@ -289,35 +289,32 @@ def in_words(facts: RecordingFacts) -> str:
         lines.append(f"head: {heads or 'not determined by the markers; give --head'}")
     lines += [f"  {_signal_text(signal)}" for signal in facts.signals or ()]
     if (robot := facts.robot) is not None:
-        lines += [
-            f"as a recording of {robot.name}:",
-            *(f"  {line}" for line in robot.says.split("\n")),
-        ]
+        lines.append(f"as a recording of {robot.name}:")
+        lines += [f"  {line}" for line in robot.says.split("\n")]
     return "\n".join([*lines, *(f"note: {note}" for note in facts.notes)])
 
 
 def _marker_text(marker: MarkerFacts) -> str:
-    noise = "never seen"
-    if marker.noise_mm is not None:
-        noise = f"noise {marker.noise_mm:.2g} mm, {marker.height_mm:.0f} mm high"
-    coverage = f"seen on {100 * marker.coverage:.1f} % of the frames"
-    gaps = f"{marker.gaps} gaps up to {marker.longest_gap_s:.3g} s"
-    return (
-        f"{marker.name}: {coverage}, {gaps},"
-        f" {noise}{', rigid body' if marker.rigid_body else ''}"
-    )
+    parts = [
+        f"{marker.name}: seen on {100 * marker.coverage:.1f} % of the frames",
+        f"{marker.gaps} gaps up to {marker.longest_gap_s:.3g} s",
+    ]
+    if marker.noise_mm is None:
+        parts.append("never seen")
+    else:
+        parts.append(f"noise {marker.noise_mm:.2g} mm")
+        parts.append(f"{marker.height_mm:.0f} mm high")
+    if marker.rigid_body:
+        parts.append("rigid body")
+    return ", ".join(parts)
 
 
 def _signal_text(signal: SignalFacts) -> str:
-    if signal.low is None:
-        bounds = ""
-    else:
-        bounds = f", {signal.low:g} to {signal.high:g}"
+    text = f"{signal.name}: {signal.looks_like}"
+    if signal.low is not None:
+        text += f", {signal.low:g} to {signal.high:g}"
     if signal.openings_per_s:
-        rate = f", {signal.openings_per_s:.3g} openings per second"
-    else:
-        rate = ""
-    return (
-        f"{signal.name}:"
-        f" {signal.looks_like}{bounds}{rate}{'' if signal.understood else ' (needs a map)'}"
-    )
+        text += f", {signal.openings_per_s:.3g} openings per second"
+    if not signal.understood:
+        text += " (needs a map)"
+    return text

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -125,7 +125,7 @@ class Scene:
 def inspect(
     path: StrPath,
     *,
-    map: StrPath | Mapping[str, Any] = MappingProxyType({}),
+    map: StrPath | Mapping[str, object] = MappingProxyType({}),  # noqa: A002
     robot: StrPath | RobotSpec | None = None,
 ) -> RecordingFacts:
     """Describe a recording and propose a map, as `srs-twin inspect`.
@@ -145,63 +145,65 @@ def inspect(
 
 
 def inspect_file(
-    path: StrPath, map: RecordingMap, spec: RobotSpec | None
+    path: StrPath, recording_map: RecordingMap, spec: RobotSpec | None
 ) -> tuple[RecordingFacts, Scene | None]:
     """Return the facts of a file, and its markers if it has any.
 
     Args:
         path: a recording of markers, or a log.
-        map: known units, rate and places.
+        recording_map: known units, rate and places.
         spec: the robot of the recording, if it is to be read as such.
 
     Raises:
         InputError: the file cannot be read; the message gives the reason.
     """
-    facts, scene = _file_facts(path, map, spec)
+    facts, scene = _file_facts(path, recording_map)
+    if spec is not None and facts.content == "markers":
+        facts.robot = _robot_facts(path, recording_map, spec)
     facts.proposals = proposed_map([facts]).splitlines()
     return facts, scene
 
 
 def _file_facts(
-    path: StrPath, map: RecordingMap, spec: RobotSpec | None
+    path: StrPath, recording_map: RecordingMap
 ) -> tuple[RecordingFacts, Scene | None]:
-    """Return the facts of a file without the proposed map, and its markers; as `inspect_file`."""
-    start = start_of(path, map.dialect)
-    timed = {clean(name) for name in map.meanings(["time"])} & set(start.names)
-    kind = PlainCsv.name if timed else identify(path, map.dialect)
+    """Return the facts of a file without robot and proposed map, and its markers."""
+    start = start_of(path, recording_map.dialect)
+    timed = {clean(name) for name in recording_map.meanings(["time"])}
+    kind = PlainCsv.name
+    if timed.isdisjoint(start.names):
+        kind = identify(path, recording_map.dialect)
     if kind == PlainCsv.name:
-        file = laid_out(read_file(path), map.dialect)
+        file = laid_out(read_file(path), recording_map.dialect)
         if not axis_columns(file.names):
-            return _table_facts(file, map), None
+            return _table_facts(file, recording_map), None
     topics = read_topics(path)
-    if topics is None:
-        table = read_markers(path, map.unstated)
-    elif topics.markers is None and topics.signals:
-        return _topics_facts(topics, kind, map), None
-    elif topics.markers is None:
-        table = read_markers(path, map.unstated)
+    if topics is not None and topics.markers is None and topics.signals:
+        return _topics_facts(topics, kind, recording_map), None
+    if topics is None or topics.markers is None:
+        table = read_markers(path, recording_map.unstated)
     else:
-        table = in_unit(topics.markers, map.units)
-    facts, scene = _motion_facts(map.applied(table), map)
-    if spec is not None:
-        facts.robot = _robot_facts(path, map, spec)
+        table = in_unit(topics.markers, recording_map.units)
+    facts, scene = _motion_facts(recording_map.applied(table), recording_map)
     if topics is not None:
-        facts.signals = _topics_facts(topics, kind, map).signals
+        facts.signals = _topics_facts(topics, kind, recording_map).signals
     return facts, scene
 
 
 def _topics_facts(
-    topics: RecordedTopics, kind: str, map: RecordingMap
+    topics: RecordedTopics, kind: str, recording_map: RecordingMap
 ) -> RecordingFacts:
     """Return the facts of the signals of a bag."""
     signals = list(topics.signals.items())[:_MAX_SIGNALS]
     time = max((times for _, (times, _) in signals), key=len, default=np.zeros(0))
-    signal_facts = [_signal_facts(name, *series, map) for name, series in signals]
+    signal_facts = [
+        _signal_facts(name, *series, recording_map) for name, series in signals
+    ]
     return _log_facts(topics, kind, signal_facts, time)
 
 
 def _motion_facts(
-    table: MarkerTable, map: RecordingMap
+    table: MarkerTable, recording_map: RecordingMap
 ) -> tuple[RecordingFacts, Scene | None]:
     frames = frame_grid(table.time)
     facts = RecordingFacts(
@@ -219,7 +221,12 @@ def _motion_facts(
         notes=[*table.corrections, *frames.corrections],
     )
     try:
-        floor = map_to_floor(table.points, map.up or "auto", table.usual_up, map.level)
+        floor = map_to_floor(
+            table.points,
+            recording_map.up or "auto",
+            table.usual_up,
+            recording_map.level,
+        )
     except InputError as error:
         facts.notes.append(str(error))
         return facts, None
@@ -262,13 +269,10 @@ def _body_facts(
 ) -> Scene | None:
     """Add order, distances, layouts and head to the facts, as far as the markers determine them."""
     slots = in_slots(table, points)
-    nearest = np.fmin.reduce(
-        pairwise_distances(slots.points[..., :2], _DISTANCE_FRAMES), axis=2
-    )
-    if np.isnan(nearest).all():
+    near = _neighbour_distance(slots.points[..., :2])
+    if np.isnan(near):
         facts.notes.append("no frame has two visible markers")
         return None
-    near = float(np.nanmedian(nearest))
     if near > _MAX_NEIGHBOUR_M:
         facts.notes.append(
             f"neighbours are {near:.3g} m apart; are lengths in mm? Give --units"
@@ -306,12 +310,15 @@ def _body_facts(
         )
         for a, b in pairwise(order)
     ]
-    facts.head = []
-    if len(order) > 2:
-        body = complete[:, list(order)]
-        heads = _heads(body, frames.period, order, pairs, near)
-        facts.head = [HeadFacts(marker=names[end], why=reason) for end, reason in heads]
+    heads = _heads(complete, frames.period, order, pairs, near)
+    facts.head = [HeadFacts(marker=names[end], why=reason) for end, reason in heads]
     return replace(scene, order=order, rigid=pairs)
+
+
+def _neighbour_distance(points: np.ndarray) -> float:
+    """Return the median distance of a marker from the nearest one, m; NaN if no frame has two."""
+    nearest = np.fmin.reduce(pairwise_distances(points, _DISTANCE_FRAMES), axis=2)
+    return float("nan") if np.isnan(nearest).all() else float(np.nanmedian(nearest))
 
 
 def _possible_layouts(markers: int, *, bodies: bool) -> dict[str, int]:
@@ -361,26 +368,30 @@ def _marker_names(
 
 
 def _heads(
-    body: np.ndarray,
+    points: np.ndarray,
     period: float,
     order: Sequence[int],
     pairs: Sequence[tuple[int, int]],
     near: float,
 ) -> Iterator[tuple[int, str]]:
     """Yield the ends that may be the head, in order of likelihood, with reasons."""
+    if len(order) <= 2:
+        return
     for end, second in (order[:2], order[:-3:-1]):
         if [{end, second}] == [set(pair) for pair in pairs]:
             yield end, "the only end with a second marker on a rigid part"
-    crawled = forward_distance(period, body)
+    crawled = forward_distance(period, points[:, list(order)])
     if abs(crawled) > _MIN_CRAWLED * near:
         end = order[0] if crawled > 0 else order[-1]
         yield end, f"the body crawled {abs(crawled):.3g} m towards this end"
 
 
-def _robot_facts(path: StrPath, map: RecordingMap, spec: RobotSpec) -> RobotFacts:
+def _robot_facts(
+    path: StrPath, recording_map: RecordingMap, spec: RobotSpec
+) -> RobotFacts:
     """Return the result of reading the file as a recording of a robot."""
     try:
-        recording = read_motion(path, spec, map=map)
+        recording = read_motion(path, spec, map=recording_map)
     except InputError as error:
         return RobotFacts(name=spec.name, reads=False, says=str(error))
     length = recording.trajectory.stack("length")
@@ -398,11 +409,11 @@ def _robot_facts(path: StrPath, map: RecordingMap, spec: RobotSpec) -> RobotFact
     )
 
 
-def _table_facts(file: RecordedFile, map: RecordingMap) -> RecordingFacts:
+def _table_facts(file: RecordedFile, recording_map: RecordingMap) -> RecordingFacts:
     """Return the facts of a table of numbers over time."""
     timed = {
         name: meaning
-        for name, meaning in map.meanings(["time"]).items()
+        for name, meaning in recording_map.meanings(["time"]).items()
         if clean(name) in file.names
     }
     clock = next(iter(read_table(file, CLOCK, timed).columns), None)
@@ -418,7 +429,7 @@ def _table_facts(file: RecordedFile, map: RecordingMap) -> RecordingFacts:
             continue
         try:
             values = file.rows(file.header_lines, [k], len(file.names))[0][:, 0]
-            signals.append(_signal_facts(name, time, values, map))
+            signals.append(_signal_facts(name, time, values, recording_map))
         except InputError as error:
             if "is not a number" not in str(error):
                 raise
@@ -461,14 +472,14 @@ def _log_facts(
 
 
 def _signal_facts(
-    name: str, time: np.ndarray | None, values: np.ndarray, map: RecordingMap
+    name: str, time: np.ndarray | None, values: np.ndarray, recording_map: RecordingMap
 ) -> SignalFacts:
     """Return range, stated quantity and switching rate of a signal; no rate without times."""
     known = values[np.isfinite(values)]
     if not known.size:
         return SignalFacts(name=name, looks_like="nothing", understood=False)
     own = log_meaning(canonical_key(name))
-    meaning = map.meanings(QUANTITIES).get(name, own)
+    meaning = recording_map.meanings(QUANTITIES).get(name, own)
     facts = SignalFacts(
         name=name,
         looks_like=_stated_quantity(name, known, meaning),

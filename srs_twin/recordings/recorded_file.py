@@ -14,13 +14,17 @@ from dataclasses import dataclass, replace
 from decimal import Decimal
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from srs_twin.errors import InputError
 from srs_twin.io.files import StrPath, decode_text, display_path, require_file
 from srs_twin.recordings.signals.units import TIMES, clean
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+    from pyarrow.csv import InvalidRow
 
 MAX_BYTES = 256 << 20
 """Largest size of a file: twice that of an hour of ten markers at 120 Hz."""
@@ -48,6 +52,10 @@ _NUMBER = re.compile(
     r"\s*(?:[-+]?(?=.?\d)[\d.,]+(?:[eE][-+]?\d+)?|nan|\d{4}-\d\d-\d\d[T"
     r" ][\d:.,Z]+)?\s*",
     re.IGNORECASE,
+)
+_REPORTED_CELL = re.compile(
+    r"column #(?P<column>\d+): Row #(?P<row>\d+): .* invalid value '(?P<text>.*)'",
+    re.DOTALL,
 )
 _COMMENT = re.compile(r"\s*#|sep=.$", re.IGNORECASE)  # "sep=" is an Excel directive
 _ZONE = re.compile(r"(?:Z|[+-]\d\d:?\d\d)\s*$")
@@ -304,17 +312,17 @@ class RecordedFile:
         header_lines: int,
         columns: Sequence[int],
         width: int,
-        kind: Any = None,
-    ) -> list[Any]:
+        kind: pa.DataType | None = None,
+    ) -> list[pa.ChunkedArray]:
         """Return the columns of rows as read by Arrow, as numbers or as another type."""
         import pyarrow as pa
         from pyarrow.csv import ConvertOptions, ParseOptions, ReadOptions, read_csv
 
         names = [str(k) for k in range(width)]
         chosen = [names[k] for k in columns]
-        uneven: list[Any] = []
+        uneven: list[InvalidRow] = []
 
-        def refuse(row: Any) -> str:
+        def refuse(row: InvalidRow) -> str:
             uneven.append(row)
             return "error"
 
@@ -333,10 +341,9 @@ class RecordedFile:
             decimal_point=self.decimal,
         )
 
-        def read(rows: memoryview | bytes) -> list[Any]:
-            return list(
-                read_csv(pa.py_buffer(rows), reading, parsing, converting).columns
-            )
+        def read(rows: memoryview | bytes) -> list[pa.ChunkedArray]:
+            table = read_csv(pa.py_buffer(rows), reading, parsing, converting)
+            return list(table.columns)
 
         try:
             try:
@@ -346,41 +353,30 @@ class RecordedFile:
                 return read(_BLANKS.sub(b"", bytes(cut)))
         except (pa.ArrowException, OSError) as error:
             if uneven:
-                problem = (
-                    f"{uneven[0].actual_columns} cells, but the header has {width}"
-                )
-                raise self.error(
-                    problem, header_lines + (uneven[0].number or 0)
-                ) from error
-            raise self._not_a_number(
-                bytes(cut).split(b"\n"), header_lines + 1, columns, str(error)
-            ) from error
+                cells = uneven[0].actual_columns
+                line = header_lines + (uneven[0].number or 0)
+                problem = f"{cells} cells, but the header has {width}"
+                raise self.error(problem, line) from error
+            raise self._not_a_number(bytes(cut), header_lines, str(error)) from error
 
     def _not_a_number(
-        self, lines: Sequence[bytes], first: int, columns: Sequence[int], reported: str
+        self, rows: bytes, header_lines: int, reported: str
     ) -> InputError:
-        """Return an error for the first cell that is not a number, because Arrow does not report its line."""
-        marks = str.maketrans(",.", ".,") if self.decimal == "," else {}
-        for number, line in enumerate(lines, start=first):
-            cells = _cells(line.decode("utf-8", "replace").rstrip("\r"), self.separator)
-            for column in columns:
-                text = cells[column].strip() if column < len(cells) else ""
-                try:
-                    float("nan" if text in BLANK else text.translate(marks))
-                except ValueError:
-                    comma = (
-                        ", or use --decimal ',' for decimal commas"
-                        if re.search(r"\d,\d", text)
-                        else ""
-                    )
-                    problem = (
-                        f"'{text[:60]}' is not a number; give a number or leave the"
-                        f" cell empty{comma}"
-                    )
-                    return self.error(problem, number, column + 1)
-        return self.error(
-            f"no rows of numbers ({' '.join(reported.split())[:200]})", first
+        """Return an error for the cell that Arrow reports; it does not count empty lines."""
+        cell = _REPORTED_CELL.search(reported)
+        if cell is None:
+            problem = f"no rows of numbers ({' '.join(reported.split())[:200]})"
+            return self.error(problem, header_lines + 1)
+        lines = enumerate(rows.split(b"\n"), start=header_lines + 1)
+        filled = [number for number, line in lines if line.strip(b"\r")]
+        problem = (
+            f"'{cell['text'].strip()[:60]}' is not a number; give a number or leave the"
+            " cell empty"
         )
+        if re.search(r"\d,\d", cell["text"]):
+            problem += ", or use --decimal ',' for decimal commas"
+        column = int(cell["column"]) + 1
+        return self.error(problem, filled[int(cell["row"]) - 1], column)
 
 
 def recording_file(path: StrPath) -> Path:

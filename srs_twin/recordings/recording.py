@@ -276,7 +276,7 @@ def read_motion(
     up: str = "auto",
     layout: str = "auto",
     head: str | None = None,
-    map: RecordingMap = NO_MAP,
+    map: RecordingMap = NO_MAP,  # noqa: A002
     longest_gap_s: float = LONGEST_GAP,
     gait_frequency_hz: float | None = None,
 ) -> Recording:

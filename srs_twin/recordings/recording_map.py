@@ -6,7 +6,7 @@ import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -218,8 +218,8 @@ def log_meaning(key: str) -> Meaning | None:
 
 
 def given_map(
-    path: str | None, options: Mapping[str, Any], markers: Sequence[str]
-) -> dict[str, Any]:
+    path: str | None, options: Mapping[str, object], markers: Sequence[str]
+) -> dict[str, object]:
     """Return a map from a file and options, which have precedence, as plain data.
 
     Args:
@@ -231,15 +231,19 @@ def given_map(
     Raises:
         InputError: a place is invalid, or the file is.
     """
-    data: dict[str, Any] = {}
+    data: dict[str, object] = {}
+    places: dict[str, object] = {}
     if path is not None:
-        data = load_model(RecordingMap, Path(path)).model_dump(exclude_unset=True)
+        dumped = load_model(RecordingMap, Path(path)).model_dump(exclude_unset=True)
+        data.update(dumped)
+        places.update(dumped.get("markers", {}))
     data |= {key: value for key, value in options.items() if value is not None}
-    separator_names = {character: name for name, character in _SEPARATORS.items()}
-    if data.get("separator") in separator_names:
-        data["separator"] = separator_names[data["separator"]]
-    if isinstance(data.get("columns"), str):
-        data["columns"] = [name.strip() for name in data["columns"].split(",")]
+    for name, character in _SEPARATORS.items():
+        if data.get("separator") == character:
+            data["separator"] = name
+    columns = data.get("columns")
+    if isinstance(columns, str):
+        data["columns"] = [name.strip() for name in columns.split(",")]
     for option in markers:
         name, _, place = option.rpartition("=")
         match = _PLACE.fullmatch(place.strip())
@@ -253,21 +257,23 @@ def given_map(
         if match["kind"]:
             side = {"side": match["side"]} if match["side"] else {}
             entry = {match["kind"]: int(match["number"]), **side}
-        data["markers"] = {**data.get("markers", {}), name: entry}
+        places[name] = entry
+    if places:
+        data["markers"] = places
     return data
 
 
-def read_map(data: Mapping[str, Any]) -> RecordingMap:
+def read_map(data: Mapping[str, object]) -> RecordingMap:
     """Return a map from the plain data of `given_map`.
 
     Raises:
         InputFileError: the data are invalid; all errors are listed.
     """
     document = Document("--map", dict(data))
-    map = validate(RecordingMap, document, document.data)
+    model = validate(RecordingMap, document, document.data)
     document.raise_problems()
-    assert map is not None, "a map without a problem was checked"
-    return map
+    assert model is not None, "a map without a problem was checked"
+    return model
 
 
 def canonical_key(name: str) -> str:

@@ -188,14 +188,16 @@ class ReplayFile(ControllerSection):
                 "kind: replay has nothing to replay; give recording as well",
             )
 
-    def is_ready(self, products: Mapping[str, Any]) -> bool:
+    def is_ready(self, products: Mapping[str, object]) -> bool:
         """See `ControllerSection.is_ready`."""
         return products.get("recording") is not None
 
-    def layouts(self, products: Mapping[str, Any]) -> tuple[str, ...]:
+    def layouts(self, products: Mapping[str, object]) -> tuple[str, ...]:
         """See `ControllerSection.layouts`."""
         recording = products.get("recording")
-        return layouts_for(recording.commands(self.kind).states) if recording else ()
+        if not isinstance(recording, Recording):
+            return ()
+        return layouts_for(recording.commands(self.kind).states)
 
     def controller(self, context: ControllerContext) -> Controller:
         """See `ControllerSection.controller`."""
@@ -341,10 +343,10 @@ def _read(document: Document, key: str, read: Callable[[], Result]) -> Result | 
     return None
 
 
-def _input_files(section: Mapping[str, Any]) -> Iterator[str]:
+def _input_files(section: Mapping[str, object]) -> Iterator[str]:
     motion = str(section.get("motion"))
     valves = section.get("valves")
-    yield from (motion, *logs_of([motion], [valves] if valves else []))
+    yield from (motion, *logs_of([motion], [str(valves)] if valves else []))
 
 
 RECORDING = SectionEntry(

@@ -266,7 +266,7 @@ class Loading:
     file: FileSections
     robot: RobotFile
     world: World
-    products: dict[str, Any] = field(default_factory=dict)
+    products: dict[str, object] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
     supply_pa: float = 0.0
     layout: str = ""

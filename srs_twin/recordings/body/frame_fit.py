@@ -134,8 +134,8 @@ class MarkerPlacement:
             marker[..., None] - station[:, None, 1:]
         )
         by_length = -(front_direction * arc)[:, None]
-        for k, derivative in ((3, by_turn), (3 + count, by_length)):
-            derivative = np.where(moved, derivative, 0)
+        for k, by_half in ((3, by_turn), (3 + count, by_length)):
+            derivative = np.where(moved, by_half, 0)
             # Both halves have half the bend and half the length of the segment.
             jacobian[..., k : k + count] = (
                 derivative[..., ::2] + derivative[..., 1::2]

@@ -26,12 +26,12 @@ from srs_twin.recordings.recorded_file import (
 )
 
 _FORMATS: tuple[Format, ...] = tuple(
-    format() for _, format in extensions.objects(extensions.FORMATS)
+    kind() for _, kind in extensions.objects(extensions.FORMATS)
 )
 """Formats in the order in which they are tried."""
-FORMATS = tuple(format.name for format in _FORMATS)
+FORMATS = tuple(form.name for form in _FORMATS)
 """Names of the formats."""
-BAG_SUFFIXES = tuple(format.suffix for format in _FORMATS if isinstance(format, Bag))
+BAG_SUFFIXES = tuple(form.suffix for form in _FORMATS if isinstance(form, Bag))
 """Usual suffixes of bags, which may contain logs as well as positions."""
 
 _NOTHING = Unstated()
@@ -104,16 +104,16 @@ def read_markers(path: StrPath, unstated: Unstated = _NOTHING) -> MarkerTable:
         InputError: the file cannot be read; the message names file, line, column and
             what is allowed.
     """
-    format = _format(path, unstated.dialect)
-    file = read_bytes(path) if format.binary else read_file(path)
-    return in_unit(format.read(file, unstated), unstated.unit)
+    form = _format(path, unstated.dialect)
+    file = read_bytes(path) if form.binary else read_file(path)
+    return in_unit(form.read(file, unstated), unstated.unit)
 
 
 def _formats() -> Iterator[Format]:
     """Yield the formats in the order in which they are tried, the slow search for packages late."""
     *special, plain = _FORMATS
     yield from special
-    yield from (format() for _, format in extensions.plugin_parts(Format))
+    yield from (kind() for _, kind in extensions.plugin_parts(Format))
     yield from (
         extensions.part("format", name, (Format,))()
         for name in extensions.registered("format")
@@ -129,9 +129,9 @@ def _format(path: StrPath, dialect: Dialect) -> Format:
         raise InputError(
             f"{name}: the file is empty; a recording has a header and rows of numbers"
         )
-    for format in _formats():
-        if format.recognizes(start):
-            return format
+    for form in _formats():
+        if form.recognizes(start):
+            return form
     for sign, description, remedy in _OTHERS:
         if (
             re.match(sign, raw, re.DOTALL)
@@ -164,12 +164,7 @@ def read_topics(path: StrPath) -> RecordedTopics | None:
         InputError: the bag is damaged or too large, or the libraries are not installed.
     """
     start = start_of(path)
-    bags = (
-        format
-        for format in _formats()
-        if isinstance(format, Bag) and format.recognizes(start)
-    )
-    bag = next(bags, None)
-    if bag is None:
-        return None
-    return bag.read_topics(read_bytes(path))
+    for form in _formats():
+        if isinstance(form, Bag) and form.recognizes(start):
+            return form.read_topics(read_bytes(path))
+    return None

@@ -269,6 +269,6 @@ class Ros2Bag(Bag):
                 remaining -= len(content)
                 if remaining < 0:
                     raise ChunkError("the tables contain more data than the file")
-                if content.startswith(_ZSTD):
-                    content = unpacked(content, "zstd", None)
-                yield Message(known[number], int(time), memoryview(content))
+                packed = content.startswith(_ZSTD)
+                plain = unpacked(content, "zstd", None) if packed else content
+                yield Message(known[number], int(time), memoryview(plain))

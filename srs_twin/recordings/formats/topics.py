@@ -21,7 +21,7 @@ from dataclasses import dataclass, field, replace
 from functools import cache, lru_cache, partial
 from importlib import import_module
 from types import SimpleNamespace
-from typing import Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -39,6 +39,12 @@ from srs_twin.recordings.recorded_file import (
     MAX_VALUES,
     RecordedFile,
 )
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
+
+Decoded = Any
+"""Decoded message, or a part of one: an object of `rosbags`, or a namespace for JSON."""
 
 _MIN_EPOCH_NS = 10**17
 """Smallest log time that counts as a time since 1970, ns."""
@@ -262,33 +268,23 @@ class _Topics:
         if decode is None:
             self.skipped[f"{topic} ({kind})"] += 1
         elif kind in _BODIES:
+            series = self.bodies.setdefault(topic, {})
             for label, stamped, pose in _BODIES[kind](
                 topic, decode(bytes(message.data))
             ):
+                name = label
                 if label != topic and hasattr(stamped, "child_frame_id"):
-                    label = escape_unprintable(label[:200])
-                    self.parents[label] = stamped.header.frame_id
-                self._append(
-                    self.bodies.setdefault(topic, {}),
-                    label,
-                    stamped,
-                    message,
-                    _numbers(pose),
-                )
+                    name = escape_unprintable(label[:200])
+                    self.parents[name] = stamped.header.frame_id
+                self._append(series, name, stamped, message, _numbers(pose))
         elif self.with_signals:
             content = decode(bytes(message.data))
-            for name, value in (
-                _joints(content)
-                if kind.endswith("JointState")
-                else _leaves("", content)
-            ):
-                self._append(
-                    self.signals,
-                    f"{topic}{escape_unprintable(name)}",
-                    content,
-                    message,
-                    (value,),
-                )
+            leaves = _leaves("", content)
+            if kind.endswith("JointState"):
+                leaves = _joints(content)
+            for path, value in leaves:
+                name = f"{topic}{escape_unprintable(path)}"
+                self._append(self.signals, name, content, message, (value,))
 
     def _append(
         self,
@@ -476,7 +472,7 @@ _SIGNALS = re.compile(
 )
 _METADATA = ("header", "layout")
 """Fields of a message without signals."""
-_BODIES: dict[str, Callable[[str, Any], list[tuple[str, Any, Any]]]] = {
+_BODIES: dict[str, Callable[[str, Decoded], list[tuple[str, Decoded, Decoded]]]] = {
     "geometry_msgs/PoseStamped": lambda topic, message: [
         (topic, message, message.pose)
     ],
@@ -507,11 +503,11 @@ _BODIES: dict[str, Callable[[str, Any], list[tuple[str, Any, Any]]]] = {
 
 
 @lru_cache(1000)
-def _decoder(topic: Topic) -> tuple[str, str, Callable[[bytes], Any] | None]:
+def _decoder(topic: Topic) -> tuple[str, str, Callable[[bytes], Decoded] | None]:
     """Return name and type of a topic, and the decoder of its messages; None if the type is unknown."""
     kind = escape_unprintable(topic.kind[:80]).replace("/msg/", "/")
     kind = kind.replace("tf/tfMessage", "tf2_msgs/TFMessage")
-    decode: Callable[[bytes], Any] | None = None
+    decode: Callable[[bytes], Decoded] | None = None
     if topic.encoding == "json":
         decode = partial(
             json.loads, object_hook=lambda fields: SimpleNamespace(**fields)
@@ -529,7 +525,7 @@ def _decoder(topic: Topic) -> tuple[str, str, Callable[[bytes], Any] | None]:
 
 
 @cache
-def _definitions(encoding: str) -> Any:
+def _definitions(encoding: str) -> Typestore:
     """Return the ROS message definitions; those in files would be compiled and are not trusted."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -541,10 +537,10 @@ def _definitions(encoding: str) -> Any:
     return store
 
 
-def _numbers(pose: Any) -> _Numbers:
+def _numbers(pose: Decoded) -> _Numbers:
     """Return position and quaternion (x, y, z, w) of a pose, transform or point; NaN without a quaternion."""
-    position = getattr(pose, "position", None) or getattr(pose, "translation", pose)
-    rotation = getattr(pose, "orientation", None) or getattr(pose, "rotation", None)
+    position: Decoded = getattr(pose, "position", getattr(pose, "translation", pose))
+    rotation = getattr(pose, "orientation", getattr(pose, "rotation", None))
     if rotation is None:
         quaternion = (np.nan,) * 4
     else:
@@ -552,14 +548,14 @@ def _numbers(pose: Any) -> _Numbers:
     return (position.x, position.y, position.z, *quaternion)
 
 
-def _joints(message: Any) -> Iterator[tuple[str, float]]:
+def _joints(message: Decoded) -> Iterator[tuple[str, float]]:
     """Yield (name below the topic, number) of a joint state."""
     for quantity in ("position", "velocity", "effort"):
         for joint, value in zip(message.name, getattr(message, quantity), strict=False):
             yield f".{joint}.{quantity}", float(value)
 
 
-def _leaves(name: str, value: Any) -> Iterator[tuple[str, float]]:
+def _leaves(name: str, value: object) -> Iterator[tuple[str, float]]:
     """Yield all numbers in nested lists and objects with their dotted paths."""
     if isinstance(value, int | float | np.number):
         yield name, float(value)

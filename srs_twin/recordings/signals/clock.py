@@ -16,6 +16,7 @@ and an error is raised.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -236,26 +237,17 @@ def join(
         InputError: the two have no time in common, or the offset cannot be determined.
     """
     trajectory = recording.trajectory
-    if (
-        log.values.shape[1] != spec.segments
-        or trajectory.stack("bend").shape[1] != spec.segments
-    ):
+    segments = {log.values.shape[1], trajectory.stack("bend").shape[1]}
+    if segments != {spec.segments}:
         raise InputError(
             f"{log.source}: the log or the motion does not have the {spec.segments}"
             f" segments of {spec.name}"
         )
     if offset is not None and not np.isfinite(offset):
         raise InputError(f"offset {offset!r} is not allowed; it must be finite")
-    estimate, how, notes = _find_offset(recording, log, spec, offset)
-    moved = log.shifted(estimate.seconds)
-    time = trajectory.time
-    covered = (time >= moved.time[0] - 1e-9) & (time <= moved.time[-1] + 1e-9)
-    if covered.sum() < MIN_FRAMES:
-        raise InputError(
-            f"{log.source}: with an offset of {estimate.seconds:g} s it covers"
-            f" {moved.time[0]:g} to {moved.time[-1]:g} s and the motion {time[0]:g} to"
-            f" {time[-1]:g} s, with {int(covered.sum())} frames in common"
-        )
+    found = _find_offset(recording, log, spec, offset)
+    moved = log.shifted(found.offset.seconds)
+    covered = _covered(trajectory.time, moved, found.offset.seconds)
     columns = {name: column[covered] for name, column in trajectory.columns.items()}
     values = moved.at(columns["time"])
     for k, side in enumerate(SIDES):
@@ -264,57 +256,79 @@ def join(
     metadata = {
         **trajectory.metadata,
         "duration_s": end - start,
-        "valve_log": _metadata(log, estimate),
+        "valve_log": _metadata(log, found.offset),
     }
-    joined = replace(trajectory, columns=columns, metadata=metadata)
-    notes += [
+    notes = [
+        *found.notes,
         f"{log.source}: {len(log.time)} rows of {log.kind}s; offset"
-        f" {estimate.seconds:.4f} s ({how})"
+        f" {found.offset.seconds:.4f} s ({found.how})",
     ]
     if not covered.all():
         notes.append(f"{int((~covered).sum())} frames outside the log left out")
     notes += [f"{log.source}: {text}" for text in log.corrections]
-    corrections = (*recording.summary.corrections, *notes)
     summary = replace(
         recording.summary,
-        frames_kept=len(joined),
+        frames_kept=len(columns["time"]),
         start=start,
         end=end,
-        corrections=corrections,
+        corrections=(*recording.summary.corrections, *notes),
     )
+    joined = replace(trajectory, columns=columns, metadata=metadata)
     return Recording(joined, summary, moved, recording.epoch_ns)
+
+
+def _covered(time: np.ndarray, log: ValveLog, offset: float) -> np.ndarray:
+    """Return which frames a log covers.
+
+    Raises:
+        InputError: there are too few.
+    """
+    start, end = log.time[[0, -1]]
+    covered = (time >= start - 1e-9) & (time <= end + 1e-9)
+    if covered.sum() < MIN_FRAMES:
+        raise InputError(
+            f"{log.source}: with an offset of {offset:g} s it covers {start:g} to"
+            f" {end:g} s and the motion {time[0]:g} to {time[-1]:g} s, with"
+            f" {int(covered.sum())} frames in common"
+        )
+    return np.asarray(covered)
+
+
+class _FoundOffset(NamedTuple):
+    """Offset of a log, a text on its origin, and notes."""
+
+    offset: Offset
+    how: str
+    notes: list[str]
 
 
 def _find_offset(
     recording: Recording, log: ValveLog, spec: RobotSpec, offset: float | None
-) -> tuple[Offset, str, list[str]]:
-    """Return the offset of a log, a text on its origin, and notes; the arguments are those of `join`."""
-    trajectory = recording.trajectory
+) -> _FoundOffset:
+    """Return the offset of a log; the arguments are those of `join`."""
+    time = recording.trajectory.time
+    notes = []
     if recording.epoch_ns is not None and log.epoch_ns is not None:
         difference = (log.epoch_ns - recording.epoch_ns) / 1e9
         begin, end = log.time[[0, -1]] + difference
-        if (
-            offset is not None
-            or min(end, trajectory.time[-1]) - max(begin, trajectory.time[0]) > 0
-        ):
-            how = "from times since 1970 in both files" + (
-                f", plus {offset:g} s as given" if offset else ""
-            )
-            return Offset(difference + (offset or 0.0), 0.0, 1.0, False), how, []
-        notes = [
+        if offset is not None or min(end, time[-1]) > max(begin, time[0]):
+            how = "from times since 1970 in both files"
+            if offset:
+                how += f", plus {offset:g} s as given"
+            known = Offset(difference + (offset or 0.0), 0.0, 1.0, False)
+            return _FoundOffset(known, how, [])
+        notes.append(
             f"{log.source}: its times since 1970 differ by {difference:.6g} s from"
             " those of the motion and are not used"
-        ]
-    else:
-        notes = []
+        )
     if offset is not None:
-        return Offset(offset or 0.0, 0.0, 1.0, False), "as given", notes
+        return _FoundOffset(Offset(offset or 0.0, 0.0, 1.0, False), "as given", notes)
     clock, driven = driven_bends(log, spec)
     with named_in_errors(log.source):
-        estimate = estimate_offset(
-            trajectory.time, trajectory.stack("bend"), clock, driven
-        )
-    return estimate, f"± {1e3 * estimate.error:.2g} ms, estimated", notes
+        bends = recording.trajectory.stack("bend")
+        estimate = estimate_offset(time, bends, clock, driven)
+    how = f"± {1e3 * estimate.error:.2g} ms, estimated"
+    return _FoundOffset(estimate, how, notes)
 
 
 def driven_bends(log: ValveLog, spec: RobotSpec) -> tuple[np.ndarray, np.ndarray]:

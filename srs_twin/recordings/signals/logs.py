@@ -86,16 +86,16 @@ _MAX_CLAMP_TURN = np.radians(5.0)
 """Largest rotation of a clamped head."""
 
 
-def is_bend_log(path: StrPath, map: RecordingMap = NO_MAP) -> bool:
+def is_bend_log(path: StrPath, recording_map: RecordingMap = NO_MAP) -> bool:
     """Return whether the first line of a file names bends, directly or by a map.
 
     Raises:
         InputError: the file cannot be read.
     """
-    start = start_of(path, map.dialect)
+    start = start_of(path, recording_map.dialect)
     if "\0" in start.first_line:
         return False
-    mapped = {clean(name).lower() for name in map.meanings(["bend"])}
+    mapped = {clean(name).lower() for name in recording_map.meanings(["bend"])}
     names = {name.lower() for name in start.names}
     return not mapped.isdisjoint(names) or any(_BEND.match(name) for name in names)
 
@@ -106,7 +106,7 @@ def read_bends(
     *,
     longest_gap_s: float,
     gait_frequency_hz: float | None = None,
-    map: RecordingMap = NO_MAP,
+    map: RecordingMap = NO_MAP,  # noqa: A002
 ) -> Recording:
     """Read a bend log.
 
@@ -162,16 +162,18 @@ def read_bends(
     return Recording(trajectory, summary, epoch_ns=epoch_ns)
 
 
-def _table(path: StrPath, map: RecordingMap, kinds: Sequence[str]) -> CsvTable:
-    """Return a table with the columns of these quantities, by their names or by a map."""
-    file = laid_out(read_file(path), map.dialect)
+def _table(
+    path: StrPath, recording_map: RecordingMap, kinds: Sequence[str]
+) -> CsvTable:
+    """Return a table with the columns of these quantities, by their names or by a recording_map."""
+    file = laid_out(read_file(path), recording_map.dialect)
     known = {
         f"{kind}_{side}": QUANTITIES[kind]
         for kind in kinds
         for side in SIDES
         if kind != "bend"
     }
-    mapped = map.meanings([*kinds, "time"])
+    mapped = recording_map.meanings([*kinds, "time"])
     if kinds == ("bend",):
         known = {"bend": QUANTITIES["bend"]}
         # The time in the map may belong to another file.
@@ -203,7 +205,11 @@ def _clamped_body(
     }
 
 
-def read_valves(path: StrPath, spec: RobotSpec, map: RecordingMap = NO_MAP) -> ValveLog:
+def read_valves(
+    path: StrPath,
+    spec: RobotSpec,
+    map: RecordingMap = NO_MAP,  # noqa: A002
+) -> ValveLog:
     """Read a log of valves, duties or pressures.
 
     Args:
@@ -243,14 +249,14 @@ def read_valves(path: StrPath, spec: RobotSpec, map: RecordingMap = NO_MAP) -> V
     def error(row: int, k: int, problem: str) -> InputError:
         return table.error(chosen[k], f"{chosen[k].text}: {problem}", row)
 
-    values = _checked_values(kind, rows.values, map, notes, error)
-    log = _log(file, kind, rows.time, values, map, notes)
+    values = _checked_values(kind, rows.values, map.ambient, notes, error)
+    log = _log(file, kind, rows.time, values, map.carrier_hz, notes)
     corrections = (*log.corrections, *not_used(table.unused))
     return replace(log, epoch_ns=rows.epoch_ns, corrections=corrections)
 
 
 def log_of_topics(
-    topics: RecordedTopics, spec: RobotSpec, map: RecordingMap
+    topics: RecordedTopics, spec: RobotSpec, recording_map: RecordingMap
 ) -> ValveLog:
     """Read a log from topics; signals hold their values, but measured pressures are interpolated.
 
@@ -258,7 +264,7 @@ def log_of_topics(
         InputError: signals are missing, or have impossible values.
         UnknownNameError: the map names a signal that does not exist.
     """
-    meanings = map.meanings(("valve", "duty", *AIR))
+    meanings = recording_map.meanings(("valve", "duty", *AIR))
     names = {meaning.key: signal for signal, meaning in meanings.items()}
     kinds = {meaning.kind for meaning in meanings.values()}
     required = [
@@ -295,14 +301,14 @@ def log_of_topics(
         return InputError(f"{topics.name}: {chosen[k]}: {problem}, at {time[row]:g} s")
 
     notes = [*topics.notes]
-    values = _checked_values(kind, values, map, notes, error)
-    return _log(topics, kind, time, values, map, notes)
+    values = _checked_values(kind, values, recording_map.ambient, notes, error)
+    return _log(topics, kind, time, values, recording_map.carrier_hz, notes)
 
 
 def _checked_values(
     kind: str,
     values: np.ndarray,
-    map: RecordingMap,
+    ambient: float,
     notes: list[str],
     error: Callable[[int, int, str], InputError],
 ) -> np.ndarray:
@@ -311,7 +317,7 @@ def _checked_values(
     Args:
         kind: valve, duty, pressure or setpoint.
         values: in SI, shape (rows, 2 segments).
-        map: ambient pressure.
+        ambient: ambient pressure to subtract, Pa; 0 for gauge pressures.
         notes: notes on the log.
         error: function of row, column and message that returns the error to raise.
 
@@ -319,14 +325,14 @@ def _checked_values(
         InputError: values are missing or impossible.
     """
     if kind in AIR:
-        if map.ambient:
-            notes.append(f"absolute pressures: {map.ambient / 1e3:g} kPa subtracted")
+        if ambient:
+            notes.append(f"absolute pressures: {ambient / 1e3:g} kPa subtracted")
         elif looks_absolute(values):
             notes.append(
                 f"the smallest pressure is {np.nanmin(values) / 1e3:.4g} kPa:"
                 f" {ABSOLUTE}"
             )
-        values = values - map.ambient
+        values = values - ambient
         allowed = (values >= _MIN_PRESSURE) & (values <= _MAX_PRESSURE)
         words = (
             f"it must be a gauge pressure from {_MIN_PRESSURE:g} to"
@@ -357,7 +363,7 @@ def _log(
     kind: str,
     time: np.ndarray,
     values: np.ndarray,
-    map: RecordingMap,
+    carrier_hz: float | None,
     notes: list[str],
 ) -> ValveLog:
     """Return a log of valve states or gauge pressures in the order of time.
@@ -384,9 +390,9 @@ def _log(
         if kind == "setpoint":
             notes.append("set points are assumed to be the chamber pressures")
         elif kind == "duty":
-            time, values = _switched_valves(time, values, map.carrier_hz)
+            time, values = _switched_valves(time, values, carrier_hz)
             notes.append(
-                f"duties converted to valve states at {map.carrier_hz:g} Hz, with the"
+                f"duties converted to valve states at {carrier_hz:g} Hz, with the"
                 " fill first"
             )
         elif kind == "valve" and not (values == -1).any() and (values == 0).any():

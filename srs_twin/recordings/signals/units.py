@@ -188,29 +188,30 @@ def unit_of(
     return stated, ""
 
 
-_CLOCK = {"time", "timestamp", "timestamps", "stamp", "t", "epoch", "elapsed"}
+_CLOCK = re.compile("time|timestamps?|stamp|t|epoch|elapsed")
 """Words that name a time."""
-_CLOCK_QUALIFIERS = {
-    *_CLOCK,
-    *"since start unix ros system host header field log relative absolute".split(),
-}
-"""Words that may be in the name of a time."""
+_CLOCK_QUALIFIER = re.compile(
+    "since|start|unix|ros|system|host|header|field|log|relative|absolute"
+)
+"""Other words that may be in the name of a time."""
 
 
 def is_clock(name: str) -> bool:
     """Return whether the name of a column is that of a time: time, t_ms, Time (s), timestamp [ns], millis."""
-    bare, inside = bracketed(clean(name))
+    bare, _ = bracketed(clean(name))
+    if re.search(r"\d", bare):
+        return False
     words = [
         word.lower()
         for word in re.findall(r"[A-Z]*[a-z]+|[A-Z]+", bare.replace("Stamp", "stamp"))
     ]
     units = [word for word in words if symbol(word, TIMES)]
     rest = [word for word in words if word not in units]
-    if re.search(r"\d", bare) or not set(rest) <= _CLOCK_QUALIFIERS:
+    named = any(map(_CLOCK.fullmatch, rest))
+    others = [word for word in rest if not _CLOCK.fullmatch(word)]
+    if not all(map(_CLOCK_QUALIFIER.fullmatch, others)):
         return False
-    return bool(_CLOCK & set(rest)) or (
-        not rest and len("".join(units)) > 1 and units != ["min"]
-    )
+    return named or (not rest and len("".join(units)) > 1 and units != ["min"])
 
 
 def looks_absolute(pressures: np.ndarray) -> bool:
