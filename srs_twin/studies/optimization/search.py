@@ -11,7 +11,8 @@ two at a time; the second is chosen as if the first had given its expected resul
 Candidates are all designs that the low-fidelity model has run. In every round, many new
 designs are judged with low-fidelity results that are interpolated between earlier runs:
 neighbours of the best designs and samples of the whole space. Only the most promising
-ones are run and become candidates.
+ones are run and become candidates. Failed runs do not enter the processes; a design
+whose nearest run has failed is expected to improve nothing.
 
 **Constraints.** The low-fidelity model may violate a constraint where the twin does
 not, and CMA-ES avoids such designs. A Gaussian process for each constraint therefore
@@ -39,6 +40,7 @@ from typing import Any
 
 import numpy as np
 from scipy.interpolate import RBFInterpolator
+from scipy.spatial.distance import cdist
 from scipy.stats import norm
 
 from srs_twin.errors import InputError
@@ -261,6 +263,7 @@ class _Search:
         candidates = self._candidates()
         if not candidates:
             return False
+        near_failures = self._near_failures([run.shares for run in candidates])
         chosen: list[np.ndarray] = []
         assumed_costs = self._outputs(self._twin_runs)
         for k_batch in range(min(_BATCH_SIZE, self.budget_left())):
@@ -272,6 +275,7 @@ class _Search:
             if k_batch == 0 or self._objectives == 2:
                 mean, sd = self._predict(candidates, objective)
             score = self.improvement(mean, sd, assumed_costs, objective)
+            score[near_failures] = 0.0
             score[[not _is_far(run.shares, chosen) for run in candidates]] = -1.0
             k = int(np.argmax(score))
             if score[k] < 0:
@@ -462,7 +466,16 @@ class _Search:
                 )(designs)
         runs = [Run("twin", design, Row("", DONE)) for design in designs]
         mean, sd = self._predict(runs, 0, low_fidelity)
-        return self.improvement(mean, sd, self._outputs(self._twin_runs), 0)
+        score = self.improvement(mean, sd, self._outputs(self._twin_runs), 0)
+        score[self._near_failures(designs)] = 0.0
+        return score
+
+    def _near_failures(self, designs: Sequence[np.ndarray] | np.ndarray) -> np.ndarray:
+        """Return whether the run nearest to each design has failed, shape (designs,)."""
+        runs = [*self._twin_runs, *self._compliant_runs]
+        failed = ~np.isfinite(self._outputs(runs)).all(axis=1)
+        distances = cdist(designs, [run.shares for run in runs])
+        return np.asarray(failed[distances.argmin(axis=1)])
 
     def _predict(
         self,
@@ -491,12 +504,10 @@ class _Search:
             rows = np.flatnonzero(np.isfinite(y))
             if column == objective:
                 # Clip the worst third, because results far from the optimum would
-                # distort the fit near it, but the search must know where they are. A
-                # failed run counts as one of them.
+                # distort the fit near it, but the search must know where they are.
                 order = rows[np.argsort(y[rows])]
                 better = order[: max(2 * len(order) // 3, 2 * self._size + 2)]
-                y = np.fmin(y, y[better[-1]])
-                rows = np.arange(len(y))
+                y = np.minimum(y, y[better[-1]])
             predictions.append(_predict_with_process(x[rows], y[rows], x[len(known) :]))
         mean, sd = np.array(predictions).transpose(1, 2, 0)
         return mean, sd

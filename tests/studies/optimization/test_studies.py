@@ -306,7 +306,7 @@ def test_an_optimum_that_violates_a_constraint_of_the_low_fidelity_model_is_foun
         return 0.2 + (0.1 if part == "twin" else 0.18) * f**2
 
     question = study(
-        tmp_path, constraints="{metric: cost_of_transport, below: 0.4}", twin=24
+        tmp_path, constraints="{metric: cost_of_transport, below: 0.4}", twin=30
     )
     result = run_search(question, tmp_path / "out", Engine(cost=dear))
     best, *_ = result.best
