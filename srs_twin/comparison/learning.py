@@ -138,9 +138,8 @@ class PathFit:
         mean, velocity = window.running_mean(trajectory, trajectory.com)
         heading, turn_rate = window.running_mean(trajectory, trajectory["heading"])
         centroid = mean.mean(axis=0)
-        length = (
-            float(np.hypot(*velocity.T).mean()) * (window.periods - 1) * window.period
-        )
+        speed = float(np.hypot(*velocity.T).mean())
+        length = speed * (window.periods - 1) * window.period
         if length < 1e-9:
             return None
         # Left and right refer to the heading, also if the snake moves backward.
@@ -158,28 +157,20 @@ class PathFit:
         centre = np.array([-a / 2, -b / 2])
         # Correct the radius: the mean over a period reduces it by the factor
         # sinc(turn/2).
-        radius = (
-            length
-            * float(np.sqrt(centre @ centre - c))
-            / float(np.sinc(turn / (2 * np.pi)))
-        )
-        left = direction[0] * centre[1] - direction[1] * centre[0]
-        return cls(
-            centroid + length * centre, radius if left > 0 else -radius, direction
-        )
+        reduction = float(np.sinc(turn / (2 * np.pi)))
+        radius = length * float(np.sqrt(centre @ centre - c)) / reduction
+        if direction[0] * centre[1] - direction[1] * centre[0] <= 0:
+            radius = -radius
+        return cls(centroid + length * centre, radius, direction)
 
     def right_offset(self, points: Array) -> Array:
         """Return the distance of points, shape (…, 2), to the right of the path, shape (…), m."""
-        offset = points - self.centre
+        x, y = np.moveaxis(points - self.centre, -1, 0)
         if self.radius is None:
-            side: Array = (
-                self.direction[1] * offset[..., 0] - self.direction[0] * offset[..., 1]
-            )
+            side: Array = self.direction[1] * x - self.direction[0] * y
             return side
-        outward = np.hypot(offset[..., 0], offset[..., 1]) - abs(self.radius)
-        if self.radius > 0:
-            return outward
-        return -outward
+        outward: Array = np.hypot(x, y) - abs(self.radius)
+        return outward if self.radius > 0 else -outward
 
 
 def box_edges(

@@ -48,8 +48,7 @@ class SweepIdentity:
         scenario: scenario of the experiment.
         fields: varied fields.
         versions: package → version.
-        sources: module that computes rows → hash of its source; empty in files of older
-            versions.
+        sources: module that computes rows → hash of its source.
         files: file that points read → hash of its contents.
     """
 
