@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from itertools import pairwise
 from typing import ClassVar
 
 import numpy as np
@@ -106,12 +107,9 @@ def compare(
     distance = np.linalg.norm(offset, axis=-1)
     path_error = np.linalg.norm(com - reference_com, axis=-1)
     bend_error = bend - reference_bend
+    factor = _gap_factor(reference, candidate) if gap_factor else 1.0
     metrics = {
-        **_gait_differences(
-            reference,
-            candidate,
-            _gap_factor(reference, candidate) if gap_factor else 1.0,
-        ),
+        **_gait_differences(reference, candidate, factor),
         "shape_rms_m": rms(distance),
         "shape_rms_body": rms(distance) / body_length(reference),
         "path_rms_m": rms(path_error),
@@ -175,9 +173,8 @@ def _common_times(reference: Trajectory, candidate: Trajectory) -> np.ndarray:
     """Return the times of the reference that the candidate covers."""
     first = candidate.time[0] - _TIME_ROUNDING_S
     last = candidate.time[-1] + _TIME_ROUNDING_S
-    common: np.ndarray = reference.time[
-        (reference.time >= first) & (reference.time <= last)
-    ]
+    time = reference.time
+    common: np.ndarray = time[(time >= first) & (time <= last)]
     if len(common) == 0:
         spans = [
             f"{label(t)} covers {t.time[0]:g} to {t.time[-1]:g} s"
@@ -202,21 +199,21 @@ def _gap_factor(reference: Trajectory, candidate: Trajectory) -> float:
 def _gait_differences(
     reference: Trajectory, candidate: Trajectory, factor: float
 ) -> dict[str, float | None]:
-    metrics = plant_metrics(candidate)
-    reference_metrics = plant_metrics(reference)
-    own = metrics["com_speed_m_s"]
-    if own is None or reference_metrics["com_speed_m_s"] is None:
-        return {"com_speed_rel": None, "gap_factor": factor, "yaw_rate_abs": None}
-    speed = factor * reference_metrics["com_speed_m_s"]
-    return {
-        "com_speed_rel": (
-            None if is_near_zero(speed, own, "m/s") else (own - speed) / speed
-        ),
+    after = plant_metrics(candidate)
+    before = plant_metrics(reference)
+    differences: dict[str, float | None] = {
+        "com_speed_rel": None,
         "gap_factor": factor,
-        "yaw_rate_abs": abs(
-            metrics["yaw_rate_rad_s"] - reference_metrics["yaw_rate_rad_s"]
-        ),
+        "yaw_rate_abs": None,
     }
+    own = after["com_speed_m_s"]
+    if own is not None and before["com_speed_m_s"] is not None:
+        speed = factor * before["com_speed_m_s"]
+        if not is_near_zero(speed, own, "m/s"):
+            differences["com_speed_rel"] = (own - speed) / speed
+        turn = after["yaw_rate_rad_s"] - before["yaw_rate_rad_s"]
+        differences["yaw_rate_abs"] = abs(turn)
+    return differences
 
 
 def _ratio(numerator: float, denominator: float) -> float | None:
@@ -225,9 +222,6 @@ def _ratio(numerator: float, denominator: float) -> float | None:
     return None
 
 
-_PREFIX = "measured_"
-_BEND_METRICS = {"measured_bend_rms_rad"}
-_TRAVEL_METRICS = {"measured_com_speed_rel", "measured_yaw_rate_abs"}
 _MAX_INTERVALS = 50
 """Largest number of intervals in which `MeasuredDifference.document` lists the differences."""
 
@@ -263,13 +257,15 @@ class MeasuredDifference:
     @property
     def metrics(self) -> dict[str, float | None]:
         """Metrics of the plant by the names in `MEASURED_UNITS`; None if they were not measured."""
-        measured = MEASURED_UNITS.keys() - (_TRAVEL_METRICS if self.clamped else set())
-        measured = _BEND_METRICS if self.only_bends else measured
-        values = self.comparison.metrics
-        return {
-            name: values[name.removeprefix(_PREFIX)] if name in measured else None
-            for name in MEASURED_UNITS
-        }
+        measured = set(MEASURED_UNITS)
+        if self.only_bends:
+            measured = {"measured_bend_rms_rad"}
+        elif self.clamped:
+            measured -= {"measured_com_speed_rel", "measured_yaw_rate_abs"}
+        metrics: dict[str, float | None] = dict.fromkeys(MEASURED_UNITS)
+        for name in measured:
+            metrics[name] = self.comparison.metrics[name.removeprefix("measured_")]
+        return metrics
 
     def signals(self) -> dict[str, np.ndarray]:
         """Return the differences over time: distances of shape and path (m), heading and bends (rad)."""
@@ -279,11 +275,12 @@ class MeasuredDifference:
         }
         if self.only_bends:
             return bends
-        distances = {
+        return {
             "shape_m": self.comparison.shape_error,
             "path_m": self.comparison.path_error,
+            "heading_rad": self.comparison.heading_error,
+            **bends,
         }
-        return distances | {"heading_rad": self.comparison.heading_error} | bends
 
     @property
     def bend_rms(self) -> np.ndarray:
@@ -293,12 +290,9 @@ class MeasuredDifference:
     def document(self) -> dict[str, object]:
         """Return the entry of metrics.json: the RMS of each signal over the run and over equal intervals."""
         time = self.comparison.time
-        edges = (
-            np.linspace(0, len(time), min(_MAX_INTERVALS, len(time)) + 1)
-            .round()
-            .astype(int)
-        )
-        intervals = list(zip(edges[:-1], edges[1:], strict=True))
+        count = min(_MAX_INTERVALS, len(time))
+        edges = np.linspace(0, len(time), count + 1).round().astype(int)
+        intervals = list(pairwise(edges))
         signals = self.signals()
         return {
             "rms": {name: rms(values) for name, values in signals.items()},
@@ -400,7 +394,5 @@ def gap_between(reference: Trajectory, candidate: Trajectory) -> np.ndarray:
         raise ValueError(
             "the difference of a run without whole gait periods cannot be attributed"
         )
-    differences = [after[name] - before[name] for name in names]
-    return np.array(
-        [*differences, compare(reference, candidate).metrics["shape_rms_m"]]
-    )
+    shape = compare(reference, candidate).metrics["shape_rms_m"]
+    return np.array([*(after[name] - before[name] for name in names), shape])

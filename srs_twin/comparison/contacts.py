@@ -27,7 +27,9 @@ object_moved_m: distance of an object at the end from its place at the start, th
 """)
 OBJECT_UNITS = units_of(OBJECT_MEANINGS)
 
-CONTACT, OVERLAP = CONTACT_EVENTS = "contact", "overlap"
+CONTACT = "contact"
+OVERLAP = "overlap"
+CONTACT_EVENTS = (CONTACT, OVERLAP)
 """Kinds of the events of contacts, and of overlaps on a plant that ignores obstacles.
 """
 
@@ -61,16 +63,10 @@ def touches(trajectory: Trajectory) -> list[Touch]:
         return []
     contacts = []
     for group in _spells(trajectory):
-        row, connector = np.unravel_index(force[group].argmax(), force[group].shape)
-        begin, end = trajectory.time[group[[0, -1]]]
-        contacts.append(
-            Touch(
-                float(begin),
-                float(end),
-                float(force[group][row, connector]),
-                int(connector) + 1,
-            )
-        )
+        largest = force[group].max(axis=0)
+        connector = int(largest.argmax())
+        begin, end = map(float, trajectory.time[group[[0, -1]]])
+        contacts.append(Touch(begin, end, float(largest[connector]), connector + 1))
     return contacts
 
 
@@ -79,14 +75,14 @@ def contact_events(trajectory: Trajectory) -> list[Event]:
     events = []
     for touch in touches(trajectory):
         text = f"connector {touch.connector}, at most {touch.force:.2g} N"
-        events.append(
-            Event(touch.begin, CONTACT, text + _duration(touch.begin, touch.end))
-        )
+        text += _duration(touch.begin, touch.end)
+        events.append(Event(touch.begin, CONTACT, text))
     for group in _spells(trajectory) if ignores_obstacles(trajectory) else ():
         begin, end = map(float, trajectory.time[group[[0, -1]]])
         depth = -1e3 * trajectory["clearance"][group].min()
         text = f"the body passes through an obstacle, at least {depth:.2g} mm deep"
-        events.append(Event(begin, OVERLAP, text + _duration(begin, end)))
+        text += _duration(begin, end)
+        events.append(Event(begin, OVERLAP, text))
     return events
 
 
@@ -116,9 +112,8 @@ def contact_metrics(trajectory: Trajectory) -> dict[str, float | None]:
         least = float(trajectory["clearance"].min())
         # Only the force shows a contact between two samples.
         if metrics["contacts"]:
-            metrics["clearance_m"] = min(least, 0.0)
-        else:
-            metrics["clearance_m"] = least
+            least = min(least, 0.0)
+        metrics["clearance_m"] = least
     return metrics
 
 

@@ -71,14 +71,8 @@ class Tolerances(Tolerance):
 
     def for_metric(self, metric: str) -> Tolerance:
         """Return the tolerance for a metric: by its full name, by its name without plant, or the default."""
-        return next(
-            (
-                self.metrics[name]
-                for name in tolerance_names(metric)
-                if name in self.metrics
-            ),
-            self,
-        )
+        names = (name for name in tolerance_names(metric) if name in self.metrics)
+        return next(map(self.metrics.__getitem__, names), self)
 
 
 def load_tolerances(path: StrPath) -> Tolerances:
@@ -192,13 +186,10 @@ def diff(
     allowed = tolerances or Tolerances()
     before = a.values
     after = b.values
-    wheres, other_wheres = (
-        {where for where, _ in values} for values in (before, after)
-    )
-    if (
-        len(wheres) == len(other_wheres) == 1
-    ):  # single runs are compared regardless of their names
-        (where,) = wheres
+    wheres = [{where for where, _ in values} for values in (before, after)]
+    if all(len(names) == 1 for names in wheres):
+        # Single runs are compared regardless of their names.
+        (where,) = wheres[0]
         after = {(where, metric): value for (_, metric), value in after.items()}
     keys = list(dict.fromkeys((*before, *after)))
     known = {name for _, metric in keys for name in tolerance_names(metric)}
@@ -211,13 +202,15 @@ def diff(
         for pair in pairs
         if not allowed.for_metric(pair.metric).allows(pair.a, pair.b)
     ]
-    common = [name for name in a.versions if name in b.versions]
-    versions = {name: (a.versions[name], b.versions[name]) for name in common}
     return Difference(
         tuple(moved),
         len(keys) - len(moved),
         tuple(dict.fromkeys(where for where, _ in keys)),
-        {name: pair for name, pair in versions.items() if pair[0] != pair[1]},
+        {
+            name: (version, b.versions[name])
+            for name, version in a.versions.items()
+            if b.versions.get(name, version) != version
+        },
     )
 
 
@@ -262,9 +255,8 @@ def _result_files(folder: Path) -> Iterator[Path]:
         InputError: the folder cannot be listed.
     """
     pending = [os.fspath(folder)]
-    while (
-        pending
-    ):  # without recursion: folders may be nested more deeply than the stack allows
+    # Without recursion: folders may be nested more deeply than the stack allows.
+    while pending:
         current = pending.pop()
         try:
             entries = list(os.scandir(current))
@@ -289,9 +281,8 @@ def _result_files(folder: Path) -> Iterator[Path]:
 def _read(path: Path, folder: str) -> Results:
     """Read one file; the folder becomes a prefix of its scenario, points or rows."""
     try:
-        read_values, versions = (
-            _read_sweep(path) if path.suffix == ".parquet" else _read_document(path)
-        )
+        read = _read_sweep if path.suffix == ".parquet" else _read_document
+        read_values, versions = read(path)
         values = {
             ("/".join(filter(None, (folder, where))), metric): value
             for (where, metric), value in read_values
@@ -310,19 +301,13 @@ def _read_document(path: Path) -> tuple[list[tuple[ValueKey, Leaf]], dict[str, s
     if "rows" not in document:
         where = str(document["scenario"])
         sections = {**document["plants"], "comparison": document["comparison"]}
-        values = [((where, metric), value) for metric, value in _leaves(sections, "")]
-        met = [
-            (
-                f"expectations[{i}].met",
-                (
-                    "not judged"
-                    if expectation.get("state") == "not_judged"
-                    else bool(expectation["met"])
-                ),
-            )
-            for i, expectation in enumerate(document["expectations"])
-        ]
-        return values + [((where, metric), value) for metric, value in met], versions
+        found = list(_leaves(sections, ""))
+        for i, expectation in enumerate(document["expectations"]):
+            met: Leaf = bool(expectation["met"])
+            if expectation.get("state") == "not_judged":
+                met = "not judged"
+            found.append((f"expectations[{i}].met", met))
+        return [((where, metric), value) for metric, value in found], versions
     return [
         ((f"{row['id']}, {column}", name), outcome[name])
         for row in document["rows"]

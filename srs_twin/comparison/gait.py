@@ -100,16 +100,11 @@ class GaitWindow:
             return "the run has no gait frequency"
         whole, samples = _extent(trajectory, frequency)
         if whole < MIN_PERIODS:
-            return (
-                f"the run has {whole} of the {MIN_PERIODS} whole gait periods that are"
-                " needed"
-            )
-        few = (
-            samples < _MIN_SAMPLES_PER_PERIOD
-            or len(trajectory) < MIN_PERIODS * _MIN_SAMPLES_PER_PERIOD
-        )
-        if few:
-            return f"the run has fewer than {_MIN_SAMPLES_PER_PERIOD} samples per gait period"
+            needed = f"{MIN_PERIODS} whole gait periods that are needed"
+            return f"the run has {whole} of the {needed}"
+        least = _MIN_SAMPLES_PER_PERIOD
+        if samples < least or len(trajectory) < MIN_PERIODS * least:
+            return f"the run has fewer than {least} samples per gait period"
         return ""
 
     @classmethod
@@ -131,12 +126,8 @@ class GaitWindow:
         step = float(np.median(np.diff(trajectory.time)))
         if start < trajectory.time[0] - _PERIOD_ROUNDING * period:
             return None
-        return cls(
-            start,
-            period,
-            periods,
-            max(_MIN_TIMES_PER_PERIOD, math.ceil(4 * period / step)),
-        )
+        times = max(_MIN_TIMES_PER_PERIOD, math.ceil(4 * period / step))
+        return cls(start, period, periods, times)
 
     @property
     def end(self) -> float:
@@ -170,16 +161,15 @@ class GaitWindow:
         integral = signal.antiderivative()
         begin = self.times(self.periods - 1)
         end = begin + self.period
-        return (integral(end) - integral(begin)) / self.period, (
-            signal(end) - signal(begin)
-        ) / self.period
+        mean = (integral(end) - integral(begin)) / self.period
+        rate = (signal(end) - signal(begin)) / self.period
+        return mean, rate
 
     def mean(self, trajectory: Trajectory, values: Array) -> Array:
         """Return the mean over the window of a signal with samples of shape (samples, …), shape (…)."""
         integral = interpolant(trajectory, values).antiderivative()
-        mean: Array = (integral(self.end) - integral(self.start)) / (
-            self.end - self.start
-        )
+        duration = self.end - self.start
+        mean: Array = (integral(self.end) - integral(self.start)) / duration
         return mean
 
     def amplitude(self, trajectory: Trajectory, values: Array) -> Array:
@@ -205,9 +195,9 @@ def _extent(trajectory: Trajectory, frequency: float) -> tuple[int, float]:
     time = trajectory.time
     # Rounding must not shorten a run that is meant to end after a whole period.
     whole = int(np.floor((time[-1] - time[0]) * frequency + 1e-6))
-    return whole, (
-        1.0 / (frequency * float(np.median(np.diff(time)))) if len(time) > 1 else 0.0
-    )
+    if len(time) < 2:
+        return whole, 0.0
+    return whole, 1.0 / (frequency * float(np.median(np.diff(time))))
 
 
 MIN_TRAVEL_BODY_LENGTHS = 1e-3
@@ -226,9 +216,8 @@ def displacement_per_period(
     speed, turn_rate = running_rates(trajectory, window)
     shape = (window.periods - 1, window.times_per_period)
     chords = window.period * speed
-    return chords.reshape(shape).mean(axis=1), window.period * turn_rate.reshape(
-        shape
-    ).mean(axis=1)
+    turns = window.period * turn_rate.reshape(shape).mean(axis=1)
+    return chords.reshape(shape).mean(axis=1), turns
 
 
 def running_rates(trajectory: Trajectory, window: GaitWindow) -> tuple[Array, Array]:
@@ -240,10 +229,8 @@ def running_rates(trajectory: Trajectory, window: GaitWindow) -> tuple[Array, Ar
     heading, turn_rate = window.running_mean(trajectory, trajectory["heading"])
     _, velocity = window.running_mean(trajectory, trajectory.com)
     forward = velocity[:, 0] * np.cos(heading) + velocity[:, 1] * np.sin(heading)
-    return (
-        np.copysign(1.0, forward.mean()) * np.hypot(velocity[:, 0], velocity[:, 1]),
-        turn_rate,
-    )
+    speed = np.hypot(velocity[:, 0], velocity[:, 1])
+    return np.copysign(1.0, forward.mean()) * speed, turn_rate
 
 
 STRAIGHT_BODY_LENGTHS = 100.0

@@ -85,10 +85,7 @@ class PeriodAmplitudes:
                     zip(samples[:-1], samples[1:], strict=True)
                 ):
                     valid = bend[first:end][np.isfinite(bend[first:end])]
-                    if len(valid):
-                        result.amplitude[n, j, side] = valid.max()
-                    else:
-                        result.amplitude[n, j, side] = math.nan
+                    result.amplitude[n, j, side] = valid.max() if len(valid) else np.nan
                     # A sample is taken at the end of its tick, so the last one still
                     # belongs to the period.
                     result.target[n, j, side] = target[end - 1, j]
@@ -100,10 +97,7 @@ def _chamber_periods(trajectory: Trajectory, segments: int) -> tuple[float, Arra
     """Return the gait period (s) and the start of the first fill of each chamber, shape (segments, 2), s."""
     frequency = positive_number(trajectory, "gait_frequency_hz")
     listed = (trajectory.metadata.get("control") or {}).get("fill_begins_s")
-    if isinstance(listed, list):
-        fill_starts = np.array(listed, dtype=float)
-    else:
-        fill_starts = np.empty(0)
+    fill_starts = np.array(listed if isinstance(listed, list) else [], dtype=float)
     if (
         frequency is None
         or fill_starts.shape != (segments, 2)
@@ -144,9 +138,8 @@ class PathFit:
         mean, velocity = window.running_mean(trajectory, trajectory.com)
         heading, turn_rate = window.running_mean(trajectory, trajectory["heading"])
         centroid = mean.mean(axis=0)
-        length = (
-            float(np.hypot(*velocity.T).mean()) * (window.periods - 1) * window.period
-        )
+        speed = float(np.hypot(*velocity.T).mean())
+        length = speed * (window.periods - 1) * window.period
         if length < 1e-9:
             return None
         # Left and right refer to the heading, also if the snake moves backward.
@@ -164,28 +157,20 @@ class PathFit:
         centre = np.array([-a / 2, -b / 2])
         # Correct the radius: the mean over a period reduces it by the factor
         # sinc(turn/2).
-        radius = (
-            length
-            * float(np.sqrt(centre @ centre - c))
-            / float(np.sinc(turn / (2 * np.pi)))
-        )
-        left = direction[0] * centre[1] - direction[1] * centre[0]
-        return cls(
-            centroid + length * centre, radius if left > 0 else -radius, direction
-        )
+        reduction = float(np.sinc(turn / (2 * np.pi)))
+        radius = length * float(np.sqrt(centre @ centre - c)) / reduction
+        if direction[0] * centre[1] - direction[1] * centre[0] <= 0:
+            radius = -radius
+        return cls(centroid + length * centre, radius, direction)
 
     def right_offset(self, points: Array) -> Array:
         """Return the distance of points, shape (…, 2), to the right of the path, shape (…), m."""
-        offset = points - self.centre
+        x, y = np.moveaxis(points - self.centre, -1, 0)
         if self.radius is None:
-            side: Array = (
-                self.direction[1] * offset[..., 0] - self.direction[0] * offset[..., 1]
-            )
+            side: Array = self.direction[1] * x - self.direction[0] * y
             return side
-        outward = np.hypot(offset[..., 0], offset[..., 1]) - abs(self.radius)
-        if self.radius > 0:
-            return outward
-        return -outward
+        outward: Array = np.hypot(x, y) - abs(self.radius)
+        return outward if self.radius > 0 else -outward
 
 
 def box_edges(
@@ -234,13 +219,7 @@ LEARNING_LIST_UNITS = units_of(
 """Histories: for each period a list over segments of lists over chambers; for the heading one number per
 period."""
 LEARNING_UNITS = units_of(
-    """
-    amplitude_growth_rel periods_to_converge amplitude_error_end_rad amplitude_error_end_rel
-    path_speed_m_s path_curvature_before_per_m path_curvature_per_m
-    path_bend_before_per_m path_bend_per_m path_bend_left_rel
-    path_radius_m path_radius_spread_rel heading_drift_rad
-    duty_lowest duty_highest box_left_m box_right_m
-    """.split()
+    name for name in LEARNING_MEANINGS if name not in LEARNING_LIST_UNITS
 )
 """Metrics of a run with iterative learning; each is one number or None."""
 
@@ -320,30 +299,27 @@ def learning_metrics(trajectory: Trajectory) -> dict[str, object]:
 
 
 def _amplitudes(by_period: PeriodAmplitudes) -> dict[str, float | None]:
-    if len(by_period.target):
-        working = ~np.isnan(by_period.target[-1:])
-    else:
-        working = np.zeros((0, 0, 2), dtype=bool)
-    if not working.any():
+    if not np.isfinite(by_period.target[-1:]).any():
         return {}
-    error = np.abs(by_period.error[:, working[0]])
-    target = by_period.target[:, working[0]]
+    working = ~np.isnan(by_period.target[-1])
+    error = np.abs(by_period.error[:, working])
+    target = by_period.target[:, working]
     converged = np.all(error <= CONVERGENCE_TOLERANCE * target, axis=1)
     outside = np.flatnonzero(~converged)
     # Periods are numbered from 1, and convergence begins after the last period outside
     # the tolerance.
     first = int(outside[-1]) + 2 if len(outside) else 1
-    known = not np.isnan(error[-1]).any()
-    duty = by_period.duty[-1, working[0]]
-    return {
-        "periods_to_converge": float(first) if first <= len(converged) else None,
-        "amplitude_error_end_rad": float(error[-1].max()) if known else None,
-        "amplitude_error_end_rel": (
-            float((error[-1] / target[-1]).max()) if known else None
-        ),
+    duty = by_period.duty[-1, working]
+    metrics: dict[str, float | None] = {
         "duty_lowest": float(duty.min()),
         "duty_highest": float(duty.max()),
     }
+    if first <= len(converged):
+        metrics["periods_to_converge"] = float(first)
+    if np.isfinite(error[-1]).all():
+        metrics["amplitude_error_end_rad"] = float(error[-1].max())
+        metrics["amplitude_error_end_rel"] = float((error[-1] / target[-1]).max())
+    return metrics
 
 
 def _growth(by_period: PeriodAmplitudes) -> float | None:
@@ -351,9 +327,8 @@ def _growth(by_period: PeriodAmplitudes) -> float | None:
     if not len(by_period.duty):
         return None
     unchanged = (by_period.duty == by_period.duty[0]).all(axis=(1, 2))
-    if unchanged.all():
-        last = len(unchanged) - 1
-    else:
+    last = len(unchanged) - 1
+    if not unchanged.all():
         last = int(np.argmin(unchanged)) - 1
     first_mean = by_period.amplitude[0].mean()
     last_mean = by_period.amplitude[last].mean()

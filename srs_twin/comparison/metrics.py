@@ -68,16 +68,37 @@ from srs_twin.extensions import (
 )
 from srs_twin.trajectory import Trajectory
 
-RELATIVE = set(
-    """
-    com_speed_m_s travel_speed_m_s turning_radius_m path_length_m mean_bend_amplitude_rad final_bend_rad
-    mechanical_power_w cost_of_transport pneumatic_power_w pneumatic_cost_of_transport
-    rise_time_s settling_2_s settling_5_s ripple_pp_rad ripple_rms_rad sensed_ripple_pp_rad steady_rms_rad
-    error_rms_rad amplitude_rel fit_residual_rad inlet_openings outlet_openings
-    path_radius_m path_speed_m_s duty_lowest duty_highest
-    reading_error_rad reading_backstep_rad reading_range_t
-    """.split()
-)
+RELATIVE = {
+    "com_speed_m_s",
+    "travel_speed_m_s",
+    "turning_radius_m",
+    "path_length_m",
+    "mean_bend_amplitude_rad",
+    "final_bend_rad",
+    "mechanical_power_w",
+    "cost_of_transport",
+    "pneumatic_power_w",
+    "pneumatic_cost_of_transport",
+    "rise_time_s",
+    "settling_2_s",
+    "settling_5_s",
+    "ripple_pp_rad",
+    "ripple_rms_rad",
+    "sensed_ripple_pp_rad",
+    "steady_rms_rad",
+    "error_rms_rad",
+    "amplitude_rel",
+    "fit_residual_rad",
+    "inlet_openings",
+    "outlet_openings",
+    "path_radius_m",
+    "path_speed_m_s",
+    "duty_lowest",
+    "duty_highest",
+    "reading_error_rad",
+    "reading_backstep_rad",
+    "reading_range_t",
+}
 """Metrics whose difference is also shown in per cent of the analytical value, beside those of the groups."""
 
 _TENTH = 0.05
@@ -85,16 +106,6 @@ _TENTH = 0.05
 
 _NOT_COMPARED = ("wall_s", "realtime_factor")
 """Metrics whose difference is not shown: computing times are not properties of the plants."""
-
-
-def relative_difference(metric: str, reference: float, value: float) -> str:
-    """Return value − reference in per cent of the reference, as "-11.5 %", or else in its unit."""
-    per_cent = _per_cent(metric, reference, value)
-    if value != reference and not per_cent:
-        return f"{value - reference:+.3g}"
-    if per_cent:
-        return f"{per_cent} %"
-    return "0"
 
 
 def _per_cent(metric: str, reference: float, value: float) -> str:
@@ -105,9 +116,11 @@ def _per_cent(metric: str, reference: float, value: float) -> str:
     if reference * value <= 0 or is_near_zero(reference, value, split_unit(metric)[1]):
         return ""
     per_cent = 100 * (value - reference) / reference
-    if value == reference:
+    if per_cent == 0:
         return "0"
-    return f"{per_cent:{'+.1f' if abs(per_cent) >= _TENTH else '+.1g'}}"
+    if abs(per_cent) < _TENTH:
+        return f"{per_cent:+.1g}"
+    return f"{per_cent:+.1f}"
 
 
 def published(
@@ -160,16 +173,20 @@ bend_rms_rad: RMS difference of the bends
 bend_rms_rel: RMS difference of the bends divided by the RMS bend of the analytical model
 heading_rms_rad: RMS difference of the headings
 """)
-_MEANINGS = (
-    *(_PLANT_MEANINGS, ENERGY_MEANINGS, _BENCH_MEANINGS),
-    *(TRACKING_MEANINGS, LEARNING_MEANINGS, READING_MEANINGS, SPATIAL_MEANINGS),
-    *(OBJECT_MEANINGS, CONTACT_MEANINGS),
-    *(
-        _MEASURED_MEANINGS,
-        _TIME_MEANINGS,
-        _COMPARISON_MEANINGS,
-        SPATIAL_DIFFERENCE_MEANINGS,
-    ),
+MEANINGS = (
+    _PLANT_MEANINGS,
+    ENERGY_MEANINGS,
+    _BENCH_MEANINGS,
+    TRACKING_MEANINGS,
+    LEARNING_MEANINGS,
+    READING_MEANINGS,
+    SPATIAL_MEANINGS,
+    OBJECT_MEANINGS,
+    CONTACT_MEANINGS,
+    _MEASURED_MEANINGS,
+    _TIME_MEANINGS,
+    _COMPARISON_MEANINGS,
+    SPATIAL_DIFFERENCE_MEANINGS,
 )
 """Metric → meaning for each topic, in the order of `srs-twin list metrics`."""
 
@@ -251,16 +268,15 @@ def metric_name(name: str) -> str:
 
 def written_name(metric: str) -> str:
     """Return the name of a metric for a file, with its module if that is a plug-in."""
-    groups = plugin_parts(MetricGroup)
-    return next(
-        (f"{module}:{metric}" for module, group in groups if metric in group.meanings),
-        metric,
-    )
+    for module, group in plugin_parts(MetricGroup):
+        if metric in group.meanings:
+            return f"{module}:{metric}"
+    return metric
 
 
 def meanings() -> dict[str, str]:
     """Return metric → meaning in one line, for metrics of plants, lists and comparisons."""
-    tables = (*_MEANINGS, *(group.meanings for group in metric_groups()))
+    tables = (*MEANINGS, *(group.meanings for group in metric_groups()))
     return {name: text for table in tables for name, text in table.items()}
 
 
@@ -305,12 +321,11 @@ def headline(metrics: Mapping[str, Any]) -> str:
         metrics: contents of metrics.json.
     """
     text = _summary(metrics)
-    preset = metrics.get("preset")
     sentences = [*_contacts(metrics), text]
-    sentences += [
-        *[_COMPLIANCE] * ("compliance" in text),
-        *[_PRESET.format(preset)] * bool(preset),
-    ]
+    if "compliance" in text:
+        sentences.append(_COMPLIANCE)
+    if preset := metrics.get("preset"):
+        sentences.append(_PRESET.format(preset))
     plants = metrics["plants"]
     shown = plants.get("twin") or plants.get("analytical") or {}
     ends = [shown.get(f"path_curvature_{name}per_m") for name in ("before_", "")]
@@ -343,81 +358,71 @@ def _meeting(metrics: Mapping[str, Any], name: str) -> str:
     begins = [event["time"] for event in events if event["kind"] in CONTACT_EVENTS]
     ignores = name in metrics.get("ignores_obstacles", ())
     if not begins:
-        if ignores:
-            return "ignores obstacles"
-        return "touches none"
-    if plant.get("object_moved_m") is None:
-        what = "an obstacle"
-    else:
-        what = "an object"
+        return "ignores obstacles" if ignores else "touches none"
     if ignores:
-        how = "ignores obstacles and overlaps one"
+        text = "ignores obstacles and overlaps one"
+    elif plant.get("object_moved_m") is None:
+        text = "touches an obstacle"
     else:
-        how = f"touches {what}"
+        text = "touches an object"
     if len(begins) > 1:
-        times = f"{len(begins)} times, first "
-    else:
-        times = ""
-    return f"{how} {times}at {begins[0]:.3g} s, for {plant['contact_time_s']:.2g} s"
+        text += f" {len(begins)} times, first"
+    return f"{text} at {begins[0]:.3g} s, for {plant['contact_time_s']:.2g} s"
 
 
 def _summary(metrics: Mapping[str, Any]) -> str:
     plants = metrics["plants"]
     model = plants.get("analytical")
     twin = plants.get("twin")
-    one = model or twin or {}
     if model and twin:
-        return _summary_of_both(metrics, plants)
+        return _summary_of_both(metrics, model, twin)
     name = "twin" if twin else "model"
-    if (travel := one.get("travel_speed_m_s")) is not None:
-        return (
-            f"The {name} travels at {travel:.3g} m/s, {_direction(one)} of its heading."
-        )
-    if one.get("com_speed_m_s") is not None:
-        turn = one.get("yaw_rate_rad_s") or 0.0
-        if abs(turn) < STRAIGHT_RAD_S:
-            how = "straight on"
-        else:
+    return f"The {name} {_summary_of_one(model or twin or {})}."
+
+
+def _summary_of_one(plant: Mapping[str, Any]) -> str:
+    travel = plant.get("travel_speed_m_s")
+    if travel is not None:
+        return f"travels at {travel:.3g} m/s, {_direction(plant)} of its heading"
+    speed = plant.get("com_speed_m_s")
+    if speed is not None:
+        turn = plant.get("yaw_rate_rad_s") or 0.0
+        how = "straight on"
+        if abs(turn) >= STRAIGHT_RAD_S:
             how = f"turning by {turn:.3g} rad/s"
-        moved = one.get("object_moved_m")
-        if moved is None:
-            objects = ""
-        else:
-            objects = f"; it moves an object by {moved:.2g} m"
-        return f"The {name} crawls at {one['com_speed_m_s']:.3g} m/s, {how}{objects}."
-    if one.get("goal_reached") is not None:
-        return f"The {name} {_arrives(one)}."
-    if one.get("error_rms_rad") is not None:
-        return (
-            f"The {name} follows its reference within {one['error_rms_rad']:.2g} rad"
-            " RMS."
-        )
-    return f"The {name} moves by {one.get('path_length_m') or 0.0:.3g} m."
+        moved = plant.get("object_moved_m")
+        if moved is not None:
+            how += f"; it moves an object by {moved:.2g} m"
+        return f"crawls at {speed:.3g} m/s, {how}"
+    if plant.get("goal_reached") is not None:
+        return _arrives(plant)
+    error = plant.get("error_rms_rad")
+    if error is not None:
+        return f"follows its reference within {error:.2g} rad RMS"
+    return f"moves by {plant.get('path_length_m') or 0.0:.3g} m"
 
 
 def _summary_of_both(
-    metrics: Mapping[str, Any], plants: Mapping[str, Mapping[str, Any]]
+    metrics: Mapping[str, Any], model: Mapping[str, Any], twin: Mapping[str, Any]
 ) -> str:
-    model = plants["analytical"]
-    twin = plants["twin"]
-    if model.get("goal_reached") is not None and twin.get("goal_reached") is not None:
+    def both_have(metric: str) -> bool:
+        return model.get(metric) is not None and twin.get(metric) is not None
+
+    if both_have("goal_reached"):
         return f"The twin {_arrives(twin)}; the model {_arrives(model)}."
-    if model.get("error_rms_rad") is not None and twin.get("error_rms_rad") is not None:
-        errors = (
-            f"{twin['error_rms_rad']:.2g} rad RMS, the model within"
-            f" {model['error_rms_rad']:.2g}"
+    if both_have("error_rms_rad"):
+        return (
+            "The twin follows its reference within"
+            f" {twin['error_rms_rad']:.2g} rad RMS, the model within"
+            f" {model['error_rms_rad']:.2g}."
         )
-        return f"The twin follows its reference within {errors}."
-    if (
-        model.get("travel_speed_m_s") is not None
-        and twin.get("travel_speed_m_s") is not None
-    ):
+    if both_have("travel_speed_m_s"):
         text = _compared(metrics, metrics, "travel_speed_m_s", "m/s")
         return (
             f"The twin travels {text}, {_direction(twin)}; the model"
             f" {_direction(model)}."
         )
-    if model.get("com_speed_m_s") is None or twin.get("com_speed_m_s") is None:
+    if not both_have("com_speed_m_s"):
         bend_rms = (metrics.get("comparison") or {}).get("bend_rms_rad") or 0.0
         return f"The bends of twin and model differ by {bend_rms:.2g} rad RMS."
     text = f"he twin crawls {_crawling(metrics, metrics)}.{_over_segments(metrics)}"
@@ -468,14 +473,12 @@ def _over_segments(metrics: Mapping[str, Any]) -> str:
 
 def _direction(plant: Mapping[str, Any]) -> str:
     direction = math.degrees(plant["travel_direction_rad"])
-    return f"{abs(direction):.0f}° to the {'left' if direction > 0 else 'right'}"
+    side = "left" if direction > 0 else "right"
+    return f"{abs(direction):.0f}° to the {side}"
 
 
 def _arrives(plant: Mapping[str, Any]) -> str:
-    if plant["goal_reached"]:
-        reached = "reaches its goal"
-    else:
-        reached = "does not reach its goal"
+    reached = "reaches its goal" if plant["goal_reached"] else "does not reach its goal"
     cross_track = plant.get("cross_track_rms_m")
     if cross_track is None:
         return reached
@@ -528,11 +531,12 @@ def _main_cause(
         ):
             continue
         rest = whole - effect
-        verb = ("slow" if share < 0 else "speed") + ("" if alone else "s")
-        does = (
-            f"{'alone would ' if alone else ''}{verb} it{' up' if share > 0 else ''} by"
-            f" {abs(effect)} %"
-        )
+        verb = "alone would " if alone else ""
+        verb += "slow" if share < 0 else "speed"
+        if not alone:
+            verb += "s"
+        direction = "it" if share < 0 else "it up"
+        does = f"{verb} {direction} by {abs(effect)} %"
         if not rest:
             return f"; {name} {does}"
         if rest * share > 0:
@@ -597,19 +601,14 @@ def chosen(plants: Mapping[str, Mapping[str, Any]]) -> Sequence[str]:
     for group in metric_groups():
         if group.main and measured(group.main):
             return [*group.short_table, *additional, *_COMPARISON]
-    if measured("error_rms_rad", "final_bend_rad"):
-        usual = _BENCH
-    else:
-        usual = _GAIT
+    usual = _BENCH if measured("error_rms_rad", "final_bend_rad") else _GAIT
     return [*usual, *additional, *_COMPARISON]
 
 
 def tidy(metric: str, value: Any) -> Any:
     """Return the value of a metric for display: yes or no, and 0 for negligible rates."""
     if is_yes_no(metric) and value is not None:
-        if value:
-            return "yes"
-        return "no"
+        return "yes" if value else "no"
     rate = isinstance(value, float) and metric.endswith(("_m_s", "_rad_s", "_abs"))
     if rate and abs(value) < ZERO:
         return 0.0
@@ -652,14 +651,12 @@ def result_rows(
     for name in names:
         unit = "" if units[name] == "1" else units[name]
         values = [plant.get(name) for plant in plants.values()]
+        between = None
         if name in COMPARISON_UNITS:
             between = (metrics.get("comparison") or {}).get(name)
-        else:
-            between = None
         if between is not None:
-            yield ResultRow(
-                name, unit, [""] * len(plants), text(tidy(name, between)), ""
-            )
+            difference = text(tidy(name, between))
+            yield ResultRow(name, unit, [""] * len(plants), difference, "")
         elif any(value is not None for value in values):
             texts = [text(tidy(name, value)) for value in values]
             yield ResultRow(name, unit, texts, *_differences(metrics, name, text))
@@ -688,23 +685,23 @@ def _differences(
         model *= (metrics.get("comparison") or {}).get("gap_factor") or 1.0
     if text(model) == text(twin):
         twin = model
-    difference = f"{twin - model:+.3g}" if twin != model else "0"
-    is_relative = metric in RELATIVE.union(
-        *(group.relative for group in metric_groups())
-    )
-    return difference, _per_cent(metric, model, twin) if is_relative else ""
+    difference = "0" if twin == model else f"{twin - model:+.3g}"
+    relative = RELATIVE.union(*(group.relative for group in metric_groups()))
+    if metric in relative:
+        return difference, _per_cent(metric, model, twin)
+    return difference, ""
 
 
-_GAIT_METRICS = [
-    *("com_speed_m_s", "yaw_rate_rad_s", "turning_radius_m"),
-    *(
-        "bend_amplitude_rad",
-        "bend_bias_rad",
-        "mean_bend_amplitude_rad",
-        *ENERGY_MEANINGS,
-    ),
-]
-_NOT_LEARNING = dict.fromkeys(LEARNING_UNITS | LEARNING_LIST_UNITS)
+_GAIT_METRICS = (
+    "com_speed_m_s",
+    "yaw_rate_rad_s",
+    "turning_radius_m",
+    "bend_amplitude_rad",
+    "bend_bias_rad",
+    "mean_bend_amplitude_rad",
+    *ENERGY_MEANINGS,
+)
+"""Metrics of a run with whole gait periods."""
 
 
 def plant_metrics(
@@ -753,37 +750,32 @@ def plant_metrics(
         InputError: columns or metadata are missing or unusable.
     """
     check_columns(trajectory, "com_x", "com_y", "heading", "bend")
-    steps = np.diff(trajectory.com, axis=0)
-    simulated = float(trajectory.time[-1] - trajectory.time[0])
+    metrics: dict[str, Any] = dict.fromkeys(_GAIT_METRICS)
+    metrics |= dict.fromkeys((*TRACKING_UNITS, *LEARNING_UNITS, *LEARNING_LIST_UNITS))
     window = GaitWindow.from_trajectory(trajectory)
-    if window is None:
-        gait = dict.fromkeys(_GAIT_METRICS)
-    else:
-        gait = _gait_metrics(trajectory, window)
-    following = trajectory.has("reference")
-    ends = trajectory.metadata.get("base") == "clamped" and not following
-    return {
-        **gait,
-        **(
-            tracking_metrics(trajectory) if following else dict.fromkeys(TRACKING_UNITS)
-        ),
-        **(learning_metrics(trajectory) if is_learning(trajectory) else _NOT_LEARNING),
-        **reading_metrics(trajectory),
-        **spatial_metrics(trajectory),
-        **object_metrics(trajectory),
-        **{
-            name: value
-            for group in metric_groups()
-            for name, value in group.measure(trajectory).items()
-        },
-        **contact_metrics(trajectory),
-        **dict.fromkeys(MEASURED_UNITS),
-        "final_bend_rad": float(trajectory["bend_1"][-1]) if ends else None,
-        "path_length_m": float(np.hypot(steps[:, 0], steps[:, 1]).sum()),
-        "valve_switches": trajectory.metadata.get("valve_switches"),
-        "wall_s": wall_s,
-        "realtime_factor": simulated / wall_s if wall_s else None,
-    }
+    if window is not None:
+        metrics |= _gait_metrics(trajectory, window)
+    if trajectory.has("reference"):
+        metrics |= tracking_metrics(trajectory)
+    if is_learning(trajectory):
+        metrics |= learning_metrics(trajectory)
+    metrics |= reading_metrics(trajectory)
+    metrics |= spatial_metrics(trajectory)
+    metrics |= object_metrics(trajectory)
+    for group in metric_groups():
+        metrics |= group.measure(trajectory)
+    metrics |= contact_metrics(trajectory)
+    metrics |= dict.fromkeys((*MEASURED_UNITS, "final_bend_rad"))
+    if trajectory.metadata.get("base") == "clamped" and not trajectory.has("reference"):
+        metrics["final_bend_rad"] = float(trajectory["bend_1"][-1])
+    steps = np.diff(trajectory.com, axis=0)
+    metrics["path_length_m"] = float(np.hypot(steps[:, 0], steps[:, 1]).sum())
+    metrics["valve_switches"] = trajectory.metadata.get("valve_switches")
+    metrics |= {"wall_s": wall_s, "realtime_factor": None}
+    if wall_s:
+        simulated = float(trajectory.time[-1] - trajectory.time[0])
+        metrics["realtime_factor"] = simulated / wall_s
+    return metrics
 
 
 def _gait_metrics(trajectory: Trajectory, window: GaitWindow) -> dict[str, object]:

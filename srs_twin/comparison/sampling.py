@@ -93,10 +93,8 @@ def check_columns(trajectory: Trajectory, *names: str) -> None:
     if len(trajectory) == 0:
         raise InputError(f"{run}: the trajectory has no samples")
     for name in ("time", *names):
-        if name in trajectory.columns:
-            values = trajectory[name]
-        else:
-            values = trajectory.stack(name)
+        is_column = name in trajectory.columns
+        values = trajectory[name] if is_column else trajectory.stack(name)
         bad = np.flatnonzero(~np.isfinite(values.reshape(len(values), -1)).all(axis=1))
         if bad.size:
             raise InputError(
@@ -116,11 +114,8 @@ def positive_number(trajectory: Trajectory, name: str) -> float | None:
     value = trajectory.metadata.get(name)
     if value is None:
         return None
-    if (
-        isinstance(value, bool)
-        or not isinstance(value, int | float)
-        or not 0 < value < np.inf
-    ):
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not is_number or not 0 < value < np.inf:
         raise InputError(
             f"{label(trajectory)}: metadata {name} is {value!r}; it must be a positive"
             " number or null"

@@ -125,9 +125,12 @@ def step_response(
     response = (bend - before) / (after - before)
     low = _first_crossing(time, response, 0.1)
     high = _first_crossing(time, response, 0.9)
+    rise = None
+    if low is not None and high is not None:
+        rise = high - low
     overshoot = max(0.0, float(response.max()) - 1.0)
     return {
-        "rise_time_s": None if low is None or high is None else high - low,
+        "rise_time_s": rise,
         "overshoot_rel": overshoot,
         "overshoot_rad": overshoot * abs(after - before),
         "settling_2_s": _settling_time(time, response, 0.02),
@@ -295,19 +298,18 @@ def _sine_metrics(
         ]
 
     reference_fit, bend_fit = fits(first, whole)
-    by_period = [fits(n, n + 1) for n in range(first, whole)]
-    gains = [b.amplitude / a.amplitude for a, b in by_period]
-    lags = [_lag(a, b) for a, b in by_period]
-    several = len(by_period) > 1
-    return {
+    metrics: dict[str, float | None] = {
         "amplitude_rel": bend_fit.amplitude / reference_fit.amplitude,
-        "amplitude_spread_rel": float(np.std(gains, ddof=1)) if several else None,
         "phase_lag_rad": _lag(reference_fit, bend_fit),
-        "phase_lag_spread_rad": (
-            float(np.std(np.unwrap(lags), ddof=1)) if several else None
-        ),
         "fit_residual_rad": bend_fit.residual,
     }
+    by_period = [fits(n, n + 1) for n in range(first, whole)]
+    if len(by_period) > 1:
+        gains = [b.amplitude / a.amplitude for a, b in by_period]
+        lags = np.unwrap([_lag(a, b) for a, b in by_period])
+        metrics["amplitude_spread_rel"] = float(np.std(gains, ddof=1))
+        metrics["phase_lag_spread_rad"] = float(np.std(lags, ddof=1))
+    return metrics
 
 
 def _lag(reference: SineFit, bend: SineFit) -> float:
@@ -317,17 +319,13 @@ def _lag(reference: SineFit, bend: SineFit) -> float:
 
 def _openings(trajectory: Trajectory) -> dict[str, float | None]:
     """Return the openings per valve: inlets as counted by the plant, outlets from the samples."""
-    counted = trajectory.metadata.get("valve_switches")
-    metrics: dict[str, float | None] = {
-        "inlet_openings": float(np.mean(counted[0])) if counted else None
-    }
+    metrics: dict[str, float | None] = {}
+    if counted := trajectory.metadata.get("valve_switches"):
+        metrics["inlet_openings"] = float(np.mean(counted[0]))
     names = ("valve_plus_1", "valve_minus_1")
     tick = trajectory.metadata.get("tick_s")
-    if (
-        tick is None
-        or len(trajectory) < 2
-        or not all(trajectory.has(name) for name in names)
-    ):
+    is_recorded = len(trajectory) > 1 and all(map(trajectory.has, names))
+    if tick is None or not is_recorded:
         return metrics
     states = np.stack([trajectory[name] for name in names])
     every_tick = float(np.diff(trajectory.time).max()) < 1.5 * tick
@@ -374,10 +372,8 @@ class ReadingCurve:
         Raises:
             InputError: columns are missing or unusable.
         """
-        if not (
-            trajectory.has("sensed_1")
-            and _sensor(trajectory).get("kind", "ideal") != "ideal"
-        ):
+        kind = _sensor(trajectory).get("kind", "ideal")
+        if kind == "ideal" or not trajectory.has("sensed_1"):
             return None
         check_columns(trajectory, "bend_1")
         read = np.isfinite(trajectory["sensed_1"])
@@ -387,9 +383,8 @@ class ReadingCurve:
         _, bins, samples = np.unique(
             np.round(bend / BIN_RAD), return_inverse=True, return_counts=True
         )
-        return cls(
-            np.bincount(bins, bend) / samples, np.bincount(bins, sensed) / samples
-        )
+        means = [np.bincount(bins, values) / samples for values in (bend, sensed)]
+        return cls(*means)
 
     @property
     def r_squared(self) -> float | None:
@@ -444,9 +439,8 @@ def reading_metrics(trajectory: Trajectory) -> dict[str, float | None]:
     metrics["reading_backstep_rad"], metrics["reading_backstep_at_rad"] = curve.backstep
     field = _field_per_rad(_sensor(trajectory))
     if field is not None:
-        metrics["reading_range_t"] = (
-            float(abs(curve.reading[-1] - curve.reading[0])) * field
-        )
+        change = float(abs(curve.reading[-1] - curve.reading[0]))
+        metrics["reading_range_t"] = change * field
     return metrics
 
 

@@ -52,6 +52,13 @@ _SINE = {
     "fit_residual_rad",
 }
 _OPENINGS = {"inlet_openings", "outlet_openings"}
+_ABSENT = {
+    **dict.fromkeys(SPATIAL_UNITS, "the robot bends in one plane"),
+    **dict.fromkeys(OBJECT_UNITS, "the world has no movable objects"),
+    **dict.fromkeys(CONTACT_UNITS, "the world has no obstacles"),
+    "final_bend_rad": "the run is not on a bench without a reference",
+}
+"""Metric → reason that it has no value in any run without its subject."""
 
 
 @dataclass(frozen=True)
@@ -88,18 +95,17 @@ def why_undefined(
         None if the metric has a value, or if the missing value is the result of the
         run.
     """
-    values = (
-        metrics["comparison"]
-        if subject == "comparison"
-        else metrics["plants"].get(subject)
-    ) or {}
+    owners = metrics["plants"] | {"comparison": metrics["comparison"]}
+    values = owners.get(subject) or {}
     if values.get(metric) is not None:
         return None
     if metric in _OF_TWO_GAITS | _OF_A_GAIT:
-        others = {"comparison": ("analytical", "twin")}.get(
-            subject, ("measured",) * (metric in MEASURED_UNITS)
-        )
-        named = [run for name, run in runs.items() if name in (subject, *others)]
+        needed = {subject}
+        if subject == "comparison":
+            needed = {"analytical", "twin"}
+        elif metric in MEASURED_UNITS:
+            needed.add("measured")
+        named = [run for name, run in runs.items() if name in needed]
         return _of(_not_measured(metric, runs) or _no_gait(metric, named))
     run = runs.get(subject)
     if run is None:
@@ -171,14 +177,10 @@ def _learning(
     if not is_learning(run):
         return Undefined("the run has no iterative learning")
     periods = len(values.get("duty") or ())
-    still = (
-        values.get("heading_drift_rad") is not None
-        and values.get("path_curvature_per_m") is None
-    )
-    if (
-        metric == "periods_to_converge"
-        and values.get("amplitude_error_end_rad") is not None
-    ):
+    turns = values.get("heading_drift_rad") is not None
+    is_curved = values.get("path_curvature_per_m") is not None
+    has_errors = values.get("amplitude_error_end_rad") is not None
+    if metric == "periods_to_converge" and has_errors:
         return Undefined(
             f"the amplitudes have not converged within {periods} periods", periods
         )
@@ -186,12 +188,11 @@ def _learning(
         return Undefined(
             f"it is not defined by the learning periods of the run ({periods})"
         )
-    if still or (
-        metric.startswith("path_radius")
-        and values.get("path_curvature_per_m") is not None
-    ):
+    if turns and not is_curved:
         return None
-    if values.get("heading_drift_rad") is None:
+    if is_curved and metric.startswith("path_radius"):
+        return None
+    if not turns:
         return Undefined(f"the run has fewer than {LAST_PERIODS} whole periods")
     return Undefined("no two whole periods before the duties change have a curved path")
 
@@ -203,18 +204,12 @@ def _other(metric: str, run: Trajectory) -> str:
             return group.why_undefined(metric, run)
     if metric in SPATIAL_UNITS and run.has("z"):
         return _no_gait(metric, [run])
-    if metric in SPATIAL_UNITS:
-        return "the robot bends in one plane"
-    if metric in OBJECT_UNITS:
-        return "the world has no movable objects"
-    if metric in CONTACT_UNITS:
-        return "the world has no obstacles"
     if metric in READING_UNITS:
-        if ReadingCurve.from_trajectory(run) is None:
-            return "the run has no sensor, or an ideal one"
-        if metric == "reading_range_t":
-            return "the sensor has no Hall element"
-        return ""
-    if metric == "final_bend_rad":
-        return "the run is not on a bench without a reference"
-    return ""
+        return _no_reading(metric, run)
+    return _ABSENT.get(metric, "")
+
+
+def _no_reading(metric: str, run: Trajectory) -> str:
+    if ReadingCurve.from_trajectory(run) is None:
+        return "the run has no sensor, or an ideal one"
+    return "the sensor has no Hall element" if metric == "reading_range_t" else ""

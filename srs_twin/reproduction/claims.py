@@ -7,7 +7,6 @@ number.
 from __future__ import annotations
 
 import inspect
-import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -16,12 +15,12 @@ from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import AfterValidator, Field, model_validator
 
-import srs_twin.reproduction.computations as computations
-import srs_twin.reproduction.traces as traces
 from srs_twin.errors import UnknownNameError
 from srs_twin.io.documents import Document, Loc, load_yaml
 from srs_twin.io.files import data_root, shipped_names
 from srs_twin.io.validation import Model, validate
+from srs_twin.reproduction import computations, traces
+from srs_twin.scenario.expectation import AllowedRange
 from srs_twin.scenario.fields import Section, quantity
 
 
@@ -94,10 +93,7 @@ class RunRequest(Section):
 
     @model_validator(mode="after")
     def _check_source(self) -> Self:
-        if (
-            sum(source is not None for source in (self.scenario, self.sweep, self.law))
-            != 1
-        ):
+        if [self.scenario, self.sweep, self.law].count(None) != 2:
             raise ValueError("give exactly one of scenario, sweep and law")
         if self.where and self.sweep is None:
             raise ValueError("where is only for a sweep")
@@ -108,11 +104,9 @@ class RunRequest(Section):
     @property
     def kind(self) -> str:
         """Kind of the request: "scenario", "sweep" or "law"."""
-        return next(
-            kind
-            for kind in ("scenario", "sweep", "law")
-            if getattr(self, kind) is not None
-        )
+        if self.law is not None:
+            return "law"
+        return "scenario" if self.sweep is None else "sweep"
 
     @property
     def name(self) -> str:
@@ -319,6 +313,10 @@ class Claim(Section):
             raise ValueError("near needs either tol or abs")
         return self
 
+    def is_named(self, name: str) -> bool:
+        """Return whether a name is the claim's, or the beginning of its name up to a dot."""
+        return f"{self.id}.".startswith(f"{name}.")
+
     @property
     def fitted(self) -> bool:
         """Whether it may be used to calibrate, so that it is not a prediction."""
@@ -334,9 +332,9 @@ class Claim(Section):
         """Group of a prediction; None for other uses."""
         if self.use != "holdout":
             return None
-        return self.limitation or (
-            "own_tolerance" if self.tolerance == "ours" else "headline"
-        )
+        if self.limitation is not None:
+            return self.limitation
+        return "own_tolerance" if self.tolerance == "ours" else "headline"
 
     @property
     def category(self) -> Category:
@@ -361,37 +359,23 @@ class Claim(Section):
         return self.model_copy(update={"measure": None, "measures": measures})
 
     @property
-    def low(self) -> float:
-        """Smallest allowed value; a tolerance widens a bound outward."""
-        return self._bound("above", -1)
+    def allowed(self) -> AllowedRange:
+        """Allowed values; a tolerance widens a bound outward."""
+        if self.value is None:
+            return AllowedRange()
+        near = AllowedRange.near(self.value, self.tol, self.abs)
+        if self.rule == "below":
+            return AllowedRange(high=near.high)
+        if self.rule == "above":
+            return AllowedRange(low=near.low)
+        return near
 
     @property
-    def high(self) -> float:
-        """Largest allowed value."""
-        return self._bound("below", 1)
-
-    def _bound(self, rule: Rule, side: int) -> float:
-        if self.value is None or self.rule not in ("near", rule):
-            return side * math.inf
-        width = (
-            self.abs
-            if self.abs is not None
-            else (self.tol or 0.0) * math.fabs(self.value)
-        )
-        return self.value + side * width
-
-    @property
-    def allowed(self) -> str:
+    def allowed_text(self) -> str:
         """Allowed values as text."""
         if self.rule == "ordering":
             return "each above the next"
-        if math.isinf(self.low):
-            return f"at most {self.high:.4g}"
-        return (
-            f"at least {self.low:.4g}"
-            if math.isinf(self.high)
-            else f"{self.low:.4g} to {self.high:.4g}"
-        )
+        return self.allowed.text
 
 
 COLUMNS = get_args(Column)
@@ -462,20 +446,13 @@ def select_claims(
     Raises:
         UnknownNameError: no row has this name.
     """
-    by_name = {
-        name: [c for c in claims if f"{c.id}.".startswith(f"{name}.")] for name in only
-    }
-    for name in only:
-        if not by_name[name]:
-            raise UnknownNameError(
-                "claim", name, (claim.id for claim in claims), "docs/reproduction.md"
-            )
-    ids = {claim.id for group in by_name.values() for claim in group}
-    selected = [
-        claim
-        for claim in claims
-        if (not only or claim.id in ids) and (claim.quick or not quick)
-    ]
+    selected = [claim for claim in claims if claim.quick or not quick]
+    if only:
+        for name in only:
+            if not any(claim.is_named(name) for claim in claims):
+                ids = [claim.id for claim in claims]
+                raise UnknownNameError("claim", name, ids, "docs/reproduction.md")
+        selected = [c for c in selected if any(map(c.is_named, only))]
     return tuple(sorted(selected, key=lambda claim: claim.use != "law"))
 
 
@@ -488,37 +465,32 @@ def _rows(claim: Claim) -> Iterator[Claim]:
     for row in claim.rows:
         at = row[table.at]
         for column, metric in table.columns.items():
-            value = -row[column] if column in table.signed and at < 0 else row[column]
-            use: Use = "fit" if table.is_fitted(column, at, claim.rows) else claim.use
-            is_prediction = use == "holdout"
-            size = column in table.signed and at == 0
+            value = row[column]
+            is_signed = column in table.signed
+            if is_signed and at < 0:
+                value = -value
             unit = "m/s" if metric.endswith("_m_s") else "m"
-            yield claim.model_copy(
-                update={
-                    "id": f"{claim.id}.{column}.{_setting_name(at)}",
-                    "says": f"{column} {value:g} {unit} at {table.at} {at:g}",
-                    "use": use,
-                    "cause": table.cause.get(column, []),
-                    "could_fail": (
-                        table.could_fail[column]
-                        if is_prediction
-                        else table.could_fail_fit
-                    ),
-                    "tolerance": claim.tolerance if is_prediction else None,
-                    "limitation": claim.limitation if is_prediction else None,
-                    "rule": "near",
-                    "value": value,
-                    "unit": unit,
-                    "measure": Measure(
-                        sweep=table.sweep,
-                        metric=metric,
-                        where={table.field: at},
-                        size=size,
-                    ),
-                    "table": None,
-                    "rows": [],
-                }
-            )
+            changes: dict[str, object] = {
+                "id": f"{claim.id}.{column}.{_setting_name(at)}",
+                "says": f"{column} {value:g} {unit} at {table.at} {at:g}",
+                "cause": table.cause.get(column, []),
+                "could_fail": table.could_fail[column],
+                "rule": "near",
+                "value": value,
+                "unit": unit,
+                "measure": Measure(
+                    sweep=table.sweep,
+                    metric=metric,
+                    where={table.field: at},
+                    size=is_signed and at == 0,
+                ),
+                "table": None,
+                "rows": [],
+            }
+            if table.is_fitted(column, at, claim.rows):
+                changes |= {"use": "fit", "tolerance": None, "limitation": None}
+                changes["could_fail"] = table.could_fail_fit
+            yield claim.model_copy(update=changes)
 
 
 def _setting_name(at: float) -> str:

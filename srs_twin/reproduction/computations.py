@@ -72,10 +72,7 @@ def _slides(robot: str, pull: float, *, along: bool) -> bool:
     plant = TwinSnake(load_robot(robot))
     vented = np.full((plant.spec.segments, 2), -1, dtype=np.int8)
     plant.reset()
-    plant.physics.model.opt.gravity[:] = (
-        *((pull * GRAVITY, 0) if along else (0, pull * GRAVITY)),
-        -GRAVITY,
-    )
+    plant.physics.model.opt.gravity[0 if along else 1] = pull * GRAVITY
     half = round(_PULL_S / plant.tick / 2)
     speeds = [
         float(np.hypot(*plant.step(vented).com_velocity)) for _ in range(2 * half)
@@ -119,9 +116,8 @@ def tail_load(scenario: str, frequency_hz: float) -> Numbers:
     def observe(state: SnakeState) -> None:
         nonlocal smallest
         if state.time > 2 / frequency_hz:
-            smallest = min(
-                smallest, float(plant.physics.wheel_loads()[-1].min()) / rest
-            )
+            load = float(plant.physics.wheel_loads()[-1].min())
+            smallest = min(smallest, load / rest)
 
     rollout(plant, loaded.build_controller(), loaded.duration, observers=(observe,))
     return {"twin.least": smallest}
@@ -154,17 +150,12 @@ def change_of_offset(
         assert isinstance(gait, Gait | ILC) and gait.frequency is not None, (
             "only scenarios with gaits"
         )
+        period = 1 / gait.frequency
         time = at_period / gait.frequency
-        run = rollout(
-            loaded.build_plant(plant),
-            ScheduledOffset(gait, [(time, after)]),
-            loaded.duration,
-        )
-        first, last = (
-            _curvature(run, t, 1 / gait.frequency)
-            for t in (time, loaded.duration - 1 / gait.frequency)
-        )
-        numbers[f"{plant}.first"] = first / last
+        controller = ScheduledOffset(gait, [(time, after)])
+        run = rollout(loaded.build_plant(plant), controller, loaded.duration)
+        last = _curvature(run, loaded.duration - period, period)
+        numbers[f"{plant}.first"] = _curvature(run, time, period) / last
     return numbers
 
 
@@ -178,10 +169,9 @@ def _curvature(run: Trajectory, begin: float, period: float) -> float:
 
 def _with_controller(scenario: Scenario, **controller: float) -> Scenario:
     """Return a scenario with other controller settings."""
-    document = dict(scenario.document)
-    return parse_scenario(
-        document | {"controller": {**document["controller"], **controller}}
-    )
+    document = scenario.document
+    settings = {**document["controller"], **controller}
+    return parse_scenario({**document, "controller": settings})
 
 
 def contact_force(
@@ -205,26 +195,20 @@ def contact_force(
     twin = TwinSnake(load_robot(robot), sensor="hall")
     gait = Gait(frequency_hz)
     gait.reset(twin.spec, twin.tick)
-    observer = ContactObserver(
-        twin.spec, twin.tick, round(1 / (frequency_hz * twin.tick))
-    )
+    ticks = round(1 / (frequency_hz * twin.tick))
+    observer = ContactObserver(twin.spec, twin.tick, ticks)
     state = twin.reset()
     k = round(connector) - 1
     best = (0.0, 0.0)
     body = twin.physics.model.body(f"connector_{k + 1}").id
     while state.time < 12.6:
         heading = float(state.theta[k])
+        left = np.array([-math.sin(heading), math.cos(heading)])
         pressed = 12.0 <= state.time < 12.5
-        twin.physics.data.xfrc_applied[body, :2] = (
-            np.array([-math.sin(heading), math.cos(heading)]) * force_n * pressed
-        )
-        valves = gait.step(state)
+        twin.physics.data.xfrc_applied[body, :2] = left * force_n * pressed
+        valves = np.asarray(gait.step(state))
         state = twin.step(valves)
-        mean = (
-            np.asarray(valves, dtype=float)
-            .reshape(-1, *np.shape(valves)[-2:])
-            .mean(axis=0)
-        )
+        mean = valves.reshape(-1, *valves.shape[-2:]).mean(axis=0)
         estimate = observer.update(mean, state.pressure, state.sensed)
         if estimate is not None and state.time > 12.0:
             best = max(best, (estimate.score, estimate.force / force_n))

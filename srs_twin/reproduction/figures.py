@@ -151,15 +151,13 @@ def _sweep(store: RunStore, entry: FigureEntry) -> Figure:
     columns: dict[str, list[Any]] = {
         "status": ["done" if row else "failed" for row in rows]
     }
-    columns |= {
-        name: [point.changes[name] for point in points] for name in sweep.fields
-    }
-    for metric in dict.fromkeys(name for row in rows if row for name in row.values):
-        columns[metric] = [row.values.get(metric) if row else None for row in rows]
-    return draw(
-        next(plot for plot in sweep.plots if plot.metric == entry.metric),
-        SweepTable(columns),
-    )
+    for name in sweep.fields:
+        columns[name] = [point.changes[name] for point in points]
+    values = [row.values if row else {} for row in rows]
+    for metric in dict.fromkeys(name for own in values for name in own):
+        columns[metric] = [own.get(metric) for own in values]
+    plot = next(plot for plot in sweep.plots if plot.metric == entry.metric)
+    return draw(plot, SweepTable(columns))
 
 
 def _over_time(
@@ -206,18 +204,10 @@ def _step(runs: Trajectories, robot: RobotSpec) -> Figure:
     slow = robot.actuator.tau_fill
     fast = robot.actuator.tau_mode
     time = np.linspace(0, 1, 400)
-    shape = 1 - (slow * np.exp(-time / slow) - fast * np.exp(-time / fast)) / (
-        slow - fast
-    )
-    final = float(runs["analytical"]["bend_1"][-1])
-    axes.plot(
-        time,
-        final * shape,
-        color="0.2",
-        linestyle=":",
-        linewidth=1.0,
-        label="Eq. 14 (E1, E2)",
-    )
+    decay = slow * np.exp(-time / slow) - fast * np.exp(-time / fast)
+    bend = float(runs["analytical"]["bend_1"][-1]) * (1 - decay / (slow - fast))
+    style: dict[str, Any] = {"color": "0.2", "linestyle": ":", "linewidth": 1.0}
+    axes.plot(time, bend, **style, label="Eq. 14 (E1, E2)")
     axes.set_xlim(0, 1)
     axes.legend(loc="lower right", fontsize=8, frameon=False)
     return figure

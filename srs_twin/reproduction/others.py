@@ -63,32 +63,36 @@ class Quantiles:
     interval_95_error: tuple[float, float] | None
     robots: int
 
-    def verdict(self, published: float) -> IntervalVerdict:
+    def contains(self, published: PublishedValue) -> bool:
+        """Return whether a published value is in the interval."""
+        low, high = self.interval_95
+        return low <= published.value <= high
+
+    def verdict(self, published: PublishedValue) -> IntervalVerdict:
         """Return the verdict on a published value: undecided if the robots do not bound the interval."""
         if self.robots < MIN_BOUNDING_SAMPLES:
             return IntervalVerdict.UNDECIDED
-        return interval_verdict(published, self.interval_95, self.interval_95_error)
+        return interval_verdict(
+            published.value, self.interval_95, self.interval_95_error
+        )
 
     def cells(self, published: PublishedValue) -> tuple[str, ...]:
         """Return interval, published value and result as texts."""
         low, high = self.interval_95
-        if low <= published.value <= high:
-            result = "inside"
-        else:
-            result = "outside"
-        if self.verdict(published.value) is IntervalVerdict.UNDECIDED:
+        result = "inside" if self.contains(published) else "outside"
+        if self.verdict(published) is IntervalVerdict.UNDECIDED:
             result += ", undecided"
         return f"{low:.3g} to {high:.3g}", f"{published.value:.3g}", result
 
 
 @dataclass(frozen=True, kw_only=True)
-class PredictedQuantity(Quantiles):
+class PredictedQuantity:
     """Prediction of a quantity, and its published value.
 
     Attributes:
         robot: name of the robot file.
         quantity: quantity, with the settings of the gait.
-        unit: unit of the numbers.
+        predicted: prediction.
         recomputed: numbers computed after the published value was known, or None.
         published: published value, or None.
         prediction_commit: last commit that changed a number of the prediction; None
@@ -99,45 +103,48 @@ class PredictedQuantity(Quantiles):
 
     robot: str
     quantity: str
-    unit: str
+    predicted: Quantiles
     recomputed: Quantiles | None
     published: PublishedValue | None
     prediction_commit: str | None
     comparison_commit: str | None
 
-    @property
-    def inside(self) -> bool | None:
-        """Whether the published value is in the interval; None without one."""
-        low, high = self.interval_95
-        if self.published is None:
-            return None
-        return low <= self.published.value <= high
-
     def document(self) -> dict[str, object]:
         """Return JSON values."""
-        published = self.published
-        return {
+        document: dict[str, object] = {
             "robot": self.robot,
             "quantity": self.quantity,
-            "unit": self.unit,
-            "median": self.median,
-            "interval_95": list(self.interval_95),
-            "published": published and published.value,
-            "inside": self.inside,
-            "robots": self.robots,
-            "verdict": published and self.verdict(published.value).value,
-            "recomputed": self.recomputed and asdict(self.recomputed),
-            "recomputed_verdict": (
-                published
-                and self.recomputed
-                and self.recomputed.verdict(published.value).value
-            ),
-            "of": published and published.of,
-            "known_before": published and published.known,
-            "source": published and published.source,
+            "unit": "rad/s" if self.quantity.startswith("yaw_rate") else "m/s",
+            "median": self.predicted.median,
+            "interval_95": list(self.predicted.interval_95),
+            "robots": self.predicted.robots,
+            "recomputed": None,
+            "recomputed_verdict": None,
+            "published": None,
+            "inside": None,
+            "verdict": None,
+            "of": None,
+            "known_before": None,
+            "source": None,
             "prediction_commit": self.prediction_commit,
             "comparison_commit": self.comparison_commit,
         }
+        published = self.published
+        if published is not None:
+            document |= {
+                "published": published.value,
+                "inside": self.predicted.contains(published),
+                "verdict": self.predicted.verdict(published).value,
+                "of": published.of,
+                "known_before": published.known,
+                "source": published.source,
+            }
+        if self.recomputed is not None:
+            document["recomputed"] = asdict(self.recomputed)
+            if published is not None:
+                verdict = self.recomputed.verdict(published)
+                document["recomputed_verdict"] = verdict.value
+        return document
 
 
 def load_predicted_quantities() -> list[PredictedQuantity]:
@@ -149,43 +156,40 @@ def load_predicted_quantities() -> list[PredictedQuantity]:
     folder = data_root() / "calibration"
     rows = []
     for path in sorted((folder / "predictions").glob("*.yaml")):
+        predicted = _predictions(path)
+        recomputed = _predictions(path.parent / "recomputed" / path.name)
         published_path = folder / "published" / "others" / path.name
+        values: dict[str, PublishedValue] = {}
         if published_path.exists():
             values = load_model(PublishedFile, published_path).values
-        else:
-            values = {}
-        predicted = _predictions(path)
-        recomputed_path = path.parent / "recomputed" / path.name
-        if recomputed_path.exists():
-            recomputed = _predictions(recomputed_path)
-        else:
-            recomputed = {}
         for name in values:
             if name not in predicted:
                 raise UnknownNameError(f"quantity of {path.stem}", name, predicted)
         prediction_commit = _commit(path, "--max-count=1", "-G[0-9][.][0-9]")
         comparison_commit = _commit(published_path, "--diff-filter=A")
-        for name, numbers in predicted.items():
-            row = PredictedQuantity(
+        rows += [
+            PredictedQuantity(
                 robot=path.stem,
                 quantity=name,
-                unit="rad/s" if name.startswith("yaw_rate") else "m/s",
-                **asdict(numbers),
+                predicted=numbers,
                 recomputed=recomputed.get(name),
                 published=values.get(name),
                 prediction_commit=prediction_commit,
                 comparison_commit=comparison_commit,
             )
-            rows.append(row)
+            for name, numbers in predicted.items()
+        ]
     return rows
 
 
 def _predictions(path: Path) -> dict[str, Quantiles]:
-    """Return the quantiles of a file by quantity.
+    """Return the quantiles of a file by quantity; none if there is no file.
 
     The first prediction, of a spatial snake, has its own keys: it keeps the text that
     was committed.
     """
+    if not path.exists():
+        return {}
     document = load_yaml(path).data
     robots = document.get("robots", 0)
     count = robots if isinstance(robots, int) else len(robots)

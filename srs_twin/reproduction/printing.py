@@ -64,19 +64,18 @@ def print_others(*, as_json: bool) -> None:
     for row in compared:
         published = row.published
         assert published is not None
-        lines.append((row.robot, row.quantity, *row.cells(published)))
+        lines.append((row.robot, row.quantity, *row.predicted.cells(published)))
         if row.recomputed:
             lines.append(("  recomputed", "", *row.recomputed.cells(published)))
-        notes[row.robot] = (
-            f"{row.robot}: predicted in commit {row.prediction_commit or '(none)'}, "
-            f"compared in commit {row.comparison_commit or '(none)'}"
-            + (", published values known before" if published.known else "")
-            + (
-                ", published values simulated by its builders"
-                if published.of == "simulation"
-                else ""
-            )
+        note = (
+            f"{row.robot}: predicted in commit {row.prediction_commit or '(none)'},"
+            f" compared in commit {row.comparison_commit or '(none)'}"
         )
+        if published.known:
+            note += ", published values known before"
+        if published.of == "simulation":
+            note += ", published values simulated by its builders"
+        notes[row.robot] = note
     print_table(
         ("robot", "quantity", "95 % interval", "published", "result"),
         lines,

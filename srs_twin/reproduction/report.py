@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 FACTORS = ("verification", "validation", "input pedigree", "uncertainty", "robustness")
 UNVALIDATED = "not validated against hardware"
 
-_CAPABILITIES = {
+CAPABILITIES = {
     "actuators": ("actuator-", "act-step-", "module-static"),
     "curvature sensor": ("sensor-", "algorithm-"),
     "crawling, generation 1": ("gen1-", "friction-"),
@@ -100,7 +100,7 @@ def scorecard(
         json.loads(path.read_text("utf-8")) for path in sorted(folder.glob("*.json"))
     ]
     grades = {}
-    for name, prefixes in _CAPABILITIES.items():
+    for name, prefixes in CAPABILITIES.items():
         own_claims = [claim for claim in claims if claim.id.startswith(prefixes)]
         robots = sorted({claim.robot for claim in own_claims if claim.robot})
         intervals = [document for document in documents if document["robot"] in robots]
@@ -108,7 +108,7 @@ def scorecard(
             category: _count_met(own_claims, baseline, category) for category in TITLES
         }
         grades[name] = {
-            "verification": _verification(met["law"], intervals),
+            "verification": verification_grade(met["law"], intervals),
             "validation": _validation(met),
             "input pedigree": _pedigree(robots),
             "uncertainty": _uncertainty(intervals),
@@ -130,42 +130,38 @@ def _count_met(
     return sum(verdicts), len(verdicts)
 
 
-def _verification(
+def verification_grade(
     law: tuple[int, int], intervals: Sequence[Mapping[str, Any]]
 ) -> Grade:
+    """Return the grade of the verification from the numbers of laws met and stored intervals."""
     met, rows = law
+    text = "its laws are tests of the program"
     if rows:
         text = f"{met} of {rows} laws met"
-    else:
-        text = "its laws are tests of the program"
     if met < rows:
         return Grade(1, text)
-    for document in intervals:
-        metric = _target(document)
-        if (
-            metric["u_num"] is not None
-            and metric["u_num"] < _SMALL_NUMERICAL_ERROR * metric["u_input"]
-        ):
-            share = 100 * metric["u_num"] / metric["u_input"]
-            return Grade(3, f"{text}; time step {share:.0f} % of the input uncertainty")
+    for metric in map(_target, intervals):
+        error = metric["u_num"]
+        spread = metric["u_input"]
+        if error is not None and error < _SMALL_NUMERICAL_ERROR * spread:
+            share = f"time step {100 * error / spread:.0f} % of the input uncertainty"
+            return Grade(3, f"{text}; {share}")
     return Grade(2, text)
 
 
 def _validation(counts: Mapping[Category, tuple[int, int]]) -> Grade:
     met, rows = counts["headline"]
-    other = ", ".join(
+    text = f"headline {met} of {rows}" if rows else "no headline"
+    others = [
         f"{label} {counts[name][0]} of {counts[name][1]}"
         for name, label in _OTHER_GROUPS.items()
         if counts[name][1]
-    )
-    text = f"headline {met} of {rows}" if rows else "no headline"
-    text += f" (separately: {other})" if other else ""
-    if not met:
-        grade = 0
-    elif met >= _MOST * rows:
-        grade = 2
-    else:
-        grade = 1
+    ]
+    if others:
+        text += f" (separately: {', '.join(others)})"
+    grade = 0
+    if met:
+        grade = 2 if met >= _MOST * rows else 1
     return Grade(grade, f"{text}; {UNVALIDATED}")
 
 
@@ -177,49 +173,38 @@ def _pedigree(robots: Sequence[str]) -> Grade:
         return Grade(0, "no robot")
     measured = sum(record.status == "measured" for record in records)
     share = measured / len(records)
-    if share >= _MOST:
-        grade = 3
-    elif share >= _MANY:
-        grade = 2
-    else:
-        grade = 1
+    grade = 1 + (share >= _MANY) + (share >= _MOST)
     return Grade(grade, f"{measured} of {len(records)} numbers measured")
 
 
 def _uncertainty(intervals: Sequence[Mapping[str, Any]]) -> Grade:
-    for document in intervals:
-        metric = _target(document)
-        target = document["target"]
-        low, high = metric["interval_95"]
-        published = metric["published"]
-        if published is None:
-            verdict = ""
-        else:
-            verdict = f", published {published:.3g} {metric['verdict']}"
-        return Grade(
-            2,
-            f"{document['scenario']}, {target['metric']}: {low:.3g} to"
-            f" {high:.3g}{verdict}",
-        )
-    return Grade(0, "no intervals")
+    if not intervals:
+        return Grade(0, "no intervals")
+    document = intervals[0]
+    metric = _target(document)
+    low, high = metric["interval_95"]
+    name = document["target"]["metric"]
+    text = f"{document['scenario']}, {name}: {low:.3g} to {high:.3g}"
+    if metric["published"] is not None:
+        text += f", published {metric['published']:.3g} {metric['verdict']}"
+    return Grade(2, text)
 
 
 def _robustness(
     trends: tuple[int, int], intervals: Sequence[Mapping[str, Any]]
 ) -> Grade:
-    if trends[1]:
-        text = f"{trends[0]} of {trends[1]} orders and trends met"
-    else:
-        text = "no published trends"
-    for document in intervals:
-        indices = _target(document)["sensitivity"]
-        if indices:
-            largest = max(indices, key=lambda name: float(indices[name]["total"]))
-            return Grade(
-                2,
-                f"most from {largest}, {100 * indices[largest]['total']:.0f} %; {text}",
-            )
-    return Grade(1 if trends[1] else 0, text)
+    met, rows = trends
+    text = f"{met} of {rows} orders and trends met" if rows else "no published trends"
+    for metric in map(_target, intervals):
+        totals = {
+            name: float(index["total"])
+            for name, index in (metric["sensitivity"] or {}).items()
+        }
+        if totals:
+            largest = max(totals, key=totals.__getitem__)
+            share = 100 * totals[largest]
+            return Grade(2, f"most from {largest}, {share:.0f} %; {text}")
+    return Grade(1 if rows else 0, text)
 
 
 def _target(document: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -295,9 +280,8 @@ def count_verdicts(
         for row in rows
         if row.claim.use in uses and column in row.outcomes
     ]
-    return {name: verdicts.count(name) for name in (MET, EXPLAINED, MISSED)} | {
-        "all": len(verdicts)
-    }
+    counts = {name: verdicts.count(name) for name in (MET, EXPLAINED, MISSED)}
+    return {**counts, "all": len(verdicts)}
 
 
 def by_category(rows: Sequence[JudgedClaim]) -> dict[Category, list[JudgedClaim]]:
@@ -314,31 +298,29 @@ def summary_line(rows: Sequence[JudgedClaim]) -> str:
         "analytical": "the analytical model",
         "alone": "without a plant",
     }
+    categories = by_category(rows)
     groups = {
-        "headline predictions": [row for row in rows if row.claim.group == "headline"],
+        "headline predictions": categories["headline"],
         "other predictions": [
-            row for row in rows if row.claim.group not in (None, "headline")
+            row for name in _OTHER_GROUPS for row in categories[name]
         ],
-        "orders and trends": by_category(rows)["shape"],
-        "laws": by_category(rows)["law"],
+        "orders and trends": categories["shape"],
+        "laws": categories["law"],
     }
     sentences = []
     for column, name in columns.items():
-        counts = {
-            label: count_verdicts(group, column) for label, group in groups.items()
-        }
-        texts = [
-            f"{count[MET]} of {count['all']} {label}"
-            for label, count in counts.items()
-            if count["all"]
-        ]
+        texts = []
+        for label, group in groups.items():
+            count = count_verdicts(group, column)
+            if count["all"]:
+                texts.append(f"{count[MET]} of {count['all']} {label}")
+        text = f"{name} {', '.join(texts)}".rstrip()
         fitted = count_verdicts(rows, column, ("fit",))
         if fitted["all"]:
-            texts.append(
-                f"(separately: {fitted[MET]} of {fitted['all']} rows for calibration)"
-            )
-        if texts:
-            sentences.append(f"{name} {', '.join(texts).replace(', (', ' (')}")
+            count_text = f"{fitted[MET]} of {fitted['all']} rows for calibration"
+            text += f" (separately: {count_text})"
+        if texts or fitted["all"]:
+            sentences.append(text)
     return f"Of {len(rows)} rows {'; '.join(sentences)}."
 
 
@@ -376,9 +358,7 @@ def error_text(claim: Claim, outcome: Outcome | None) -> str:
     if outcome is None or claim.rule != "near" or not math.isfinite(outcome.error):
         return ""
     rounded = round(100 * outcome.error)
-    if rounded:
-        return f"{rounded:+d} %"
-    return "0 %"
+    return f"{rounded:+d} %" if rounded else "0 %"
 
 
 def verdict_text(row: JudgedClaim) -> str:
@@ -438,11 +418,22 @@ def write_json(path: Path, rows: Sequence[JudgedClaim], changes: Sequence[str]) 
 
 def _row(row: JudgedClaim, outcomes: object) -> dict[str, object]:
     claim = row.claim
-    names = (
-        "id source robot says use group could_fail tolerance fitted rule value unit"
-        " allowed".split()
-    )
-    return {name: getattr(claim, name) for name in names} | {"outcomes": outcomes}
+    return {
+        "id": claim.id,
+        "source": claim.source,
+        "robot": claim.robot,
+        "says": claim.says,
+        "use": claim.use,
+        "group": claim.group,
+        "could_fail": claim.could_fail,
+        "tolerance": claim.tolerance,
+        "fitted": claim.fitted,
+        "rule": claim.rule,
+        "value": claim.value,
+        "unit": claim.unit,
+        "allowed": claim.allowed_text,
+        "outcomes": outcomes,
+    }
 
 
 def write_html(
@@ -486,18 +477,17 @@ def write_html(
 def _cells(row: JudgedClaim) -> list[str]:
     claim = row.claim
     outcomes = row.outcomes
-    if claim.unit == "1" or claim.value is None:
-        unit = ""
-    else:
-        unit = f" {claim.unit}"
+    published = published_text(claim)
+    if claim.unit != "1" and claim.value is not None:
+        published += f" {claim.unit}"
     first = outcomes.get("analytical") or outcomes.get("alone")
     second = outcomes.get("twin")
     reasons = dict.fromkeys(outcome.why for outcome in outcomes.values() if outcome.why)
     return [
         claim.id,
         f"{claim.says} ({claim.source})",
-        f"{published_text(claim)}{unit}",
-        claim.allowed,
+        published,
+        claim.allowed_text,
         _colored_outcome(first),
         error_text(claim, first),
         _colored_outcome(second),
@@ -511,6 +501,5 @@ def _colored_outcome(outcome: Outcome | None) -> str:
     if outcome is None:
         return ""
     note = {MET: "", EXPLAINED: " (explained)", MISSED: " (missed)"}[outcome.verdict]
-    return colored(
-        outcome_text(outcome) + note, "met" if outcome.verdict == MET else "missed"
-    )
+    style = "met" if outcome.verdict == MET else "missed"
+    return colored(outcome_text(outcome) + note, style)

@@ -98,9 +98,7 @@ def _test_suites(rows: Sequence[JudgedClaim]) -> Iterator[tuple[str, list[TestCa
     def test_case(claim: Claim, column: str, outcome: Outcome) -> TestCase:
         if outcome.verdict == MET:
             return TestCase(claim.id, column)
-        message = (
-            f"{claim.id}, {column}: {outcome_text(outcome)}, allowed {claim.allowed}"
-        )
+        message = f"{claim.id}, {column}: {outcome_text(outcome)}, allowed {claim.allowed_text}"
         text = "\n".join([claim.says, claim.source, outcome.why])
         return TestCase(
             claim.id, column, 0.0, "failure", message, outcome.verdict, text

@@ -63,9 +63,8 @@ class ReproductionJob:
         if self.experiment is None:
             return math.inf
         base = self.experiment.base
-        return float(
-            base["duration_s"] / base["plants"].get("twin", {}).get("timestep_s", 0.001)
-        )
+        twin = base["plants"].get("twin", {})
+        return float(base["duration_s"] / twin.get("timestep_s", 0.001))
 
 
 @cache
@@ -99,15 +98,9 @@ def _equal(one: Plain, other: Plain) -> bool:
 @cache
 def _data_digests() -> dict[str, str]:
     """Return the SHA-256 of the shipped robots and footprints, by name, as computations read them."""
-    files = [
-        path
-        for kind in ("robot", "footprint")
-        for path in shipped_folder(kind).glob("*.yaml")
-    ]
-    return {
-        path.stem: hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in sorted(files)
-    }
+    folders = map(shipped_folder, ("robot", "footprint"))
+    files = sorted(path for folder in folders for path in folder.glob("*.yaml"))
+    return {path.stem: hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
 
 
 HTML = "reproduce.html"
@@ -174,22 +167,19 @@ class RunStore:
             )
             yield ReproductionJob(key, law=request.name, arguments=request.set)
             return
-        if request.kind == "sweep":
-            sweep = sweep_of(request.name)
-        else:
-            sweep = None
-        if sweep:
-            experiment = sweep.experiment
+        is_sweep = request.kind == "sweep"
+        settings: list[Mapping[str, Plain]] = [{}]
+        if is_sweep:
+            experiment = sweep_of(request.name).experiment
+            settings = [point.changes for point in points_of(request)]
         else:
             experiment = _experiment(request.name, request.periods)
-        for changes in (
-            [point.changes for point in points_of(request)] if sweep else [{}]
-        ):
+        for changes in settings:
             document = experiment.document({**changes, **request.set})  # type: ignore[dict-item]
             if self._change is not None:
                 document = self._change(document)
             plants = experiment.plants
-            complete = Experiment(document, plants, trajectories=sweep is None)
+            complete = Experiment(document, plants, trajectories=not is_sweep)
             yield ReproductionJob(run_key(document, plants, RUNNER), complete)
 
     def run(
@@ -246,16 +236,13 @@ class RunStore:
         return None
 
     def _is_finished(self, job: ReproductionJob) -> bool:
-        if (
-            job.key not in self._rows
-            or job.experiment is None
-            or not job.stores_trajectories
-        ):
-            return job.key in self._rows
-        return all(
-            self._store.trajectory_file(job.key, plant).is_file()
-            for plant in job.experiment.plants
-        )
+        files: list[Path] = []
+        if job.experiment is not None and job.experiment.trajectories:
+            files = [
+                self._store.trajectory_file(job.key, plant)
+                for plant in job.experiment.plants
+            ]
+        return job.key in self._rows and all(file.is_file() for file in files)
 
 
 def run_job(job: ReproductionJob) -> Row:

@@ -96,11 +96,8 @@ def judge_column(store: RunStore, claim: Claim, column: str) -> Outcome:
         return Outcome(MET if is_met else MISSED, values, math.nan, math.nan)
     value = combine(claim.combine, values)
     assert claim.value is not None, "checked by the file's model"
-    if claim.value:
-        error = (value - claim.value) / abs(claim.value)
-    else:
-        error = math.nan
-    is_met = claim.low <= value <= claim.high
+    error = _ratio(value - claim.value, abs(claim.value))
+    is_met = claim.allowed.holds(value)
     return Outcome(MET if is_met else MISSED, values, value, error)
 
 
@@ -125,7 +122,8 @@ def _value(store: RunStore, job: ReproductionJob, owner: str, metric: str) -> fl
         trajectory = store.trajectory(job.key, owner)
         value = None if trajectory is None else TRACES[name](trajectory)
     else:
-        value = row.values.get(metric if kind == "comparison" else f"{owner}.{metric}")
+        column = metric if kind == "comparison" else f"{owner}.{metric}"
+        value = row.values.get(column)
     if value is None:
         return math.nan
     return float(value)
@@ -152,15 +150,16 @@ def combine(combination: str, values: tuple[float, ...]) -> float:
     """
     a = values[0]
     b = values[-1]
-    if combination == "difference":
-        return a - b
-    if combination == "unevenness":
-        return _ratio(abs(a + b), abs(a))
-    if combination == "value":
-        return a
-    if combination == "ratio":
-        return _ratio(a, b)
-    return _ratio(a, b) - 1
+    match combination:
+        case "value":
+            return a
+        case "difference":
+            return a - b
+        case "ratio":
+            return _ratio(a, b)
+        case "excess":
+            return _ratio(a, b) - 1
+    return _ratio(abs(a + b), abs(a))
 
 
 def _ratio(numerator: float, denominator: float) -> float:
@@ -206,13 +205,12 @@ class Baseline:
         """
         lines = []
         for row in rows:
+            name = row.claim.id
             for column, outcome in row.outcomes.items():
-                before = self.outcomes.get(row.claim.id, {}).get(column)
+                before = self.outcomes.get(name, {}).get(column)
                 if before is not None and outcome.verdict != before.verdict:
-                    lines.append(
-                        f"{row.claim.id}, {column}: {outcome.verdict}, was"
-                        f" {before.verdict}"
-                    )
+                    change = f"{outcome.verdict}, was {before.verdict}"
+                    lines.append(f"{name}, {column}: {change}")
         return lines
 
 
@@ -346,7 +344,6 @@ def _explain(store: RunStore, claim: Claim, column: str, outcome: Outcome) -> Ou
         if switched.verdict == MET:
             why = f"{cause.switch}: {cause.says}; met with this assumption switched"
             return replace(outcome, verdict=EXPLAINED, why=why)
-    switches = ", ".join(f"{cause.switch}" for cause in causes)
-    return replace(
-        outcome, why=outcome.why or f"not met either with {switches} switched"
-    )
+    switches = ", ".join(str(cause.switch) for cause in causes)
+    why = outcome.why or f"not met either with {switches} switched"
+    return replace(outcome, why=why)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from enum import Enum
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import (
     AfterValidator,
@@ -99,6 +99,43 @@ def known_metrics(subject: str | None = None) -> tuple[str, ...]:
     return tuple(COMPARISON_UNITS if subject == COMPARISON else metric_units())
 
 
+class AllowedRange(NamedTuple):
+    """Range of values that agree with a published or expected one; infinite without a limit.
+
+    Attributes:
+        low: smallest allowed value.
+        high: largest allowed value.
+    """
+
+    low: float = -math.inf
+    high: float = math.inf
+
+    @classmethod
+    def near(
+        cls, value: float, relative: float | None, absolute: float | None
+    ) -> AllowedRange:
+        """Return the range within an absolute or, if that is None, a relative tolerance of a value."""
+        tolerance = absolute
+        if tolerance is None:
+            tolerance = (relative or 0.0) * math.fabs(value)
+        return cls(value - tolerance, value + tolerance)
+
+    def holds(self, value: float) -> bool:
+        """Return whether a value is allowed."""
+        return self.low <= value <= self.high
+
+    @property
+    def text(self) -> str:
+        """The range as text."""
+        if self.low == self.high:
+            return f"{self.low:.4g}"
+        if math.isinf(self.low):
+            return f"at most {self.high:.4g}"
+        if math.isinf(self.high):
+            return f"at least {self.low:.4g}"
+        return f"{self.low:.4g} to {self.high:.4g}"
+
+
 class Expectation(Section):
     """Expected value of a metric: near a value (rel or abs), below or above one, or within an interval."""
 
@@ -185,16 +222,16 @@ class Expectation(Section):
         return None
 
     @property
-    def allowed(self) -> tuple[float, float]:
-        """Smallest and largest allowed value; infinite without a limit."""
-        if self.near is None:
-            low = -math.inf if self.above is None else self.above
-            high = math.inf if self.below is None else self.below
-            return low, high
-        tolerance = self.abs
-        if tolerance is None:
-            tolerance = (self.rel or 0.0) * math.fabs(self.near)
-        return self.near - tolerance, self.near + tolerance
+    def allowed(self) -> AllowedRange:
+        """Allowed values; unlimited for a published value within an interval."""
+        if self.near is not None:
+            return AllowedRange.near(self.near, self.rel, self.abs)
+        low, high = AllowedRange()
+        if self.above is not None:
+            low = self.above
+        if self.below is not None:
+            high = self.below
+        return AllowedRange(low, high)
 
     def check(
         self, metrics: Mapping[str, Any], undefined: Undefined | None = None
@@ -215,7 +252,7 @@ class Expectation(Section):
             why it is not judged, whether it is `met` (never without a value), `near`,
             `source` and `known`.
         """
-        low, high = self.allowed
+        allowed = self.allowed
         if self.of:
             values = metrics.get(COMPARISON)
         else:
@@ -225,7 +262,7 @@ class Expectation(Section):
             "metric": self.metric,
             "of": self.subject,
             "value": value,
-            "allowed": _range_text(low, high),
+            "allowed": allowed.text,
             "met": False,
             "reason": None,
         }
@@ -235,11 +272,11 @@ class Expectation(Section):
             )
             row["within"] = self.within
         if value is None or not math.isfinite(value):
-            limit = high if self.published is None else self.published
+            limit = allowed.high if self.published is None else self.published
             if value is None and undefined is not None and undefined.beyond < limit:
                 row["reason"] = undefined.reason
         elif self.within is None:
-            row["met"] = low <= value <= high
+            row["met"] = allowed.holds(value)
         else:
             row |= self._judge_interval(value, metrics.get("intervals") or {})
         if row["reason"] is not None:
@@ -396,17 +433,6 @@ def _ends(low: float, high: float, inside: float) -> str:
             two for two in texts if (float(two[0]) <= inside <= float(two[1])) == within
         )
     )
-
-
-def _range_text(low: float, high: float) -> str:
-    """Return the text of a range of allowed values."""
-    if low == high:
-        return f"{low:.4g}"
-    if math.isinf(low):
-        return f"at most {high:.4g}"
-    if math.isinf(high):
-        return f"at least {low:.4g}"
-    return f"{low:.4g} to {high:.4g}"
 
 
 class ExpectationsFile(Section):

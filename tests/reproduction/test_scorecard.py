@@ -30,7 +30,7 @@ def test_every_claim_belongs_to_one_capability():
     for claim in load_claims():
         capabilities = [
             name
-            for name, prefixes in module._CAPABILITIES.items()
+            for name, prefixes in module.CAPABILITIES.items()
             if claim.id.startswith(prefixes)
         ]
         assert len(capabilities) == 1, claim.id
@@ -93,5 +93,5 @@ def test_a_small_time_step_error_raises_the_grade(u_num, grade):
         "plants": {"twin": {"m": uncertainty}},
         "target": {"plant": "twin", "metric": "m"},
     }
-    assert module._verification((3, 3), [document]).grade == grade
-    assert module._verification((2, 3), [document]).grade == 1
+    assert module.verification_grade((3, 3), [document]).grade == grade
+    assert module.verification_grade((2, 3), [document]).grade == 1

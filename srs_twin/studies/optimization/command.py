@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -18,7 +20,11 @@ from srs_twin.studies.sweep.command import DEFAULT_STUDY, StudyOptions
 
 if TYPE_CHECKING:
     from srs_twin.studies.optimization.loading import OptimizationStudy
-    from srs_twin.studies.optimization.result import StudyResult
+    from srs_twin.studies.optimization.result import (
+        DesignDocument,
+        StudyDocument,
+        StudyResult,
+    )
     from srs_twin.studies.sweep.task import Row
 
 STUDIES = Path("runs/studies")
@@ -90,7 +96,7 @@ class _BestSoFar:
         objective = self._study.file.objectives[0]
         value = run.metric(objective.metric)
         best = max if objective.goal == "maximize" else min
-        if value == value and not (excesses(self._study, [run]) > 0).any():
+        if math.isfinite(value) and (excesses(self._study, [run]) <= 0).all():
             self._values[part] = best(value, self._values.get(part, value))
 
     def text(self) -> str:
@@ -100,72 +106,74 @@ class _BestSoFar:
 
 def _print_result(result: StudyResult) -> None:
     """Print the best designs, their gains and limitations."""
+    from srs_twin.studies.optimization.report import bound_lines
+
+    document = result.document()
+    _print_designs(result, document)
+    for line in bound_lines(document):
+        print(line)
+    for k, design in enumerate(document["best"][:3], start=1):
+        for line in _design_lines(design, k):
+            print(f"best/{k}{line}")
+    if result.improvement is not None:
+        print(
+            "one more run of the twin is expected to improve the best result by"
+            f" {100 * result.improvement:.2g} %"
+        )
+    if result.warning:
+        print(f"warning: {result.warning}")
+    counts = document["evaluations"].items()
+    print(", ".join(f"{count} runs of {part}" for part, count in counts))
+
+
+def _print_designs(result: StudyResult, document: StudyDocument) -> None:
+    """Print variables and metrics of the best designs in columns."""
     from srs_twin.identification.fitting import print_table
-    from srs_twin.studies.optimization.report import bound_lines, mark_bound, percentage
+    from srs_twin.studies.optimization.report import mark_bound
     from srs_twin.viewing.plots.labels import field_label, metric_label
 
-    study = result.study
-    document = result.document()
     shown = document["best"][:_MAX_COLUMNS]
     lines = []
-    for name in study.space.variables:
+    for name in result.study.space.variables:
         values = [
             mark_bound(design["variables"][name], name in design["on_bound"])
             for design in shown
         ]
         lines.append((field_label(name), "", *values))
     for name in result.metrics:
-        results = [
-            document["begun"][name],
-            *(design["metrics"][name] for design in shown),
-        ]
-        lines.append(
-            (
-                metric_label(name),
-                *("–" if value is None else f"{value:.4g}" for value in results),
-            )
-        )
-    headings = ("", "initial scenario", *(f"best/{k + 1}" for k in range(len(shown))))
-    print_table(headings, lines, left=(0,))
+        metrics = [document["begun"], *(design["metrics"] for design in shown)]
+        texts = [_text(values[name]) for values in metrics]
+        lines.append((metric_label(name), *texts))
+    names = [f"best/{k}" for k in range(1, len(shown) + 1)]
+    print_table(("", "initial scenario", *names), lines, left=(0,))
     if len(document["best"]) > _MAX_COLUMNS:
         print(f"{len(document['best'])} designs on the front; study.json has all")
-    for line in bound_lines(result):
-        print(line)
-    for k, design in enumerate(document["best"][:3]):
-        if (share := design["beats_next"]) is not None:
-            print(
-                f"best/{k + 1} is better than best/{k + 2} for {100 * share:.0f} % of"
-                " the drawn robots"
-            )
-        for metric, gain in design["gains"].items():
-            ends = gain["interval_95"]
-            if ends is None:
-                interval = ""
-            else:
-                interval = f" (95 %: {percentage(ends[0])} to {percentage(ends[1])})"
-            print(
-                f"best/{k + 1}: {metric_label(metric)}"
-                f" {percentage(gain['share'])}{interval}"
-            )
-        if not design["keeps_constraints"]:
-            print(
-                f"best/{k + 1}: misses the constraints, as all runs of the twin do, by"
-                " the least amount"
-            )
-        if not design["survives"]:
-            print(
-                f"best/{k + 1}: changes by more than 1 % with a finer time step or more"
-                " hinges"
-            )
-    if result.improvement is not None:
-        gain = f"{100 * result.improvement:.2g} %"
-        print(
-            f"one more run of the twin is expected to improve the best result by {gain}"
+
+
+def _text(value: float | None) -> str:
+    if value is None:
+        return "–"
+    return f"{value:.4g}"
+
+
+def _design_lines(design: DesignDocument, k: int) -> Iterator[str]:
+    """Yield what is known about the k-th best design beyond its metrics, to follow its name."""
+    from srs_twin.studies.optimization.report import percentage
+    from srs_twin.viewing.plots.labels import metric_label
+
+    share = design["beats_next"]
+    if share is not None:
+        others = f"{100 * share:.0f} % of the drawn robots"
+        yield f" is better than best/{k + 1} for {others}"
+    for metric, gain in design["gains"].items():
+        text = f": {metric_label(metric)} {percentage(gain['share'])}"
+        if gain["interval_95"] is not None:
+            low, high = map(percentage, gain["interval_95"])
+            text += f" (95 %: {low} to {high})"
+        yield text
+    if not design["keeps_constraints"]:
+        yield (
+            ": misses the constraints, as all runs of the twin do, by the least amount"
         )
-    if result.warning:
-        print(f"warning: {result.warning}")
-    print(
-        ", ".join(
-            f"{count} runs of {part}" for part, count in document["evaluations"].items()
-        )
-    )
+    if not design["survives"]:
+        yield ": changes by more than 1 % with a finer time step or more hinges"

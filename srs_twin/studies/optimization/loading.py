@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -100,6 +100,11 @@ class ObjectiveFile(Section):
     quantile: float | None = quantity(0.01, 0.99, None)
     """Quantile over the robot's uncertain parameters (budget.uncertain) by which the reported designs are
     ranked (default: by the result of the nominal robot)."""
+
+    @property
+    def sign(self) -> float:
+        """Factor that makes the metric a cost: lower is better."""
+        return -1.0 if self.goal == "maximize" else 1.0
 
 
 class ConstraintFile(Section):
@@ -307,11 +312,9 @@ def load_study(
     document = load_yaml(path)
     written = copy.deepcopy(document.data)
     for change in overrides:
-        loc = (
-            change.loc
-            if change.loc == ("seed",)
-            else ("fixed", format_path(change.loc))
-        )
+        loc = change.loc
+        if loc != ("seed",):
+            loc = ("fixed", format_path(loc))
         document.apply(replace(change, loc=loc))
     complete = locate_files(document)
     file = validate(StudyFile, document, document.data)
@@ -360,30 +363,24 @@ def _study(
 
 
 def _check_metrics(document: Document, file: StudyFile) -> None:
+    known = metric_units()
     for section in ("objectives", "constraints"):
         for i, entry in enumerate(getattr(file, section)):
-            if entry.metric not in (units := metric_units()):
-                text = str(
-                    UnknownNameError("metric", entry.metric, units, METRICS_LISTED)
-                )
-                document.report((section, i, "metric"), text)
+            if entry.metric not in known:
+                error = UnknownNameError("metric", entry.metric, known, METRICS_LISTED)
+                document.report((section, i, "metric"), str(error))
 
 
 def _check_range_ends(document: Document, study: OptimizationStudy) -> None:
     """Validate the scenario with the smallest and the largest value of each variable."""
-
-    def points() -> Iterator[tuple[Loc, Experiment, Changes]]:
-        for i, name in enumerate(study.file.variables):
-            for end, share in (("low", 0.0), ("high", 1.0)):
-                shares = np.full(study.space.size, 0.5)
-                shares[i] = share
-                for experiment in study.experiments.values():
-                    yield (
-                        ("variables", name, end),
-                        experiment,
-                        study.space.changes(shares),
-                    )
-
-    known = [SEGMENTS, *leaf_names(next(iter(study.experiments.values())).base)]
-    for loc, problem in problems_at(points()):
+    points: list[tuple[Loc, Experiment, Changes]] = []
+    for i, name in enumerate(study.file.variables):
+        for end, share in (("low", 0.0), ("high", 1.0)):
+            shares = np.full(study.space.size, 0.5)
+            shares[i] = share
+            changes = study.space.changes(shares)
+            for experiment in study.experiments.values():
+                points.append((("variables", name, end), experiment, changes))
+    known = [SEGMENTS, *leaf_names(study.experiments["twin"].base)]
+    for loc, problem in problems_at(points):
         document.report(loc, with_suggestion(problem, str(loc[1]), known))

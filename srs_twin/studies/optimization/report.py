@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from textwrap import fill
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -14,18 +15,26 @@ from matplotlib.figure import Figure
 from srs_twin.io.documents import dump_yaml
 from srs_twin.io.file_sets import replace_files
 from srs_twin.io.files import write_text
+from srs_twin.studies.optimization.loading import DesignSpace
 from srs_twin.studies.optimization.result import (
     EVALUATIONS,
+    PICTURES,
     PRODUCTS,
+    REPORT,
     RESULT,
+    StudyDocument,
     StudyResult,
 )
+from srs_twin.studies.optimization.runs import Run
 from srs_twin.studies.optimization.search import costs, excesses
 from srs_twin.studies.sweep.table import write_table
 from srs_twin.viewing.html import Table, cell, image, render
 from srs_twin.viewing.plots.labels import field_label, metric_label
 from srs_twin.viewing.plots.style import drawing, save
 
+_RUN_COLOR = "#9aa5b1"
+_BEST_COLOR = "#1f6f8b"
+_INITIAL_COLOR = "#b5651d"
 CaptionedFigure = tuple[Figure, str]
 """Figure and its caption."""
 
@@ -51,26 +60,19 @@ def draw_convergence(
     figure = Figure(figsize=(6.5, 3.4), layout="constrained")
     axes = figure.subplots()
     number = np.arange(1, len(values) + 1)
-    best = (np.fmax if maximize else np.fmin).accumulate(
-        np.where(feasible, values, np.nan)
-    )
-    marks = [
-        (feasible, "o", "#9aa5b1", "each run"),
+    better = np.fmax if maximize else np.fmin
+    best = better.accumulate(np.where(feasible, values, np.nan))
+    for which, marker, color, name in (
+        (feasible, "o", _RUN_COLOR, "each run"),
         (~feasible, "x", "#d5dae0", "misses constraints"),
-    ]
-    for which, marker, color, name in marks[: 1 if feasible.all() else 2]:
-        axes.plot(
-            number[which], values[which], marker, color=color, markersize=4, label=name
-        )
-    axes.step(number, best, where="post", color="#1f6f8b", label="best so far")
+    ):
+        if which.any():
+            style: dict[str, Any] = {"color": color, "markersize": 4, "label": name}
+            axes.plot(number[which], values[which], marker, **style)
+    axes.step(number, best, where="post", color=_BEST_COLOR, label="best so far")
     if initial is not None:
-        axes.axhline(
-            initial,
-            color="#b5651d",
-            linestyle="--",
-            linewidth=1,
-            label="initial scenario",
-        )
+        style = {"color": _INITIAL_COLOR, "label": "initial scenario"}
+        axes.axhline(initial, linestyle="--", linewidth=1, **style)
     axes.set(xlabel="runs of the twin", ylabel=label)
     axes.legend()
     return (
@@ -89,18 +91,14 @@ def draw_front(
     """Draw the two objectives of all runs, shape (runs, 2), and the Pareto front."""
     figure = Figure(figsize=(6.5, 4.2), layout="constrained")
     axes = figure.subplots()
-    axes.plot(*values.T, "o", color="#9aa5b1", markersize=4, label="runs of the twin")
-    axes.plot(*front.T, "o-", color="#1f6f8b", markersize=5, label="Pareto front")
+    axes.plot(*values.T, "o", color=_RUN_COLOR, markersize=4, label="runs of the twin")
+    axes.plot(*front.T, "o-", color=_BEST_COLOR, markersize=5, label="Pareto front")
     known = [value for value in initial if value is not None]
     if len(known) == 2:
-        (start,) = axes.plot(
-            known[:1], known[1:], "x", color="#b5651d", label="initial scenario"
-        )
-        start.set(markersize=9, markeredgewidth=2)
-    if (
-        values.size
-        and np.nanmax(values[:, 1]) > 20 * np.nanmin(np.abs(values[:, 1])) > 0
-    ):
+        style: dict[str, Any] = {"markersize": 9, "markeredgewidth": 2}
+        style |= {"color": _INITIAL_COLOR, "label": "initial scenario"}
+        axes.plot(known[0], known[1], "x", **style)
+    if np.nanmax(values[:, 1]) > 20 * np.nanmin(np.abs(values[:, 1])) > 0:
         axes.set_yscale("log")
     axes.set(xlabel=labels[0], ylabel=labels[1])
     axes.legend()
@@ -112,71 +110,53 @@ def draw_front(
 
 @drawing
 def draw_parallel(
-    shares: np.ndarray,
-    ranks: np.ndarray,
-    labels: Sequence[str],
-    ends: Sequence[tuple[float, float]],
-    bounds: Sequence[Sequence[str | None]],
+    space: DesignSpace, runs: Sequence[Run], ranks: np.ndarray, best: Sequence[Run]
 ) -> CaptionedFigure:
     """Draw designs as parallel coordinates, the better ones more prominently.
 
     Args:
-        shares: variables as fractions of their ranges, shape (runs, d).
+        space: design space.
+        runs: runs of the twin.
         ranks: rank of each run, shape (runs,).
-        labels: labels of the variables.
-        ends: (low, high) of each variable.
-        bounds: for each variable, the bound ("low", "high" or None) of each best
-            design.
+        best: runs of the best designs, whose bounds are marked.
     """
-    count = len(shares)
-    places = np.arange(shares.shape[1])
-    figure = Figure(figsize=(max(6.5, 1.1 * len(places)), 3.6), layout="constrained")
+    places = np.arange(space.size)
+    figure = Figure(figsize=(max(6.5, 1.1 * space.size), 3.6), layout="constrained")
     axes = figure.subplots()
     for k in np.argsort(-ranks):
-        good = 1 - ranks[k] / max(count - 1, 1)
-        if ranks[k] < max(count // 10, 1):
-            color = "#1f6f8b"
-        else:
-            color = "#9aa5b1"
+        is_good = ranks[k] < max(len(runs) // 10, 1)
         axes.plot(
             places,
-            shares[k],
+            runs[k].shares,
             "o-",
-            color=color,
-            alpha=0.15 + 0.85 * good,
+            color=_BEST_COLOR if is_good else _RUN_COLOR,
+            alpha=1.0 - 0.85 * ranks[k] / max(len(runs) - 1, 1),
             linewidth=1,
             markersize=3,
         )
-    marked = [
-        (i, bound == "high")
-        for i, names in enumerate(bounds)
-        for bound in {*names} - {None}
-    ]
-    if marked:
-        axes.plot(
-            *zip(*marked, strict=True),
-            "D",
-            color="#b03030",
-            markersize=7,
-            zorder=3,
-            clip_on=False,
-        )
-    named = zip(labels, ends, strict=True)
-    axes.set_xticks(
-        places,
-        [f"{fill(label, 13)}\n{low:g} to {high:g}" for label, (low, high) in named],
-    )
-    axes.set(
-        yticks=[0, 1],
-        yticklabels=["low", "high"],
-        xlim=(-0.2, max(len(places) - 1, 0) + 0.2),
-    )
     caption = (
         "Designs run by the twin; better ones are more opaque, the best tenth is blue."
     )
-    return figure, caption + (
-        " Red: bounds on which a best design is." if marked else ""
+    bounds = [space.bounds(run.shares) for run in best]
+    marked = [
+        (place, bound == "high")
+        for place, name in enumerate(space.variables)
+        for bound in ("low", "high")
+        if bound in [own.get(name) for own in bounds]
+    ]
+    if marked:
+        caption += " Red: bounds on which a best design is."
+        style: dict[str, Any] = {"color": "#b03030", "markersize": 7, "zorder": 3}
+        axes.plot(*zip(*marked, strict=True), "D", clip_on=False, **style)
+    labels = [
+        f"{fill(field_label(name), 13)}\n{variable.low:g} to {variable.high:g}"
+        for name, variable in space.variables.items()
+    ]
+    axes.set_xticks(places, labels)
+    axes.set(
+        yticks=[0, 1], yticklabels=["low", "high"], xlim=(-0.2, space.size - 1 + 0.2)
     )
+    return figure, caption
 
 
 BOUND_MARK = "†"
@@ -229,107 +209,92 @@ def write_report(folder: Path, result: StudyResult) -> list[str]:
     Raises:
         InputError: a file cannot be written.
     """
-    study = result.study
-    goals = study.file.objectives
-    initial = result.document()["begun"]
-    twin = [run for run in result.runs if run.part == "twin"]
-    best = [entry.run for entry in result.designs]
-    values = np.array([[run.metric(goal.metric) for goal in goals] for run in twin])
-    labels = [metric_label(goal.metric) for goal in goals]
-    start = [initial[goal.metric] for goal in goals]
-    violation = np.maximum(excesses(study, twin), 0.0).sum(axis=1)
-    feasible = violation <= violation.min()
-    figures = {}
-    if len(goals) == 1:
-        maximize = goals[0].goal == "maximize"
-        figures["convergence"] = draw_convergence(
-            values[:, 0], feasible, labels[0], start[0], maximize=maximize
-        )
-    else:
-        front = np.array([[run.metric(goal.metric) for goal in goals] for run in best])
-        figures["front"] = draw_front(values, front, labels, start)
-    shares = np.array([run.shares for run in twin])
-    ranks = np.argsort(
-        np.lexsort((costs(study, twin)[:, 0], violation))
-    )  # infeasible runs rank last
-    ends = [(variable.low, variable.high) for variable in study.file.variables.values()]
-    bounds = [study.space.bounds(run.shares) for run in best]
-    marks = [[bound.get(name) for bound in bounds] for name in study.space.variables]
-    figures["parallel"] = draw_parallel(
-        shares, ranks, list(map(field_label, study.space.variables)), ends, marks
-    )
+    document = result.document()
+    figures = _figures(result, document)
     pictures = []
     for name, (figure, caption) in figures.items():
-        save(figure, folder / f"{name}.png")
-        pictures.append(image((folder / f"{name}.png").read_bytes(), "png", caption))
-    versions = [
-        (name, str(value)) for name, value in result.document()["versions"].items()
-    ]
-    write_text(
-        folder / "report.html",
-        render(
-            "studies/optimization/report.html",
-            title=study.title,
-            subtitle=", ".join(
-                f"{n} runs of {part}"
-                for part, n in result.document()["evaluations"].items()
-            ),
-            best=_best_table(result),
-            plots=pictures,
-            fidelities=_fidelity_text(result),
-            improvement=percentage(result.improvement),
-            warning=result.warning,
-            made_with=Table(["", ""], versions),
-        ),
+        save(figure, folder / name)
+        pictures.append(image((folder / name).read_bytes(), "png", caption))
+    counts = document["evaluations"].items()
+    content = render(
+        "studies/optimization/report.html",
+        title=result.study.title,
+        subtitle=", ".join(f"{count} runs of {part}" for part, count in counts),
+        best=_best_table(result, document),
+        plots=pictures,
+        fidelities=_fidelity_text(document),
+        improvement=percentage(result.improvement),
+        warning=result.warning,
+        made_with=Table(["", ""], list(document["versions"].items())),
     )
-    return [*(f"{name}.png" for name in figures), "report.html"]
+    write_text(folder / REPORT, content)
+    return [*figures, REPORT]
 
 
-def _best_table(result: StudyResult) -> Table:
+def _figures(
+    result: StudyResult, document: StudyDocument
+) -> dict[str, CaptionedFigure]:
+    """Return file name → figure."""
+    study = result.study
+    goals = study.file.objectives
+    twin = [run for run in result.runs if run.part == "twin"]
+    best = [design.run for design in result.designs]
+    values = np.array([[run.metric(goal.metric) for goal in goals] for run in twin])
+    labels = [metric_label(goal.metric) for goal in goals]
+    start = [document["begun"][goal.metric] for goal in goals]
+    violation = np.maximum(excesses(study, twin), 0.0).sum(axis=1)
+    convergence, front, parallel = PICTURES
+    figures = {}
+    if len(goals) == 1:
+        figures[convergence] = draw_convergence(
+            values[:, 0],
+            violation <= violation.min(),
+            labels[0],
+            start[0],
+            maximize=goals[0].goal == "maximize",
+        )
+    else:
+        members = [[run.metric(goal.metric) for goal in goals] for run in best]
+        figures[front] = draw_front(values, np.array(members), labels, start)
+    # Infeasible runs rank last.
+    ranks = np.argsort(np.lexsort((costs(study, twin)[:, 0], violation)))
+    figures[parallel] = draw_parallel(study.space, twin, ranks, best)
+    return figures
+
+
+def _best_table(result: StudyResult, document: StudyDocument) -> Table:
     """Return a row per best design, after one for the initial scenario."""
     study = result.study
-    document = result.document()
+    objectives = [objective.metric for objective in study.file.objectives]
     headings = [
         "",
         *map(field_label, study.space.variables),
         *map(metric_label, result.metrics),
+        *(f"{metric_label(metric)}, gain" for metric in objectives),
+        "refined",
     ]
-    headings += [
-        f"{metric_label(objective.metric)}, gain" for objective in study.file.objectives
-    ]
-    headings += ["refined"]
-    initial = [cell(document["begun"][name]) for name in result.metrics]
-    rows = [["initial scenario", *[""] * study.space.size, *initial]]
-    rows[0] += [""] * (len(headings) - len(rows[0]))
-    for design in document["best"]:
-        variables = design["variables"].items()
-        row = [
-            design["scenario"],
-            *(
-                mark_bound(value, name in design["on_bound"])
-                for name, value in variables
-            ),
+    rows = [
+        [
+            "initial scenario",
+            *[""] * study.space.size,
+            *(cell(document["begun"][name]) for name in result.metrics),
+            *[""] * (len(objectives) + 1),
         ]
+    ]
+    for design in document["best"]:
+        row = [design["scenario"]]
+        for name, value in design["variables"].items():
+            row.append(mark_bound(value, name in design["on_bound"]))
+        intervals = design["intervals"] or {}
         for name in result.metrics:
-            ends = (design["intervals"] or {}).get(name)
-            if ends:
-                interval = f" ({cell(ends[0])} to {cell(ends[1])})"
-            else:
-                interval = ""
+            interval = _interval_text(intervals.get(name), cell)
             row.append(cell(design["metrics"][name]) + interval)
         for gain in design["gains"].values():
-            ends = gain["interval_95"]
-            if ends:
-                interval = f" ({percentage(ends[0])} to {percentage(ends[1])})"
-            else:
-                interval = ""
+            interval = _interval_text(gain["interval_95"], percentage)
             row.append(percentage(gain["share"]) + interval)
-        row.append(
-            "changes by"
-            f" {percentage(max(filter(None, design['refined'].values()), default=0.0))}"
-        )
-        rows.append(row)
-    notes = bound_lines(result)
+        change = max(filter(None, design["refined"].values()), default=0.0)
+        rows.append([*row, f"changes by {percentage(change)}"])
+    notes = bound_lines(document)
     if result.initial.samples:
         notes.insert(
             0, "In brackets: 95 % interval over the robot's uncertain parameters."
@@ -337,43 +302,48 @@ def _best_table(result: StudyResult) -> Table:
     return Table(headings, rows, range(1, len(headings)), " ".join(notes))
 
 
-def bound_lines(result: StudyResult) -> list[str]:
+def _interval_text(
+    ends: list[float | None] | None, text: Callable[[float | None], str]
+) -> str:
+    if ends is None:
+        return ""
+    return f" ({text(ends[0])} to {text(ends[1])})"
+
+
+def bound_lines(document: StudyDocument) -> list[str]:
     """Return a sentence for each bound on which a best design is, and one on the meaning of bounds."""
-    designs_on_bound: dict[tuple[str, str], list[str]] = {}
-    sources: dict[tuple[str, str], str] = {}
-    for design in result.document()["best"]:
-        for name, row in design["on_bound"].items():
-            key = name, f"{row['bound']} bound {row['value']:g}"
-            designs_on_bound.setdefault(key, []).append(
-                design["scenario"].removesuffix(".yaml")
-            )
-            sources[key] = f" ({row['source']})" if row["source"] else ""
+    designs: dict[str, list[str]] = {}
+    for design in document["best"]:
+        for name, bound in design["on_bound"].items():
+            text = f"{field_label(name)} is on its {bound['bound']} bound"
+            text += f" {bound['value']:g}"
+            if bound["source"]:
+                text += f" ({bound['source']})"
+            named = design["scenario"].removesuffix(".yaml")
+            designs.setdefault(text, []).append(named)
     lines = [
-        f"{BOUND_MARK} {', '.join(designs)}: {field_label(name)} is on its"
-        f" {bound}{sources[name, bound]}."
-        for (name, bound), designs in designs_on_bound.items()
+        f"{BOUND_MARK} {', '.join(names)}: {text}." for text, names in designs.items()
     ]
     if lines:
-        return [*lines, "With a wider range the optimum may be beyond such a bound."]
-    return []
+        lines.append("With a wider range the optimum may be beyond such a bound.")
+    return lines
 
 
 def mark_bound(value: float, on_bound: bool) -> str:
     """Return the value of a variable as text, with a mark if it is on a bound."""
-    return f"{value:.4g}{BOUND_MARK if on_bound else ''}"
+    text = f"{value:.4g}"
+    if on_bound:
+        return text + BOUND_MARK
+    return text
 
 
-def _fidelity_text(result: StudyResult) -> str:
-    texts = []
-    for name, correlation in result.document()["fidelities"].items():
-        if correlation is not None:
-            label = metric_label(name)
-            total = cell(correlation["all"])
-            near = cell(correlation["near"])
-            texts.append(
-                f"{label}: {total} over all designs, {near} over the better half"
-            )
-    return "; ".join(texts)
+def _fidelity_text(document: StudyDocument) -> str:
+    return "; ".join(
+        f"{metric_label(name)}: {cell(correlation['all'])} over all designs,"
+        f" {cell(correlation['near'])} over the better half"
+        for name, correlation in document["fidelities"].items()
+        if correlation is not None
+    )
 
 
 def percentage(value: float | None) -> str:

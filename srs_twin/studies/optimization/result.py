@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from srs_twin.identification.priors import Priors
 from srs_twin.plants.twin.mjcf.numerics import stable_step
 from srs_twin.robot.file import RobotFile
 from srs_twin.scenario.provenance import versions
-from srs_twin.studies.optimization.loading import OptimizationStudy
+from srs_twin.studies.optimization.loading import ObjectiveFile, OptimizationStudy
 from srs_twin.studies.optimization.runs import Run, StudyRuns, metric_of
 from srs_twin.studies.optimization.search import MAX_IMPROVEMENT, Optimum, excesses
 from srs_twin.studies.sweep.points import Changes, sobol_points
@@ -39,6 +39,52 @@ _MAX_REFINEMENT_CHANGE = 0.01
 
 _MIN_RANKED = 4
 """Smallest number of runs for a rank correlation."""
+
+
+class Gain(TypedDict):
+    """Relative gain over the initial scenario, and its 95 % interval over drawn robots."""
+
+    share: float | None
+    interval_95: list[float | None] | None
+
+
+class Bound(TypedDict):
+    """Bound on which a variable of a design is, with the source of the bounds."""
+
+    bound: str
+    value: float
+    source: str | None
+
+
+class DesignDocument(TypedDict):
+    """Best design as JSON values."""
+
+    variables: dict[str, float]
+    metrics: dict[str, float | None]
+    plant: str
+    scenario: str
+    keeps_constraints: bool
+    on_bound: dict[str, Bound]
+    refined: dict[str, float | None]
+    survives: bool
+    intervals: dict[str, list[float | None]] | None
+    beats_next: float | None
+    gains: dict[str, Gain]
+
+
+class StudyDocument(TypedDict):
+    """Result as JSON values."""
+
+    study: str
+    title: str
+    best: list[DesignDocument]
+    evaluations: dict[str, int]
+    begun: dict[str, float | None]
+    expected_improvement: float | None
+    warning: str | None
+    fidelities: dict[str, dict[str, float | None] | None]
+    seed: int
+    versions: dict[str, str]
 
 
 @dataclass(frozen=True)
@@ -110,22 +156,17 @@ class StudyResult:
             "twin", [{**design, **fine} for design in designs for fine in refinements]
         )
         robots = _draw_robots(study, study.file.budget.uncertain)
-        samples = runs.rows(
+        sampled = runs.rows(
             "twin",
             [{**robot, **design} for design in ({}, *designs) for robot in robots],
         )
-        evaluated = [EvaluatedDesign(initial, (), tuple(samples[: len(robots)]))]
-        for k, run in enumerate(optimum.best):
-            own = samples[(k + 1) * len(robots) : (k + 2) * len(robots)]
-            evaluated.append(
-                EvaluatedDesign(run, tuple(refined[2 * k : 2 * k + 2]), tuple(own))
-            )
-        designs_found = tuple(evaluated[1:])
+        first, *samples = _in_groups(sampled, len(robots), 1 + len(designs))
+        fine = _in_groups(refined, len(refinements), len(designs))
         result = cls(
             study,
             optimum.runs,
-            evaluated[0],
-            designs_found,
+            EvaluatedDesign(initial, (), first),
+            tuple(map(EvaluatedDesign, optimum.best, fine, samples)),
             improvement=optimum.improvement,
         )
         if study.file.objectives[0].quantile is None:
@@ -135,35 +176,28 @@ class StudyResult:
     def ranked_by_quantile(self) -> StudyResult:
         """Return the result with the best designs ranked by the objective's quantile over the samples."""
         objective = self.study.file.objectives[0]
-        sign = -1.0 if objective.goal == "maximize" else 1.0
         share = objective.quantile or 0.5
-        order = np.argsort(
-            [
-                sign * np.nanquantile(d.sampled(objective.metric), share)
-                for d in self.designs
-            ]
-        )
+        samples = [design.sampled(objective.metric) for design in self.designs]
+        order = np.argsort(objective.sign * np.nanquantile(samples, share, axis=1))
         return replace(self, designs=tuple(self.designs[k] for k in order))
 
-    def document(self) -> dict[str, Any]:
+    def document(self) -> StudyDocument:
         """Return the result as JSON values, as `--json` prints it."""
         study = self.study
-        objectives = self.study.file.objectives
+        parts = [run.part for run in self.runs]
         return {
             "study": study.name,
             "title": study.title,
             "best": [self._design_document(k) for k in range(len(self.designs))],
-            "evaluations": {
-                part: sum(run.part == part for run in self.runs)
-                for part in study.experiments
-            },
+            "evaluations": {part: parts.count(part) for part in study.experiments},
             "begun": {
                 name: _number(self.initial.run.metric(name)) for name in self.metrics
             },
             "expected_improvement": self.improvement,
             "warning": self.warning,
             "fidelities": {
-                o.metric: self.fidelity_correlation(o.metric) for o in objectives
+                objective.metric: self._fidelity_correlation(objective)
+                for objective in study.file.objectives
             },
             "seed": study.file.seed,
             "versions": versions(),
@@ -180,7 +214,7 @@ class StudyResult:
             f" expected to improve the best result by {gain}; raise budget.twin."
         )
 
-    def _design_document(self, k: int) -> dict[str, object]:
+    def _design_document(self, k: int) -> DesignDocument:
         """Return a best design as JSON values."""
         study = self.study
         names = self.metrics
@@ -188,15 +222,12 @@ class StudyResult:
         objectives = [objective.metric for objective in study.file.objectives]
         changes = {name: design.refinement_change(name) for name in names}
         known = [changes[name] for name in objectives]
-        intervals = {name: _interval_95(design.sampled(name)) for name in names}
+        values = study.space.values(design.run.shares)
+        intervals = None
+        if design.samples:
+            intervals = {name: _interval_95(design.sampled(name)) for name in names}
         return {
-            "variables": dict(
-                zip(
-                    study.space.variables,
-                    study.space.values(design.run.shares),
-                    strict=True,
-                )
-            ),
+            "variables": dict(zip(study.space.variables, values, strict=True)),
             "metrics": {name: _number(design.run.metric(name)) for name in names},
             "plant": "twin",
             "scenario": f"best/{k + 1}.yaml",
@@ -206,27 +237,20 @@ class StudyResult:
             "survives": all(
                 share is not None and share <= _MAX_REFINEMENT_CHANGE for share in known
             ),
-            "intervals": intervals if design.samples else None,
+            "intervals": intervals,
             "beats_next": self._beats_next(k),
             "gains": {name: self._gain(design, name) for name in objectives},
         }
 
-    def _on_bound(self, design: EvaluatedDesign) -> dict[str, dict[str, object]]:
-        """Return the variables of a best design that are on a bound.
-
-        Returns:
-            Variable → `bound` ("low" or "high"), its `value`, and the `source` of the
-            bounds or None.
-        """
-        return {
-            name: {
-                "bound": bound,
-                "value": getattr(variable, bound),
-                "source": variable.bounds_source,
-            }
-            for name, bound in self.study.space.bounds(design.run.shares).items()
-            for variable in (self.study.file.variables[name],)
-        }
+    def _on_bound(self, design: EvaluatedDesign) -> dict[str, Bound]:
+        """Return the variables of a best design that are on a bound."""
+        on_bound: dict[str, Bound] = {}
+        for name, bound in self.study.space.bounds(design.run.shares).items():
+            variable = self.study.file.variables[name]
+            value = getattr(variable, bound)
+            source = variable.bounds_source
+            on_bound[name] = {"bound": bound, "value": value, "source": source}
+        return on_bound
 
     @property
     def metrics(self) -> tuple[str, ...]:
@@ -241,45 +265,43 @@ class StudyResult:
         if not self.designs[k].samples or others or k + 1 >= len(self.designs):
             return None
         this, following = (
-            design.sampled(objective.metric) for design in self.designs[k : k + 2]
+            objective.sign * design.sampled(objective.metric)
+            for design in self.designs[k : k + 2]
         )
-        return float(
-            np.mean(
-                this > following if objective.goal == "maximize" else this < following
-            )
-        )
+        return float(np.mean(this < following))
 
-    def _gain(self, design: EvaluatedDesign, name: str) -> dict[str, object]:
+    def _gain(self, design: EvaluatedDesign, name: str) -> Gain:
         """Return the relative gain of a best design over the initial scenario, and its 95 % interval."""
         share = design.run.metric(name) / self.initial.run.metric(name) - 1
-        ratios = design.sampled(name) / self.initial.sampled(name) - 1
-        return {
-            "share": _number(share),
-            "interval_95": _interval_95(ratios) if design.samples else None,
-        }
+        interval = None
+        if design.samples:
+            ratios = design.sampled(name) / self.initial.sampled(name) - 1
+            interval = _interval_95(ratios)
+        return {"share": _number(share), "interval_95": interval}
 
-    def fidelity_correlation(self, name: str) -> dict[str, float | None] | None:
-        """Return the rank correlations of a metric between the fidelities, for all and the better designs.
+    def _fidelity_correlation(
+        self, objective: ObjectiveFile
+    ) -> dict[str, float | None] | None:
+        """Return the rank correlations of an objective between the fidelities.
 
-        It is None if too few designs were run at both fidelities.
+        They are for all designs and for the better half of them; None if too few
+        designs were run at both fidelities.
         """
         from scipy.stats import spearmanr
 
-        compliant = {
-            run.shares.tobytes(): run for run in self.runs if run.part == "compliant"
-        }
-        both = [
-            (compliant[run.shares.tobytes()].metric(name), run.metric(name))
-            for run in self.runs
-            if run.part == "twin" and run.shares.tobytes() in compliant
-        ]
+        values: dict[str, dict[bytes, float]] = {"compliant": {}, "twin": {}}
+        for run in self.runs:
+            values[run.part][run.shares.tobytes()] = run.metric(objective.metric)
         pairs = np.array(
-            [pair for pair in both if all(map(math.isfinite, pair))]
-        ).reshape(-1, 2)
+            [
+                (values["compliant"].get(design, math.nan), value)
+                for design, value in values["twin"].items()
+            ]
+        )
+        pairs = pairs[np.isfinite(pairs).all(axis=1)]
         if len(pairs) < 2 * _MIN_RANKED:
             return None
-        goal = next(o.goal for o in self.study.file.objectives if o.metric == name)
-        order = np.argsort(-pairs[:, 1] if goal == "maximize" else pairs[:, 1])
+        order = np.argsort(objective.sign * pairs[:, 1])
         better_half = pairs[order[: len(order) // 2]]
         return {
             key: _number(float(spearmanr(*sample.T)[0]))
@@ -289,18 +311,13 @@ class StudyResult:
     @cached_property
     def table(self) -> Mapping[str, list[Any]]:
         """All runs in order, as columns: part, variables, status, reason, metrics."""
-        study = self.study
+        space = self.study.space
         runs = self.runs
         columns: dict[str, list[Any]] = {"part": [run.part for run in runs]}
-        values = [study.space.values(run.shares) for run in runs]
-        columns |= {
-            name: [float(row[i]) for row in values]
-            for i, name in enumerate(study.space.variables)
-        }
-        columns |= {
-            "status": [run.row.status for run in runs],
-            "reason": [run.row.reason for run in runs],
-        }
+        values = np.array([space.values(run.shares) for run in runs], dtype=float)
+        columns |= dict(zip(space.variables, values.T.tolist(), strict=True))
+        columns["status"] = [run.row.status for run in runs]
+        columns["reason"] = [run.row.reason for run in runs]
         names = dict.fromkeys(
             key.partition(".")[2] for run in runs for key in run.row.values
         )
@@ -308,19 +325,20 @@ class StudyResult:
         return columns
 
 
+def _in_groups(rows: list[Row], size: int, count: int) -> list[tuple[Row, ...]]:
+    """Return successive groups of rows."""
+    return [tuple(rows[k * size : (k + 1) * size]) for k in range(count)]
+
+
 def _draw_robots(study: OptimizationStudy, count: int) -> list[Changes]:
     """Draw the robot's uncertain parameters, except those that are variables of the study."""
     if not count:
         return []
     robot = RobotFile.model_validate(study.experiments["twin"].base["robot"])
-    chosen = [
-        name.removeprefix("robot.")
-        for name in study.space.changes(np.full(study.space.size, 0.5))
-    ]
-    priors = Priors.from_robot(
-        robot,
-        without=[path for path in Priors.from_robot(robot).paths if path in chosen],
-    )
+    middle = study.space.changes(np.full(study.space.size, 0.5))
+    paths = Priors.from_robot(robot).paths
+    chosen = [path for path in paths if f"robot.{path}" in middle]
+    priors = Priors.from_robot(robot, without=chosen)
     values = priors.quantile(sobol_points(len(priors.paths), count, study.file.seed))
     names = [f"robot.{path}" for path in priors.paths]
     robots: list[Changes] = [

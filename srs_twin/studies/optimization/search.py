@@ -8,15 +8,16 @@ O'Hagan 2000). New designs maximise the expected improvement
 $$ \mathrm{EI}(u) = σ \bigl(z Φ(z) + φ(z)\bigr) \prod_c P(c \text{ holds}), \qquad z = (y^* - μ)/σ, $$
 
 two at a time; the second is chosen as if the first had given its expected result.
-Candidates are all designs that the low-fidelity model has run, and in every round new
-random neighbours of the best designs.
+Candidates are all designs that the low-fidelity model has run. In every round, many new
+designs are judged with low-fidelity results that are interpolated between earlier runs:
+neighbours of the best designs and samples of the whole space. Only the most promising
+ones are run and become candidates. Failed runs do not enter the processes; a design
+whose nearest run has failed is expected to improve nothing.
 
 **Constraints.** The low-fidelity model may violate a constraint where the twin does
 not, and CMA-ES avoids such designs. A Gaussian process for each constraint therefore
-predicts the twin's value, as for the objective. In every round, many new designs are
-judged with low-fidelity results that are interpolated between earlier runs. These
-designs include neighbours of designs that just miss a constraint. Only the most
-promising designs are run.
+predicts the twin's value, as for the objective. The neighbours include those of designs
+that just miss a constraint. Without constraints the same search has no such factors.
 
 **End.** After the last run, the largest expected improvement among new designs is
 computed. If it is above `MAX_IMPROVEMENT`, the result contains a warning.
@@ -39,6 +40,7 @@ from typing import Any
 
 import numpy as np
 from scipy.interpolate import RBFInterpolator
+from scipy.spatial.distance import cdist
 from scipy.stats import norm
 
 from srs_twin.errors import InputError
@@ -136,25 +138,18 @@ def search(study: OptimizationStudy, runs: StudyRuns) -> Optimum:
 def costs(study: OptimizationStudy, runs: Sequence[Run]) -> np.ndarray:
     """Return the objectives of runs, signed for minimisation, shape (runs, objectives); NaN if unknown."""
     goals = study.file.objectives
-    return _signed(
-        runs,
-        [
-            (goal.metric, -1.0 if goal.goal == "maximize" else 1.0, 0.0)
-            for goal in goals
-        ],
-    )
+    return _signed(runs, [(goal.metric, goal.sign, 0.0) for goal in goals])
 
 
 def excesses(study: OptimizationStudy, runs: Sequence[Run]) -> np.ndarray:
     """Return the violations of the constraints, at most 0 if satisfied, shape (runs, limits)."""
-    limits = (
+    limits = [
         (constraint.metric, sign, limit)
         for constraint in study.file.constraints
         for sign, limit in ((1.0, constraint.below), (-1.0, constraint.above))
-    )
-    return _signed(
-        runs, [(name, sign, limit) for name, sign, limit in limits if limit is not None]
-    )
+        if limit is not None
+    ]
+    return _signed(runs, limits)
 
 
 def _signed(
@@ -210,10 +205,10 @@ class _Search:
         weights = self._weights_of(
             np.linspace(0.02, 0.98, 7 if self._objectives > 1 else 1)
         )
-        # Constraints divide the space, so the best designs may be in a part that one
-        # descent does not reach.
-        sampled = budget // (2 if self._study.file.constraints else 10)
-        self._run("compliant", self._sample_space(max(2 * self._size, sampled)))
+        # The best designs may be in a part of the space that one descent does not reach,
+        # for example if constraints divide it. Samples and each descent share equally.
+        sampled = max(2 * self._size, budget // (len(weights) + 1))
+        self._run("compliant", self._sample_space(sampled))
         for k, weight in enumerate(weights):
             share = (budget - len(self._compliant_runs)) // (len(weights) - k)
             scalars = self._scalarise(self._compliant_runs, weight)
@@ -237,10 +232,8 @@ class _Search:
 
     def run_initial_designs(self) -> None:
         """Run the twin at the best designs of the low-fidelity model and at some random designs."""
-        count = max(
-            int(_INITIAL_SHARE * self._study.file.budget.twin),
-            min(4, self._study.file.budget.twin),
-        )
+        budget = self._study.file.budget.twin
+        count = max(int(_INITIAL_SHARE * budget), min(4, budget))
         if not self._compliant_runs:
             self._run("twin", self._sample_space(max(count, 2 * self._size)))
             return
@@ -248,17 +241,10 @@ class _Search:
         chosen: list[np.ndarray] = []
         for weight in self._random_weights(count - len(random_designs)):
             order = np.argsort(self._scalarise(self._compliant_runs, weight))
-            designs = (self._compliant_runs[k].shares for k in order)
-            new = next(
-                (
-                    design
-                    for design in designs
-                    if _is_far(design, chosen, _OPTIMUM_DISTANCE)
-                ),
-                None,
-            )
-            if new is not None:
-                chosen.append(new)
+            for design in (self._compliant_runs[k].shares for k in order):
+                if _is_far(design, chosen, _OPTIMUM_DISTANCE):
+                    chosen.append(design)
+                    break
         self._run("twin", np.array([*chosen, *random_designs]))
 
     @property
@@ -266,9 +252,7 @@ class _Search:
         """Objective that this round improves; None: the area of the whole front."""
         if self._objectives == 1:
             return 0
-        if self._round % 2:
-            return self._round // 2 % 2
-        return None
+        return self._round // 2 % 2 if self._round % 2 else None
 
     def budget_left(self) -> int:
         """Return the number of runs left in the twin's budget."""
@@ -279,6 +263,7 @@ class _Search:
         candidates = self._candidates()
         if not candidates:
             return False
+        near_failures = self._near_failures([run.shares for run in candidates])
         chosen: list[np.ndarray] = []
         assumed_costs = self._outputs(self._twin_runs)
         for k_batch in range(min(_BATCH_SIZE, self.budget_left())):
@@ -289,7 +274,8 @@ class _Search:
                 objective = None
             if k_batch == 0 or self._objectives == 2:
                 mean, sd = self._predict(candidates, objective)
-            score = self._improvement(mean, sd, assumed_costs, objective)
+            score = self.improvement(mean, sd, assumed_costs, objective)
+            score[near_failures] = 0.0
             score[[not _is_far(run.shares, chosen) for run in candidates]] = -1.0
             k = int(np.argmax(score))
             if score[k] < 0:
@@ -349,27 +335,21 @@ class _Search:
     def _distinct_optima(self, objective: int) -> tuple[Run, ...]:
         """Return the best runs of the twin by one objective, at a minimum distance from each other."""
         feasible = self._most_feasible()
-        chosen = list[Run]()
+        chosen: list[Run] = []
         for k in np.argsort(costs(self._study, feasible)[:, objective]):
-            is_far = _is_far(
-                feasible[k].shares, [run.shares for run in chosen], _OPTIMUM_DISTANCE
-            )
-            if is_far and len(chosen) < MAX_REPORTED:
+            others = [run.shares for run in chosen]
+            if len(chosen) < MAX_REPORTED and _is_far(
+                feasible[k].shares, others, _OPTIMUM_DISTANCE
+            ):
                 chosen.append(feasible[k])
         return tuple(chosen)
 
     def _run(self, part: str, designs: np.ndarray) -> list[Run]:
         runs = self._runs.run(part, designs)
-        if part == "compliant":
-            known = self._compliant_runs
-        else:
-            known = self._twin_runs
+        known = self._compliant_runs if part == "compliant" else self._twin_runs
         known_ids = {id(run) for run in known}
-        known += [
-            run
-            for run in {id(run): run for run in runs}.values()
-            if id(run) not in known_ids
-        ]
+        new = {id(run): run for run in runs if id(run) not in known_ids}
+        known += new.values()
         return runs
 
     def _sample_space(self, count: int) -> np.ndarray:
@@ -402,26 +382,18 @@ class _Search:
     ) -> np.ndarray:
         """Return the Tchebycheff scalarisation of runs, to be minimised, with penalties, shape (runs,)."""
         reference = runs if relative_to is None else relative_to
-        run_costs = costs(self._study, runs)
         reference_costs = costs(self._study, reference)
         known = reference_costs[~np.isnan(reference_costs).any(axis=1)]
         if not len(known):
             return np.zeros(len(runs))
-        low = known.min(axis=0)
         std = np.maximum(known.std(axis=0), 1e-12)
-        scaled = (run_costs - low) / std
-        value = (weight * scaled).max(axis=1) + 0.05 * (weight * scaled).sum(axis=1)
-        violations = excesses(self._study, runs)
-        reference_violations = excesses(self._study, reference)
-        if violations.size:
-            scale = np.maximum(np.nanstd(reference_violations, axis=0), 1e-12)
-            value = value + _FAILURE_PENALTY_SD * np.maximum(
-                violations / scale, 0.0
-            ).sum(axis=1)
-        worst = np.nanmax(np.append(value, 0.0))
-        cost: np.ndarray = np.where(
-            np.isnan(value), _FAILURE_PENALTY_SD * (1 + worst), value
-        )
+        weighted = weight * ((costs(self._study, runs) - known.min(axis=0)) / std)
+        value = weighted.max(axis=1) + 0.05 * weighted.sum(axis=1)
+        scale = np.maximum(np.nanstd(excesses(self._study, reference), axis=0), 1e-12)
+        violations = np.maximum(excesses(self._study, runs) / scale, 0.0)
+        value = value + _FAILURE_PENALTY_SD * violations.sum(axis=1)
+        failed = _FAILURE_PENALTY_SD * (1 + np.nanmax(np.append(value, 0.0)))
+        cost: np.ndarray = np.where(np.isnan(value), failed, value)
         return cost
 
     def _outputs(self, runs: Sequence[Run]) -> np.ndarray:
@@ -431,12 +403,7 @@ class _Search:
     def _candidates(self) -> list[Run]:
         """Return designs that the twin has not run: those of the low-fidelity model, and new neighbours."""
         count = _NEIGHBOURS[self._objectives]
-        constrained = (
-            self._compliant_runs
-            and self._objectives == 1
-            and self._study.file.constraints
-        )
-        if constrained:
+        if self._compliant_runs and self._objectives == 1:
             screened = self._screened_designs()
             new = screened[np.argsort(-self._scores(screened))[:count]]
         else:
@@ -461,15 +428,14 @@ class _Search:
     def _neighbours(self, count: int) -> np.ndarray:
         """Return new designs near the best ones, shape (count, d)."""
         objective = self._improved_objective
-        if objective is None:
-            optima = self.best()
-        else:
-            optima = self._distinct_optima(objective)
-        best = optima[:1] if self._objectives == 1 else self.best()
-        if self._study.file.constraints and self._objectives == 1:
+        best = optima = self.best()
+        if self._objectives == 1:
             # The best designs with a penalty: some of them just miss the constraints.
+            best = best[:1]
             order = np.argsort(self._scalarise(self._twin_runs, np.ones(1)))
             optima = tuple(self._twin_runs[k] for k in order[:MAX_REPORTED])
+        elif objective is not None:
+            optima = self._distinct_optima(objective)
         parents = [
             runs[k]
             for runs in (optima, best)
@@ -500,7 +466,16 @@ class _Search:
                 )(designs)
         runs = [Run("twin", design, Row("", DONE)) for design in designs]
         mean, sd = self._predict(runs, 0, low_fidelity)
-        return self._improvement(mean, sd, self._outputs(self._twin_runs), 0)
+        score = self.improvement(mean, sd, self._outputs(self._twin_runs), 0)
+        score[self._near_failures(designs)] = 0.0
+        return score
+
+    def _near_failures(self, designs: Sequence[np.ndarray] | np.ndarray) -> np.ndarray:
+        """Return whether the run nearest to each design has failed, shape (designs,)."""
+        runs = [*self._twin_runs, *self._compliant_runs]
+        failed = ~np.isfinite(self._outputs(runs)).all(axis=1)
+        distances = cdist(designs, [run.shares for run in runs])
+        return np.asarray(failed[distances.argmin(axis=1)])
 
     def _predict(
         self,
@@ -528,21 +503,12 @@ class _Search:
                 x = np.column_stack([shares, scaled[:, column]])
             rows = np.flatnonzero(np.isfinite(y))
             if column == objective:
-                # Leave out the worst third, because results far from the optimum would
-                # distort the fit near it. With constraints, these results are clipped
-                # instead, because the search must know where they are.
+                # Clip the worst third, because results far from the optimum would
+                # distort the fit near it, but the search must know where they are.
                 order = rows[np.argsort(y[rows])]
                 better = order[: max(2 * len(order) // 3, 2 * self._size + 2)]
-                if self._study.file.constraints:
-                    y = np.minimum(y, y[better[-1]])
-                else:
-                    rows = better
-            remainder = bool(self._study.file.constraints)
-            predictions.append(
-                _predict_with_process(
-                    x[rows], y[rows], x[len(known) :], with_remainder=remainder
-                )
-            )
+                y = np.minimum(y, y[better[-1]])
+            predictions.append(_predict_with_process(x[rows], y[rows], x[len(known) :]))
         mean, sd = np.array(predictions).transpose(1, 2, 0)
         return mean, sd
 
@@ -552,10 +518,9 @@ class _Search:
         """Return the scaled low-fidelity outputs of the twin's runs and the candidates, (runs, outputs)."""
         if not self._compliant_runs:
             return None
-        if given is not None:
-            runs = self._twin_runs
-        else:
-            runs = [*self._twin_runs, *candidates]
+        runs = [*self._twin_runs]
+        if given is None:
+            runs += candidates
         known = {run.shares.tobytes(): run for run in self._compliant_runs}
         missing = [run.shares for run in runs if run.shares.tobytes() not in known]
         if missing:
@@ -572,7 +537,7 @@ class _Search:
         outputs = np.where(np.isnan(outputs), median, clipped)
         return np.asarray((outputs - median) / np.maximum(high - low, 1e-12))
 
-    def _improvement(
+    def improvement(
         self,
         mean: np.ndarray,
         sd: np.ndarray,
@@ -588,16 +553,14 @@ class _Search:
             objective: objective to improve; None: the area of the front.
         """
         count = self._objectives
-        is_feasible = (known[:, count:] <= 0).all(axis=1) & np.isfinite(known).all(
-            axis=1
-        )
+        is_feasible = (known[:, count:] <= 0).all(axis=1)
+        is_feasible &= np.isfinite(known).all(axis=1)
         if is_feasible.any():
             feasible = known[is_feasible, :count]
             if objective is not None:
-                z = (feasible[:, objective].min() - mean[:, objective]) / sd[
-                    :, objective
-                ]
-                score = sd[:, objective] * (z * norm.cdf(z) + norm.pdf(z))
+                spread = sd[:, objective]
+                z = (feasible[:, objective].min() - mean[:, objective]) / spread
+                score = spread * (z * norm.cdf(z) + norm.pdf(z))
             else:
                 normal = self._rng.normal(size=(_IMPROVEMENT_DRAWS, 1, 2))
                 draws = mean[None, :, :2] + sd[None, :, :2] * normal
@@ -630,24 +593,23 @@ def area_gained(known: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def _predict_with_process(
-    x: np.ndarray, y: np.ndarray, at: np.ndarray, *, with_remainder: bool
+    x: np.ndarray, y: np.ndarray, at: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return mean and standard deviation at inputs of a Gaussian process fitted to samples.
+
+    The standard deviation includes what the process takes for noise: a simulation has
+    no noise, so this is structure that a further run may find.
 
     Args:
         x: inputs of the samples, shape (samples, d).
         y: values of the samples, shape (samples,).
         at: inputs, shape (inputs, d).
-        with_remainder: whether the standard deviation includes what the process takes
-            for noise. A simulation has no noise, so the remainder is structure that a
-            further run may find.
     """
     scale = max(float(y.std()), 1e-12)
     mean = float(y.mean())
     process = GaussianProcess(x, (y - mean) / scale)
-    variance = np.diag(process.covariance(at))
-    if with_remainder:
-        variance = variance + np.exp(2 * process.log_hyperparameters[2])
+    remainder = np.exp(2 * process.log_hyperparameters[2])
+    variance = np.diag(process.covariance(at)) + remainder
     return mean + scale * process.at(at), scale * np.sqrt(np.maximum(variance, 1e-12))
 
 

@@ -102,11 +102,8 @@ def sweep(
 
         def follow(part: str, total: int, row: Row | None) -> None:
             if row is None and total < wanted:
-                present = wanted - total
-                say(
-                    f"{present} of {wanted} rows exist already, {total} to do",
-                    quiet=quiet,
-                )
+                text = f"{wanted - total} of {wanted} rows exist already, {total} to do"
+                say(text, quiet=quiet)
             counting.follow(part, total, row)
 
         summary = run_sweep(

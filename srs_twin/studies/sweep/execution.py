@@ -14,9 +14,10 @@ import warnings
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from srs_twin.compute.workers import TaskResult, run_tasks, start_server
 from srs_twin.errors import EngineWarning, InputError, SrsError, UnknownNameError
@@ -39,8 +40,11 @@ from srs_twin.studies.sweep.loading import load_sweep
 from srs_twin.studies.sweep.points import RUNNER, Experiment, Point, Sweep
 from srs_twin.studies.sweep.report import REPORT, Summary, write_report
 from srs_twin.studies.sweep.store import RowStore, SweepIdentity, rows_digest
-from srs_twin.studies.sweep.table import SweepTable, shown_metrics
+from srs_twin.studies.sweep.table import SweepTable
 from srs_twin.studies.sweep.task import DONE, FAILED, Row, run_point
+
+if TYPE_CHECKING:
+    from srs_twin.plants.base import Plant
 
 _RAY_SETTINGS = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_ENABLE_UV_RUN_RUNTIME_ENV": "0"}
 """Environment variables of Ray: no usage reports, and workers share the Python environment of this
@@ -82,7 +86,10 @@ def on_ray(address: str | None = None, workers: int | None = None) -> Engine:
         InputError: Ray is not installed, or both an address and a number of workers are
             given.
     """
-    for name, value in (_RAY_SETTINGS | ({} if address else _LOOPBACK_ONLY)).items():
+    settings = dict(_RAY_SETTINGS)
+    if address is None:
+        settings |= _LOOPBACK_ONLY
+    for name, value in settings.items():
         os.environ.setdefault(name, value)
     try:
         import ray
@@ -99,9 +106,9 @@ def on_ray(address: str | None = None, workers: int | None = None) -> Engine:
         experiment: Experiment, points: Sequence[Point]
     ) -> Iterator[TaskResult[Row]]:
         try:
-            options: dict[str, Any] = (
-                {} if address else {"num_cpus": workers, "include_dashboard": False}
-            )
+            options: dict[str, Any] = {}
+            if address is None:
+                options |= {"num_cpus": workers, "include_dashboard": False}
             if plugins := os.environ.get(PLUGINS):
                 options["runtime_env"] = {"env_vars": {PLUGINS: plugins}}
             ray.init(
@@ -143,13 +150,6 @@ def _run_on_ray(
                 yield TaskResult(number, None, error)
 
 
-ENGINES: dict[str, Callable[[str | None, int | None], Engine]] = {
-    "local": lambda address, workers: local(workers),
-    "ray": on_ray,
-    "warp": lambda address, workers: on_device(address, workers),
-}
-"""Engines by name, as functions of the address and the number of workers."""
-
 Progress = Callable[[str, int, Row | None], object]
 """Function called with a part of a study and the number of its runs: with None at the start of the part, then
 with the row of each finished run."""
@@ -175,11 +175,15 @@ def make_engine(
     """
     if not isinstance(engine, str):
         return engine
-    if engine not in ENGINES:
-        raise UnknownNameError("engine", engine, ENGINES)
-    if engine == "local" and address is not None:
+    if engine == "ray":
+        return on_ray(address, workers)
+    if engine == "warp":
+        return on_device(address, workers)
+    if engine != "local":
+        raise UnknownNameError("engine", engine, ("local", "ray", "warp"))
+    if address is not None:
         raise InputError("--address is only for the engines ray and warp; remove it")
-    return ENGINES[engine](address, workers)
+    return local(workers)
 
 
 def select_points(swept: Sweep, without: Sequence[str]) -> set[str]:
@@ -358,11 +362,9 @@ class OpenSweep:
         results = SweepTable.from_rows(self.sweep, rows)
         results.write(fresh / RESULTS, self.sweep)
         titles = self._draw(fresh, results)
-        for name, document in (
-            (SWEEP, self.sweep.document),
-            (SCENARIO, self.sweep.experiment.base),
-        ):
-            (fresh / name).write_text(dump_yaml(document), "utf-8")
+        base = self.sweep.experiment.base
+        (fresh / SWEEP).write_text(dump_yaml(self.sweep.document), "utf-8")
+        (fresh / SCENARIO).write_text(dump_yaml(base), "utf-8")
         failed = [row for row in rows if row.status == FAILED]
         summary = Summary(
             folder=self.folder,
@@ -378,14 +380,7 @@ class OpenSweep:
         pictures = {
             title: (fresh / name).read_bytes() for name, title in titles.items()
         }
-        write_report(
-            fresh / REPORT,
-            self.sweep,
-            summary,
-            results,
-            shown_metrics(self.sweep),
-            pictures,
-        )
+        write_report(fresh / REPORT, self.sweep, summary, pictures)
         (fresh / SUMMARY).write_text(
             json.dumps(self._document(summary), indent=2) + "\n", "utf-8"
         )
@@ -455,50 +450,54 @@ class OpenSweep:
 def _describe_difference(before: SweepIdentity, now: SweepIdentity) -> str:
     """Return the differences between two versions of a sweep as a short text."""
     texts = []
-    if changed := list(_value_changes(before.versions, now.versions, "")):
+    if changed := list(_value_changes(before.versions, now.versions)):
         texts.append(f"made with other versions: {_abbreviate(changed)}")
     for old, new, label in (
         (before.sources, now.sources, "the program has changed"),
         (before.files, now.files, "contents have changed"),
     ):
-        names = [
-            name
-            for name in dict.fromkeys((*new, *old))
-            if old.get(name) != new.get(name)
-        ]
-        if names:
+        if names := [name for name in new | old if old.get(name) != new.get(name)]:
             texts.append(f"{label}: {_abbreviate(names)}")
     if before.fields != now.fields:
         texts.append(f"it varied {', '.join(before.fields)}")
-    elif changed := list(_value_changes(before.scenario, now.scenario, "")):
+    elif changed := list(_value_changes(before.scenario, now.scenario)):
         texts.append(f"the scenario has changed: {_abbreviate(changed)}")
     return "; ".join(texts) or "the values have changed"
 
 
 def _abbreviate(names: Sequence[str]) -> str:
     """Return at most three names, and the number of further ones."""
-    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
-    return ", ".join(names[:3]) + more
+    text = ", ".join(names[:3])
+    if len(names) > 3:
+        text += f" and {len(names) - 3} more"
+    return text
 
 
-def _value_changes(before: Any, now: Any, path: str) -> Any:
+def _value_changes(before: Any, now: Any, path: str = "") -> Iterator[str]:
     """Yield 'field old → new' for each scalar value that differs."""
     if isinstance(before, dict) and isinstance(now, dict):
-        for key in dict.fromkeys((*before, *now)):
-            yield from _value_changes(
-                before.get(key), now.get(key), f"{path}.{key}" if path else key
-            )
+        for key in before | now:
+            inner = f"{path}.{key}".lstrip(".")
+            yield from _value_changes(before.get(key), now.get(key), inner)
     elif before != now:
-        old, new = (
-            value if isinstance(value, str) else json.dumps(value)
-            for value in (before, now)
-        )
-        yield f"{path} {old} → {new}"
+        yield f"{path} {_value_text(before)} → {_value_text(now)}"
+
+
+def _value_text(value: object) -> str:
+    return value if isinstance(value, str) else json.dumps(value)
 
 
 BATCH_SIZE = 1024
 """Largest number of worlds at a time; distinct robots are compiled on the CPU and kept until their run is
 done."""
+
+
+class _TwinPoint(NamedTuple):
+    """Point of a sweep whose twin can run in a batch."""
+
+    number: int
+    scenario: Scenario
+    twin: Plant
 
 
 def on_device(device: str | None = None, workers: int | None = None) -> Engine:
@@ -525,39 +524,48 @@ def on_device(device: str | None = None, workers: int | None = None) -> Engine:
         experiment: Experiment, points: Sequence[Point]
     ) -> Iterator[TaskResult[Row]]:
         unsupported: dict[int, str] = {}
-        for first in range(0, len(points), BATCH_SIZE):
-            chunk = range(first, min(first + BATCH_SIZE, len(points)))
-            groups: dict[object, list[tuple[int, Scenario, object]]] = defaultdict(list)
-            for k in chunk:
-                try:
-                    scenario = parse_scenario(experiment.document(points[k].changes))
-                    twin = scenario.build_plant("twin")
-                    batch_class.check(twin)
-                    groups[_group_key(experiment, scenario)].append((k, scenario, twin))
-                except SrsError as error:
-                    unsupported[k] = str(error)
-            for group in groups.values():
-                try:
-                    trajectories = _run(batch_class, device, group)
-                except InputError as error:
-                    unsupported |= dict.fromkeys([k for k, _, _ in group], str(error))
-                    continue
-                for (k, _, _), trajectory in zip(group, trajectories, strict=True):
-                    yield TaskResult(
-                        k, run_point(experiment, points[k], {"twin": trajectory}), None
-                    )
+        for group in _batches(batch_class, experiment, points, unsupported):
+            numbers = [each.number for each in group]
+            try:
+                trajectories = _run(batch_class, device, group)
+            except InputError as error:
+                unsupported |= dict.fromkeys(numbers, str(error))
+                continue
+            for number, trajectory in zip(numbers, trajectories, strict=True):
+                row = run_point(experiment, points[number], {"twin": trajectory})
+                yield TaskResult(number, row, None)
         if unsupported:
-            why = next(iter(unsupported.values()))
             message = (
                 f"{len(unsupported)} of {len(points)} points run on the processor:"
-                f" {why}"
+                f" {next(iter(unsupported.values()))}"
             )
             warnings.warn(message, EngineWarning, stacklevel=1)
-            numbers = list(unsupported)
-            for row in local(workers)(experiment, [points[k] for k in numbers]):
-                yield TaskResult(numbers[row.number], row.result, row.error)
+            rest = list(unsupported)
+            for done in local(workers)(experiment, [points[k] for k in rest]):
+                yield replace(done, number=rest[done.number])
 
     return run
+
+
+def _batches(
+    batch_class: Any,
+    experiment: Experiment,
+    points: Sequence[Point],
+    unsupported: dict[int, str],
+) -> Iterator[list[_TwinPoint]]:
+    """Yield twins that can run in one batch, and add the other points with the reason to `unsupported`."""
+    for first in range(0, len(points), BATCH_SIZE):
+        groups: dict[object, list[_TwinPoint]] = defaultdict(list)
+        for number in range(first, min(first + BATCH_SIZE, len(points))):
+            try:
+                scenario = parse_scenario(experiment.document(points[number].changes))
+                twin = scenario.build_plant("twin")
+                batch_class.check(twin)
+                key = _group_key(experiment, scenario)
+                groups[key].append(_TwinPoint(number, scenario, twin))
+            except SrsError as error:
+                unsupported[number] = str(error)
+        yield from groups.values()
 
 
 def _group_key(experiment: Experiment, scenario: Scenario) -> tuple[object, ...]:
@@ -575,18 +583,17 @@ def _group_key(experiment: Experiment, scenario: Scenario) -> tuple[object, ...]
 
 
 def _run(
-    batch_class: Any, device: str | None, group: Sequence[tuple[int, Scenario, object]]
+    batch_class: Any, device: str | None, group: Sequence[_TwinPoint]
 ) -> list[Any]:
-    """Run scenarios with the same timing in one batch; raises InputError if the device cannot."""
-    scenarios = [scenario for _, scenario, _ in group]
-    timing = scenarios[0].timing
+    """Run twins with the same timing in one batch; raises InputError if the device cannot."""
+    timing = group[0].scenario.timing
     return list(
         run_scripts(
-            batch_class([twin for _, _, twin in group], device=device),
-            [scenario.build_controller() for scenario in scenarios],
+            batch_class([each.twin for each in group], device=device),
+            [each.scenario.build_controller() for each in group],
             timing["duration"],
             seed=timing["seed"],
             record_hz=timing["record_hz"],
-            poses=[scenario.pose for scenario in scenarios],
+            poses=[each.scenario.pose for each in group],
         )
     )

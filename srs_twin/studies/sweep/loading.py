@@ -55,13 +55,6 @@ from srs_twin.studies.sweep.points import (
 )
 
 
-def _not_varied(field: str, file: SweepFile) -> str:
-    hint = (
-        did_you_mean(field, file.vary) or f"; varied: {format_names(list(file.vary))}"
-    )
-    return f"is not varied{hint}"
-
-
 def load_sweep(
     sweep: StrPath | Sweep,
     *,
@@ -87,7 +80,6 @@ def load_sweep(
     path = find_file("sweep", sweep)
     overrides = Override.list_of(set)
     document = load_yaml(path)
-    name = results_name(path)
     written = copy.deepcopy(document.data)
     for change in overrides:
         document.apply(replace(change, loc=("fixed", format_path(change.loc))))
@@ -100,7 +92,7 @@ def load_sweep(
     scenario, scenario_errors = base_scenario(document)
     loaded = None
     if complete and file is not None and scenario is not None:
-        loaded = _Loader(document, file, scenario).sweep(name)
+        loaded = _Loader(document, file, scenario).sweep(results_name(path))
     document.raise_problems(scenario_errors)
     assert loaded is not None and scenario is not None, (
         "a document without problems gives a sweep"
@@ -123,7 +115,7 @@ def _with_changes(
     """
     plants = written.get("plants")
     if plants is None:
-        plants = scenario.plants
+        plants = list(scenario.plants)
     changes = with_plants(
         changed_base(sweep.experiment, scenario, written, locs),
         plants,
@@ -222,13 +214,6 @@ def base_scenario(document: Document) -> tuple[Scenario | None, tuple[str, ...]]
     return None, ()
 
 
-_NEEDS_PLANTS = {
-    "periods": "no plant runs with plants: []; remove it",
-    "trajectories": "no plant runs with plants: []; remove it",
-}
-"""Keys that are not allowed for a sweep that is only planned → message."""
-
-
 class _Loader:
     """Validation of a sweep against its scenario."""
 
@@ -282,35 +267,36 @@ class _Loader:
             document=self._document.data,
             warnings=self._warnings,
         )
-        self._check_values(sweep)
+        for loc, problem in problems_at(self._test_points(sweep)):
+            self._report_problem(loc, problem)
         if len(self._document.problems) > before:
             return None
         return sweep
 
+    @property
+    def _fields(self) -> list[tuple[str, str]]:
+        """Section and name of each varied and fixed field."""
+        varied = [("vary", field) for field in self._file.vary]
+        return varied + [("fixed", field) for field in self._file.fixed]
+
     def _check_names(self) -> None:
         idle = set(PLANTS) - set(self._plants)
-        for section in ("fixed", "vary"):
-            for field in getattr(self._file, section):
-                if field.partition(".")[0] in NOT_PHYSICS:
-                    self._report(
-                        section,
-                        field,
-                        "is a name or expectation without effect on the simulation;"
-                        " remove it",
-                    )
-                elif field == "duration_s" and self._file.periods is not None:
-                    self._report(
-                        section, field, "is set by periods as well; remove one of them"
-                    )
-                elif section == "fixed" and field in self._file.vary:
-                    self._report(
-                        section, field, "is varied as well; remove one of them"
-                    )
-                first, *path = parse_path(field)
-                if first == "plants" and idle.intersection(path[:1]):
-                    self._report(
-                        section, field, f"{path[0]} does not run here; add it to plants"
-                    )
+        for section, field in self._fields:
+            own_plant = parse_path(field)[1:2]
+            if field.partition(".")[0] in NOT_PHYSICS:
+                text = (
+                    "is a name or expectation without effect on the simulation;"
+                    " remove it"
+                )
+            elif field == "duration_s" and self._file.periods is not None:
+                text = "is set by periods as well; remove one of them"
+            elif section == "fixed" and field in self._file.vary:
+                text = "is varied as well; remove one of them"
+            elif field.startswith("plants.") and idle.intersection(own_plant):
+                text = f"{own_plant[0]} does not run here; add it to plants"
+            else:
+                continue
+            self._document.report((section, field), text, at_key=True)
 
     def _check_planning(self) -> None:
         """Check a sweep without plants, which must have a planner."""
@@ -322,113 +308,89 @@ class _Loader:
                 " name a plant"
             )
             self._document.report(("plants",), text)
-        for key, text in _NEEDS_PLANTS.items():
+        for key in ("periods", "trajectories"):
             if getattr(self._file, key):
+                text = "no plant runs with plants: []; remove it"
                 self._document.report((key,), text, at_key=True)
 
     def _check_metrics(self) -> None:
-        known = [
-            *metric_units(),
-            *LIST_METRIC_UNITS,
-            *(COMPARISON_UNITS if len(self._plants) == 2 else ()),
-        ]
-        known = known if self._plants else list(PLANNING_UNITS)
-        for i, metric in enumerate(self._file.metrics or ()):
+        known = [*PLANNING_UNITS]
+        if self._plants:
+            known = [*metric_units(), *LIST_METRIC_UNITS]
+        if len(self._plants) == len(PLANTS):
+            known += COMPARISON_UNITS
+        metrics = self._file.metrics
+        for i, metric in enumerate(metrics or ()):
             self._check_metric(("metrics", i), metric, known)
+        plotted = known if metrics is None else metrics
         for i, plot in enumerate(self._file.plots):
-            if self._file.metrics is None:
-                plotted = known
-            else:
-                plotted = list(self._file.metrics)
             self._check_metric(("plots", i, "metric"), plot.metric, plotted)
-            for key in ("x", "by"):
-                field = getattr(plot, key)
-                if (
-                    field is None
-                    or field in self._file.vary
-                    or (plot.kind == "scatter" and field in plotted)
-                ):
-                    continue
-                self._document.report(
-                    ("plots", i, key), f"'{field}' {_not_varied(field, self._file)}"
-                )
+            allowed = {*self._file.vary}
+            if plot.kind == "scatter":
+                allowed.update(plotted)
+            for key, field in (("x", plot.x), ("by", plot.by)):
+                if field is not None and field not in allowed:
+                    self._document.report(("plots", i, key), self._not_varied(field))
 
-    def _check_metric(
-        self, loc: tuple[str | int, ...], metric: str, known: list[str]
-    ) -> None:
+    def _not_varied(self, field: str) -> str:
+        varied = list(self._file.vary)
+        hint = did_you_mean(field, varied) or f"; varied: {format_names(varied)}"
+        return f"'{field}' is not varied{hint}"
+
+    def _check_metric(self, loc: Loc, metric: str, known: list[str]) -> None:
         if metric in known:
             return
+        text = str(UnknownNameError("metric", metric, known, METRICS_LISTED))
         if metric in COMPARISON_UNITS and len(self._plants) == 1:
-            self._document.report(
-                loc, f"{metric} compares both plants; only {self._plants[0]} runs here"
-            )
-        else:
-            self._document.report(
-                loc, str(UnknownNameError("metric", metric, known, METRICS_LISTED))
-            )
+            text = f"{metric} compares both plants; only {self._plants[0]} runs here"
+        self._document.report(loc, text)
 
     def _robots(self) -> dict[str, Any]:
         """Return name → document of each named robot; keys of points depend on these contents."""
         robots = {}
-        values = self._file.vary.get("robot", ())
-        varied = () if isinstance(values, RangeFile) else values
-        names = [
-            ("fixed", self._file.fixed.get("robot")),
-            *(("vary", value) for value in varied),
-        ]
+        varied = self._file.vary.get("robot")
+        names: list[tuple[str, object]] = [("fixed", self._file.fixed.get("robot"))]
+        if isinstance(varied, list):
+            names += [("vary", value) for value in varied]
         for section, name in names:
             try:
                 if isinstance(name, str):
                     robots[name] = load_robot_file(name).model_dump(mode="json")
             except InputError as error:
-                self._report(section, "robot", str(error))
+                self._document.report((section, "robot"), str(error), at_key=True)
         return robots
 
-    def _check_values(self, sweep: Sweep) -> None:
-        """Validate the scenario with each varied value, together with the first values of other fields."""
-        points = (
-            (loc, sweep.experiment, changes)
-            for loc, changes in self._test_points(sweep)
-        )
-        for loc, problem in problems_at(points):
-            self._report_problem(loc, problem)
-
-    def _test_points(self, sweep: Sweep) -> Iterator[tuple[Loc, Mapping[str, Value]]]:
-        """Yield the location of values in the file and the changes of a point with them."""
-        first = dict(zip(sweep.fields, sweep.values[0], strict=True))
+    def _test_points(
+        self, sweep: Sweep
+    ) -> Iterator[tuple[Loc, Experiment, Mapping[str, Value]]]:
+        """Yield a point with each varied value and the first values of other fields, see `problems_at`."""
+        experiment = sweep.experiment
+        rows = [dict(zip(sweep.fields, row, strict=True)) for row in sweep.values]
         if self._file.sampling.kind == "list":
-            for row in sweep.values:
-                yield ("vary",), dict(zip(sweep.fields, row, strict=True))
+            yield from ((("vary",), experiment, row) for row in rows)
             return
-        yield ("vary",), first
-        for j, (field, varied) in enumerate(self._file.vary.items()):
+        first = rows[0]
+        yield ("vary",), experiment, first
+        for field, varied in self._file.vary.items():
+            values: Iterable[tuple[str | int, Value]] = ()
             if isinstance(varied, RangeFile):
-                column = [row[j] for row in sweep.values if not isinstance(row[j], str)]
-                ends = {"from": min(column), "to": max(column)}
-                for end, value in ends.items():
-                    yield ("vary", field, end), {**first, field: value}
+                column = [row[field] for row in rows]
+                numbers = [value for value in column if not isinstance(value, str)]
+                values = {"from": min(numbers), "to": max(numbers)}.items()
             else:
-                for i, value in enumerate(varied):
-                    yield ("vary", field, i), {**first, field: value}
+                values = enumerate(varied)
+            for key, value in values:
+                yield ("vary", field, key), experiment, {**first, field: value}
 
     def _report_problem(self, loc: Loc, text: str) -> None:
         """Report a problem of a point at the location of the field that causes it."""
         path, _, message = text.partition(": ")
-        for section in ("vary", "fixed"):
-            for field in getattr(self._file, section):
-                if path == field or path.startswith((f"{field}.", f"{field}[")):
-                    if loc[:2] == (section, field):
-                        field_loc = loc
-                    else:
-                        field_loc = (section, field)
-                    message = with_suggestion(
-                        message, field, leaf_names(self._scenario)
-                    )
-                    self._document.report(
-                        field_loc, message, at_key=message.startswith("unknown key")
-                    )
-                    return
+        for section, field in self._fields:
+            if path == field or path.startswith((f"{field}.", f"{field}[")):
+                if loc[:2] != (section, field):
+                    loc = section, field
+                message = with_suggestion(message, field, leaf_names(self._scenario))
+                is_key = message.startswith("unknown key")
+                self._document.report(loc, message, at_key=is_key)
+                return
         self._document.report(loc[:2], text)
-
-    def _report(self, section: str, field: str, message: str) -> None:
-        self._document.report((section, field), message, at_key=True)

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.cm import ScalarMappable
@@ -258,7 +259,7 @@ def _mark_failed(axes: Axes, x: np.ndarray) -> None:
 
 def _draw_legend(axes: Axes, owners: list[str], plot: Plot) -> None:
     """Draw a legend of plants and of failed runs above the plot on the right."""
-    handles = []
+    handles: list[Artist] = []
     # A plan has no plant to distinguish, so it has no legend entry.
     for owner in owners if PLAN not in owners else ():
         style = _line_style(owner)

@@ -102,19 +102,16 @@ class SamplingFile(Section):
 
     @model_validator(mode="after")
     def _check_combinations(self) -> SamplingFile:
-        is_random = self.kind in ("latin_hypercube", "sobol")
-        if is_random and self.count is None:
+        if self.kind in ("grid", "list"):
+            for name in ("count", "seed"):
+                if getattr(self, name) is not None:
+                    raise ValueError(
+                        f"{name} is only for latin_hypercube and sobol, not for"
+                        f" {self.kind}"
+                    )
+        elif self.count is None:
             raise ValueError(f"{self.kind} needs a count")
-        for name in ("count", "seed"):
-            if not is_random and getattr(self, name) is not None:
-                raise ValueError(
-                    f"{name} is only for latin_hypercube and sobol, not for {self.kind}"
-                )
-        if (
-            self.kind == "sobol"
-            and self.count is not None
-            and self.count & (self.count - 1)
-        ):
+        elif self.kind == "sobol" and self.count & (self.count - 1):
             below = 1 << (self.count.bit_length() - 1)
             raise ValueError(
                 f"sobol points are balanced in powers of 2 only: {below} or"
@@ -288,11 +285,9 @@ def _with_planner_keys(document: Any, kind: Any) -> Any:
     planner = document.get("planner")
     if not isinstance(planner, Mapping) or kind not in PLANNER_FILES:
         return document
-    known = PLANNER_FILES[str(kind)].model_fields
-    return {
-        **document,
-        "planner": {key: value for key, value in planner.items() if key in known},
-    }
+    known = PLANNER_FILES[kind].model_fields
+    kept = {key: value for key, value in planner.items() if key in known}
+    return {**document, "planner": kept}
 
 
 def with_value(data: Any, loc: Loc, value: Value | list[Value]) -> Any:
@@ -302,11 +297,7 @@ def with_value(data: Any, loc: Loc, value: Value | list[Value]) -> Any:
     sweep.
     """
     if not loc:
-        if (
-            isinstance(data, Mapping)
-            and {"value", "unit"} <= data.keys()
-            and not isinstance(value, Mapping)
-        ):
+        if _is_record(data) and not isinstance(value, Mapping):
             return replace_value(data, value, None, BY_A_SWEEP)
         return value
     first = loc[0]
@@ -317,9 +308,14 @@ def with_value(data: Any, loc: Loc, value: Value | list[Value]) -> Any:
     return {**inner, first: with_value(inner.get(first), rest, value)}
 
 
+def _is_record(data: object) -> bool:
+    """Return whether plain data is a number of a robot with its unit."""
+    return isinstance(data, Mapping) and {"value", "unit"} <= data.keys()
+
+
 def leaf_names(data: object, prefix: str = "") -> Iterator[str]:
     """Yield the dotted names of all scalar values in plain data; a robot record counts as one."""
-    if isinstance(data, Mapping) and not {"value", "unit"} <= data.keys():
+    if isinstance(data, Mapping) and not _is_record(data):
         for key, value in data.items():
             yield from leaf_names(value, f"{prefix}.{key}" if prefix else str(key))
         yield prefix
@@ -389,11 +385,8 @@ def sobol_points(
     """Return the first points of a scrambled Sobol sequence in the unit cube, shape (count, dimensions)."""
     from scipy.stats import qmc
 
-    return np.asarray(
-        qmc.Sobol(dimensions, rng=rng).random_base2(max(count - 1, 1).bit_length())[
-            :count
-        ]
-    )
+    points = qmc.Sobol(dimensions, rng=rng).random_base2(max(count - 1, 1).bit_length())
+    return np.asarray(points[:count])
 
 
 def _space_filling_points(
@@ -403,10 +396,7 @@ def _space_filling_points(
     from scipy.stats import qmc
 
     assert sampling.count is not None, "checked by the file's model"
-    if sampling.kind == "sobol":
-        engine = qmc.Sobol
-    else:
-        engine = qmc.LatinHypercube
+    engine = qmc.Sobol if sampling.kind == "sobol" else qmc.LatinHypercube
     unit = engine(d=len(fields), rng=sampling.seed or 0).random(sampling.count)
     columns = [
         _values_at(values, shares)

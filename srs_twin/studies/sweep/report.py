@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ import numpy as np
 
 from srs_twin.io.files import write_text
 from srs_twin.studies.sweep.points import Sweep, is_number
-from srs_twin.studies.sweep.table import COMPARISON, SweepTable
+from srs_twin.studies.sweep.table import COMPARISON, SweepTable, shown_metrics
 from srs_twin.studies.sweep.task import PLAN
 from srs_twin.viewing.html import Table, cell, image, render
 from srs_twin.viewing.plots.labels import field_label
@@ -69,9 +69,8 @@ class _Column:
         """Return the number of a run as text, to the fourth digit of the column's largest number."""
         largest = np.abs(self.numbers[np.isfinite(self.numbers)]).max(initial=0)
         places = 3 - int(np.floor(np.log10(largest))) if largest else 0
-        number = self.numbers[run]
-        if np.isfinite(number):
-            return f"{number:z.{max(places, 0)}f}"
+        if np.isfinite(self.numbers[run]):
+            return f"{self.numbers[run]:z.{max(places, 0)}f}"
         return cell(None)
 
     def mean_text(self, runs: np.ndarray) -> str:
@@ -80,10 +79,12 @@ class _Column:
         known = numbers[np.isfinite(numbers)]
         if not len(known):
             return cell(None)
-        std = f" ± {known.std(ddof=1):.2g}" if len(known) > 1 else ""
-        return f"{known.mean():.4g}{std}" + (
-            f" ({len(known)})" if len(known) < len(numbers) else ""
-        )
+        text = f"{known.mean():.4g}"
+        if len(known) > 1:
+            text += f" ± {known.std(ddof=1):.2g}"
+        if len(known) < len(numbers):
+            text += f" ({len(known)})"
+        return text
 
 
 def run_tables(results: SweepTable, metrics: Sequence[str]) -> list[Table]:
@@ -95,31 +96,21 @@ def run_tables(results: SweepTable, metrics: Sequence[str]) -> list[Table]:
         metrics: metrics to show for each plant and the comparison; a list metric is
             shown by its mean.
     """
-    if len(results.failed) > MAX_RUNS:
-        return [
-            Table(
-                (),
-                (),
-                note=f"{len(results.failed)} runs; their rows are in results.parquet.",
-            )
-        ]
-    fields = [results.values(name, "") for name in results.fields]
     failed = results.failed
-    order = np.lexsort([field.numbers for field in reversed(fields)])
-    columns, note = _metric_columns(results, metrics)
-    headings = (
-        *(field.label for field in fields),
-        *(["status"] if failed.any() else []),
-    )
-    starts = [tuple(field.text(field.numbers[i]) for field in fields) for i in order]
+    if len(failed) > MAX_RUNS:
+        note = f"{len(failed)} runs; their rows are in results.parquet."
+        return [Table((), (), note=note)]
+    fields = [results.values(name, "") for name in results.fields]
+    headings = [field.label for field in fields]
     if failed.any():
-        starts = [
-            (*start, "failed" if failed[i] else "done")
-            for start, i in zip(starts, order, strict=True)
-        ]
-    return _split_tables(
-        headings, zip(starts, order, strict=True), columns, _Column.text, note
-    )
+        headings.append("status")
+    lines = []
+    for i in np.lexsort([column.numbers for column in reversed(fields)]):
+        start = [column.text(column.numbers[i]) for column in fields]
+        if failed.any():
+            start.append("failed" if failed[i] else "done")
+        lines.append((start, i))
+    return _split_tables(results, metrics, headings, lines, _Column.text)
 
 
 def mean_tables(results: SweepTable, metrics: Sequence[str]) -> list[Table]:
@@ -135,18 +126,14 @@ def mean_tables(results: SweepTable, metrics: Sequence[str]) -> list[Table]:
     if len(groups) == len(results.failed):
         return []
     if len(groups) > MAX_RUNS:
-        return [
-            Table(
-                (),
-                (),
-                note=f"{len(groups)} combinations; their runs are in results.parquet.",
-            )
-        ]
-    successful = [(texts, rows[~results.failed[rows]]) for texts, rows in groups]
-    lines = [((*texts, str(len(rows))), rows) for texts, rows in successful]
-    columns, note = _metric_columns(results, metrics)
-    headings = (*map(field_label, results.settings), "runs")
-    return _split_tables(headings, lines, columns, _Column.mean_text, note)
+        note = f"{len(groups)} combinations; their runs are in results.parquet."
+        return [Table((), (), note=note)]
+    lines = []
+    for texts, rows in groups:
+        done = rows[~results.failed[rows]]
+        lines.append(([*texts, str(len(done))], done))
+    headings = [*map(field_label, results.settings), "runs"]
+    return _split_tables(results, metrics, headings, lines, _Column.mean_text)
 
 
 def _metric_columns(
@@ -157,10 +144,9 @@ def _metric_columns(
     for metric in dict.fromkeys(metrics):
         for owner in results.owners_if_any(metric):
             values = results.metric(metric, owner)
-            if owner in (COMPARISON, PLAN):
-                heading = values.label
-            else:
-                heading = f"{values.label}, {owner}"
+            heading = values.label
+            if owner not in (COMPARISON, PLAN):
+                heading += f", {owner}"
             columns.append(_Column(heading, values.numbers))
     if len(columns) <= _MAX_COLUMNS:
         return columns, ""
@@ -171,30 +157,30 @@ def _metric_columns(
 
 
 def _split_tables(
-    headings: tuple[str, ...],
-    lines: Iterable[tuple[tuple[str, ...], Any]],
-    columns: Sequence[_Column],
+    results: SweepTable,
+    metrics: Sequence[str],
+    headings: list[str],
+    lines: list[tuple[list[str], Any]],
     text: Callable[[_Column, Any], str],
-    note: str,
 ) -> list[Table]:
     """Return tables with as many metric columns as fit on a page; at least one table.
 
     Args:
+        results: results of a sweep.
+        metrics: metrics to show.
         headings: headings of the first columns of each table.
         lines: first cells of each line, and its run or runs.
-        columns: metric columns.
         text: function that returns a metric's text for these runs.
-        note: note below each table.
     """
+    columns, note = _metric_columns(results, metrics)
     tables = []
-    lines = list(lines)
     for first in range(0, max(len(columns), 1), _COLUMNS_PER_TABLE):
         chunk = columns[first : first + _COLUMNS_PER_TABLE]
-        rows = tuple(
+        rows = [
             (*start, *(text(column, runs) for column in chunk)) for start, runs in lines
-        )
-        all_headings = (*headings, *(column.heading for column in chunk))
-        tables.append(Table(all_headings, rows, range(len(all_headings)), note))
+        ]
+        shown = (*headings, *(column.heading for column in chunk))
+        tables.append(Table(shown, rows, range(len(shown)), note))
     return tables
 
 
@@ -208,12 +194,7 @@ _MAX_REASONS = 20
 
 
 def write_report(
-    path: Path,
-    sweep: Sweep,
-    summary: Summary,
-    results: SweepTable,
-    metrics: Sequence[str],
-    pictures: Mapping[str, bytes],
+    path: Path, sweep: Sweep, summary: Summary, pictures: Mapping[str, bytes]
 ) -> None:
     """Write the self-contained HTML page atomically.
 
@@ -221,13 +202,13 @@ def write_report(
         path: file to write or replace.
         sweep: sweep.
         summary: its summary.
-        results: its results.
-        metrics: metrics of the tables.
         pictures: title → PNG.
 
     Raises:
         InputError: the path cannot be written.
     """
+    results = summary.results
+    metrics = shown_metrics(sweep)
     versions = [("results sha256", summary.sha256), *sweep.versions.items()]
     content = render(
         "studies/sweep/report.html",
@@ -257,47 +238,36 @@ def _counts(summary: Summary) -> str:
 
 
 def _failures(summary: Summary) -> Table:
-    rows = [
-        (reason, str(count))
-        for reason, count in list(summary.reasons.items())[:_MAX_REASONS]
-    ]
-    more = len(summary.reasons) - len(rows)
-    if more:
-        note = f"And {more} other reasons: see results.parquet."
-    else:
-        note = ""
-    return Table(["reason", "runs"], rows, numbers=[1], note=note)
+    rows = [(reason, str(count)) for reason, count in summary.reasons.items()]
+    note = ""
+    if len(rows) > _MAX_REASONS:
+        note = f"And {len(rows) - _MAX_REASONS} other reasons: see results.parquet."
+    return Table(["reason", "runs"], rows[:_MAX_REASONS], numbers=[1], note=note)
 
 
 def _varied(sweep: Sweep) -> Table:
     """Return the table of varied and fixed fields."""
     rows = []
     for name, column in zip(sweep.fields, zip(*sweep.values, strict=True), strict=True):
-        rows.append(
-            (field_label(name), name, _values_text(list(dict.fromkeys(column))))
-        )
+        values = list(dict.fromkeys(column))
+        rows.append((field_label(name), name, _values_text(values)))
     for name, value in sweep.document.get("fixed", {}).items():
         rows.append((field_label(name), name, f"{_value_text(value)} (fixed)"))
-    if sweep.experiment.periods is not None:
-        rows.append(
-            ("simulated time", "periods", f"{sweep.experiment.periods:g} periods")
-        )
+    periods = sweep.experiment.periods
+    if periods is not None:
+        rows.append(("simulated time", "periods", f"{periods:g} periods"))
     rows.append(("plants", "plants", " and ".join(sweep.experiment.plants)))
     return Table(["quantity", "field", "values"], rows)
 
 
 def _values_text(values: list[Any]) -> str:
-    if len(values) <= _MAX_VALUES:
-        return ", ".join(map(_value_text, values))
-    if all(map(is_number, values)):
-        return (
-            f"{_value_text(min(values))} to {_value_text(max(values))}, {len(values)}"
-            " values"
-        )
-    return (
-        f"{', '.join(map(_value_text, values[:_MAX_VALUES]))} and"
-        f" {len(values) - _MAX_VALUES} more"
-    )
+    if len(values) > _MAX_VALUES and all(map(is_number, values)):
+        low, high = map(_value_text, (min(values), max(values)))
+        return f"{low} to {high}, {len(values)} values"
+    text = ", ".join(map(_value_text, values[:_MAX_VALUES]))
+    if len(values) > _MAX_VALUES:
+        text += f" and {len(values) - _MAX_VALUES} more"
+    return text
 
 
 def _value_text(value: Any) -> str:

@@ -48,8 +48,7 @@ class SweepIdentity:
         scenario: scenario of the experiment.
         fields: varied fields.
         versions: package → version.
-        sources: module that computes rows → hash of its source; empty in files of older
-            versions.
+        sources: module that computes rows → hash of its source.
         files: file that points read → hash of its contents.
     """
 
@@ -99,7 +98,11 @@ _ROW = TypeAdapter(tuple[dict[str, Any], float, str | None, int])
 
 
 class RowStore(contextlib.AbstractContextManager["RowStore"]):
-    """Stored rows of one sweep; a context manager that locks the folder."""
+    """Stored rows of one sweep; a context manager that locks the folder.
+
+    Attributes:
+        database: open SQLite database.
+    """
 
     def __init__(self, folder: Path) -> None:
         """Open or create the file, and the folder.
@@ -118,12 +121,10 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
                 f"{display_path(folder)}: cannot be created ({error.strerror})"
             ) from error
         try:
-            self._database = sqlite3.connect(
-                self._path, timeout=0, isolation_level=None
-            )
-            self._database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _MAX_BYTES)
+            self.database = sqlite3.connect(self._path, timeout=0, isolation_level=None)
+            self.database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _MAX_BYTES)
             for statement in _OPENING:
-                self._database.execute(statement)
+                self.database.execute(statement)
         except _DAMAGE as error:
             raise self._input_error(error) from error
 
@@ -134,9 +135,9 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
         with contextlib.suppress(sqlite3.Error, OSError):
             is_empty = (
                 self._is_new
-                and not self._database.execute("SELECT 1 FROM rows LIMIT 1").fetchall()
+                and not self.database.execute("SELECT 1 FROM rows LIMIT 1").fetchall()
             )
-            self._database.close()
+            self.database.close()
             if is_empty:
                 self._path.unlink()
         remove_empty_folders(self._missing)
@@ -223,9 +224,9 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
             (key,) for (key,) in self._read("SELECT key FROM rows") if key not in kept
         ]
         with self._errors_translated():
-            self._database.execute("BEGIN")
-            self._database.executemany("DELETE FROM rows WHERE key = ?", removed)
-            self._database.execute("COMMIT")
+            self.database.execute("BEGIN")
+            self.database.executemany("DELETE FROM rows WHERE key = ?", removed)
+            self.database.execute("COMMIT")
 
     def _parse(self, adapter: TypeAdapter[Parsed], content: Any) -> Parsed:
         try:
@@ -238,11 +239,11 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
 
     def _read(self, query: str, *arguments: Any) -> list[Any]:
         with self._errors_translated():
-            return self._database.execute(query, arguments).fetchall()
+            return self.database.execute(query, arguments).fetchall()
 
     def _write(self, query: str, *arguments: Any) -> None:
         with self._errors_translated():
-            self._database.execute(query, arguments)
+            self.database.execute(query, arguments)
 
     @contextlib.contextmanager
     def _errors_translated(self) -> Iterator[None]:

@@ -100,19 +100,14 @@ class SweepTable:
         rows = sorted(rows, key=lambda row: row.key)
         changes = {point.key: point.changes for point in sweep.points}
         columns: dict[str, list[Any]] = {"key": [row.key for row in rows]}
-        columns |= {
-            name: _of_one_type([changes[row.key][name] for row in rows])
-            for name in sweep.fields
-        }
-        columns |= {
-            name: [getattr(row, name) for row in rows]
-            for name in ("status", "reason", "exit_code")
-        }
-        columns |= {
-            name: [row.values.get(name) for row in rows]
-            for name in _metrics(sweep, rows)
-        }
-        return SweepTable(columns | {"wall_s": [row.wall_s for row in rows]})
+        for name in sweep.fields:
+            columns[name] = _of_one_type([changes[row.key][name] for row in rows])
+        for name in ("status", "reason", "exit_code"):
+            columns[name] = [getattr(row, name) for row in rows]
+        for name in _metrics(sweep, rows):
+            columns[name] = [row.values.get(name) for row in rows]
+        columns["wall_s"] = [row.wall_s for row in rows]
+        return SweepTable(columns)
 
     def write(self, path: Path, sweep: Sweep) -> None:
         """Write a Parquet file with the title and versions of the sweep atomically.
@@ -122,36 +117,25 @@ class SweepTable:
         """
         import pyarrow as pa
 
-        fields = {
-            name: None if len(self.failed) else pa.bool_() for name in self.fields
+        types = dict.fromkeys(self.columns, pa.float64())
+        types |= dict.fromkeys(self.fields, None if len(self.failed) else pa.bool_())
+        types |= dict.fromkeys(("key", "status", "reason"), pa.string())
+        types["exit_code"] = pa.int8()
+        columns = {
+            name: pa.array(values, types[name]) for name, values in self.columns.items()
         }
-        texts = dict.fromkeys(("key", "status", "reason"), pa.string())
-        types = {**fields, **texts, "exit_code": pa.int8()}
-        columns = [
-            pa.array(values, types.get(name, pa.float64()))
-            for name, values in self.columns.items()
-        ]
-        metadata = json.dumps({"title": sweep.title, "versions": dict(sweep.versions)})
-        write_table(
-            path,
-            pa.table(
-                columns, list(self.columns), metadata={"srs_twin.sweep": metadata}
-            ),
-        )
+        about = json.dumps({"title": sweep.title, "versions": dict(sweep.versions)})
+        write_table(path, pa.table(columns, metadata={"srs_twin.sweep": about}))
 
     def ranges(self) -> dict[str, tuple[float, float, float]]:
         """Return (minimum, median, maximum) of the summary metrics that are present."""
         ranges = {}
         for name, column in self.columns.items():
             owner, _, metric = name.partition(".")
-            if metric in (_PLAN_SUMMARY_METRICS if owner == PLAN else _SUMMARY_METRICS):
-                values = np.array([value for value in column if value is not None])
-                if len(values):
-                    ranges[name] = (
-                        float(values.min()),
-                        float(np.median(values)),
-                        float(values.max()),
-                    )
+            shown = _PLAN_SUMMARY_METRICS if owner == PLAN else _SUMMARY_METRICS
+            values = [value for value in column if value is not None]
+            if metric in shown and values:
+                ranges[name] = min(values), float(np.median(values)), max(values)
         return ranges
 
     @cached_property
@@ -192,12 +176,11 @@ class SweepTable:
     def metric(self, metric: str, owner: str) -> ColumnValues:
         """Return a metric of an owner; for a list metric its mean."""
         names = self._names(owner, metric)
-        if names == [f"{owner}.{metric}"]:
-            return ColumnValues(metric_label(metric), _numbers(self.columns[names[0]]))
         elements = np.array([_numbers(self.columns[name]) for name in names])
-        return ColumnValues(
-            f"{metric_label(metric)}, mean over {len(names)}", elements.mean(axis=0)
-        )
+        label = metric_label(metric)
+        if names != [f"{owner}.{metric}"]:
+            label += f", mean over {len(names)}"
+        return ColumnValues(label, elements.mean(axis=0))
 
     def values(self, name: str, owner: str) -> ColumnValues:
         """Return a varied field, or a metric of an owner or of the comparison.
@@ -231,32 +214,28 @@ class SweepTable:
 
     def groups(self, names: Sequence[str]) -> list[tuple[tuple[str, ...], np.ndarray]]:
         """Return the combinations of values of fields, in order, as texts with the rows that have them."""
-        columns = [self.values(name, "") for name in names]
-        if not columns:
+        if not names:
             return [((), np.arange(len(self.failed)))]
+        columns = [self.values(name, "") for name in names]
         if not len(self.failed):
             return []
         numbers = np.nan_to_num([column.numbers for column in columns], nan=-np.inf)
         combinations, which = np.unique(numbers, axis=1, return_inverse=True)
         order = np.argsort(which.reshape(-1), kind="stable")
         rows = np.split(order, np.cumsum(np.bincount(which.reshape(-1)))[:-1])
-        texts = (
-            [c.text(n) for c, n in zip(columns, row, strict=True)]
-            for row in combinations.T
-        )
-        return [(tuple(text), row) for text, row in zip(texts, rows, strict=True)]
+        texts = [
+            tuple(c.text(n) for c, n in zip(columns, values, strict=True))
+            for values in combinations.T
+        ]
+        return list(zip(texts, rows, strict=True))
 
     def _names(self, owner: str, metric: str) -> list[str]:
         """Return the column of a metric, or those of its elements if it is a list."""
         name = f"{owner}.{metric}"
         if name in self.columns:
             return [name]
-        stem = f"{name}_"
-        return [
-            column
-            for column in self.columns
-            if column.startswith(stem) and column[len(stem) :].isdigit()
-        ]
+        element = re.compile(rf"{re.escape(name)}_\d+")
+        return list(filter(element.fullmatch, self.columns))
 
 
 def write_table(path: Path, table: pa.Table) -> None:
@@ -322,19 +301,13 @@ def _field(name: str, column: Sequence[object]) -> ColumnValues:
     if all(map(is_number, known)):
         return ColumnValues(field_label(name), _numbers(column))
     texts = ["" if value is None else str(value) for value in column]
-    names = tuple(sorted(set(texts)))
-    return ColumnValues(
-        field_label(name),
-        np.array([names.index(text) for text in texts], dtype=float),
-        names,
-    )
+    names, indices = np.unique(texts, return_inverse=True)
+    return ColumnValues(field_label(name), indices.astype(float), tuple(names.tolist()))
 
 
 def _numbers(column: Sequence[Any]) -> np.ndarray:
     """Return numbers, NaN for missing and infinite ones."""
-    numbers = np.array(
-        [np.nan if value is None else float(value) for value in column], dtype=float
-    )
+    numbers = np.array(column, dtype=float)
     return np.where(np.isfinite(numbers), numbers, np.nan)
 
 

@@ -4,11 +4,11 @@ A short run of the analytical model loads the compiled kernels and the metrics, 
 saves each worker half a second. MuJoCo is imported only by workers that need it.
 """
 
+import srs_twin.studies.sweep.task  # noqa: F401 - imported for the workers
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.control.gait import Gait
 from srs_twin.plants.analytical import AnalyticalSnake
 from srs_twin.robot.file import load_robot
 from srs_twin.rollout import rollout
-from srs_twin.studies.sweep import task as task
 
 plant_metrics(rollout(AnalyticalSnake(load_robot("gen2")), Gait(2.0), 2.0))

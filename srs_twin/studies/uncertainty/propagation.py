@@ -274,7 +274,7 @@ class Propagation:
         ends = chaos.at(self.study.snapped(shares))[:, 0].reshape(count, 2).tolist()
         error = 2 * float(np.sqrt((chaos.residuals[:, 0] ** 2).mean()))
         return [
-            Swing(names[i], *ends[i], error)
+            Swing(names[i], ends[i][0], ends[i][1], error)
             for i in np.argsort(-indices.total, kind="stable")
         ]
 
@@ -404,7 +404,7 @@ class Propagation:
         failed = dict.fromkeys(self.study.runs, 0)
         for part in failed:
             if columns := list(self.rows[part].values()):
-                missing = np.isnan(columns).all(axis=0)
+                missing = np.isnan(np.array(columns)).all(axis=0)
                 failed[part] = int(missing[:-REFERENCE_ROWS].sum())
         return failed
 

@@ -133,26 +133,20 @@ def test_an_edited_sweep_is_refused_without_changed(tmp_path):
     before = load_sweep(write(tmp_path))
     execute(before, tmp_path / "out")
     after = load_sweep(write(tmp_path, SMALL.replace("count: 4", "count: 7")))
-    with pytest.raises(
-        InputError,
-        match=(
-            r"of another version of this sweep \(the values have changed\); give"
-            r" --changed"
-        ),
-    ):
-        with open_sweep(after, tmp_path / "out"):
-            pass
+    refusal = (
+        r"of another version of this sweep \(the values have changed\); give --changed"
+    )
+    with pytest.raises(InputError, match=refusal), open_sweep(after, tmp_path / "out"):
+        pass
     # 41 to 55 kPa in six steps has every other pressure of three steps.
     ran, summary = execute(after, tmp_path / "out", changed=True)
     assert (ran, summary.done) == (6, 14)
     edited = load_sweep(
         write(tmp_path, SMALL.replace("duration_s: 2", "duration_s: 3"))
     )
-    with pytest.raises(
-        InputError, match=r"the scenario has changed: duration_s 2(\.0)? → 3"
-    ):
-        with open_sweep(edited, tmp_path / "out"):
-            pass
+    refusal = r"the scenario has changed: duration_s 2(\.0)? → 3"
+    with pytest.raises(InputError, match=refusal), open_sweep(edited, tmp_path / "out"):
+        pass
     ran, summary = execute(edited, tmp_path / "out", changed=True)
     assert (ran, summary.done) == (8, 8)
 
@@ -179,9 +173,9 @@ def test_a_second_sweep_in_the_same_folder_is_refused(sweep, tmp_path):
     with (
         open_sweep(sweep, tmp_path / "out"),
         pytest.raises(InputError, match="another sweep works in this folder"),
+        open_sweep(sweep, tmp_path / "out"),
     ):
-        with open_sweep(sweep, tmp_path / "out"):
-            pass
+        pass
 
 
 def test_both_plants_are_compared(tmp_path):

@@ -69,11 +69,12 @@ def test_an_edited_footprint_repeats_only_its_rows(tmp_path, monkeypatch):
     (tmp_path / "one.yaml").write_text(
         shipped.replace("5.23599", "3.5")
     )  # it turns less tightly
-    with pytest.raises(
-        InputError, match=r"contents have changed: one\.yaml\); give --changed"
+    refusal = r"contents have changed: one\.yaml\); give --changed"
+    with (
+        pytest.raises(InputError, match=refusal),
+        open_sweep(load_sweep(sweep), tmp_path / "out"),
     ):
-        with open_sweep(load_sweep(sweep), tmp_path / "out"):
-            pass
+        pass
     ran, after = rows(load_sweep(sweep), tmp_path / "out", changed=True)
     assert ran == 2
     stored = {
@@ -132,6 +133,7 @@ def test_an_edited_source_is_reported_and_its_rows_are_repeated(tmp_path):
             cwd=tmp_path,
             capture_output=True,
             text=True,
+            check=False,
             env={**os.environ, "PYTHONPATH": str(package.parent)},
         )
 

@@ -131,7 +131,7 @@ def test_a_full_disk_keeps_the_earlier_rows(tmp_path, pages):
     """The database may not exceed a number of pages."""
     added = []
     with RowStore(tmp_path) as store:
-        store._database.execute(f"PRAGMA max_page_count={pages}")
+        store.database.execute(f"PRAGMA max_page_count={pages}")
         with pytest.raises(
             InputError,
             match=(
@@ -180,7 +180,11 @@ except InputError as error:
     sys.exit(f"refused: {{error}}")
 """
     run = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert run.returncode == 1 and run.stderr.startswith(
         "refused: rows.sqlite: cannot be written"
