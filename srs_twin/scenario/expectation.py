@@ -96,7 +96,9 @@ def known_metrics(subject: str | None = None) -> tuple[str, ...]:
     """Return the names of the metrics of plants, of the comparison ("comparison"), or of both (None)."""
     if subject is None:
         return (*metric_units(), *COMPARISON_UNITS)
-    return tuple(COMPARISON_UNITS if subject == COMPARISON else metric_units())
+    if subject == COMPARISON:
+        return tuple(COMPARISON_UNITS)
+    return tuple(metric_units())
 
 
 class Expectation(Section):
@@ -348,8 +350,9 @@ class Expectation(Section):
             "only published values are compared with intervals"
         )
         distance, error, end = min(
-            (abs(self.published - end) / error if error else math.inf, error, end)
+            (abs(self.published - end) / error, error, end)
             for end, error in zip(interval, errors, strict=True)
+            if error
         )
         return (
             f"undecided: published {self.published:.4g} is {distance:.2g} standard"

@@ -86,11 +86,8 @@ class SensorFile(SensorSection):
 
     def written(self) -> dict[str, Any]:
         """See `Section.written`; the section has all defaults."""
-        if self.kind == "hall":
-            section = self.with_defaults(*self.only["kind", "hall"])
-        else:
-            section = self
-        return section.model_dump(exclude_none=True)
+        keys = self.only["kind", "hall"] if self.kind == "hall" else ()
+        return self.with_defaults(*keys).model_dump(exclude_none=True)
 
 
 SensorFile.only["kind", "hall"] = tuple(
@@ -117,10 +114,7 @@ class DeadSensorFile(_FaultFile):
 
     def build(self) -> DeadSensor:
         """Return the fault in SI."""
-        if self.reading_rad is None:
-            reading = math.nan
-        else:
-            reading = self.reading_rad
+        reading = math.nan if self.reading_rad is None else self.reading_rad
         return DeadSensor(self.segment, reading, self.from_s)
 
 
@@ -136,10 +130,9 @@ class StuckValveFile(_FaultFile):
 
     def build(self) -> StuckValve:
         """Return the fault in SI."""
-        side = 0 if self.chamber == "plus" else 1
-        return StuckValve(
-            self.segment, side, 1 if self.stuck == "open" else -1, self.from_s
-        )
+        side = ("plus", "minus").index(self.chamber)
+        state = {"open": 1, "closed": -1}[self.stuck]
+        return StuckValve(self.segment, side, state, self.from_s)
 
 
 FaultFile = Annotated[DeadSensorFile | StuckValveFile, Field(discriminator="kind")]
@@ -207,12 +200,12 @@ class PneumaticsFile(PneumaticsSection):
 
     def written(self) -> dict[str, Any]:
         """See `Section.written`; the section has the relevant defaults."""
-        limited = self.flow_limit_l_per_min is not None
+        keys: tuple[str, ...] = ()
         if self.kind == "orifice":
-            names = ("critical_ratio", "line_volume_ml")[: 1 + limited]
-        else:
-            names = ()
-        return self.with_defaults(*names).model_dump(exclude_none=True)
+            keys = ("critical_ratio",)
+            if self.flow_limit_l_per_min is not None:
+                keys += ("line_volume_ml",)
+        return self.with_defaults(*keys).model_dump(exclude_none=True)
 
 
 class ValvesFile(Section):
@@ -323,13 +316,12 @@ class ScenarioFile(Section):
 
     def scaled_to(self, scale: Scale) -> Self:
         """Return the scenario with numerical defaults in the units of a robot."""
-        plants = {
-            kind: section.scaled_to(
-                scale,
-                self.tick(kind) * (1.0 if section.tick_s is not None else scale.time),
-            )
-            for kind, section in self.plants.running.items()
-        }
+        plants = {}
+        for kind, section in self.plants.running.items():
+            tick = self.tick(kind)
+            if section.tick_s is None:
+                tick *= scale.time
+            plants[kind] = section.scaled_to(scale, tick)
         scaled = self.model_copy()
         scaled.__dict__["world"] = self.world.scaled_to(scale)
         scaled.__dict__["plants"] = self.plants.model_copy()

@@ -204,16 +204,12 @@ class PegsFile(Section):
         Raises:
             InputError: displaced posts could overlap.
         """
-        if self.x_m is None:
+        x = self.x_m
+        if x is None:
             x = start.x + PEG_DISTANCE_M * length
-        else:
-            x = self.x_m
-        first = x, start.y if self.y_m is None else self.y_m
-        arguments = self.arguments() | {
-            "first": first,
-            "seed": seed if self.seed is None else self.seed,
-        }
-        return peg_field(**arguments)
+        y = start.y if self.y_m is None else self.y_m
+        seed = seed if self.seed is None else self.seed
+        return peg_field(**self.arguments() | {"first": (x, y), "seed": seed})
 
 
 class FloorFile(Section):
@@ -337,9 +333,13 @@ class WorldFile(Section):
     @field_validator("circles", "map")
     @classmethod
     def _readable(cls, path: str | None, info: ValidationInfo) -> str | None:
+        if path is None:
+            return None
         try:
-            if path is not None:
-                (read_map if info.field_name == "map" else read_circles)(Path(path))
+            if info.field_name == "map":
+                read_map(Path(path))
+            else:
+                read_circles(Path(path))
         except InputError as error:
             raise ValueError(str(error)) from None
         return path
@@ -352,11 +352,10 @@ class WorldFile(Section):
             world: result of `build_world`.
         """
         round_ones = len(world.obstacles)
-        polygons = len(world.polygons)
         firsts = {
             "obstacles": 0,
             "polygons": round_ones,
-            "objects": round_ones + polygons,
+            "objects": round_ones + len(world.polygons),
         }
         for key, first in firsts.items():
             if 0 <= number - first < len(getattr(self, key) or ()):
@@ -381,31 +380,27 @@ class WorldFile(Section):
                 cannot be used.
         """
         goal = self.goal.build() if self.goal else None
-        places = [start, goal] if goal else [start]
-        if self.random:
-            random = self.random.draw(self.bounds, seed, places)
-        else:
-            random = ()
-        pegs = self.pegs.draw(start, seed, length) if self.pegs else ()
+        circles = [circle.build() for circle in self.obstacles]
+        polygons = [polygon.build() for polygon in self.polygons]
         if self.circles:
-            listed = read_circles(Path(self.circles))
-        else:
-            listed = ()
+            circles += read_circles(Path(self.circles))
+        if self.random:
+            places = [start, goal] if goal else [start]
+            circles += self.random.draw(self.bounds, seed, places)
+        if self.pegs:
+            circles += self.pegs.draw(start, seed, length)
+        if self.map:
+            polygons += read_map(Path(self.map))
+        friction = self.obstacle_friction
+        if friction is None:
+            friction = OBSTACLE_FRICTION
         return World(
-            obstacles=tuple(circle.build() for circle in self.obstacles)
-            + listed
-            + random
-            + pegs,
-            bounds=self.bounds.build() if self.bounds else None,
+            obstacles=tuple(circles),
+            bounds=self.bounds and self.bounds.build(),
             goal=goal,
-            polygons=tuple(polygon.build() for polygon in self.polygons)
-            + (read_map(Path(self.map)) if self.map else ()),
+            polygons=tuple(polygons),
             floor=self.floor.build(),
             steps=tuple(step.build() for step in self.steps),
             objects=tuple(item.build() for item in self.objects or ()),
-            friction=(
-                OBSTACLE_FRICTION
-                if self.obstacle_friction is None
-                else self.obstacle_friction
-            ),
+            friction=friction,
         )
