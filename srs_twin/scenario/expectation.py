@@ -277,7 +277,8 @@ class Expectation(Section):
         """
         published = self.published
         assert self.within is not None and published is not None, "see _is_consistent()"
-        spread = ((stored.get("plants") or {}).get(self.subject) or {}).get(self.metric)
+        plants = stored.get("plants") or {}
+        spread: Any = (plants.get(self.subject) or {}).get(self.metric)
         reason = stored.get("stale") or self._mismatch(value, spread, stored)
         if reason is not None:
             return {"reason": reason}
@@ -329,7 +330,7 @@ class Expectation(Section):
                 f"the stored intervals have no {self.metric} of the {self.subject}"
                 " plant"
             )
-        low, high = spread[self.within]
+        low, high = spread[str(self.within)]
         tolerance = max(
             _INTERVAL_TOLERANCE * (high - low),
             # Allow for differences in the last digits between processors.

@@ -367,8 +367,7 @@ def _with_extensions(
     fields: dict[str, Any] = {}
     if controllers:
         known = (*CORE_CONTROLLERS, *(load(CONTROLLERS[name]) for name in controllers))
-        kinds = Annotated[reduce(or_, known), Field(discriminator="kind")]
-        fields["controller"] = (kinds, ...)
+        fields["controller"] = (reduce(or_, known), Field(discriminator="kind"))
     for name in sections:
         entry: SectionEntry = load(SECTIONS[name])
         text = entry.description

@@ -28,12 +28,26 @@ PLANTS = "plants"
 """Name of the changed field if a run uses other plants than those in the file."""
 
 STEADY = frozenset(
-    """
-    com_speed_m_s yaw_rate_rad_s turning_radius_m mean_bend_amplitude_rad
-    amplitude_rel amplitude_spread_rel phase_lag_rad phase_lag_spread_rad fit_residual_rad
-    com_speed_rel gap_factor yaw_rate_abs shape_rms_m shape_rms_body
-    plan_found plan_length_m plan_nodes plan_kink_rad
-""".split()
+    [
+        "com_speed_m_s",
+        "yaw_rate_rad_s",
+        "turning_radius_m",
+        "mean_bend_amplitude_rad",
+        "amplitude_rel",
+        "amplitude_spread_rel",
+        "phase_lag_rad",
+        "phase_lag_spread_rad",
+        "fit_residual_rad",
+        "com_speed_rel",
+        "gap_factor",
+        "yaw_rate_abs",
+        "shape_rms_m",
+        "shape_rms_body",
+        "plan_found",
+        "plan_length_m",
+        "plan_nodes",
+        "plan_kink_rad",
+    ]
 ).union(ENERGY_MEANINGS)
 """Metrics that do not depend on the duration: means over periods, shape differences, and plans."""
 

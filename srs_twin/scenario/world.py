@@ -380,6 +380,7 @@ class WorldFile(Section):
                 cannot be used.
         """
         goal = self.goal.build() if self.goal else None
+        bounds = self.bounds.build() if self.bounds else None
         circles = [circle.build() for circle in self.obstacles]
         polygons = [polygon.build() for polygon in self.polygons]
         if self.circles:
@@ -396,7 +397,7 @@ class WorldFile(Section):
             friction = OBSTACLE_FRICTION
         return World(
             obstacles=tuple(circles),
-            bounds=self.bounds and self.bounds.build(),
+            bounds=bounds,
             goal=goal,
             polygons=tuple(polygons),
             floor=self.floor.build(),
