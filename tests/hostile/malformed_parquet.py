@@ -386,11 +386,8 @@ def trajectories(draw: st.DrawFn) -> Trajectory:
     text = st.text(max_size=9)
     units = draw(st.dictionaries(st.sampled_from(list(columns)), unit, max_size=2))
     events = draw(st.lists(st.builds(Event, st.floats(0, 1e6), text, text), max_size=3))
-    metadata = draw(
-        st.dictionaries(
-            text, json_values.filter(lambda value: value == value), max_size=3
-        )
-    )
+    not_nan = json_values.filter(lambda value: value == value)  # noqa: PLR0124
+    metadata = draw(st.dictionaries(text, not_nan, max_size=3))
     return Trajectory(columns, units, tuple(events), metadata)
 
 

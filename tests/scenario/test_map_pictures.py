@@ -291,7 +291,7 @@ def test_pixels_of_opencv_and_pillow_are_read_exactly(tmp_path):
             str(tmp_path / "a.png"),
             values[..., {1: [0], 3: [2, 1, 0], 4: [2, 1, 0, 3]}[channels]],
         )
-        colour, alpha, white = map_file._picture(tmp_path / "a.png")
+        colour, alpha, white = map_file._picture(tmp_path / "a.png")  # noqa: SLF001
         colours = (
             np.broadcast_to(values[..., :3], (31, 17, 3))
             if channels == 1
