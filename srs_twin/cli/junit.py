@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
+from collections.abc import Iterable, Iterator, Sequence, Set
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 from srs_twin.cli.cases import Case, CaseResult
 from srs_twin.errors import InputError
 from srs_twin.io.files import atomic_write
+
+if TYPE_CHECKING:
+    from srs_twin.scenario.expectation import ExpectationRow
 
 _OUTCOMES = {"failures": "failure", "errors": "error", "skipped": "skipped"}
 # Characters outside XML 1.0: control characters, and the surrogates of file names that
@@ -128,7 +131,9 @@ def _test_cases(case: Case, fails: Set[str]) -> Iterator[TestCase]:
         run = run._replace(outcome="error", message=text, kind=kind, text=text)
     yield run
     expected = case.scenario.expect if case.scenario else ()
-    rows = [{"of": each.subject, "metric": each.metric} for each in expected]
+    rows: list[ExpectationRow] = [
+        {"of": each.subject, "metric": each.metric} for each in expected
+    ]
     # The metrics contain no expectations of plants that did not run.
     rows = result.metrics.get("expectations", rows)
     counts: Counter[str] = Counter()
@@ -144,21 +149,21 @@ def _test_cases(case: Case, fails: Set[str]) -> Iterator[TestCase]:
             yield test._replace(outcome="skipped", message="the run is not complete")
 
 
-def _add_outcome(
-    test: TestCase, row: Mapping[str, object], fails: Set[str]
-) -> TestCase:
+def _add_outcome(test: TestCase, row: ExpectationRow, fails: Set[str]) -> TestCase:
     """Return the test case of an expectation with its outcome."""
     from srs_twin.scenario.expectation import result_text, verdict
 
     state = verdict(row)
     if state in fails:
-        remarks = {key: row[key] for key in ("reason", "known") if row.get(key)}
         values = {
             "value": row["value"],
             "allowed": row["allowed"],
             "source": row["source"] or "ours",
         }
-        text = "\n".join(f"{key}: {value}" for key, value in (values | remarks).items())
+        for key, remark in (("reason", row.get("reason")), ("known", row.get("known"))):
+            if remark:
+                values[key] = remark
+        text = "\n".join(f"{key}: {value}" for key, value in values.items())
         message = f"{test.name} {result_text(row)}"
         return test._replace(
             outcome="failure", message=message, kind="expectation", text=text

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from enum import Enum
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypedDict
 
 from pydantic import (
     AfterValidator,
@@ -99,6 +99,62 @@ def known_metrics(subject: str | None = None) -> tuple[str, ...]:
     if subject == COMPARISON:
         return tuple(COMPARISON_UNITS)
     return tuple(metric_units())
+
+
+class ExpectationRow(TypedDict, total=False):
+    """Result of an expectation for a run, a row of the expectations in metrics.json.
+
+    Attributes:
+        metric: name of the metric.
+        of: "analytical", "twin" or "comparison".
+        value: value of the metric; None without one.
+        allowed: allowed values as text.
+        met: whether the value is allowed; never without a value.
+        state: "met", "missed", "known" (missed for a known reason) or "not_judged";
+            rows of earlier versions have none.
+        reason: reason why the expectation is not judged; None if it is.
+        near: expected or published value.
+        source: source of a published value.
+        known: known reason of a miss.
+        within: name of the interval that must contain the published value. The
+            attributes below are those of this interval (`Expectation._judge_interval`).
+        verdict: "within", "undecided" or "outside".
+        error: value minus published value, E of ASME V&V 20.
+        u_num: standard uncertainty due to the time step.
+        u_input: standard uncertainty due to the parameters of the robot.
+        u_d: standard uncertainty of the published value.
+        largest: name of the largest of these uncertainties.
+        largest_parameter: parameter that contributes most to `u_input`, if that is the
+            largest.
+        width: width of the interval.
+        score: interval score (Gneiting and Raftery 2007), which is low for narrow
+            intervals that contain the published value.
+        interval: ends of the interval.
+        interval_error: standard errors of the ends.
+    """
+
+    metric: str
+    of: str
+    value: float | None
+    allowed: str
+    met: bool
+    state: str
+    reason: str | None
+    near: float | None
+    source: str | None
+    known: str | None
+    within: str
+    verdict: str
+    error: float
+    u_num: float
+    u_input: float
+    u_d: float
+    largest: str
+    largest_parameter: str | None
+    width: float
+    score: float
+    interval: list[float]
+    interval_error: list[float] | None
 
 
 class Expectation(Section):
@@ -200,7 +256,7 @@ class Expectation(Section):
 
     def check(
         self, metrics: Mapping[str, Any], undefined: Undefined | None = None
-    ) -> dict[str, Any]:
+    ) -> ExpectationRow:
         """Return the result of the expectation for a run.
 
         Args:
@@ -209,13 +265,6 @@ class Expectation(Section):
                 `experiment.stored_intervals`.
             undefined: reason why the metric has no value; None if it has one, or if the
                 missing value is the outcome of the run.
-
-        Returns:
-            Row of the expectations in metrics.json: `metric`, `of`, the `value` or
-                None, the `allowed` values
-            as text, `state` ("met", "missed", "known" or "not_judged"), the `reason`
-            why it is not judged, whether it is `met` (never without a value), `near`,
-            `source` and `known`.
         """
         low, high = self.allowed
         if self.of:
@@ -223,7 +272,7 @@ class Expectation(Section):
         else:
             values = (metrics.get("plants") or {}).get(self.subject)
         value = (values or {}).get(self.metric)
-        row: dict[str, Any] = {
+        row: ExpectationRow = {
             "metric": self.metric,
             "of": self.subject,
             "value": value,
@@ -244,36 +293,24 @@ class Expectation(Section):
             row["met"] = low <= value <= high
         else:
             row |= self._judge_interval(value, metrics.get("intervals") or {})
+        row["state"] = "missed" if self.known is None else "known"
         if row["reason"] is not None:
-            state = "not_judged"
+            row["state"] = "not_judged"
         elif row["met"]:
-            state = "met"
-        elif self.known is None:
-            state = "missed"
-        else:
-            state = "known"
-        return row | {
-            "state": state,
-            "near": self.near if self.published is None else self.published,
-            "source": self.source,
-            "known": self.known,
-        }
+            row["state"] = "met"
+        row["near"] = self.near if self.published is None else self.published
+        row["source"] = self.source
+        row["known"] = self.known
+        return row
 
     def _judge_interval(
         self, value: float, stored: Mapping[str, Any]
-    ) -> dict[str, Any]:
+    ) -> ExpectationRow:
         """Return the part of a row that depends on a stored interval, or the `reason` why it is not judged.
 
         The `verdict` is "within", "undecided" or "outside". It is undecided, and the
         expectation is not judged, if the published value is within two standard errors
         of an end of the interval.
-
-        The other terms are those of ASME V&V 20: the `error` E = value − published, the
-        standard uncertainties `u_num` of the time step, `u_input` of the robot
-        parameters and `u_d` of the published value, the name of the `largest` one, and
-        the `largest_parameter` of the robot. `interval`, `width` and `score` describe
-        the interval; the interval score (Gneiting and Raftery 2007) is low for narrow
-        intervals that contain the published value.
         """
         published = self.published
         assert self.within is not None and published is not None, "see _is_consistent()"
@@ -289,13 +326,14 @@ class Expectation(Section):
         if verdict is IntervalVerdict.UNDECIDED:
             position = "near an end of"
             reason = self._undecided_reason((low, high), errors)
+        u_d = self.scatter
+        if u_d is None:
+            u_d = _PUBLISHED_STD * abs(published)
         terms = {
             "u_num": spread["u_num"] or 0.0,
             "u_input": spread["u_input"],
-            "u_d": self.scatter,
+            "u_d": u_d,
         }
-        if self.scatter is None:
-            terms["u_d"] = _PUBLISHED_STD * abs(published)
         largest = max(terms, key=lambda name: terms[name])
         parameter = None
         if largest == "u_input":
@@ -312,7 +350,9 @@ class Expectation(Section):
             "reason": reason,
             "verdict": verdict.value,
             "error": value - published,
-            **terms,
+            "u_num": terms["u_num"],
+            "u_input": terms["u_input"],
+            "u_d": u_d,
             "largest": largest,
             "largest_parameter": parameter,
             "width": high - low,
@@ -420,11 +460,11 @@ class ExpectationsFile(Section):
     """Expected values of metrics."""
 
 
-def verdict(checked: Mapping[str, Any]) -> str:
+def verdict(checked: ExpectationRow) -> str:
     """Return the verdict on an expectation.
 
     Args:
-        checked: row of `Expectation.check`; rows of earlier versions have no `state`.
+        checked: row of `Expectation.check`.
 
     Returns:
         The state "met", "missed", "known" (missed for a known reason) or "not_judged";
@@ -437,10 +477,10 @@ def verdict(checked: Mapping[str, Any]) -> str:
         state = "met" if checked["met"] else missed
     if state == "met" and known:
         return "holds"
-    return str(state)
+    return state
 
 
-def result_text(checked: Mapping[str, Any]) -> str:
+def result_text(checked: ExpectationRow) -> str:
     """Return the text of a value and its allowed values, such as "= 0.15, allowed 0.18 to 0.25"."""
     metric = checked["metric"]
     allowed = allowed_text(checked)
@@ -455,7 +495,7 @@ def result_text(checked: Mapping[str, Any]) -> str:
     return f"= {text.removesuffix(' 1')}; {checked['allowed']}"
 
 
-def allowed_text(checked: Mapping[str, Any]) -> str:
+def allowed_text(checked: ExpectationRow) -> str:
     """Return the text of the allowed values: a range, one value, or yes or no."""
     metric = checked["metric"]
     allowed = str(checked["allowed"])
