@@ -23,16 +23,19 @@ MAX_LISTED_NAMES = 12
 
 _MAX_SUGGESTIONS = 3
 _MIN_SIMILARITY = 0.6
-"""Lowest similarity of a suggested name; the scale and the value are those of `difflib`."""
+"""Lowest similarity of a suggested name; the scale and the value are those of
+`difflib`."""
 
 _SIMILARITY_TIE = 0.05
 """Names whose similarity is within this distance of the best are suggested together."""
 
 _MIN_PREFIX_SIMILARITY = 0.75
-"""Lowest similarity to the first words of a name; higher, because short texts are similar by chance."""
+"""Lowest similarity to the first words of a name; higher, because short texts are
+similar by chance."""
 
 OUTSIDE: set[str] = set()
-"""Source files of imported parts that do not belong to the package, for messages about errors in them."""
+"""Source files of imported parts that do not belong to the package, for messages about
+errors in them."""
 
 _FILE_SUFFIXES = (
     ".yaml",

@@ -180,14 +180,15 @@ def lazy(package: str) -> None:
 
 
 PLUGINS = "SRS_TWIN_PLUGINS"
-"""Environment variable with the plug-ins that the user allows: Python files and names of modules. Processes
-started later inherit it."""
+"""Environment variable with the plug-ins that the user allows: Python files and names
+of modules. Processes started later inherit it."""
 
 PART_PATTERN = r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z]\w*"
 """Pattern of the name of a part from outside, ``module:Name``."""
 
 READING = ContextVar("READING", default=False)
-"""Whether the files of a finished run are read, which imports none of the parts that they name."""
+"""Whether the files of a finished run are read, which imports none of the parts that
+they name."""
 
 
 def allow_plugin(source: str | os.PathLike[str] | ModuleType | type) -> None:

@@ -66,7 +66,8 @@ _WITHOUT_PLUGINS = [
     "reproduce",
     "emulate",
 ]
-"""Commands that read finished runs or no files of the user; they never import parts from outside."""
+"""Commands that read finished runs or no files of the user; they never import parts
+from outside."""
 
 
 @cache

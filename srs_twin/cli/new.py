@@ -52,7 +52,8 @@ _JOINT_SHARE = 1 / 15
 """Share of a servo joint in the distance between joints; the rest is a rigid link."""
 
 _SERVO_PLANE_RATIO = 0.1
-"""Default stiffness of a servo joint in pitch and roll, over weight times body length, 1."""
+"""Default stiffness of a servo joint in pitch and roll, over weight times body length,
+1."""
 
 _SUFFIXES = {".yaml": ".yaml", ".txt": ".py"}
 """Suffix of a template → suffix of the file."""

@@ -34,7 +34,8 @@ _EXPLAINABLE = {"com_speed_rel", "yaw_rate_abs"}
 """Differences that `compare --explain` attributes to assumptions."""
 
 _ZERO = 5e-5
-"""Absolute value below which a difference is printed as 0; in m, m/s, rad and rad/s alike."""
+"""Absolute value below which a difference is printed as 0; in m, m/s, rad and rad/s
+alike."""
 
 
 def rows(metrics: Mapping[str, Any]) -> list[list[str]]:

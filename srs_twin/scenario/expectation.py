@@ -41,12 +41,13 @@ COMPARISON = "comparison"
 _BOUND = 1e9
 """Largest absolute value in an expectation; all metrics are far below."""
 _INTERVAL_TOLERANCE = 0.01
-"""Largest difference between run and stored interval, as a fraction of the width; larger ones indicate other
-laws or another duration."""
+"""Largest difference between run and stored interval, as a fraction of the width;
+larger ones indicate other laws or another duration."""
 _STORAGE_TOLERANCE = 1e-5
 """Relative tolerance of stored values, which have six digits."""
 _PUBLISHED_STD = 0.01
-"""Default relative standard uncertainty of a published value, which has two or three digits."""
+"""Default relative standard uncertainty of a published value, which has two or three
+digits."""
 _UNIT = "the metric's unit"
 _TALLY = {
     "met": "met",
@@ -175,7 +176,8 @@ class Expectation(Section):
     below: float | None = quantity(-_BOUND, _BOUND, None, unit=_UNIT)
     """Highest allowed value."""
     published: float | None = quantity(-_BOUND, _BOUND, None, unit=_UNIT)
-    """Published value, which must be within an interval of the prediction of the scenario."""
+    """Published value, which must be within an interval of the prediction of the
+    scenario."""
     within: Literal["interval_50", "interval_95"] | None = None
     """Interval for published, stored by `srs-twin uncertainty SCENARIO --write`."""
     scatter: float | None = quantity(0.0, _BOUND, None, unit=_UNIT)
@@ -185,7 +187,8 @@ class Expectation(Section):
     source: Words | None = None
     """Source of a published value; none for our own bounds."""
     known: Words | None = None
-    """Known reason why the expectation is missed; `--check` accepts it, `--strict` does not."""
+    """Known reason why the expectation is missed; `--check` accepts it, `--strict` does
+    not."""
 
     @field_validator("metric")
     @classmethod
@@ -515,7 +518,8 @@ def tally(verdicts: Mapping[str, int]) -> str:
 
 
 UNDECIDED_ERRORS = 2.0
-"""Distance from an end, in standard errors of the end, below which the verdict is undecided (95 %)."""
+"""Distance from an end, in standard errors of the end, below which the verdict is
+undecided (95 %)."""
 
 
 class IntervalVerdict(Enum):

@@ -63,8 +63,8 @@ class SensorFile(SensorSection):
     only = {}  # set below the class: all other keys require kind: hall
 
     kind: Literal["ideal", "hall"] = "ideal"
-    """ideal: the exact bend; hall: magnet and Hall element on a strip, amplifier, converter and linear
-    calibration (docs/sensor.md)."""
+    """ideal: the exact bend; hall: magnet and Hall element on a strip, amplifier,
+    converter and linear calibration (docs/sensor.md)."""
     span_rad: float | None = quantity(0.1, 1.6, None)
     """Largest bend of trimming and calibration (hall; default {default:.4g})."""
     distance_mm: float | None = quantity(1.0, 50.0, None)
@@ -73,10 +73,11 @@ class SensorFile(SensorSection):
     orientation: Literal["up", "side"] | None = None
     """Orientation of the magnet's north pole (hall; default up)."""
     chamber: Literal["semicircular", "rectangular"] | None = None
-    """Cross-section of the pressure chambers (hall; default semicircular); a rectangular chamber presses
-    on the strip."""
+    """Cross-section of the pressure chambers (hall; default semicircular); a
+    rectangular chamber presses on the strip."""
     noise_uv: float | None = quantity(0.0, 1e5, None)
-    """RMS noise of the element within the bandwidth of the amplifier (hall; default {default:g})."""
+    """RMS noise of the element within the bandwidth of the amplifier (hall; default
+    {default:g})."""
     bits: int | None = quantity(1, 32, None)
     """Resolution of the converter (hall; default {default})."""
     bias_v: float | None = quantity(-5.0, 5.0, None)
@@ -172,8 +173,8 @@ class PneumaticsFile(PneumaticsSection):
     }
 
     kind: Literal["lag", "orifice"] = "lag"
-    """Model of the chambers; lag: exponential with tau_1; orifice: compressible flow (ISO 6358) from one
-    supply into chambers whose volume depends on the bend."""
+    """Model of the chambers; lag: exponential with tau_1; orifice: compressible flow
+    (ISO 6358) from one supply into chambers whose volume depends on the bend."""
     leak_per_s: float = quantity(0.0, 100.0)
     """Relative rate at which a held chamber loses pressure."""
     valve_delay_s: float = quantity(0.0, 1.0)
@@ -212,16 +213,16 @@ class ValvesFile(Section):
     """Valves of each chamber."""
 
     layout: Literal["3/2", "in_out"] | None = None
-    """3/2: one valve, which fills or vents; in_out: an inlet and an outlet valve, which can also hold
-    (default: layout of the controller)."""
+    """3/2: one valve, which fills or vents; in_out: an inlet and an outlet valve, which
+    can also hold (default: layout of the controller)."""
 
 
 class ComparisonFile(Section):
     """Options of the comparison of the plants."""
 
     gap_factor: bool = False
-    """Multiply the analytical speed by (l + L_o)/l, as the dissertation does for its model without rigid
-    gaps (Section 3.4.2); the analytical plant needs gaps: false."""
+    """Multiply the analytical speed by (l + L_o)/l, as the dissertation does for its
+    model without rigid gaps (Section 3.4.2); the analytical plant needs gaps: false."""
 
 
 _CORE_KINDS = {
@@ -255,8 +256,8 @@ class ScenarioFile(Section):
     robot: Annotated[
         Any, WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}]})
     ]
-    """Robot: a shipped name (gen1 to gen4, gen4_module), the path of a robot file, {base: a name or
-    path} with fields to change, or a whole robot."""
+    """Robot: a shipped name (gen1 to gen4, gen4_module), the path of a robot file,
+    {base: a name or path} with fields to change, or a whole robot."""
     duration_s: float = quantity(0.001, 3600.0)
     """Simulated duration."""
     seed: int = quantity(0, 2**32 - 1, 0)
@@ -291,7 +292,8 @@ class ScenarioFile(Section):
     expect: Annotated[list[Expectation], Field(max_length=200)] = []
     """Expected values of metrics."""
     changes: Annotated[list[ChangedField], Field(max_length=1000)] | None = None
-    """Fields changed by --set and similar options; written into scenario.resolved.yaml by a run."""
+    """Fields changed by --set and similar options; written into scenario.resolved.yaml
+    by a run."""
 
     elsewhere: ClassVar[dict[str, str]] = {
         key: f"robot.{key}"

@@ -49,7 +49,8 @@ STEADY = frozenset(
         "plan_kink_rad",
     ]
 ).union(ENERGY_MEANINGS)
-"""Metrics that do not depend on the duration: means over periods, shape differences, and plans."""
+"""Metrics that do not depend on the duration: means over periods, shape differences,
+and plans."""
 
 _NAMES = ("name", "title", "changes", "robot.name", "robot.title")
 """Fields that name a scenario."""
@@ -57,8 +58,8 @@ _NO_CONDITION = (
     *(*_NAMES, "expect", "seed", "record_hz", PLANTS),
     *("allow_overpressure", "supply.allow_overpressure"),
 )
-"""Fields that are not conditions of the experiment: names, random seed, recording, expectations and
-permissions."""
+"""Fields that are not conditions of the experiment: names, random seed, recording,
+expectations and permissions."""
 _MAX_TITLE_LENGTH = 64
 """Largest number of characters of the changes in a title."""
 _DIGEST = ", sha256 "

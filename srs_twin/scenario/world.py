@@ -55,7 +55,8 @@ class PolygonFile(Section):
     constructors = (Polygon,)
 
     corners_m: Annotated[tuple[Pair, ...], Field(min_length=3, max_length=1000)]
-    """[x, y] of each corner, m; the last corner is joined to the first, and sides must not cross."""
+    """[x, y] of each corner, m; the last corner is joined to the first, and sides must
+    not cross."""
 
     @field_validator("corners_m")
     @classmethod
@@ -112,7 +113,8 @@ class RandomFile(Section):
     constructors = (random_circles,)
 
     kind: Literal["strewn", "fig54"] = "strewn"
-    """strewn: uniformly distributed over a rectangle; fig54: at some of the 18 sites of Fig. 54."""
+    """strewn: uniformly distributed over a rectangle; fig54: at some of the 18 sites of
+    Fig. 54."""
     count: int = quantity(0, 1000)
     """Number of circles."""
     seed: int | None = quantity(0, 2**32 - 1, None)
@@ -179,7 +181,8 @@ class PegsFile(Section):
     staggered: bool = constructor_default()
     """Whether every second column is shifted by half a pitch."""
     x_m: float | None = quantity(-1000.0, 1000.0, None)
-    """x of the first column (default: 0.2 times the robot's length unit beyond the start)."""
+    """x of the first column (default: 0.2 times the robot's length unit beyond the
+    start)."""
     y_m: float | None = quantity(-1000.0, 1000.0, None)
     """y of the middle of the columns (default: that of the start)."""
     seed: int | None = quantity(0, 2**32 - 1, None)
@@ -302,7 +305,8 @@ class WorldFile(Section):
     pegs: PegsFile | None = None
     """Field of posts."""
     obstacle_friction: float | None = quantity(0.0, 10.0, None)
-    """Coefficient of Coulomb friction between the body and obstacles (default: 0.5, an estimate)."""
+    """Coefficient of Coulomb friction between the body and obstacles (default: 0.5, an
+    estimate)."""
     floor: FloorFile = FloorFile()
     """Slope of the floor."""
     steps: Annotated[list[StepFile], Field(max_length=100)] = []
