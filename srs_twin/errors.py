@@ -23,16 +23,19 @@ MAX_LISTED_NAMES = 12
 
 _MAX_SUGGESTIONS = 3
 _MIN_SIMILARITY = 0.6
-"""Lowest similarity of a suggested name; the scale and the value are those of `difflib`."""
+"""Lowest similarity of a suggested name; the scale and the value are those of
+`difflib`."""
 
 _SIMILARITY_TIE = 0.05
 """Names whose similarity is within this distance of the best are suggested together."""
 
 _MIN_PREFIX_SIMILARITY = 0.75
-"""Lowest similarity to the first words of a name; higher, because short texts are similar by chance."""
+"""Lowest similarity to the first words of a name; higher, because short texts are
+similar by chance."""
 
 OUTSIDE: set[str] = set()
-"""Source files of imported parts that do not belong to the package, for messages about errors in them."""
+"""Source files of imported parts that do not belong to the package, for messages about
+errors in them."""
 
 _FILE_SUFFIXES = (
     ".yaml",
@@ -331,12 +334,13 @@ def did_you_mean(text: str, available: Iterable[str]) -> str:
             )
     best = max(similarity.values(), default=0.0)
     close = [name for name in similarity if similarity[name] >= best - _SIMILARITY_TIE]
-    *first, final = sorted(close, key=lambda name: -similarity[name])[
-        :_MAX_SUGGESTIONS
-    ] or [""]
-    if final:
-        return f"; did you mean {', '.join(first)}{' or ' if first else ''}{final}?"
-    return ""
+    close.sort(key=lambda name: -similarity[name])
+    if not close:
+        return ""
+    *first, final = close[:_MAX_SUGGESTIONS]
+    if first:
+        final = f"{', '.join(first)} or {final}"
+    return f"; did you mean {final}?"
 
 
 def _split_name(name: str) -> tuple[str, str]:
@@ -361,8 +365,10 @@ def _similarity(text: str, name: str) -> float:
     prefix = 0.95 * max(
         (_ratio(text, "_".join(words[:i])) for i in range(1, len(words))), default=0.0
     )
+    if prefix <= _MIN_PREFIX_SIMILARITY:
+        prefix = 0.0
     within = 0.8 if f"_{text}_" in f"_{name}_" else 0.0
-    return max(whole, prefix if prefix > _MIN_PREFIX_SIMILARITY else 0.0, within)
+    return max(whole, prefix, within)
 
 
 def _ratio(one: str, other: str) -> float:

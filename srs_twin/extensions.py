@@ -180,14 +180,15 @@ def lazy(package: str) -> None:
 
 
 PLUGINS = "SRS_TWIN_PLUGINS"
-"""Environment variable with the plug-ins that the user allows: Python files and names of modules. Processes
-started later inherit it."""
+"""Environment variable with the plug-ins that the user allows: Python files and names
+of modules. Processes started later inherit it."""
 
 PART_PATTERN = r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z]\w*"
 """Pattern of the name of a part from outside, ``module:Name``."""
 
 READING = ContextVar("READING", default=False)
-"""Whether the files of a finished run are read, which imports none of the parts that they name."""
+"""Whether the files of a finished run are read, which imports none of the parts that
+they name."""
 
 
 def allow_plugin(source: str | os.PathLike[str] | ModuleType | type) -> None:
@@ -206,35 +207,34 @@ def allow_plugin(source: str | os.PathLike[str] | ModuleType | type) -> None:
     entry = os.fspath(source)
     if entry in plugins():
         return
-    is_file = entry.endswith(".py")
-    entry = os.path.abspath(entry) if is_file else entry
+    if entry.endswith(".py"):
+        entry = os.path.abspath(entry)
+    if problem := _why_unusable(entry):
+        raise InputError(f"plug-in {entry}: {problem}")
+    os.environ[PLUGINS] = os.pathsep.join(dict.fromkeys([*plugins().values(), entry]))
+
+
+def _why_unusable(entry: str) -> str:
+    """Return the reason why a plug-in cannot be imported; empty if it can be."""
     name = os.path.basename(entry).partition(".")[0]
     module = name.isidentifier() and (sys.modules.get(name) or find_spec(name))
-    origin = (
-        getattr(module, "__file__", None)
-        or getattr(module, "origin", None)
-        or "built in"
-    )
-    problem = ""
-    if not is_file:
+    if not entry.endswith(".py"):
         if module:
-            problem = ""
-        else:
-            problem = (
-                "no such module; give a file that ends in .py, or an installed module"
-            )
-    elif not os.path.isfile(entry):
-        problem = "no such file"
-    elif not name.isidentifier() or os.pathsep in entry:
-        problem = (
+            return ""
+        return "no such module; give a file that ends in .py, or an installed module"
+    if not os.path.isfile(entry):
+        return "no such file"
+    if not name.isidentifier() or os.pathsep in entry:
+        return (
             "cannot be imported; use only letters, digits and _ in its name, and no"
             f" '{os.pathsep}'"
         )
-    elif module and os.path.realpath(origin) != os.path.realpath(entry):
-        problem = f"a module {name} exists already ({origin}); rename the file"
-    if problem:
-        raise InputError(f"plug-in {entry}: {problem}")
-    os.environ[PLUGINS] = os.pathsep.join(dict.fromkeys([*plugins().values(), entry]))
+    if module:
+        places = (getattr(module, key, None) for key in ("__file__", "origin"))
+        origin = next(filter(None, places), "built in")
+        if os.path.realpath(origin) != os.path.realpath(entry):
+            return f"a module {name} exists already ({origin}); rename the file"
+    return ""
 
 
 def plugins() -> dict[str, str]:
@@ -276,12 +276,10 @@ def _owners(path: tuple[str, ...]) -> dict[str, Any]:
             for each in distribution.entry_points
             if each.group.startswith("srs_twin.")
         ]
-        files = distribution.files if entries else ()
-        names = [
-            *(module_of(each.value) for each in entries),
-            *(file.parts[0] for file in files or ()),
-        ]
-        found |= {name.partition(".")[0]: distribution for name in names}
+        if entries:
+            names = [module_of(each.value) for each in entries]
+            names += [file.parts[0] for file in distribution.files or ()]
+            found |= {name.partition(".")[0]: distribution for name in names}
     return found
 
 

@@ -37,7 +37,16 @@ _PYTHON_FORMATWARNING = warnings.formatwarning
 # File errors that no earlier check can exclude: a name that is too long, a full or
 # read-only disk, missing permission, a defective medium. A missing file, or a folder in
 # place of a file, remains an internal error.
-_FILE_SYSTEM_ERRORS = "ENAMETOOLONG EROFS ENOSPC EDQUOT EACCES EPERM ELOOP EIO".split()
+_FILE_SYSTEM_ERRORS = [
+    "ENAMETOOLONG",
+    "EROFS",
+    "ENOSPC",
+    "EDQUOT",
+    "EACCES",
+    "EPERM",
+    "ELOOP",
+    "EIO",
+]
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -75,16 +84,15 @@ def main(argv: list[str] | None = None) -> None:
             )
         finally:
             if sys.stdout is not None:
-                sys.stdout.flush()  # here an error can still be reported and determine the exit code
+                # Here an error can still be reported and determine the exit code.
+                sys.stdout.flush()
     except SrsError as error:
         show_traceback(error)
         say(str(error))
         sys.exit(error.exit_code)
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
-    except (
-        Exception
-    ) as error:  # last resort: an unexpected error becomes one line and exit code 4
+    except Exception as error:  # unexpected: one line and exit code 4
         if _is_interrupt(error):
             sys.exit(INTERRUPTED)
         show_traceback(error)
@@ -155,13 +163,13 @@ def _without_broken_pipes(stream: TextIO) -> TextIO:
         return stream
     stream.flush()
     file: Any = _StandardStream(stream.fileno(), "wb", closefd=False)
+    if not stream.write_through:
+        file = io.BufferedWriter(file)
     options = {
         name: getattr(stream, name)
         for name in ("encoding", "errors", "line_buffering", "write_through")
     }
-    return io.TextIOWrapper(
-        file if stream.write_through else io.BufferedWriter(file), **options
-    )
+    return io.TextIOWrapper(file, **options)
 
 
 def _format_warning(message: Any, category: type[Warning], *location: Any) -> str:

@@ -29,14 +29,45 @@ _CORE_COMMANDS = {
 }
 """Commands of the core, as in `extensions.COMMANDS`."""
 
-_HELP_ORDER = (
-    "list show inspect run compare plan replay sweep optimize uncertainty reproduce view"
-    " play emulate shadow render export diff schema doctor calibrate models new"
-).split()
+_HELP_ORDER = [
+    "list",
+    "show",
+    "inspect",
+    "run",
+    "compare",
+    "plan",
+    "replay",
+    "sweep",
+    "optimize",
+    "uncertainty",
+    "reproduce",
+    "view",
+    "play",
+    "emulate",
+    "shadow",
+    "render",
+    "export",
+    "diff",
+    "schema",
+    "doctor",
+    "calibrate",
+    "models",
+    "new",
+]
 """Order of the commands in the help; other commands come last."""
 
-_WITHOUT_PLUGINS = "view render diff export schema doctor reproduce emulate".split()
-"""Commands that read finished runs or no files of the user; they never import parts from outside."""
+_WITHOUT_PLUGINS = [
+    "view",
+    "render",
+    "diff",
+    "export",
+    "schema",
+    "doctor",
+    "reproduce",
+    "emulate",
+]
+"""Commands that read finished runs or no files of the user; they never import parts
+from outside."""
 
 
 @cache

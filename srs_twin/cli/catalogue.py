@@ -66,12 +66,8 @@ def list_(
     if kind is not None and kind not in _KINDS:
         raise UnknownNameError("kind", kind, _KINDS)
     if as_json:
-        print_json(
-            {
-                name: list(_rows(name))
-                for name in (_DEFAULT_KINDS if kind is None else (kind,))
-            }
-        )
+        kinds = _DEFAULT_KINDS if kind is None else (kind,)
+        print_json({name: list(_rows(name)) for name in kinds})
         return
     for name in _PRINTED_KINDS if kind is None else (kind,):
         rows = list(_rows(name))

@@ -13,7 +13,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 from srs_twin.io.files import data_root, escape_unprintable
 
@@ -141,9 +141,8 @@ def new_table(
         collapse_padding=True,
     )
     for i, heading in enumerate(headings):
-        table.add_column(
-            heading, justify="left" if i in left else "right", no_wrap=True
-        )
+        justify: Literal["left", "right"] = "left" if i in left else "right"
+        table.add_column(heading, justify=justify, no_wrap=True)
     return table
 
 

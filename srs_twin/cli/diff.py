@@ -58,11 +58,8 @@ def diff(
     if report is not None:
         check_output_folder(report.parent, (report.name,), option="--junit")
     allowed = load_tolerances(tolerances) if tolerances else Tolerances()
-    overrides = {
-        name: value
-        for name, value in (("rel", rel), ("abs", abs_))
-        if value is not None
-    }
+    given = {"rel": rel, "abs": abs_}
+    overrides = {name: value for name, value in given.items() if value is not None}
     for name, value in overrides.items():
         if not 0 <= value < float("inf"):
             raise InputError(
@@ -107,18 +104,22 @@ def _cells(change: ChangedValue) -> list[str]:
     a = change.a
     b = change.b
     digits = next((n for n in range(4, 18) if _text(a, n) != _text(b, n)), 17)
-    numbers = isinstance(a, float | int) and isinstance(b, float | int)
-    shift = f"{b - a:+.3g}" if numbers else ""  # type: ignore[operator]
-    unit = split_unit(tolerance_names(change.metric)[-1])[1]
-    meaningless = change.rel is None or is_near_zero(a, b, unit)  # type: ignore[arg-type]
-    per_cent = "" if meaningless else f"{100 * change.rel:+.3g}"  # type: ignore[operator]
+    shift = ""
+    per_cent = ""
+    if isinstance(a, float | int) and isinstance(b, float | int):
+        shift = f"{b - a:+.3g}"
+        _, unit = split_unit(tolerance_names(change.metric)[-1])
+        if change.rel is not None and not is_near_zero(a, b, unit):
+            per_cent = f"{100 * change.rel:+.3g}"
     return [_text(a, digits), _text(b, digits), shift, per_cent]
 
 
 def _text(value: Leaf, digits: int = 9) -> str:
     if value is None:
         return "–"
-    return f"{value:.{digits}g}" if isinstance(value, float) else str(value)
+    if isinstance(value, float):
+        return f"{value:.{digits}g}"
+    return str(value)
 
 
 def _test_cases(difference: Difference) -> Iterator[TestCase]:
@@ -129,9 +130,12 @@ def _test_cases(difference: Difference) -> Iterator[TestCase]:
             for m in difference.moved
             if m.where == where
         ]
-        failure = (
-            ("failure", f"{len(lines)} different", "different", "\n".join(lines))
-            if lines
-            else ()
-        )
-        yield TestCase("diff", where, 0.0, *failure)
+        case = TestCase("diff", where)
+        if lines:
+            case = case._replace(
+                outcome="failure",
+                message=f"{len(lines)} different",
+                kind="different",
+                text="\n".join(lines),
+            )
+        yield case

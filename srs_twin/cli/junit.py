@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
+from collections.abc import Iterable, Iterator, Sequence, Set
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
-from srs_twin.cli.cases import Case
+from srs_twin.cli.cases import Case, CaseResult
 from srs_twin.errors import InputError
 from srs_twin.io.files import atomic_write
+
+if TYPE_CHECKING:
+    from srs_twin.scenario.expectation import ExpectationRow
 
 _OUTCOMES = {"failures": "failure", "errors": "error", "skipped": "skipped"}
 # Characters outside XML 1.0: control characters, and the surrogates of file names that
@@ -75,9 +78,9 @@ def write_report(
             names = {"classname": _escape(case.classname), "name": _escape(case.name)}
             test = SubElement(suite, "testcase", names, time=f"{case.wall_s:.3f}")
             if case.outcome:
-                attributes = {"message": _escape(case.message)} | (
-                    {"type": case.kind} if case.kind else {}
-                )
+                attributes = {"message": _escape(case.message)}
+                if case.kind:
+                    attributes["type"] = case.kind
                 SubElement(test, case.outcome, attributes).text = (
                     _escape(case.text) or None
                 )
@@ -118,51 +121,49 @@ def write_junit(
 
 
 def _test_cases(case: Case, fails: Set[str]) -> Iterator[TestCase]:
-    run = TestCase(case.label, "runs", case.result.wall_s if case.result else 0.0)
+    result = case.result or CaseResult(None)
+    run = TestCase(case.label, "runs", result.wall_s)
     if case.result is None:
         run = run._replace(outcome="skipped", message="not finished")
-    elif case.result.errors:
-        text = "\n".join(map(str, case.result.errors))
-        kind = type(case.result.errors[0]).__name__
+    elif result.errors:
+        text = "\n".join(map(str, result.errors))
+        kind = type(result.errors[0]).__name__
         run = run._replace(outcome="error", message=text, kind=kind, text=text)
     yield run
-    metrics = case.result.metrics if case.result else {}
     expected = case.scenario.expect if case.scenario else ()
-    rows = [
-        {"of": expectation.subject, "metric": expectation.metric}
-        for expectation in expected
+    rows: list[ExpectationRow] = [
+        {"of": each.subject, "metric": each.metric} for each in expected
     ]
     # The metrics contain no expectations of plants that did not run.
-    rows = metrics["expectations"] if metrics else rows
+    rows = result.metrics.get("expectations", rows)
     counts: Counter[str] = Counter()
     for row in rows:
         name = f"{row['of']} {row['metric']}"
         counts[name] += 1
-        test = TestCase(
-            case.label, f"{name} ({counts[name]})" if counts[name] > 1 else name
-        )
-        yield (
-            _add_outcome(test, row, fails)
-            if metrics
-            else test._replace(outcome="skipped", message="the run is not complete")
-        )
+        if counts[name] > 1:
+            name += f" ({counts[name]})"
+        test = TestCase(case.label, name)
+        if result.metrics:
+            yield _add_outcome(test, row, fails)
+        else:
+            yield test._replace(outcome="skipped", message="the run is not complete")
 
 
-def _add_outcome(
-    test: TestCase, row: Mapping[str, object], fails: Set[str]
-) -> TestCase:
+def _add_outcome(test: TestCase, row: ExpectationRow, fails: Set[str]) -> TestCase:
     """Return the test case of an expectation with its outcome."""
     from srs_twin.scenario.expectation import result_text, verdict
 
     state = verdict(row)
     if state in fails:
-        remarks = {key: row[key] for key in ("reason", "known") if row.get(key)}
         values = {
             "value": row["value"],
             "allowed": row["allowed"],
             "source": row["source"] or "ours",
         }
-        text = "\n".join(f"{key}: {value}" for key, value in (values | remarks).items())
+        for key, remark in (("reason", row.get("reason")), ("known", row.get("known"))):
+            if remark:
+                values[key] = remark
+        text = "\n".join(f"{key}: {value}" for key, value in values.items())
         message = f"{test.name} {result_text(row)}"
         return test._replace(
             outcome="failure", message=message, kind="expectation", text=text

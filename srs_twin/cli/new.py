@@ -52,7 +52,8 @@ _JOINT_SHARE = 1 / 15
 """Share of a servo joint in the distance between joints; the rest is a rigid link."""
 
 _SERVO_PLANE_RATIO = 0.1
-"""Default stiffness of a servo joint in pitch and roll, over weight times body length, 1."""
+"""Default stiffness of a servo joint in pitch and roll, over weight times body length,
+1."""
 
 _SUFFIXES = {".yaml": ".yaml", ".txt": ".py"}
 """Suffix of a template → suffix of the file."""
@@ -90,21 +91,17 @@ class RobotOptions:
         count = int(_answer("number of segments", self.segments, 4))
         length = _answer("body length, m", self.length, 4 * _PITCH_M)
         mass = _answer("mass of the robot, kg", self.mass, _default_mass(count, length))
-        if self.servo and self.pressure is not None:
+        if not self.servo:
+            supply = _answer("supply pressure, kPa", self.pressure, _PRESSURE_KPA)
+            question = "bend of one segment at that pressure, rad"
+            bend = _answer(question, self.bend, _BEND_RAD)
+        elif self.pressure is None:
+            supply = _PRESSURE_KPA
+            bend = _answer("largest angle of a joint, rad", self.bend, _SERVO_BEND_RAD)
+        else:
             raise InputError(
                 "a robot with servos has no supply; remove --pressure or --servo"
             )
-        if self.servo:
-            supply = _PRESSURE_KPA
-        else:
-            supply = _answer("supply pressure, kPa", self.pressure, _PRESSURE_KPA)
-        if self.servo:
-            of = "largest angle of a joint"
-        else:
-            of = "bend of one segment at that pressure"
-        bend = _answer(
-            f"{of}, rad", self.bend, _SERVO_BEND_RAD if self.servo else _BEND_RAD
-        )
         size = RobotSize(count, length, mass, supply, bend)
         for name, number in size._asdict().items():
             if not 0 < number < math.inf:
@@ -183,21 +180,15 @@ def robot(
     size = options.ask()
     from srs_twin.robot.file import load_robot
 
-    values: dict[str, Any] = _robot_values(size, servo=options.servo)
-    if options.skin:
-        values["wheels"] = ""
-    else:
-        values["wheels"] = _filled("wheels_geometry.txt", values)
-    values["contact"] = _filled(
-        "skin_contact.txt" if options.skin else "wheels_contact.txt", values
-    )
-    if options.servo:
-        values["spring"] = ""
-    else:
-        values["spring"] = _filled("pressure_spring.txt", values)
-    values["drive"] = _filled(
-        "servo_drive.txt" if options.servo else "pressure_drive.txt", values
-    )
+    values = _robot_values(size, servo=options.servo)
+    parts = {
+        "wheels": "" if options.skin else "wheels_geometry.txt",
+        "contact": "skin_contact.txt" if options.skin else "wheels_contact.txt",
+        "spring": "" if options.servo else "pressure_spring.txt",
+        "drive": "servo_drive.txt" if options.servo else "pressure_drive.txt",
+    }
+    for part, template in parts.items():
+        values[part] = _filled(template, values) if template else ""
     title = f"{name}: {size.segments} segments, {size.length:g} m, {size.mass:g} kg"
     doubts = size.doubts()
     path = _write(
@@ -207,6 +198,23 @@ def robot(
     _print_next_command(path, f"srs-twin new scenario {name}_straight --robot {path}")
 
 
+_CHAMBER_SOURCES = {
+    "segment_source": "0.67 of the pitch, as generation 2",
+    "gap_source": "0.33 of the pitch, as generation 2",
+    "plane_source": "scaled from generation 2",
+    "plane_interval": "generations 1 and 4, scaled: 0.7 and 0.3 of it",
+    "plane_damping": "loss factor of silicone",
+}
+_SERVO_SOURCES = {
+    "segment_source": "width of a joint",
+    "gap_source": "rigid link",
+    "plane_source": "assumption: a tenth of weight times length",
+    "plane_interval": "assumption",
+    "plane_damping": "assumption",
+}
+"""Sources of the values of a robot with chambers, and of one with servos."""
+
+
 def _robot_values(size: RobotSize, *, servo: bool) -> dict[str, Any]:
     """Return the values of the templates of robots."""
     from srs_twin.robot.spec import GRAVITY
@@ -214,16 +222,18 @@ def _robot_values(size: RobotSize, *, servo: bool) -> dict[str, Any]:
     count, length, mass, supply, bend = size
     scale = length / count / _PITCH_M
     air = _AIR_ML * scale**3
-    share = _JOINT_SHARE if servo else 0.037 / _PITCH_M
+    share = 0.037 / _PITCH_M
+    plane = 0.1 * scale**4
+    sources = _CHAMBER_SOURCES
+    if servo:
+        share = _JOINT_SHARE
+        plane = _SERVO_PLANE_RATIO * GRAVITY * mass * length
+        sources = _SERVO_SOURCES
     return {
         "segments": count,
         "connectors": count + 1,
         "segment": share * scale * _PITCH_M,
         "gap": (1 - share) * scale * _PITCH_M,
-        "segment_source": (
-            "width of a joint" if servo else "0.67 of the pitch, as generation 2"
-        ),
-        "gap_source": "rigid link" if servo else "0.33 of the pitch, as generation 2",
         "track": 0.015 * scale,
         "radius": 0.008 * scale,
         "height": 0.015 * scale,
@@ -232,18 +242,7 @@ def _robot_values(size: RobotSize, *, servo: bool) -> dict[str, Any]:
         "segment_mass": mass / count,
         "wheel": 0.0015 * scale**3,
         "stiffness": 0.5 * 1e3 * supply * 1e-6 * air / bend**2,
-        "plane": (
-            _SERVO_PLANE_RATIO * GRAVITY * mass * length if servo else 0.1 * scale**4
-        ),
-        "plane_source": (
-            "assumption: a tenth of weight times length"
-            if servo
-            else "scaled from generation 2"
-        ),
-        "plane_interval": (
-            "assumption" if servo else "generations 1 and 4, scaled: 0.7 and 0.3 of it"
-        ),
-        "plane_damping": "assumption" if servo else "loss factor of silicone",
+        "plane": plane,
         "damping": 0.00214 * math.sqrt(scale),
         "loss": 0.021 * math.sqrt(scale),
         "bend": bend,
@@ -252,6 +251,7 @@ def _robot_values(size: RobotSize, *, servo: bool) -> dict[str, Any]:
         "air": air,
         "dead": 11.0 * scale**3,
         "phase": 2 * math.pi / count,
+        **sources,
     }
 
 
@@ -332,10 +332,10 @@ for _command in (robot, scenario, controller, study):
 
 def _answer(question: str, value: float | None, default: float) -> float:
     """Return a given option, otherwise the user's answer, or the default without a terminal."""
-    if value is not None or not sys.stdin.isatty():
-        if value is None:
-            return default
+    if value is not None:
         return value
+    if not sys.stdin.isatty():
+        return default
     return float(typer.prompt(question, default=default, err=True))
 
 
@@ -357,10 +357,7 @@ def _write(
             f"{name!r} is not allowed as a name: use letters a to z, digits and _, a"
             " letter first"
         )
-    if out:
-        path = Path(out)
-    else:
-        path = Path(f"{name}{_SUFFIXES[Path(template).suffix]}")
+    path = Path(out or f"{name}{_SUFFIXES[Path(template).suffix]}")
     if path.exists():
         raise InputError(f"{path} exists; use another name or --out")
     from srs_twin.io.files import write_text

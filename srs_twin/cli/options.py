@@ -18,19 +18,19 @@ if TYPE_CHECKING:
     from srs_twin.io.documents import Override
 
 
-def option(declaration: str, help: str | None = None, **settings: Any) -> Any:
+def option(declaration: str, text: str | None = None, **settings: Any) -> Any:
     """Return an option of a command.
 
     Args:
         declaration: flags and value as the help shows them, "--robot -r ROBOT"; without
             a value for a switch, "--check".
-        help: help text; default: taken from the docstring, see `expand_option_groups`.
+        text: help text; default: taken from the docstring, see `expand_option_groups`.
         settings: further settings of `typer.Option`.
     """
     words = declaration.split()
     flags = [word for word in words if word.startswith("-")]
     metavar = " ".join(word for word in words if not word.startswith("-"))
-    return typer.Option(*flags, metavar=metavar or None, help=help, **settings)
+    return typer.Option(*flags, metavar=metavar or None, help=text, **settings)
 
 
 class Bounds(NamedTuple):
@@ -41,13 +41,13 @@ class Bounds(NamedTuple):
 
 
 def argument(
-    metavar: str, help: str | None = None, *, shipped: Sequence[str] = ()
+    metavar: str, text: str | None = None, *, shipped: Sequence[str] = ()
 ) -> Any:
     """Return an argument of a command.
 
     Args:
         metavar: name of the argument in the help.
-        help: help text, as in `option`.
+        text: help text, as in `option`.
         shipped: kinds of shipped files whose names complete the argument in a shell:
             "scenario", "robot", "sweep".
     """
@@ -62,9 +62,8 @@ def argument(
             if name.startswith(incomplete)
         ]
 
-    return typer.Argument(
-        metavar=metavar, help=help, autocompletion=complete if shipped else None
-    )
+    completion = complete if shipped else None
+    return typer.Argument(metavar=metavar, help=text, autocompletion=completion)
 
 
 def jobs_option(declaration: str) -> Any:
@@ -127,10 +126,7 @@ def print_json(document: Any) -> None:
 def parse_plants(text: str | None) -> list[str] | None:
     """Return the plants named by `--plants`, in a fixed order; None if the option was not given."""
     plants = ("analytical", "twin")
-    if text:
-        names = [name.strip() for name in text.split(",")]
-    else:
-        names = []
+    names = [name.strip() for name in text.split(",")] if text else []
     for name in names:
         check_choice("--plants:", name, plants)
     return [plant for plant in plants if plant in names] or None
@@ -162,17 +158,13 @@ class ChangeOptions:
         changes = []
         for text in self.set or ():
             field, sign, value = text.partition("=")
-            changes.append(
-                Override.parse(f"--set {text}", field.strip() if sign else "", value)
-            )
-        if self.duration is not None:
-            changes.append(
-                Override.parse(
-                    f"--duration {self.duration}", "duration_s", self.duration
-                )
-            )
-        if self.seed is not None:
-            changes.append(Override.parse(f"--seed {self.seed}", "seed", self.seed))
+            if not sign:
+                field = ""  # refused
+            changes.append(Override.parse(f"--set {text}", field.strip(), value))
+        for name, field in (("duration", "duration_s"), ("seed", "seed")):
+            value = getattr(self, name)
+            if value is not None:
+                changes.append(Override.parse(f"--{name} {value}", field, value))
         return changes
 
 
@@ -211,10 +203,8 @@ def expand_option_groups(
             for kind in groups[name].__mro__[:-1]:
                 options |= _parse_docstring(kind)[1]
         for member in members:
-            annotation = _with_option(
-                annotations[member.name],
-                *options.get(member.name.rstrip("_"), ("", "")),
-            )
+            declared = options.get(member.name.rstrip("_"), ("", ""))
+            annotation = _with_option(annotations[member.name], *declared)
             parameters.append(member.replace(kind=keyword, annotation=annotation))
     if plugins:
         parameters.append(
@@ -226,12 +216,8 @@ def expand_option_groups(
         for source in values.pop("plugin", None) or ():
             allow_plugin(source)
         for name, kind in groups.items():
-            values[name] = kind(
-                **{
-                    field: values.pop(field)
-                    for field in inspect.signature(kind).parameters
-                }
-            )
+            members = inspect.signature(kind).parameters
+            values[name] = kind(**{member: values.pop(member) for member in members})
         command(**values)
 
     run.__doc__ = description
@@ -244,9 +230,8 @@ def _with_option(annotation: Any, declaration: str, text: str) -> Any:
     """Return the annotation of a parameter with its option, or with the help text of its option."""
     (info,) = getattr(annotation, "__metadata__", (None,))
     if declaration.startswith("-"):
-        return Annotated[
-            annotation, option(declaration, text, **(info._asdict() if info else {}))
-        ]
+        settings = info._asdict() if info else {}
+        return Annotated[annotation, option(declaration, text, **settings)]
     if info is not None:
         info.help = info.help or text
     return annotation

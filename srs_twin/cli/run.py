@@ -172,7 +172,10 @@ def run_all(
             _print_result(case, report, changes)
     if report.as_json:
         documents = [case.document() for case in cases]
-        print_json(documents[0] if len(documents) == 1 else {"runs": documents})
+        if len(documents) == 1:
+            print_json(documents[0])
+        else:
+            print_json({"runs": documents})
     results = [case.result for case in cases if case.result]
     if fails and not report.quiet:
         _print_tally(results)

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from srs_twin.experiment import RunResult
+    from srs_twin.scenario.expectation import ExpectationRow
 
 STATE_LABELS = {
     "met": "met",
@@ -33,7 +34,8 @@ _EXPLAINABLE = {"com_speed_rel", "yaw_rate_abs"}
 """Differences that `compare --explain` attributes to assumptions."""
 
 _ZERO = 5e-5
-"""Absolute value below which a difference is printed as 0; in m, m/s, rad and rad/s alike."""
+"""Absolute value below which a difference is printed as 0; in m, m/s, rad and rad/s
+alike."""
 
 
 def rows(metrics: Mapping[str, Any]) -> list[list[str]]:
@@ -85,12 +87,10 @@ def show(result: RunResult) -> None:
         terminal.print(_attribution_table(result.metrics["attribution"]))
     left_out = left_out_line(result.metrics["left_out"])
     checked = result.metrics["expectations"]
+    heading = []
     if checked:
-        heading = [
-            f"expectations of the scenario: {tally(Counter(map(verdict, checked)))}"
-        ]
-    else:
-        heading = []
+        counted = tally(Counter(map(verdict, checked)))
+        heading = [f"expectations of the scenario: {counted}"]
     for text in [
         *event_lines(result.metrics),
         *heading,
@@ -179,10 +179,12 @@ def needs_explanation(metrics: Mapping[str, Any]) -> bool:
     return bool(missed & _EXPLAINABLE) and "attribution" not in metrics
 
 
-def _expectation_line(row: Mapping[str, Any]) -> str:
+def _expectation_line(row: ExpectationRow) -> str:
     source = f" ({row['source']})" if row.get("source") else ""
     remarks = "".join(
-        f"; {key}: {row[key]}" for key in ("reason", "known") if row.get(key)
+        f"; {key}: {text}"
+        for key, text in (("reason", row.get("reason")), ("known", row.get("known")))
+        if text
     )
     return (
         f"{STATE_LABELS[verdict(row)]:6} {row['of']} {row['metric']}"

@@ -19,8 +19,8 @@ Array = NDArray[np.float64]
 """Array of floating-point numbers."""
 
 LARGEST_PLAUSIBLE = 1e9
-"""Largest plausible magnitude of any quantity in SI units; pressures of a snake reach 1e7 Pa, and positions
-1e6 m."""
+"""Largest plausible magnitude of any quantity in SI units; pressures of a snake reach
+1e7 Pa, and positions 1e6 m."""
 
 _BLAS_LOCK = threading.RLock()
 

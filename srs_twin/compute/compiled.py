@@ -7,6 +7,7 @@ the function that Python calls. Only that function has a wrapper for Python and 
 on disk.
 """
 
+# ruff: noqa: SLF001 - caches and code libraries of numba have no public names
 from __future__ import annotations
 
 import functools
@@ -47,7 +48,8 @@ _OPTIONS: Any = {
 # creates no arrays does not need them.
 _NO_REFCOUNTS: Any = {"_nrt": False}
 _CONSTANT_TYPES = (bool, int, float, complex, str, type(None))
-_warned = False
+_warned: list[str] = []
+"""Reason of the warning that this process has issued."""
 _notices: list[Callable[[], None]] = []
 """At most one function, which is called before the first compilation."""
 
@@ -324,15 +326,15 @@ def _is_own_group(number: int) -> bool:
 
 def _warn(reason: str, requirement: str = "that you can write to") -> None:
     """Warn once per process, because further kernels would fail for the same reason."""
-    global _warned
-    if not _warned:
-        _warned = True
-        problem = (
-            "compiled kernels cannot be cached, so every start compiles them again"
-            f" ({reason})"
-        )
-        remedy = f"set NUMBA_CACHE_DIR to a folder {requirement}"
-        warnings.warn(f"{problem}; {remedy}", CacheWarning, stacklevel=1)
+    if _warned:
+        return
+    _warned.append(reason)
+    warnings.warn(
+        "compiled kernels cannot be cached, so every start compiles them again"
+        f" ({reason}); set NUMBA_CACHE_DIR to a folder {requirement}",
+        CacheWarning,
+        stacklevel=1,
+    )
 
 
 @functools.cache

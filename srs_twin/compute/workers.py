@@ -317,10 +317,8 @@ class _TaskRun:
                 continue
             try:
                 result, error = worker.receive()
-            except (
-                EOFError,
-                OSError,
-            ):  # the worker died, possibly while it sent a result
+            except (EOFError, OSError):
+                # The worker died, possibly while it sent a result.
                 self._handle_death(worker)
                 continue
             if worker.number is not None:
@@ -337,10 +335,9 @@ class _TaskRun:
         exit_code = worker.end(time.monotonic() + GRACE_S)
         if worker.ready:
             self._failed_starts = 0
-        elif (
-            worker.start_time > self._last_failed_start
-        ):  # workers that started together count once
-            self._failed_starts = self._failed_starts + 1
+        elif worker.start_time > self._last_failed_start:
+            # Workers that started together count once.
+            self._failed_starts += 1
             self._last_failed_start = time.monotonic()
             if self._failed_starts == self._attempts:
                 raise WorkerDiedError(exit_code, self._attempts) from None
@@ -379,9 +376,8 @@ class _Worker:
         Raises:
             EOFError, OSError: the worker has died.
         """
-        if (
-            not self.pipe.poll()
-        ):  # if the fork server has died, the pipe reports no end of file
+        # If the fork server has died, the pipe reports no end of file.
+        if not self.pipe.poll():
             raise EOFError
         answer: tuple[object, Exception | None] = pickle.loads(self.pipe.recv_bytes())
         return answer
@@ -447,9 +443,7 @@ def _call_and_pickle(call: Callable[[], Any]) -> bytes:
     """Call a function and return its result and error, pickled; one of them is None."""
     try:
         return pickle.dumps((call(), None))
-    except (
-        Exception
-    ) as error:  # any exception of a task is reported, so that the worker continues
+    except Exception as error:  # any error is reported, and the worker continues
         reported = error if isinstance(error, SrsError) else TaskFailedError(error)
         # Tracebacks cannot be pickled; a note is printed with the error.
         reported.add_note("".join(traceback.format_exception(error)))

@@ -23,6 +23,7 @@ from srs_twin.io.files import display_path
 
 if TYPE_CHECKING:
     from srs_twin.planning.planned import PathQuality, ScenarioPlan
+    from srs_twin.scenario.expectation import ExpectationRow
     from srs_twin.scenario.scenario import Scenario
 
 
@@ -70,7 +71,7 @@ def plan(
 
 def _check_expectations(
     scenario: Scenario, metrics: Mapping[str, object]
-) -> list[dict[str, object]]:
+) -> list[ExpectationRow]:
     """Return the results of the scenario's expectations of its plan, without duplicates."""
     expected = {
         (item.metric, item.allowed): item

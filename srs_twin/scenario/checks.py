@@ -40,18 +40,19 @@ from srs_twin.scenario.plants import PlantFile, TwinFile
 from srs_twin.scenario.start import InitialState
 
 _ROUNDING = 1.001
-"""Tolerance factor of a pressure limit: 7 psi, rounded to three digits, are 48.3 kPa, which exceeds 48.26
-kPa."""
+"""Tolerance factor of a pressure limit: 7 psi, rounded to three digits, are 48.3 kPa,
+which exceeds 48.26 kPa."""
 
 
 _DOUBTFUL = 20.0
-"""Ratio to the nominal pressure beyond which the unit of a supply pressure is in doubt; one shipped scenario
-has a tenth of it."""
+"""Ratio to the nominal pressure beyond which the unit of a supply pressure is in doubt;
+one shipped scenario has a tenth of it."""
 
 _PSI_KPA = 6.894757
 
 _PSI_TOLERANCE = 0.1
-"""Relative difference from the nominal pressure within which a number of kPa is probably one of psi."""
+"""Relative difference from the nominal pressure within which a number of kPa is
+probably one of psi."""
 
 
 def check(document: Document, file: ScenarioFile) -> None:

@@ -126,8 +126,8 @@ class PitchFile(Section):
     constructors = (PitchWave,)
 
     share: float = quantity(0.0, 1.0)
-    """Share of the pitch wave in the sum of the amplitudes; 0: planar, 0.5: equal amplitudes, 1: pitch
-    only."""
+    """Share of the pitch wave in the sum of the amplitudes; 0: planar, 0.5: equal
+    amplitudes, 1: pitch only."""
     lag_rad: float = quantity(-6.3, 6.3)
     """Lag behind the wave to the left and right; pi/2 or -pi/2 for sidewinding."""
     frequency_ratio: float = quantity(0.1, 10.0)
@@ -154,8 +154,8 @@ class GaitFile(ControllerSection):
     phases_rad: _Phases | None = constructor_default()
     """Additional lag of each segment, one value per segment (default: none)."""
     rest_share: float | None = quantity(0.0, 0.95)
-    """Fraction of the time in which both chambers of a segment vent, around sign changes of the wave
-    (default: none)."""
+    """Fraction of the time in which both chambers of a segment vent, around sign
+    changes of the wave (default: none)."""
     pitch: PitchFile | None = None
     """Second wave of a spatial robot, upwards and downwards (default: none)."""
 
@@ -182,8 +182,8 @@ class LearningFile(ControllerSection):
     offset: float = quantity(-MAX_OFFSET, MAX_OFFSET)
     """Steering offset, positive to the left, by unequal targets."""
     target: Literal["smallest"] | None = None
-    """Target of the side with the larger amplitude: the smallest recorded amplitude (default without
-    target_rad)."""
+    """Target of the side with the larger amplitude: the smallest recorded amplitude
+    (default without target_rad)."""
     target_rad: float | None = quantity(0.01, _RIGHT_ANGLE, None)
     """Target of the side with the larger amplitude."""
     k_per_rad: float = quantity(1e-4, 100.0)
@@ -193,10 +193,11 @@ class LearningFile(ControllerSection):
     carrier_hz: float = _CARRIER
     """Carrier of the pulse-width modulation."""
     on_fault: Literal["go_on", "stop"] = constructor_default()
-    """Response to a dead sensor or a stuck valve: continue without that module, or end the run."""
+    """Response to a dead sensor or a stuck valve: continue without that module, or end
+    the run."""
     steering: Literal["targets", "targets_and_wave"] = constructor_default()
-    """Effect of the offset: unequal targets, or also the wave of the valves (Eq. 13), which then fills the
-    chambers on the inner side of the turn for longer."""
+    """Effect of the offset: unequal targets, or also the wave of the valves (Eq. 13),
+    which then fills the chambers on the inner side of the turn for longer."""
     phase_rad: float = _PHASE
     """Phase at the start."""
     phase_step_rad: float | None = _PHASE

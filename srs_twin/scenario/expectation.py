@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from enum import Enum
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple, TypedDict
 
 from pydantic import (
     AfterValidator,
@@ -41,12 +41,13 @@ COMPARISON = "comparison"
 _BOUND = 1e9
 """Largest absolute value in an expectation; all metrics are far below."""
 _INTERVAL_TOLERANCE = 0.01
-"""Largest difference between run and stored interval, as a fraction of the width; larger ones indicate other
-laws or another duration."""
+"""Largest difference between run and stored interval, as a fraction of the width;
+larger ones indicate other laws or another duration."""
 _STORAGE_TOLERANCE = 1e-5
 """Relative tolerance of stored values, which have six digits."""
 _PUBLISHED_STD = 0.01
-"""Default relative standard uncertainty of a published value, which has two or three digits."""
+"""Default relative standard uncertainty of a published value, which has two or three
+digits."""
 _UNIT = "the metric's unit"
 _TALLY = {
     "met": "met",
@@ -96,7 +97,65 @@ def known_metrics(subject: str | None = None) -> tuple[str, ...]:
     """Return the names of the metrics of plants, of the comparison ("comparison"), or of both (None)."""
     if subject is None:
         return (*metric_units(), *COMPARISON_UNITS)
-    return tuple(COMPARISON_UNITS if subject == COMPARISON else metric_units())
+    if subject == COMPARISON:
+        return tuple(COMPARISON_UNITS)
+    return tuple(metric_units())
+
+
+class ExpectationRow(TypedDict, total=False):
+    """Result of an expectation for a run, a row of the expectations in metrics.json.
+
+    Attributes:
+        metric: name of the metric.
+        of: "analytical", "twin" or "comparison".
+        value: value of the metric; None without one.
+        allowed: allowed values as text.
+        met: whether the value is allowed; never without a value.
+        state: "met", "missed", "known" (missed for a known reason) or "not_judged";
+            rows of earlier versions have none.
+        reason: reason why the expectation is not judged; None if it is.
+        near: expected or published value.
+        source: source of a published value.
+        known: known reason of a miss.
+        within: name of the interval that must contain the published value. The
+            attributes below are those of this interval (`Expectation._judge_interval`).
+        verdict: "within", "undecided" or "outside".
+        error: value minus published value, E of ASME V&V 20.
+        u_num: standard uncertainty due to the time step.
+        u_input: standard uncertainty due to the parameters of the robot.
+        u_d: standard uncertainty of the published value.
+        largest: name of the largest of these uncertainties.
+        largest_parameter: parameter that contributes most to `u_input`, if that is the
+            largest.
+        width: width of the interval.
+        score: interval score (Gneiting and Raftery 2007), which is low for narrow
+            intervals that contain the published value.
+        interval: ends of the interval.
+        interval_error: standard errors of the ends.
+    """
+
+    metric: str
+    of: str
+    value: float | None
+    allowed: str
+    met: bool
+    state: str
+    reason: str | None
+    near: float | None
+    source: str | None
+    known: str | None
+    within: str
+    verdict: str
+    error: float
+    u_num: float
+    u_input: float
+    u_d: float
+    largest: str
+    largest_parameter: str | None
+    width: float
+    score: float
+    interval: list[float]
+    interval_error: list[float] | None
 
 
 class AllowedRange(NamedTuple):
@@ -154,7 +213,8 @@ class Expectation(Section):
     below: float | None = quantity(-_BOUND, _BOUND, None, unit=_UNIT)
     """Highest allowed value."""
     published: float | None = quantity(-_BOUND, _BOUND, None, unit=_UNIT)
-    """Published value, which must be within an interval of the prediction of the scenario."""
+    """Published value, which must be within an interval of the prediction of the
+    scenario."""
     within: Literal["interval_50", "interval_95"] | None = None
     """Interval for published, stored by `srs-twin uncertainty SCENARIO --write`."""
     scatter: float | None = quantity(0.0, _BOUND, None, unit=_UNIT)
@@ -164,7 +224,8 @@ class Expectation(Section):
     source: Words | None = None
     """Source of a published value; none for our own bounds."""
     known: Words | None = None
-    """Known reason why the expectation is missed; `--check` accepts it, `--strict` does not."""
+    """Known reason why the expectation is missed; `--check` accepts it, `--strict` does
+    not."""
 
     @field_validator("metric")
     @classmethod
@@ -235,7 +296,7 @@ class Expectation(Section):
 
     def check(
         self, metrics: Mapping[str, Any], undefined: Undefined | None = None
-    ) -> dict[str, Any]:
+    ) -> ExpectationRow:
         """Return the result of the expectation for a run.
 
         Args:
@@ -244,13 +305,6 @@ class Expectation(Section):
                 `experiment.stored_intervals`.
             undefined: reason why the metric has no value; None if it has one, or if the
                 missing value is the outcome of the run.
-
-        Returns:
-            Row of the expectations in metrics.json: `metric`, `of`, the `value` or
-                None, the `allowed` values
-            as text, `state` ("met", "missed", "known" or "not_judged"), the `reason`
-            why it is not judged, whether it is `met` (never without a value), `near`,
-            `source` and `known`.
         """
         allowed = self.allowed
         if self.of:
@@ -258,7 +312,7 @@ class Expectation(Section):
         else:
             values = (metrics.get("plants") or {}).get(self.subject)
         value = (values or {}).get(self.metric)
-        row: dict[str, Any] = {
+        row: ExpectationRow = {
             "metric": self.metric,
             "of": self.subject,
             "value": value,
@@ -279,40 +333,29 @@ class Expectation(Section):
             row["met"] = allowed.holds(value)
         else:
             row |= self._judge_interval(value, metrics.get("intervals") or {})
+        row["state"] = "missed" if self.known is None else "known"
         if row["reason"] is not None:
-            state = "not_judged"
+            row["state"] = "not_judged"
         elif row["met"]:
-            state = "met"
-        elif self.known is None:
-            state = "missed"
-        else:
-            state = "known"
-        return row | {
-            "state": state,
-            "near": self.near if self.published is None else self.published,
-            "source": self.source,
-            "known": self.known,
-        }
+            row["state"] = "met"
+        row["near"] = self.near if self.published is None else self.published
+        row["source"] = self.source
+        row["known"] = self.known
+        return row
 
     def _judge_interval(
         self, value: float, stored: Mapping[str, Any]
-    ) -> dict[str, Any]:
+    ) -> ExpectationRow:
         """Return the part of a row that depends on a stored interval, or the `reason` why it is not judged.
 
         The `verdict` is "within", "undecided" or "outside". It is undecided, and the
         expectation is not judged, if the published value is within two standard errors
         of an end of the interval.
-
-        The other terms are those of ASME V&V 20: the `error` E = value − published, the
-        standard uncertainties `u_num` of the time step, `u_input` of the robot
-        parameters and `u_d` of the published value, the name of the `largest` one, and
-        the `largest_parameter` of the robot. `interval`, `width` and `score` describe
-        the interval; the interval score (Gneiting and Raftery 2007) is low for narrow
-        intervals that contain the published value.
         """
         published = self.published
         assert self.within is not None and published is not None, "see _is_consistent()"
-        spread = ((stored.get("plants") or {}).get(self.subject) or {}).get(self.metric)
+        plants = stored.get("plants") or {}
+        spread: Any = (plants.get(self.subject) or {}).get(self.metric)
         reason = stored.get("stale") or self._mismatch(value, spread, stored)
         if reason is not None:
             return {"reason": reason}
@@ -323,13 +366,14 @@ class Expectation(Section):
         if verdict is IntervalVerdict.UNDECIDED:
             position = "near an end of"
             reason = self._undecided_reason((low, high), errors)
+        u_d = self.scatter
+        if u_d is None:
+            u_d = _PUBLISHED_STD * abs(published)
         terms = {
             "u_num": spread["u_num"] or 0.0,
             "u_input": spread["u_input"],
-            "u_d": self.scatter,
+            "u_d": u_d,
         }
-        if self.scatter is None:
-            terms["u_d"] = _PUBLISHED_STD * abs(published)
         largest = max(terms, key=lambda name: terms[name])
         parameter = None
         if largest == "u_input":
@@ -346,7 +390,9 @@ class Expectation(Section):
             "reason": reason,
             "verdict": verdict.value,
             "error": value - published,
-            **terms,
+            "u_num": terms["u_num"],
+            "u_input": terms["u_input"],
+            "u_d": u_d,
             "largest": largest,
             "largest_parameter": parameter,
             "width": high - low,
@@ -364,7 +410,7 @@ class Expectation(Section):
                 f"the stored intervals have no {self.metric} of the {self.subject}"
                 " plant"
             )
-        low, high = spread[self.within]
+        low, high = spread[str(self.within)]
         tolerance = max(
             _INTERVAL_TOLERANCE * (high - low),
             # Allow for differences in the last digits between processors.
@@ -385,8 +431,9 @@ class Expectation(Section):
             "only published values are compared with intervals"
         )
         distance, error, end = min(
-            (abs(self.published - end) / error if error else math.inf, error, end)
+            (abs(self.published - end) / error, error, end)
             for end, error in zip(interval, errors, strict=True)
+            if error
         )
         return (
             f"undecided: published {self.published:.4g} is {distance:.2g} standard"
@@ -442,11 +489,11 @@ class ExpectationsFile(Section):
     """Expected values of metrics."""
 
 
-def verdict(checked: Mapping[str, Any]) -> str:
+def verdict(checked: ExpectationRow) -> str:
     """Return the verdict on an expectation.
 
     Args:
-        checked: row of `Expectation.check`; rows of earlier versions have no `state`.
+        checked: row of `Expectation.check`.
 
     Returns:
         The state "met", "missed", "known" (missed for a known reason) or "not_judged";
@@ -459,10 +506,10 @@ def verdict(checked: Mapping[str, Any]) -> str:
         state = "met" if checked["met"] else missed
     if state == "met" and known:
         return "holds"
-    return str(state)
+    return state
 
 
-def result_text(checked: Mapping[str, Any]) -> str:
+def result_text(checked: ExpectationRow) -> str:
     """Return the text of a value and its allowed values, such as "= 0.15, allowed 0.18 to 0.25"."""
     metric = checked["metric"]
     allowed = allowed_text(checked)
@@ -477,7 +524,7 @@ def result_text(checked: Mapping[str, Any]) -> str:
     return f"= {text.removesuffix(' 1')}; {checked['allowed']}"
 
 
-def allowed_text(checked: Mapping[str, Any]) -> str:
+def allowed_text(checked: ExpectationRow) -> str:
     """Return the text of the allowed values: a range, one value, or yes or no."""
     metric = checked["metric"]
     allowed = str(checked["allowed"])
@@ -497,7 +544,8 @@ def tally(verdicts: Mapping[str, int]) -> str:
 
 
 UNDECIDED_ERRORS = 2.0
-"""Distance from an end, in standard errors of the end, below which the verdict is undecided (95 %)."""
+"""Distance from an end, in standard errors of the end, below which the verdict is
+undecided (95 %)."""
 
 
 class IntervalVerdict(Enum):

@@ -52,13 +52,8 @@ def quantity(
         unit: unit, if the key does not contain it.
     """
     options = {} if default is ... else {"default": default}
-    return partial(
-        Field,
-        ge=low,
-        le=high,
-        json_schema_extra={"unit": unit} if unit else None,
-        **options,
-    )
+    extra = {"unit": unit} if unit else None
+    return partial(Field, ge=low, le=high, json_schema_extra=extra, **options)
 
 
 def constructor_default() -> Any:
@@ -68,23 +63,23 @@ def constructor_default() -> Any:
 
 def _describe(schema: dict[str, Any], cls: type[Section]) -> None:
     """Set the description of each key from its docstring, with unit, range and default of numbers."""
-    for key, text in attribute_docstrings(cls).items():
+    for key, description in attribute_docstrings(cls).items():
         node = schema["properties"][key]
-        title = text.partition(";")[0].rstrip(".")
+        node |= {
+            "title": description.partition(";")[0].rstrip("."),
+            "description": description,
+        }
         for bounds in (node, *node.get("anyOf", ())):
             if "minimum" in bounds:
                 parameter = cls.parameter(key)
-                unit = node.setdefault("unit", split_unit(key)[1])
-                title = text.rstrip(".").format(
+                title = description.rstrip(".").format(
                     default=from_si(key, parameter and parameter.default)
                 )
-                low = bounds["minimum"]
-                high = bounds["maximum"]
-                text = (
-                    f"{title}{'' if unit == '1' else f' in {unit}'}, {low:.10g} to"
-                    f" {high:.10g}."
-                )
-        node |= {"title": title, "description": text}
+                unit = node.setdefault("unit", split_unit(key)[1])
+                range_text = f"{bounds['minimum']:.10g} to {bounds['maximum']:.10g}"
+                in_unit = "" if unit == "1" else f" in {unit}"
+                node["title"] = title
+                node["description"] = f"{title}{in_unit}, {range_text}."
 
 
 class Section(StrictModel):
@@ -116,13 +111,9 @@ class Section(StrictModel):
         for key, value in list(vars(cls).items()):
             if isinstance(value, partial):
                 parameter = cls.parameter(key)
-                has_default = (
-                    parameter is not None and parameter.default is not parameter.empty
-                )
-                if parameter and has_default:
+                options = {}
+                if parameter and parameter.default is not parameter.empty:
                     options = {"default": parameter.default}
-                else:
-                    options = {}
                 setattr(cls, key, Field(**options | value.keywords))
 
     @classmethod

@@ -63,8 +63,8 @@ class SensorFile(SensorSection):
     only = {}  # set below the class: all other keys require kind: hall
 
     kind: Literal["ideal", "hall"] = "ideal"
-    """ideal: the exact bend; hall: magnet and Hall element on a strip, amplifier, converter and linear
-    calibration (docs/sensor.md)."""
+    """ideal: the exact bend; hall: magnet and Hall element on a strip, amplifier,
+    converter and linear calibration (docs/sensor.md)."""
     span_rad: float | None = quantity(0.1, 1.6, None)
     """Largest bend of trimming and calibration (hall; default {default:.4g})."""
     distance_mm: float | None = quantity(1.0, 50.0, None)
@@ -73,10 +73,11 @@ class SensorFile(SensorSection):
     orientation: Literal["up", "side"] | None = None
     """Orientation of the magnet's north pole (hall; default up)."""
     chamber: Literal["semicircular", "rectangular"] | None = None
-    """Cross-section of the pressure chambers (hall; default semicircular); a rectangular chamber presses
-    on the strip."""
+    """Cross-section of the pressure chambers (hall; default semicircular); a
+    rectangular chamber presses on the strip."""
     noise_uv: float | None = quantity(0.0, 1e5, None)
-    """RMS noise of the element within the bandwidth of the amplifier (hall; default {default:g})."""
+    """RMS noise of the element within the bandwidth of the amplifier (hall; default
+    {default:g})."""
     bits: int | None = quantity(1, 32, None)
     """Resolution of the converter (hall; default {default})."""
     bias_v: float | None = quantity(-5.0, 5.0, None)
@@ -86,11 +87,8 @@ class SensorFile(SensorSection):
 
     def written(self) -> dict[str, Any]:
         """See `Section.written`; the section has all defaults."""
-        if self.kind == "hall":
-            section = self.with_defaults(*self.only["kind", "hall"])
-        else:
-            section = self
-        return section.model_dump(exclude_none=True)
+        keys = self.only["kind", "hall"] if self.kind == "hall" else ()
+        return self.with_defaults(*keys).model_dump(exclude_none=True)
 
 
 SensorFile.only["kind", "hall"] = tuple(
@@ -117,10 +115,7 @@ class DeadSensorFile(_FaultFile):
 
     def build(self) -> DeadSensor:
         """Return the fault in SI."""
-        if self.reading_rad is None:
-            reading = math.nan
-        else:
-            reading = self.reading_rad
+        reading = math.nan if self.reading_rad is None else self.reading_rad
         return DeadSensor(self.segment, reading, self.from_s)
 
 
@@ -136,10 +131,9 @@ class StuckValveFile(_FaultFile):
 
     def build(self) -> StuckValve:
         """Return the fault in SI."""
-        side = 0 if self.chamber == "plus" else 1
-        return StuckValve(
-            self.segment, side, 1 if self.stuck == "open" else -1, self.from_s
-        )
+        side = ("plus", "minus").index(self.chamber)
+        state = {"open": 1, "closed": -1}[self.stuck]
+        return StuckValve(self.segment, side, state, self.from_s)
 
 
 FaultFile = Annotated[DeadSensorFile | StuckValveFile, Field(discriminator="kind")]
@@ -179,8 +173,8 @@ class PneumaticsFile(PneumaticsSection):
     }
 
     kind: Literal["lag", "orifice"] = "lag"
-    """Model of the chambers; lag: exponential with tau_1; orifice: compressible flow (ISO 6358) from one
-    supply into chambers whose volume depends on the bend."""
+    """Model of the chambers; lag: exponential with tau_1; orifice: compressible flow
+    (ISO 6358) from one supply into chambers whose volume depends on the bend."""
     leak_per_s: float = quantity(0.0, 100.0)
     """Relative rate at which a held chamber loses pressure."""
     valve_delay_s: float = quantity(0.0, 1.0)
@@ -207,28 +201,28 @@ class PneumaticsFile(PneumaticsSection):
 
     def written(self) -> dict[str, Any]:
         """See `Section.written`; the section has the relevant defaults."""
-        limited = self.flow_limit_l_per_min is not None
+        keys: tuple[str, ...] = ()
         if self.kind == "orifice":
-            names = ("critical_ratio", "line_volume_ml")[: 1 + limited]
-        else:
-            names = ()
-        return self.with_defaults(*names).model_dump(exclude_none=True)
+            keys = ("critical_ratio",)
+            if self.flow_limit_l_per_min is not None:
+                keys += ("line_volume_ml",)
+        return self.with_defaults(*keys).model_dump(exclude_none=True)
 
 
 class ValvesFile(Section):
     """Valves of each chamber."""
 
     layout: Literal["3/2", "in_out"] | None = None
-    """3/2: one valve, which fills or vents; in_out: an inlet and an outlet valve, which can also hold
-    (default: layout of the controller)."""
+    """3/2: one valve, which fills or vents; in_out: an inlet and an outlet valve, which
+    can also hold (default: layout of the controller)."""
 
 
 class ComparisonFile(Section):
     """Options of the comparison of the plants."""
 
     gap_factor: bool = False
-    """Multiply the analytical speed by (l + L_o)/l, as the dissertation does for its model without rigid
-    gaps (Section 3.4.2); the analytical plant needs gaps: false."""
+    """Multiply the analytical speed by (l + L_o)/l, as the dissertation does for its
+    model without rigid gaps (Section 3.4.2); the analytical plant needs gaps: false."""
 
 
 _CORE_KINDS = {
@@ -262,8 +256,8 @@ class ScenarioFile(Section):
     robot: Annotated[
         Any, WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}]})
     ]
-    """Robot: a shipped name (gen1 to gen4, gen4_module), the path of a robot file, {base: a name or
-    path} with fields to change, or a whole robot."""
+    """Robot: a shipped name (gen1 to gen4, gen4_module), the path of a robot file,
+    {base: a name or path} with fields to change, or a whole robot."""
     duration_s: float = quantity(0.001, 3600.0)
     """Simulated duration."""
     seed: int = quantity(0, 2**32 - 1, 0)
@@ -298,7 +292,8 @@ class ScenarioFile(Section):
     expect: Annotated[list[Expectation], Field(max_length=200)] = []
     """Expected values of metrics."""
     changes: Annotated[list[ChangedField], Field(max_length=1000)] | None = None
-    """Fields changed by --set and similar options; written into scenario.resolved.yaml by a run."""
+    """Fields changed by --set and similar options; written into scenario.resolved.yaml
+    by a run."""
 
     elsewhere: ClassVar[dict[str, str]] = {
         key: f"robot.{key}"
@@ -323,13 +318,12 @@ class ScenarioFile(Section):
 
     def scaled_to(self, scale: Scale) -> Self:
         """Return the scenario with numerical defaults in the units of a robot."""
-        plants = {
-            kind: section.scaled_to(
-                scale,
-                self.tick(kind) * (1.0 if section.tick_s is not None else scale.time),
-            )
-            for kind, section in self.plants.running.items()
-        }
+        plants = {}
+        for kind, section in self.plants.running.items():
+            tick = self.tick(kind)
+            if section.tick_s is None:
+                tick *= scale.time
+            plants[kind] = section.scaled_to(scale, tick)
         scaled = self.model_copy()
         scaled.__dict__["world"] = self.world.scaled_to(scale)
         scaled.__dict__["plants"] = self.plants.model_copy()
@@ -375,8 +369,7 @@ def _with_extensions(
     fields: dict[str, Any] = {}
     if controllers:
         known = (*CORE_CONTROLLERS, *(load(CONTROLLERS[name]) for name in controllers))
-        kinds = Annotated[reduce(or_, known), Field(discriminator="kind")]
-        fields["controller"] = (kinds, ...)
+        fields["controller"] = (reduce(or_, known), Field(discriminator="kind"))
     for name in sections:
         entry: SectionEntry = load(SECTIONS[name])
         text = entry.description

@@ -40,7 +40,11 @@ from srs_twin.scenario.scenario import Scenario, ignored_obstacles
 
 
 @checked
-def load_scenario(scenario: StrPath | Scenario, *, set: Overrides = ()) -> Scenario:
+def load_scenario(
+    scenario: StrPath | Scenario,
+    *,
+    set: Overrides = (),  # noqa: A002 - named as the option --set
+) -> Scenario:
     """Load a scenario, given by a shipped name (gen2_straight) or the path of a scenario file.
 
     Args:
@@ -53,17 +57,18 @@ def load_scenario(scenario: StrPath | Scenario, *, set: Overrides = ()) -> Scena
         InputFileError: the scenario is not valid; lists all problems.
     """
     if isinstance(scenario, Scenario):
-        return (
-            parse_scenario(scenario.document, name=scenario.name, set=set)
-            if set
-            else scenario
-        )
+        if not set:
+            return scenario
+        return parse_scenario(scenario.document, name=scenario.name, set=set)
     path = find_file("scenario", scenario)
     return _scenario(load_yaml(path), results_name(path), set)
 
 
 def parse_scenario(
-    data: Mapping[str, Any], *, name: str = "scenario", set: Overrides = ()
+    data: Mapping[str, Any],
+    *,
+    name: str = "scenario",
+    set: Overrides = (),  # noqa: A002 - named as the option --set
 ) -> Scenario:
     """Return the scenario of plain data, as in `Scenario.document`.
 
@@ -76,38 +81,36 @@ def parse_scenario(
         InputFileError: the scenario is not valid; lists all problems, without line
             numbers.
     """
-    return _scenario(
-        Document(name, copy.deepcopy(dict(data)) if set else data), name, set
-    )
+    if set:
+        data = copy.deepcopy(dict(data))
+    return _scenario(Document(name, data), name, set)
 
 
-def _scenario(document: Document, name: str, changes: Overrides) -> Scenario:
+def _scenario(document: Document, name: str, overrides: Overrides) -> Scenario:
     """Return the scenario of a document with changed fields; `name` is the default of its name."""
-    changes = Override.list_of(changes)
+    changes = Override.list_of(overrides)
     unmodified = copy.deepcopy(document) if changes else document
     for change in changes:
         _set(document, change)
     file, loading = _checked(document)
-    robot = loading.robot
     world = loading.world
     uses_goal = any(section.uses_goal for section in file.sections().values())
     if not uses_goal and (world.goal or world.bounds):
-        text = (
+        loading.warnings.append(
             "world: goal and bounds have no effect; only a controller of kind: follow"
             " uses them"
         )
-        loading.warnings.append(text)
     loading.warnings += ignored_obstacles(file, world, file.plants.running)
     resolved = _resolved(
-        file, robot, file.name or name, loading.layout, loading.products
+        file, loading.robot, file.name or name, loading.layout, loading.products
     )
-    before = _resolved_or_raw(unmodified, loading.products) if changes else resolved
-    if changed := changed_fields(
-        before,
-        resolved,
-        [change.loc for change in changes],
-        document.get("changes") or (),
-    ):
+    before = resolved
+    if changes:
+        before = _resolved_or_raw(unmodified, loading.products)
+    earlier = document.get("changes") or ()
+    locs = [change.loc for change in changes]
+    changed = changed_fields(before, resolved, locs, earlier)
+    if changed:
         resolved["changes"] = changed
     file = read_resolved(resolved)
     pose = file.start.build()
@@ -115,7 +118,7 @@ def _scenario(document: Document, name: str, changes: Overrides) -> Scenario:
     return Scenario(
         name=file.name,
         title=marked(file.title, changed),
-        robot=robot.spec(file.seed),
+        robot=loading.robot.spec(file.seed),
         duration=file.duration_s,
         seed=file.seed,
         record_hz=file.record_hz,
@@ -140,16 +143,18 @@ def _checked(document: Document) -> tuple[ScenarioFile, Loading]:
     _locate_files(document)
     file = validate(scenario_model(document), document, document.data)
     robot, robot_problems = _robot(document)
-    warnings = document.warnings + (
-        check_supply_pressure(document, robot) if robot else []
-    )
-    if file and robot:
-        file = file.scaled_to(robot.scale)
+    warnings = document.warnings
+    length = 1.0
+    if robot:
+        warnings = warnings + check_supply_pressure(document, robot)
+        length = robot.scale.length
     world = World()
     loading = None
     if file:
-        with document.report_errors("world", "pegs" if file.world.pegs else "random"):
-            length = robot.scale.length if robot else 1.0
+        if robot:
+            file = file.scaled_to(robot.scale)
+        drawn = "pegs" if file.world.pegs else "random"
+        with document.report_errors("world", drawn):
             world = file.world.build_world(file.start.build(), file.seed, length)
         check(document, file)
     if file and robot:
@@ -186,17 +191,13 @@ def _set(document: Document, change: Override) -> None:
     """Set a changed value in the document."""
     _check_field(change)
     before = document.get(*change.loc)
-    # If a plain number replaces a record, keep the unit of the record.
-    if (
-        isinstance(before, Mapping)
-        and "unit" in before
-        and not isinstance(change.value, Mapping)
-    ):
-        change = replace(
-            change,
-            value=replace_value(before, change.value, None, f"set by {change.label}"),
-        )
-    if change.loc == PRESET and isinstance(twin := document.get(*PRESET[:-1]), Mapping):
+    is_record = isinstance(before, Mapping) and "unit" in before
+    if is_record and not isinstance(change.value, Mapping):
+        # A plain number keeps the unit of the record that it replaces.
+        value = replace_value(before, change.value, None, f"set by {change.label}")
+        change = replace(change, value=value)
+    twin = document.get(*PRESET[:-1])
+    if change.loc == PRESET and isinstance(twin, Mapping):
         document.data["plants"]["twin"] = with_preset(twin, change.value)
     document.apply(change)
 
@@ -216,15 +217,13 @@ def _resolved_or_raw(
         document: document before the changes.
         products: products of the sections of the modified scenario.
     """
-    plain: dict[str, Any] = document.data if isinstance(document.data, dict) else {}
-    document.data = plain
+    if not isinstance(document.data, dict):
+        document.data = {}
     _locate_files(document)
-    file, (robot, _) = (
-        validate(scenario_model(document), document, plain),
-        _robot(document),
-    )
+    file = validate(scenario_model(document), document, document.data)
+    robot, _ = _robot(document)
     if file is None or robot is None:
-        return plain
+        return document.data
     file = file.scaled_to(robot.scale)
     available = {name: products.get(name) for name in file.sections()}
     layout: str = file.valves.layout or (*file.controller.layouts(available), "")[0]
@@ -239,16 +238,16 @@ def _check_field(change: Override) -> None:
             f"{change.label}: this list is written by srs_twin; set the fields"
             " themselves"
         )
-    sections = {*RobotFile.model_fields, "base"}
-    if first not in {*ScenarioFile.model_fields, *SECTIONS} or (
-        first == "robot" and more and more[0] not in sections
-    ):
+    known = first in {*ScenarioFile.model_fields, *SECTIONS}
+    if first == "robot" and more:
+        known = more[0] in {*RobotFile.model_fields, "base"}
+    if not known:
         path = format_path(change.loc)
-        close = (
-            did_you_mean(path, field_paths())
-            or "; `srs-twin show SCENARIO` prints all fields"
+        close = did_you_mean(path, field_paths())
+        raise InputError(
+            f"{change.label}: there is no field"
+            f" {path}{close or '; `srs-twin show SCENARIO` prints all fields'}"
         )
-        raise InputError(f"{change.label}: there is no field {path}{close}")
 
 
 def _resolved(
@@ -269,7 +268,8 @@ def _resolved(
     """
     # supply.allow_overpressure is an alias of allow_overpressure.
     excluded: Any = {"supply": {"allow_overpressure"}, "changes": True}
-    excluded |= {"start": True} if file.bench else {}
+    if file.bench:
+        excluded["start"] = True
     plain = file.model_dump(
         mode="json", exclude_none=True, exclude=excluded, by_alias=True
     )
@@ -310,11 +310,11 @@ def _resolved(
 
 def supply_kpa(file: ScenarioFile, robot: RobotFile) -> float:
     """Return the supply pressure of a scenario, by default the nominal pressure of the robot, kPa."""
-    pressure = file.supply.pressure_kpa
-    nominal = (
-        SERVO_PRESSURE_KPA if robot.supply is None else robot.supply.nominal_kpa.value
-    )
-    return float(nominal) if pressure is None else pressure
+    if file.supply.pressure_kpa is not None:
+        return file.supply.pressure_kpa
+    if robot.supply is None:
+        return SERVO_PRESSURE_KPA
+    return float(robot.supply.nominal_kpa.value)
 
 
 def _robot(document: Document) -> tuple[RobotFile | None, tuple[str, ...]]:
@@ -373,47 +373,49 @@ def field_paths() -> list[str]:
 
 def _override(robot: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:
     """Return the schema of {base: …}, where a field is a plain number or a whole record."""
-
-    def reference(node: dict[str, Any]) -> str | None:
-        return next(
-            (n["$ref"] for n in (node, *node.get("anyOf", ())) if "$ref" in n), None
-        )
-
-    def definition(node: dict[str, Any]) -> dict[str, Any] | None:
-        name = reference(node)
-        return None if name is None else definitions[name.rsplit("/", 1)[1]]
-
-    def field(node: dict[str, Any]) -> dict[str, Any]:
-        record = definition(node)
-        if record is None:
-            return node
-        plain = {
-            k: v
-            for k, v in record["properties"]["value"].items()
-            if k not in ("title", "description")
-        }
-        return {
-            "description": node["description"],
-            "anyOf": [plain, {"$ref": reference(node)}],
-        }
-
     properties: dict[str, Any] = {
         "base": {"type": "string", "description": "Name or path of the robot."}
     }
     for name, node in robot["properties"].items():
-        section = definition(node)
-        if section is None:
-            properties[name] = node
+        properties[name] = node
+        if (reference := _reference(node)) is None:
             continue
-        fields = {key: field(child) for key, child in section["properties"].items()}
-        properties[name] = {
-            "type": "object",
-            "properties": fields,
-            "additionalProperties": False,
+        section = definitions[reference.rpartition("/")[2]]
+        fields = {
+            key: _field_or_number(child, definitions)
+            for key, child in section["properties"].items()
         }
+        properties[name] = _closed_object(fields)
+    return _closed_object(properties) | {"required": ["base"]}
+
+
+def _closed_object(properties: dict[str, Any]) -> dict[str, Any]:
     return {
         "type": "object",
         "properties": properties,
-        "required": ["base"],
         "additionalProperties": False,
+    }
+
+
+def _reference(node: dict[str, Any]) -> str | None:
+    """Return the reference of a node, or of one of its alternatives; None without one."""
+    return next(
+        (n["$ref"] for n in (node, *node.get("anyOf", ())) if "$ref" in n), None
+    )
+
+
+def _field_or_number(
+    node: dict[str, Any], definitions: dict[str, Any]
+) -> dict[str, Any]:
+    """Return the schema of a field of a robot that may also be a number without its record."""
+    reference = _reference(node)
+    if reference is None:
+        return node
+    record = definitions[reference.rpartition("/")[2]]
+    number = dict(record["properties"]["value"])
+    number.pop("title", None)
+    number.pop("description", None)
+    return {
+        "description": node["description"],
+        "anyOf": [number, {"$ref": reference}],
     }

@@ -28,14 +28,29 @@ PLANTS = "plants"
 """Name of the changed field if a run uses other plants than those in the file."""
 
 STEADY = frozenset(
-    """
-    com_speed_m_s yaw_rate_rad_s turning_radius_m mean_bend_amplitude_rad
-    amplitude_rel amplitude_spread_rel phase_lag_rad phase_lag_spread_rad fit_residual_rad
-    com_speed_rel gap_factor yaw_rate_abs shape_rms_m shape_rms_body
-    plan_found plan_length_m plan_nodes plan_kink_rad
-""".split()
+    [
+        "com_speed_m_s",
+        "yaw_rate_rad_s",
+        "turning_radius_m",
+        "mean_bend_amplitude_rad",
+        "amplitude_rel",
+        "amplitude_spread_rel",
+        "phase_lag_rad",
+        "phase_lag_spread_rad",
+        "fit_residual_rad",
+        "com_speed_rel",
+        "gap_factor",
+        "yaw_rate_abs",
+        "shape_rms_m",
+        "shape_rms_body",
+        "plan_found",
+        "plan_length_m",
+        "plan_nodes",
+        "plan_kink_rad",
+    ]
 ).union(ENERGY_MEANINGS)
-"""Metrics that do not depend on the duration: means over periods, shape differences, and plans."""
+"""Metrics that do not depend on the duration: means over periods, shape differences,
+and plans."""
 
 _NAMES = ("name", "title", "changes", "robot.name", "robot.title")
 """Fields that name a scenario."""
@@ -43,8 +58,8 @@ _NO_CONDITION = (
     *(*_NAMES, "expect", "seed", "record_hz", PLANTS),
     *("allow_overpressure", "supply.allow_overpressure"),
 )
-"""Fields that are not conditions of the experiment: names, random seed, recording, expectations and
-permissions."""
+"""Fields that are not conditions of the experiment: names, random seed, recording,
+expectations and permissions."""
 _MAX_TITLE_LENGTH = 64
 """Largest number of characters of the changes in a title."""
 _DIGEST = ", sha256 "
@@ -127,12 +142,11 @@ def changes_text(changes: Changes) -> str:
     """Return the changed fields with their values, or their number if the text is too long."""
     texts = [f"{c['field']} {text_of(c['from'])} → {text_of(c['to'])}" for c in changes]
     text = ", ".join(texts)
-    if len(text) > _MAX_TITLE_LENGTH:
-        if len(changes) > 1:
-            text = f"{len(changes)} fields"
-        else:
-            text = changes[0]["field"]
-    return text
+    if len(text) <= _MAX_TITLE_LENGTH:
+        return text
+    if len(changes) > 1:
+        return f"{len(changes)} fields"
+    return str(changes[0]["field"])
 
 
 def text_of(value: object) -> str:
@@ -157,11 +171,7 @@ def invalidated_by(expectation: Expectation, changes: Changes) -> list[str]:
     An expectation with `source`, `published` or `known` refers to the unmodified
     scenario. Other expectations are bounds that apply to modified scenarios too.
     """
-    if (
-        expectation.source is None
-        and expectation.published is None
-        and expectation.known is None
-    ):
+    if (expectation.source, expectation.published, expectation.known) == (None,) * 3:
         return []
     fields = (str(change["field"]) for change in changes)
     return [
@@ -201,13 +211,11 @@ def left_out_line(left_out: Sequence[Mapping[str, Any]]) -> list[str]:
         dict.fromkeys(f"{row['of']} {row['metric']}" for row in left_out)
     )
     fields = dict.fromkeys(field for row in left_out for field in row["because"])
-    if len(left_out) == 1:
-        count = "1 expectation"
-    else:
-        count = f"{len(left_out)} expectations"
-    changed = f"{', '.join(fields)} {'was' if len(fields) == 1 else 'were'} changed"
+    plural = "s" if len(left_out) > 1 else ""
+    verb = "was" if len(fields) == 1 else "were"
     return [
-        f"left out: {count} of the unmodified scenario ({metrics}), because {changed}"
+        f"left out: {len(left_out)} expectation{plural} of the unmodified scenario"
+        f" ({metrics}), because {', '.join(fields)} {verb} changed"
     ]
 
 

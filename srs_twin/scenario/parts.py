@@ -121,7 +121,7 @@ def scenario_model(document: Document) -> type[ScenarioFile]:
     else:
         model = with_extensions()
     if outside:
-        return _model("ScenarioFile", model, **outside)
+        model = _model("ScenarioFile", model, **outside)
     return model
 
 

@@ -52,8 +52,8 @@ class _PlantFile(Section):
     """Whether the segments have rigid gaps."""
     timestep_s: float
     tick_s: float | None = quantity(1e-6, 10.0, None)
-    """Control tick; on the twin a multiple of timestep_s (default: 0.02, on a bench 0.001, times the robot's
-    time unit)."""
+    """Control tick; on the twin a multiple of timestep_s (default: 0.02, on a bench
+    0.001, times the robot's time unit)."""
 
     def scaled_to(self, scale: Scale, tick: float) -> Self:
         """Return the section with the times and speeds that the file does not set in the units of a robot.
@@ -82,26 +82,29 @@ class AnalyticalFile(_PlantFile):
     model: Literal["complete", "simplified", "compliant", "quasistatic"] = (
         constructor_default()
     )
-    """complete: prescribed bends; simplified: prescribed bends, and chords of constant length; compliant:
-    bends that depend on load and inertia; quasistatic: bends in two directions without
-    inertia, for robots with chamber.directions_deg only."""
+    """complete: prescribed bends; simplified: prescribed bends, and chords of constant
+    length; compliant: bends that depend on load and inertia; quasistatic: bends in two
+    directions without inertia, for robots with chamber.directions_deg only."""
     friction_torque: bool = constructor_default()
-    """Whether friction exerts a moment about the centre of mass; false only with simplified."""
+    """Whether friction exerts a moment about the centre of mass; false only with
+    simplified."""
     inertia: Literal["point", "connector", "lumped"] = constructor_default()
-    """Moment of inertia of each connector; point: 0, connector: a compact body with two wheels, lumped: that
-    of the dissertation, which counts the segments twice."""
+    """Moment of inertia of each connector; point: 0, connector: a compact body with two
+    wheels, lumped: that of the dissertation, which counts the segments twice."""
     friction: Law = constructor_default()
-    """Friction law; axis: one contact per connector (dissertation), wheel: two wheels at the track, ellipse
-    or cosine: two skids at the track, viscous: a law for tests. A robot with skin has
-    its own law."""
+    """Friction law; axis: one contact per connector (dissertation), wheel: two wheels
+    at the track, ellipse or cosine: two skids at the track, viscous: a law for tests. A
+    robot with skin has its own law."""
     load: Literal["static", "momentary"] = constructor_default()
-    """Load of a wheel or skid; static: half the weight of its connector, momentary: with load transfer by
-    lateral forces (not with axis). A skin has such pairs along the whole body."""
+    """Load of a wheel or skid; static: half the weight of its connector, momentary:
+    with load transfer by lateral forces (not with axis). A skin has such pairs along
+    the whole body."""
     touch: bool | None = None
-    """Whether the body touches obstacles (default: false, it passes through them); only with compliant."""
+    """Whether the body touches obstacles (default: false, it passes through them); only
+    with compliant."""
     slip_speed_m_s: float = quantity(1e-9, 1.0, SLIP_SPEED_M_S)
-    """Slip speed below which friction deviates from Coulomb friction (default: 0.00025 times the robot's time
-    unit)."""
+    """Slip speed below which friction deviates from Coulomb friction (default: 0.00025
+    times the robot's time unit)."""
 
     def scaled_to(self, scale: Scale, tick: float) -> Self:
         """See `_PlantFile.scaled_to`; the default time step may divide the tick."""
@@ -126,7 +129,8 @@ class AnalyticalFile(_PlantFile):
 
 
 BENCH_TICK_S = 0.001
-"""Default control tick on a bench, where controllers track fast references, at a time unit of 1, s."""
+"""Default control tick on a bench, where controllers track fast references, at a time
+unit of 1, s."""
 
 
 class TwinFile(_PlantFile):
@@ -137,15 +141,15 @@ class TwinFile(_PlantFile):
     wheel_keys = ("wheels", "friction")
 
     preset: Preset | None = None
-    """Name of a time step, if timestep_s is not set; fast: 2 ms, for search and learning; reference: 0.25 ms,
-    for published results."""
+    """Name of a time step, if timestep_s is not set; fast: 2 ms, for search and
+    learning; reference: 0.25 ms, for published results."""
     timestep_s: float = quantity(1e-6, 1.0)
     """Time step of the integrator (default: 0.001 times the robot's time unit)."""
     wheels: Wheels = constructor_default()
     """Wheels; rolling: friction law wheel, skid: runners with friction law ellipse."""
     contact: ContactName = LoadedContact.name
-    """Contact with the floor; loaded: a friction law on the loads that MuJoCo computes, preloaded: friction
-    of MuJoCo with an additional normal force, for comparison."""
+    """Contact with the floor; loaded: a friction law on the loads that MuJoCo computes,
+    preloaded: friction of MuJoCo with an additional normal force, for comparison."""
     friction: LawOnLoads | None = None
     """Friction law of a loaded contact (default: law of the wheels)."""
     hinges_per_segment: int = quantity(1, 32)

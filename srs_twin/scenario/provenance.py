@@ -145,7 +145,8 @@ def _named_parts(document: Mapping[str, Any]) -> Iterator[str]:
     for key, kind in PARTS.items():
         name = (document.get(key) or {}).get("kind")
         if name is not None and name not in kind.known:
-            yield module_of(name if ":" in name else registered(key).get(name, ""))
+            entry = name if ":" in name else registered(key).get(name, "")
+            yield module_of(entry)
 
 
 def _plugin_digests(modules: Iterable[str]) -> dict[str, str]:
@@ -222,10 +223,8 @@ def _files(document: Mapping[str, Any]) -> Iterator[str]:
         from srs_twin.scenario.map_file import pictures_of
 
         yield from (str(world[key]) for key in ("map", "circles") if world.get(key))
-        yield from (
-            str(path)
-            for path in (pictures_of(Path(world["map"])) if world.get("map") else ())
-        )
+        if world.get("map"):
+            yield from map(str, pictures_of(Path(world["map"])))
     yield from input_files(document)
 
 

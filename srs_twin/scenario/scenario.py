@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.plants.analytical import AnalyticalSnake
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from srs_twin.scenario.file import ScenarioFile
     from srs_twin.scenario.start import InitialState
 
+Fault = TypeVar("Fault", StuckValve, DeadSensor)
 
 IGNORED_OBSTACLES = (
     "plants.analytical: the model ignores the obstacles of this world and passes"
@@ -286,17 +287,17 @@ class Scenario:
         chambers = next(filter(None, replaced), None)
         if chambers is None:
             chambers = self.file.pneumatics.chambers(robot, self.supply_pa, self.layout)
-        faults = (fault.build() for fault in self.file.faults)
-        chambers.stuck = tuple(
-            fault for fault in faults if isinstance(fault, StuckValve)
-        )
+        chambers.stuck = self._faults(StuckValve)
         return chambers
 
     def _sensors(self, robot: RobotSpec) -> Sensor:
         """Return new sensors with their faults."""
         sensor = self.file.sensor.sensor(robot)
-        faults = (fault.build() for fault in self.file.faults)
-        dead = tuple(fault for fault in faults if isinstance(fault, DeadSensor))
+        dead = self._faults(DeadSensor)
         if dead:
             return FaultySensor(sensor, dead)
         return sensor
+
+    def _faults(self, kind: type[Fault]) -> tuple[Fault, ...]:
+        faults = (fault.build() for fault in self.file.faults)
+        return tuple(fault for fault in faults if isinstance(fault, kind))

@@ -52,7 +52,8 @@ class StartFile(Section):
     bend_rate_rad_s: (
         Annotated[tuple[BendRate, ...], Field(max_length=_MAX_SEGMENTS)] | None
     ) = None
-    """Bend rate of each segment, rad/s, -100 to 100; ignored if the bends follow the pressures."""
+    """Bend rate of each segment, rad/s, -100 to 100; ignored if the bends follow the
+    pressures."""
     pressure_kpa: (
         Annotated[
             tuple[Annotated[tuple[Gauge, ...], Field(min_length=2, max_length=2)], ...],
@@ -60,7 +61,8 @@ class StartFile(Section):
         ]
         | None
     ) = None
-    """Pressures of the [+, -] chambers of each segment, gauge, kPa, 0 to the supply pressure."""
+    """Pressures of the [+, -] chambers of each segment, gauge, kPa, 0 to the supply
+    pressure."""
     run: FilePath | None = Field(
         default=None,
         alias="from",

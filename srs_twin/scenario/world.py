@@ -55,7 +55,8 @@ class PolygonFile(Section):
     constructors = (Polygon,)
 
     corners_m: Annotated[tuple[Pair, ...], Field(min_length=3, max_length=1000)]
-    """[x, y] of each corner, m; the last corner is joined to the first, and sides must not cross."""
+    """[x, y] of each corner, m; the last corner is joined to the first, and sides must
+    not cross."""
 
     @field_validator("corners_m")
     @classmethod
@@ -112,7 +113,8 @@ class RandomFile(Section):
     constructors = (random_circles,)
 
     kind: Literal["strewn", "fig54"] = "strewn"
-    """strewn: uniformly distributed over a rectangle; fig54: at some of the 18 sites of Fig. 54."""
+    """strewn: uniformly distributed over a rectangle; fig54: at some of the 18 sites of
+    Fig. 54."""
     count: int = quantity(0, 1000)
     """Number of circles."""
     seed: int | None = quantity(0, 2**32 - 1, None)
@@ -179,7 +181,8 @@ class PegsFile(Section):
     staggered: bool = constructor_default()
     """Whether every second column is shifted by half a pitch."""
     x_m: float | None = quantity(-1000.0, 1000.0, None)
-    """x of the first column (default: 0.2 times the robot's length unit beyond the start)."""
+    """x of the first column (default: 0.2 times the robot's length unit beyond the
+    start)."""
     y_m: float | None = quantity(-1000.0, 1000.0, None)
     """y of the middle of the columns (default: that of the start)."""
     seed: int | None = quantity(0, 2**32 - 1, None)
@@ -204,16 +207,12 @@ class PegsFile(Section):
         Raises:
             InputError: displaced posts could overlap.
         """
-        if self.x_m is None:
+        x = self.x_m
+        if x is None:
             x = start.x + PEG_DISTANCE_M * length
-        else:
-            x = self.x_m
-        first = x, start.y if self.y_m is None else self.y_m
-        arguments = self.arguments() | {
-            "first": first,
-            "seed": seed if self.seed is None else self.seed,
-        }
-        return peg_field(**arguments)
+        y = start.y if self.y_m is None else self.y_m
+        seed = seed if self.seed is None else self.seed
+        return peg_field(**self.arguments() | {"first": (x, y), "seed": seed})
 
 
 class FloorFile(Section):
@@ -306,7 +305,8 @@ class WorldFile(Section):
     pegs: PegsFile | None = None
     """Field of posts."""
     obstacle_friction: float | None = quantity(0.0, 10.0, None)
-    """Coefficient of Coulomb friction between the body and obstacles (default: 0.5, an estimate)."""
+    """Coefficient of Coulomb friction between the body and obstacles (default: 0.5, an
+    estimate)."""
     floor: FloorFile = FloorFile()
     """Slope of the floor."""
     steps: Annotated[list[StepFile], Field(max_length=100)] = []
@@ -337,9 +337,13 @@ class WorldFile(Section):
     @field_validator("circles", "map")
     @classmethod
     def _readable(cls, path: str | None, info: ValidationInfo) -> str | None:
+        if path is None:
+            return None
         try:
-            if path is not None:
-                (read_map if info.field_name == "map" else read_circles)(Path(path))
+            if info.field_name == "map":
+                read_map(Path(path))
+            else:
+                read_circles(Path(path))
         except InputError as error:
             raise ValueError(str(error)) from None
         return path
@@ -352,11 +356,10 @@ class WorldFile(Section):
             world: result of `build_world`.
         """
         round_ones = len(world.obstacles)
-        polygons = len(world.polygons)
         firsts = {
             "obstacles": 0,
             "polygons": round_ones,
-            "objects": round_ones + polygons,
+            "objects": round_ones + len(world.polygons),
         }
         for key, first in firsts.items():
             if 0 <= number - first < len(getattr(self, key) or ()):
@@ -381,31 +384,28 @@ class WorldFile(Section):
                 cannot be used.
         """
         goal = self.goal.build() if self.goal else None
-        places = [start, goal] if goal else [start]
-        if self.random:
-            random = self.random.draw(self.bounds, seed, places)
-        else:
-            random = ()
-        pegs = self.pegs.draw(start, seed, length) if self.pegs else ()
+        bounds = self.bounds.build() if self.bounds else None
+        circles = [circle.build() for circle in self.obstacles]
+        polygons = [polygon.build() for polygon in self.polygons]
         if self.circles:
-            listed = read_circles(Path(self.circles))
-        else:
-            listed = ()
+            circles += read_circles(Path(self.circles))
+        if self.random:
+            places = [start, goal] if goal else [start]
+            circles += self.random.draw(self.bounds, seed, places)
+        if self.pegs:
+            circles += self.pegs.draw(start, seed, length)
+        if self.map:
+            polygons += read_map(Path(self.map))
+        friction = self.obstacle_friction
+        if friction is None:
+            friction = OBSTACLE_FRICTION
         return World(
-            obstacles=tuple(circle.build() for circle in self.obstacles)
-            + listed
-            + random
-            + pegs,
-            bounds=self.bounds.build() if self.bounds else None,
+            obstacles=tuple(circles),
+            bounds=bounds,
             goal=goal,
-            polygons=tuple(polygon.build() for polygon in self.polygons)
-            + (read_map(Path(self.map)) if self.map else ()),
+            polygons=tuple(polygons),
             floor=self.floor.build(),
             steps=tuple(step.build() for step in self.steps),
             objects=tuple(item.build() for item in self.objects or ()),
-            friction=(
-                OBSTACLE_FRICTION
-                if self.obstacle_friction is None
-                else self.obstacle_friction
-            ),
+            friction=friction,
         )

@@ -159,7 +159,7 @@ def start(monkeypatch, capsys, tmp_path):
     def run(*words, **endings):
         log = []
 
-        def load(name, *, set):
+        def load(name, *, set):  # noqa: A002 - as `load_scenario`
             log.append(f"load {name}")
             if isinstance(endings[name], InputError):
                 raise endings[name]
@@ -625,7 +625,9 @@ def into_closed_pipe(words, folder, closed):
         streams = dict.fromkeys(("stdout", "stderr"), subprocess.PIPE) | dict.fromkeys(
             closed, writer
         )
-        return subprocess.run([COMMAND, *words], cwd=folder, text=True, **streams)
+        return subprocess.run(
+            [COMMAND, *words], check=False, cwd=folder, text=True, **streams
+        )
     finally:
         os.close(writer)
 

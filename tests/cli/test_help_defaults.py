@@ -220,4 +220,5 @@ def test_rigid_bodies_are_connectors_by_default():
     first, number = (
         {each[:2]: each[2] for each in stated()}["shadow", "body"].split()[0].split("=")
     )
-    assert Shadow(load_robot("gen2"), members=2)._frames[first] == int(number)
+    shadow = Shadow(load_robot("gen2"), members=2)
+    assert shadow._frames[first] == int(number)  # noqa: SLF001

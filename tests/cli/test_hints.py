@@ -38,9 +38,13 @@ def texts(path):
                 for part in node.values
             ]
             yield "".join(map(str, values))
-        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-            if node not in docstrings and node not in parts:
-                yield node.value
+        elif (
+            isinstance(node, ast.Constant)
+            and isinstance(node.value, str)
+            and node not in docstrings
+            and node not in parts
+        ):
+            yield node.value
 
 
 @pytest.mark.parametrize(

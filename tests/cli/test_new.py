@@ -114,7 +114,11 @@ def test_a_new_study_and_controller_are_valid(srs_twin, tmp_path):
     assert done.returncode == 0 and "next: srs-twin optimize fast.yaml" in done.stdout
     assert srs_twin("new", "controller", "wiggle", cwd=tmp_path).returncode == 0
     run = subprocess.run(
-        [sys.executable, "wiggle.py"], cwd=tmp_path, capture_output=True, text=True
+        [sys.executable, "wiggle.py"],
+        check=False,
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
     )
     assert run.returncode == 0 and run.stdout.count(" m in 3 s") == 2, run.stderr
 

@@ -1,5 +1,6 @@
 """Kernels are cached on disk; without a usable cache folder they run as well, with one warning."""
 
+# ruff: noqa: SLF001 - the caches of numba have no public names
 from __future__ import annotations
 
 import errno
@@ -33,7 +34,7 @@ def add(a, b):
 @pytest.fixture
 def kernel(tmp_path, monkeypatch):
     """Return an uncompiled kernel with its own cache folder."""
-    monkeypatch.setattr(module, "_warned", False)
+    monkeypatch.setattr(module, "_warned", [])
     monkeypatch.setattr("numba.core.config.CACHE_DIR", str(tmp_path))
     return compiled(add)
 
@@ -207,6 +208,7 @@ def test_missing_cache_folder_is_warned_about_once(tmp_path):
     (tmp_path / "program.py").write_text(PROGRAM)
     done = subprocess.run(
         [sys.executable, "program.py"],
+        check=False,
         cwd=tmp_path,
         env=os.environ | NO_FOLDER | {"PYTHONPATH": str(Path(__file__).parent)},
         capture_output=True,

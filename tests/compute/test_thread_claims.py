@@ -1,5 +1,6 @@
 """A second thread that uses a plant, a controller, a batch or an environment gets an error."""
 
+# ruff: noqa: SLF001 - claims and steps have no public names
 from __future__ import annotations
 
 import copy
@@ -121,6 +122,7 @@ def test_one_of_two_rollouts_on_a_plant_is_right_and_the_other_is_refused(
     """In a process of its own, because the engine crashed."""
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM, plant],
+        check=False,
         cwd=tmp_path,
         capture_output=True,
         text=True,
@@ -149,11 +151,11 @@ USES: dict[str, Callable[[Plant], Any]] = {
 def test_rollout_claims_its_plant_until_it_ends(use):
     plant = AnalyticalSnake(SPEC)
     pause = Pause()
-    with pause.during(
-        lambda: rollout(plant, Gait(2.0), 0.4, observers=[pause])
-    ) as runs:
-        with pytest.raises(InputError, match=IN_USE):
-            USES[use](plant)
+    with (
+        pause.during(lambda: rollout(plant, Gait(2.0), 0.4, observers=[pause])) as runs,
+        pytest.raises(InputError, match=IN_USE),
+    ):
+        USES[use](plant)
     alone = rollout(
         AnalyticalSnake(SPEC), Gait(2.0), 0.4, observers=[lambda state: None]
     )
@@ -188,9 +190,11 @@ def test_methods_claim_the_plant_while_they_run(use):
     plant = Slow(SPEC)
     pause = Pause()
     plant.pause = pause
-    with pause.during(lambda: USES[use](plant)):
-        with pytest.raises(InputError, match="this Slow is in use by another thread"):
-            AnalyticalSnake.step(plant, VALVES)
+    with (
+        pause.during(lambda: USES[use](plant)),
+        pytest.raises(InputError, match="this Slow is in use by another thread"),
+    ):
+        AnalyticalSnake.step(plant, VALVES)
     elsewhere(lambda: plant.step(VALVES))
 
 
@@ -205,9 +209,11 @@ def test_plant_that_overrides_methods_by_a_mixin_is_claimed():
 
     plant = Snake(SPEC)
     pause = Pause()
-    with pause.during(lambda: plant.step(VALVES)):
-        with pytest.raises(InputError, match=IN_USE):
-            plant.step(VALVES)
+    with (
+        pause.during(lambda: plant.step(VALVES)),
+        pytest.raises(InputError, match=IN_USE),
+    ):
+        plant.step(VALVES)
 
 
 def test_several_threads_may_use_a_plant_one_after_the_other():
@@ -392,9 +398,11 @@ def test_runs_of_a_batch_claim_it_until_they_end(run, use):
             return run_batch(batch, lambda state: state.valves, 0.08, progress=pause)
         return run_scripts(batch, [Gait(1.0), Gait(2.0)], 1.04, progress=pause)
 
-    with pause.during(lambda: simulate(batch, pause)) as results:
-        with pytest.raises(InputError, match=IN_USE):
-            BATCH_USES[use](batch)
+    with (
+        pause.during(lambda: simulate(batch, pause)) as results,
+        pytest.raises(InputError, match=IN_USE),
+    ):
+        BATCH_USES[use](batch)
     alone = simulate(batch_of_two(), lambda time: None)
     assert all(
         (a["com_x"] == b["com_x"]).all() for a, b in zip(results[0], alone, strict=True)
@@ -410,9 +418,11 @@ def test_methods_of_a_batch_claim_it_while_they_run(use, monkeypatch):
     monkeypatch.setattr(
         TwinSnake, "_simulate", lambda *args: [pause(), simulate(*args)][1]
     )
-    with pause.during(lambda: batch.step(np.stack([VALVES] * 2))):
-        with pytest.raises(InputError, match=IN_USE):
-            BATCH_USES[use](batch)
+    with (
+        pause.during(lambda: batch.step(np.stack([VALVES] * 2))),
+        pytest.raises(InputError, match=IN_USE),
+    ):
+        BATCH_USES[use](batch)
     elsewhere(lambda: BATCH_USES[use](batch))
 
 
@@ -456,9 +466,11 @@ def test_steps_of_an_environment_claim_it(kind, use, monkeypatch):
     monkeypatch.setattr(
         TwinSnake, "_simulate", lambda *args: [pause(), simulate(*args)][1]
     )
-    with pause.during(lambda: env.step(action)) as results:
-        with pytest.raises(InputError, match=IN_USE):
-            ENVIRONMENT_USES[use](env, action)
+    with (
+        pause.during(lambda: env.step(action)) as results,
+        pytest.raises(InputError, match=IN_USE),
+    ):
+        ENVIRONMENT_USES[use](env, action)
     other = ENVIRONMENTS[kind]()
     copied = pickle.loads(pickle.dumps(env))
     assert np.array_equal(results[0][1], other.step(action)[1])  # the rewards

@@ -58,7 +58,7 @@ def kill_server_once(folder, x):
     except FileExistsError:
         return square(x)
     os.kill(os.getppid(), signal.SIGKILL)
-    time.sleep(600)
+    return time.sleep(600)
 
 
 def count_and_die(folder, _):
@@ -264,7 +264,9 @@ def script(folder, text, *words, **further):
 
 
 def test_objects_of_the_main_program_are_rejected(tmp_path):
-    run = subprocess.run(**script(tmp_path, MAIN_PROGRAM, capture_output=True))
+    run = subprocess.run(
+        check=False, **script(tmp_path, MAIN_PROGRAM, capture_output=True)
+    )
     assert run.stderr == ""
     lines = run.stdout.splitlines()
     assert len(lines) == 4
@@ -351,7 +353,7 @@ def test_workers_have_the_preloaded_modules_and_ignore_the_current_folder(tmp_pa
             "raise SystemExit('imported from the current folder')"
         )
     run = subprocess.run(
-        **script(tmp_path, PRELOADING, cwd=elsewhere, capture_output=True)
+        check=False, **script(tmp_path, PRELOADING, cwd=elsewhere, capture_output=True)
     )
     assert (run.stdout, run.stderr) == ("True True False\n", "")
 

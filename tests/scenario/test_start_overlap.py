@@ -141,7 +141,7 @@ def test_every_kind_of_obstacle_is_refused(world, key, overlap):
         and "overlaps the body at the start by " in said
     )
     if overlap is not None:
-        found = float(said.split(" by ")[1].split(" mm")[0])
+        found = float(said.split(" by ")[1].split(" mm", maxsplit=1)[0])
         assert found == pytest.approx(1e3 * overlap, rel=0.01)
 
 

@@ -61,7 +61,7 @@ def kernels() -> str:
     arguments = (2e5, 1.5e5, 0.3)
     if not all(map(math.isclose, kernel(*arguments), kernel.py_func(*arguments))):
         raise SrsError("numba's machine code and Python give different results")
-    cache = kernel.entry._cache.cache_path
+    cache = kernel.entry._cache.cache_path  # noqa: SLF001 - numba names it nowhere else
     if cache is None:
         return (
             "numba's machine code works, but is compiled again at every start; export"
@@ -173,6 +173,7 @@ def _run(name: str, folder: str, time_limit_s: float) -> Check:
     try:
         done = subprocess.run(
             [sys.executable, "-m", __spec__.name, name],
+            check=False,
             cwd=folder,
             env=environment,
             capture_output=True,
@@ -208,11 +209,13 @@ def rerun_check(folder: Path, time_limit_s: float) -> Check:
         reason, _, remedy = str(error).partition("; ")
         return Check(VIEWING, name, "missing", reason, remedy)
     image = folder / "window.png"
-    command = [program, "--bind", HOST, "--port", str(free_port()), "--headless"]
+    command = [str(program), "--bind", HOST, "--port", str(free_port()), "--headless"]
     command += ["--window-size", "32x24", "--hide-welcome-screen"]
+    command += ["--screenshot-to", str(image)]
     try:
         done = subprocess.run(
-            [*command, "--screenshot-to", image],
+            command,
+            check=False,
             capture_output=True,
             text=True,
             errors="replace",

@@ -56,6 +56,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from srs_twin.comparison.compare import Attribution, Comparison
+    from srs_twin.scenario.expectation import ExpectationRow
 
 _ZERO = 5e-6
 """Absolute value below which a difference is printed as 0; the same for m, m/s, rad and rad/s."""
@@ -178,7 +179,7 @@ def _changes(changes: Changes) -> Table:
 
 
 def _expectations(
-    expectations: Sequence[Mapping[str, Any]], verdicts: Sequence[str]
+    expectations: Sequence[ExpectationRow], verdicts: Sequence[str]
 ) -> Table:
     keys = ["allowed", "source", *["known"] * bool({"known", "holds"} & set(verdicts))]
     keys += ["reason"] * ("not_judged" in verdicts)
@@ -193,7 +194,7 @@ def _expectations(
         texts = [
             row["of"],
             allowed_text(row),
-            *(row.get(key) or "" for key in keys[1:]),
+            *(str(row.get(key) or "") for key in keys[1:]),
         ]
         title = metric_title(row["metric"])
         value = cell(tidy(row["metric"], row.get("value")))
