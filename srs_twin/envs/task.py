@@ -305,7 +305,7 @@ class Task(ABC):
         low = lower_bounds(self.actions).astype(float)
         high = upper_bounds(self.actions).astype(float)
         scaled = 2 * (np.asarray(values, dtype=float) - low) / (high - low) - 1
-        return scaled.astype(np.float32)
+        return np.asarray(scaled, dtype=np.float32)
 
     @property
     def has_identical_episodes(self) -> bool:

@@ -85,12 +85,11 @@ def write_report(
     expectations = metrics.get("expectations") or ()
     verdicts = [verdict(row) for row in expectations]
     tracked = all(run.has("reference_1") for run in trajectories.values())
+    plants = " and ".join(trajectories)
     page = render(
         "viewing/html/report.html",
         title=scenario_title,
-        subtitle=(
-            f"{spec.title}, {duration:g} s simulated, {' and '.join(trajectories)}"
-        ),
+        subtitle=f"{spec.title}, {duration:g} s simulated, {plants}",
         headline=headline(metrics),
         changes=_changes(metrics.get("changes") or ()),
         results=_results(metrics, chosen(metrics["plants"])),
@@ -158,13 +157,11 @@ def _results(metrics: Mapping[str, Any], names: Iterable[str]) -> Table:
     rows = []
     for name, unit, values, *differences in result_rows(metrics, names, cell):
         row = [metric_title(name), unit, *values, *differences * both]
-        if published_values:
-            value, source = published_values.get(name, (None, ""))
-            row.append(
-                f"{cell(tidy(name, value))} ({source})"
-                if name in published_values
-                else ""
-            )
+        if name in published_values:
+            value, source = published_values[name]
+            row.append(f"{cell(tidy(name, value))} ({source})")
+        elif published_values:
+            row.append("")
         rows.append(row)
     return Table(headings, rows, range(2, len(headings)))
 
@@ -181,45 +178,36 @@ def _changes(changes: Changes) -> Table:
 def _expectations(
     expectations: Sequence[ExpectationRow], verdicts: Sequence[str]
 ) -> Table:
-    keys = ["allowed", "source", *["known"] * bool({"known", "holds"} & set(verdicts))]
-    keys += ["reason"] * ("not_judged" in verdicts)
+    keys = ["source"]
+    if not {"known", "holds"}.isdisjoint(verdicts):
+        keys.append("known")
+    if "not_judged" in verdicts:
+        keys.append("reason")
     rows = []
     for state, row in zip(verdicts, expectations, strict=True):
+        color = "met" if row["met"] else "sub"
         if state == "missed":
             color = "missed"
-        elif row["met"]:
-            color = "met"
-        else:
-            color = "sub"
-        texts = [
-            row["of"],
-            allowed_text(row),
-            *(str(row.get(key) or "") for key in keys[1:]),
-        ]
-        title = metric_title(row["metric"])
-        value = cell(tidy(row["metric"], row.get("value")))
         rows.append(
             [
                 colored(state.replace("_", " "), color),
-                title,
-                texts[0],
-                value,
-                *texts[1:],
+                metric_title(row["metric"]),
+                row["of"],
+                cell(tidy(row["metric"], row.get("value"))),
+                allowed_text(row),
+                *(row.get(key) or "" for key in keys),
             ]
         )
-    return Table(["", "metric", "of", "value", *keys], rows, numbers=[3])
+    headings = ["", "metric", "of", "value", "allowed", *keys]
+    return Table(headings, rows, numbers=[3])
 
 
 def _attribution(attribution: Attribution | None) -> dict[str, Any]:
     """Return the content of the section on the attribution: plot, table and identical assumptions."""
     if attribution is None:
         return {"attribution": None}
-    headings = [
-        "assumption",
-        "description",
-        "method",
-        *(f"{t}, {u}" for t, u in MEASURES.values()),
-    ]
+    measures = [f"{title}, {unit}" for title, unit in MEASURES.values()]
+    headings = ["assumption", "description", "method", *measures]
     rows = [
         [
             share.name,
@@ -254,9 +242,9 @@ def _attribution(attribution: Attribution | None) -> dict[str, Any]:
 
 
 def _contribution(value: float, low: float, high: float) -> str:
-    return _signed(value) + (
-        "" if low == high else f" [{_signed(low)}, {_signed(high)}]"
-    )
+    if low == high:
+        return _signed(value)
+    return f"{_signed(value)} [{_signed(low)}, {_signed(high)}]"
 
 
 def _signed(value: float) -> str:
@@ -269,41 +257,33 @@ def _plots(content: RunContent, *, tracked: bool) -> list[Picture]:
     """Return the available plots, beginning with those of the kind of experiment."""
     runs = content.trajectories
     spec = content.spec
-    comparison = content.comparison
-    is_learning_run = all(map(is_learning, runs.values()))
-    if comparison is not None and len(comparison.time):
-        compared = comparison
-    else:
-        compared = None
+    figures: dict[str, Figure | None] = {}
+    title = "Difference of each plant from the measured robot over time."
+    figures[title] = measured_plot(content.measured)
     added = next(filter(None, map(added_to, runs.values())), None)
-    learning = "Learning: amplitudes and duties of each module per period."
-    figures: dict[str, Figure | None] = {
-        "Difference of each plant from the measured robot over time.": measured_plot(
-            content.measured
-        ),
-        **(added.figures(runs, spec) if added else {}),
-        learning: learning_plot(runs) if is_learning_run else None,
-        "Bend of the first segment and its reference.": (
-            tracking_plot(runs) if tracked else None
-        ),
-        "Paths and bodies from above. Forward is from tail to head.": (
-            plan_view(runs, spec, content.world) if spec.segments > 1 else None
-        ),
-        "Speed of the centre of mass.": None if tracked else speed_plot(runs),
-        "Bend of each segment; positive bends the head end to the left.": bend_plot(
-            runs
-        ),
-        "Pressure of the + chamber minus that of the − chamber.": pressure_plot(runs),
-        "Sensor reading of the first segment over its bend.": reading_plot(runs),
-        "Distance between the twin and the analytical model.": (
-            error_plot(compared, spec) if compared else None
-        ),
-    }
-    return [
-        picture(figure, caption)
-        for caption, figure in figures.items()
-        if figure is not None
-    ]
+    if added:
+        figures |= added.figures(runs, spec)
+    if all(map(is_learning, runs.values())):
+        title = "Learning: amplitudes and duties of each module per period."
+        figures[title] = learning_plot(runs)
+    if tracked:
+        title = "Bend of the first segment and its reference."
+        figures[title] = tracking_plot(runs)
+    if spec.segments > 1:
+        title = "Paths and bodies from above. Forward is from tail to head."
+        figures[title] = plan_view(runs, spec, content.world)
+    if not tracked:
+        figures["Speed of the centre of mass."] = speed_plot(runs)
+    title = "Bend of each segment; positive bends the head end to the left."
+    figures[title] = bend_plot(runs)
+    title = "Pressure of the + chamber minus that of the − chamber."
+    figures[title] = pressure_plot(runs)
+    title = "Sensor reading of the first segment over its bend."
+    figures[title] = reading_plot(runs)
+    if content.comparison is not None and len(content.comparison.time):
+        title = "Distance between the twin and the analytical model."
+        figures[title] = error_plot(content.comparison, spec)
+    return [picture(figure, title) for title, figure in figures.items() if figure]
 
 
 def _settings(

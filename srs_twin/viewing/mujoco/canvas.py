@@ -110,18 +110,15 @@ class Canvas:
         self._opengl.make_current()
         pixels = np.empty((self._frame.height, self._frame.width, 3), dtype=np.uint8)
         mujoco.mjr_render(self._frame, self._scene, self._context)
-        if self._frame.width >= _MIN_LABELS_WIDTH:
-            drawn = labels
-        else:
+        drawn = labels
+        if self._frame.width < _MIN_LABELS_WIDTH:
             drawn = labels[:1]
+        height = int(_LABEL_HEIGHT * self._frame.height)
+        font = mujoco.mjtFont.mjFONT_NORMAL.value
         for k, (text, color) in enumerate(drawn):
-            left, right = (
-                self._frame.width * index // len(labels) for index in (k, k + 1)
-            )
-            box = mujoco.MjrRect(
-                left, 0, right - left, int(_LABEL_HEIGHT * self._frame.height)
-            )
-            font = mujoco.mjtFont.mjFONT_NORMAL.value
+            left = self._frame.width * k // len(labels)
+            right = self._frame.width * (k + 1) // len(labels)
+            box = mujoco.MjrRect(left, 0, right - left, height)
             mujoco.mjr_label(
                 box, font, text, *unit_rgba(color), 1.0, 1.0, 1.0, self._context
             )

@@ -102,23 +102,18 @@ class LiveSnake:
             self.twin: Any = scenario.build_plant("twin")
             limits = GaitLimits.for_robot(self.twin.spec)
             # The pneumatics of the scenario are made for its supply pressure.
-            highest = min(limits.pressure[1], scenario.supply_pa)
-            limits = replace(
-                limits, pressure=(min(limits.pressure[0], highest), highest)
-            )
-            self._steerable = (
-                not scenario.file.bench and self.twin.layout in Gait.layouts
-            )
+            low, high = (min(limit, scenario.supply_pa) for limit in limits.pressure)
+            limits = replace(limits, pressure=(low, high))
+            pressure = high
+            is_gait = self.twin.layout in Gait.layouts
+            self._steerable = is_gait and not scenario.file.bench
         else:
             assert spec is not None, "a robot or a scenario"
             limits = GaitLimits.for_robot(spec)
             self.twin = TwinSnake(spec, supply_pa=limits.pressure[1])
+            pressure = sum(limits.pressure) / 2
             self._steerable = True
         self.limits = limits
-        if scenario is None:
-            pressure = sum(limits.pressure) / 2
-        else:
-            pressure = limits.pressure[1]
         self._initial_command = GaitCommand(0.0, sum(limits.frequency) / 2, pressure)
         self._keys: deque[int] = deque()
         self._reset()
@@ -160,36 +155,31 @@ class LiveSnake:
         """Return label and value of each line in the window."""
         command = self.command
         speed = self.state.com_velocity
-        by_keys = [
-            ("offset (left, right)", f"{command.offset:+.2f}"),
-            ("frequency (up, down)", f"{command.frequency:.2f} Hz"),
-            ("pressure (page up, page down)", f"{command.pressure / 1e3:.1f} kPa"),
-        ]
-        if self._controller is not None:
-            if self._steerable:
-                keys = "arrows, page up, page down: steer by keys"
-            else:
-                keys = ""
-            by_keys = [
-                ("controller", self._controller.kind),
-                *([(keys, "")] if keys else []),
+        if self._controller is None:
+            lines = [
+                ("offset (left, right)", f"{command.offset:+.2f}"),
+                ("frequency (up, down)", f"{command.frequency:.2f} Hz"),
+                ("pressure (page up, page down)", f"{command.pressure / 1e3:.1f} kPa"),
             ]
-        drawn = [line.name.rpartition("/")[-1] for line in self.floor_lines]
+        else:
+            lines = [("controller", self._controller.kind)]
+            if self._steerable:
+                lines.append(("arrows, page up, page down: steer by keys", ""))
+        note = ", finished" if self.finished else ""
         if self.paused:
             note = ", paused"
-        elif self.finished:
-            note = ", finished"
-        else:
-            note = ""
-        return [
-            *by_keys,
+        lines += [
             ("speed", f"{float((speed**2).sum()) ** 0.5:.3f} m/s"),
             ("time (space: pause)", f"{float(self.state.time):.1f} s{note}"),
             ("home: straight, backspace: restart", ""),
             ("colours of the body", "p+ > p-: purple, p+ < p-: green"),
-            *([("on the floor", ", ".join(drawn))] if drawn else []),
-            *([("modified", self._modified)] if self._modified else []),
         ]
+        if self.floor_lines:
+            names = [line.name.rpartition("/")[-1] for line in self.floor_lines]
+            lines.append(("on the floor", ", ".join(names)))
+        if self._modified:
+            lines.append(("modified", self._modified))
+        return lines
 
     def _reset(self) -> None:
         self.command = self._initial_command
@@ -214,9 +204,8 @@ class LiveSnake:
 
     def _find_floor_lines(self) -> None:
         """Update the lines on the floor."""
-        assert self.scenario is not None and self._controller is not None, (
-            "a scenario is played"
-        )
+        assert self.scenario is not None, "a scenario is played"
+        assert self._controller is not None, "a scenario is played"
         goal = self.scenario.world.goal
         run = Trajectory({}, metadata={"control": self._controller.describe()})
         if pictures := added_to(run):
@@ -390,10 +379,9 @@ def require_display() -> None:
         warnings.simplefilter("always")
         usable = glfw.init()
     if not usable:
+        reason = "GLFW cannot be used"
         if caught:
             reason = str(caught[-1].message)
-        else:
-            reason = "GLFW cannot be used"
         display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
         raise InputError(
             f"the display {display} does not respond ({reason}); set DISPLAY to one"

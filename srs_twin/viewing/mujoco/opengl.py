@@ -61,10 +61,9 @@ def usable_opengl() -> str:
             install.
     """
     selected = os.environ.get("MUJOCO_GL", "").lower().strip()
+    candidates: tuple[str, ...] = (selected,)
     if selected in _UNSPECIFIED:
         candidates = _CANDIDATES.get(sys.platform, ("glfw",))
-    else:
-        candidates = (selected,)
     failures = {}
     for name in candidates:
         failure = _test(name)
@@ -106,16 +105,16 @@ def _test(name: str) -> str:
             text=True,
             errors="replace",
             timeout=_TIMEOUT_S,
+            check=False,
         )
     except subprocess.TimeoutExpired:
         return f"no image within {_TIMEOUT_S:g} s"
     if done.returncode == 0:
         return ""
-    lines = [
-        line for line in done.stderr.splitlines() if line and not line.startswith(" ")
-    ]
+    lines = [line for line in done.stderr.splitlines() if line[:1].strip()]
     errors = [line for line in lines if "Error" in line]
-    return (errors or lines or [f"ended with code {done.returncode}"])[0]
+    reasons = [*errors, *lines, f"ended with code {done.returncode}"]
+    return reasons[0]
 
 
 def draw_box(name: str) -> None:

@@ -22,10 +22,11 @@ from matplotlib.patches import Patch
 
 from srs_twin.errors import InputError
 from srs_twin.io.files import atomic_write, display_path
+from srs_twin.robot.world import Circle, Goal
 from srs_twin.scenario.scenario import Scenario
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.mujoco.canvas import Canvas
-from srs_twin.viewing.mujoco.stage import Ghost, Stage
+from srs_twin.viewing.mujoco.stage import Stage
 from srs_twin.viewing.plots.from_above import strobe_times
 from srs_twin.viewing.plots.signals import gait_period
 from srs_twin.viewing.plots.style import MINUS_COLOR, PLUS_COLOR, STYLES, drawing
@@ -129,11 +130,11 @@ class FollowCamera:
             ghost: trajectory of another plant.
         """
         setup = "bench" if bench else "floor"
+        distance = _DISTANCE_LENGTHS[setup] * body_length
         if bench:
             self._target = np.tile(run.position[0].mean(axis=0), (len(run), 1))
         else:
             self._target = _smooth_path(run)
-        distance = _DISTANCE_LENGTHS[setup] * body_length
         if ghost is not None and not bench:
             path = _smooth_path(ghost)
             other = np.column_stack(
@@ -190,7 +191,7 @@ def write_video(
     size: Size = Size(),  # noqa: B008 (frozen)
     fps: int = 30,
     speed: float = 1.0,
-    ghost: Ghost | None = None,
+    ghost: tuple[str, Trajectory] | None = None,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> int:
     """Write a run as a video; return the number of frames.
@@ -231,7 +232,7 @@ def write_image(
     time: float,
     *,
     size: Size = Size(),  # noqa: B008
-    ghost: Ghost | None = None,
+    ghost: tuple[str, Trajectory] | None = None,
 ) -> None:
     """Write an image of a run at a given time as PNG, with the camera of the video.
 
@@ -261,10 +262,10 @@ def write_image(
 
 
 def _scene(
-    scenario: Scenario, run: Trajectory, ghost: Ghost | None
+    scenario: Scenario, run: Trajectory, ghost: tuple[str, Trajectory] | None
 ) -> tuple[Stage, FollowCamera]:
     stage = Stage(scenario, run, ghost)
-    other = None if ghost is None else ghost[1]
+    other = None if stage.ghost is None else stage.ghost.run
     length = scenario.robot.geometry.body_length
     return stage, FollowCamera(run, length, bench=stage.bench, ghost=other)
 
@@ -324,31 +325,19 @@ def write_strobe(
     floor_width, floor_height = high - low
     axes_width = width / _DPI - _LEFT - _RIGHT
     axes_height = axes_width * floor_height / floor_width
-    pixels = 2 * round(axes_width * _DPI / 2), 2 * round(axes_height * _DPI / 2)
-    image = _render_from_above(
-        stage, rows, (low + high) / 2, float(floor_height), pixels
-    )
+    size = Size(2 * round(axes_width * _DPI / 2), 2 * round(axes_height * _DPI / 2))
+    image = _render_from_above(stage, rows, (low + high) / 2, float(floor_height), size)
     figure = Figure(figsize=(width / _DPI, axes_height + _TOP + _BOTTOM), dpi=_DPI)
-    size = figure.get_size_inches()
-    axes = figure.add_axes(
-        (
-            _LEFT / size[0],
-            _BOTTOM / size[1],
-            axes_width / size[0],
-            axes_height / size[1],
-        )
-    )
-    axes.imshow(
-        image, extent=(low[0], high[0], low[1], high[1]), interpolation="antialiased"
-    )
+    inches = figure.get_size_inches()
+    left, right = np.array([_LEFT, axes_width]) / inches[0]
+    bottom, top = np.array([_BOTTOM, axes_height]) / inches[1]
+    axes = figure.add_axes((left, bottom, right, top))
+    extent = (low[0], high[0], low[1], high[1])
+    axes.imshow(image, extent=extent, interpolation="antialiased")
+    above = 1.8 * scenario.robot.geometry.half_track
     for time, row in zip(times, rows, strict=True):
-        x, y = run.com[row]
-        label_offset = (
-            run.position[row, :, 1].max() - y + 1.8 * scenario.robot.geometry.half_track
-        )
-        axes.annotate(
-            f"{time:.3g} s", (x, y + label_offset), ha="center", va="bottom", fontsize=8
-        )
+        place = (run.com[row, 0], run.position[row, :, 1].max() + above)
+        axes.annotate(f"{time:.3g} s", place, ha="center", va="bottom", fontsize=8)
     axes.set_xlabel("x (m)", fontsize=9)
     axes.set_ylabel("y (m)", fontsize=9)
     axes.tick_params(labelsize=8)
@@ -362,34 +351,28 @@ def _floor_corners(
     scenario: Scenario, run: Trajectory
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the lower left and upper right corner of a floor that contains the run and the world, m."""
+    world = scenario.world
     points = [run.position.reshape(-1, 2)]
-    points += [np.array(polygon.corners) for polygon in scenario.world.polygons]
+    points += [np.array(polygon.corners) for polygon in world.polygons]
     if run.has("object_x"):
-        points.append(
-            np.stack([run.stack("object_x"), run.stack("object_y")], axis=-1).reshape(
-                -1, 2
-            )
-        )
-    circles: list[Any] = [
-        *scenario.world.obstacles,
-        *filter(None, [scenario.world.goal]),
-    ]
+        objects = np.stack([run.stack("object_x"), run.stack("object_y")], axis=-1)
+        points.append(objects.reshape(-1, 2))
+    circles: list[Circle | Goal] = [*world.obstacles]
+    if world.goal is not None:
+        circles.append(world.goal)
     for circle in circles:
-        points += [
-            np.array([[circle.x, circle.y]]) + side * circle.radius for side in (-1, 1)
-        ]
+        centre = np.array([[circle.x, circle.y]])
+        points += [centre - circle.radius, centre + circle.radius]
     corners = np.concatenate(points)
-    low = corners.min(axis=0)
-    high = corners.max(axis=0)
     margin = _MARGIN_LENGTHS * scenario.robot.geometry.body_length
-    low = low - margin
-    high = high + margin
-    size = high - low
-    centre = (low + high) / 2
+    low = corners.min(axis=0) - margin
+    high = corners.max(axis=0) + margin
+    width, height = high - low
     size = np.array(
-        [max(size[0], _MIN_ASPECT * size[1]), max(size[1], size[0] / _MAX_ASPECT)]
+        [max(width, _MIN_ASPECT * height), max(height, width / _MAX_ASPECT)]
     )
-    return centre - size / 2, centre + size / 2
+    middle = (low + high) / 2
+    return middle - size / 2, middle + size / 2
 
 
 def _render_from_above(
@@ -397,7 +380,7 @@ def _render_from_above(
     rows: list[int],
     centre: np.ndarray,
     height: float,
-    pixels: tuple[int, int],
+    size: Size,
 ) -> np.ndarray:
     """Return an orthographic image from above that shows several samples at once.
 
@@ -406,7 +389,7 @@ def _render_from_above(
         rows: samples to draw.
         centre: centre of the view, m.
         height: height of the view, m.
-        pixels: width and height of the image.
+        size: size of the image.
     """
     camera = mujoco.MjvCamera()
     camera.type = mujoco.mjtCamera.mjCAMERA_FREE
@@ -423,25 +406,22 @@ def _render_from_above(
     moving = mujoco.mjtCatBit.mjCAT_DYNAMIC.value
 
     def add(scene: mujoco.MjvScene) -> None:
-        stage.add_lines(scene, last, _LINE_PIXELS / 2 * height / pixels[1])
+        stage.add_lines(scene, last, _LINE_PIXELS / 2 * height / size.height)
         for row in earlier:
             stage.show(row)
             mujoco.mjv_addGeoms(
                 stage.model, stage.data, option, mujoco.MjvPerturb(), moving, scene
             )
 
-    with Canvas(stage.model, *pixels) as canvas:
+    with Canvas(stage.model, size.width, size.height) as canvas:
         stage.show(last)
         return canvas.draw(stage.data, camera, add)
 
 
 def _add_legend(figure: Figure, floor_lines: Mapping[str, str]) -> None:
+    lines = {"CoM": STYLES["twin"].color, **floor_lines}
     handles = [
-        Line2D([], [], color=STYLES["twin"].color, label="CoM"),
-        *(
-            Line2D([], [], color=color, label=name)
-            for name, color in floor_lines.items()
-        ),
+        *(Line2D([], [], color=color, label=name) for name, color in lines.items()),
         Patch(color=PLUS_COLOR, label="$p^+ > p^-$ (left)"),
         Patch(color=MINUS_COLOR, label="$p^+ < p^-$ (right)"),
     ]

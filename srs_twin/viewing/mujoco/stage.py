@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -26,8 +26,18 @@ from srs_twin.viewing.plots.style import (
     unit_rgba,
 )
 
-Ghost = tuple[str, Trajectory]
-"""Name and trajectory of a plant that is drawn translucently."""
+
+class Ghost(NamedTuple):
+    """Plant that is drawn translucently.
+
+    Attributes:
+        plant: name.
+        run: trajectory.
+    """
+
+    plant: str
+    run: Trajectory
+
 
 _MAX_TRAIL_POINTS = 400
 _MAX_MARKS = 2000
@@ -63,7 +73,10 @@ class Stage:
     """
 
     def __init__(
-        self, scenario: Scenario, run: Trajectory, ghost: Ghost | None = None
+        self,
+        scenario: Scenario,
+        run: Trajectory,
+        ghost: tuple[str, Trajectory] | None = None,
     ) -> None:
         """Build the scene.
 
@@ -83,12 +96,11 @@ class Stage:
             )
         self.run = run
         self.bench = scenario.file.bench
-        self.ghost = ghost
-        self._labels = _legend(run, ghost, bench=self.bench)
-        if ghost is not None:
-            self._ghost_line = body_line(
-                ghost[1], scenario.robot.geometry, _GHOST_CHORDS
-            )
+        self.ghost = None if ghost is None else Ghost(*ghost)
+        self._labels = _legend(run, self.ghost, bench=self.bench)
+        if self.ghost is not None:
+            geometry = scenario.robot.geometry
+            self._ghost_line = body_line(self.ghost.run, geometry, _GHOST_CHORDS)
         plant: Any = scenario.build_plant("twin", pneumatics="lag", sensor="ideal")
         self.model = plant.physics.model
         self.data = mujoco.MjData(self.model)
@@ -102,7 +114,7 @@ class Stage:
         self._skins = Skins(self.model, scenario.robot.segments)
         make_obstacles_translucent(self.model)
         self._colors = pressure_colors(pressure_difference(run)) / np.float32(255)
-        step = max(1, -(-len(run) // _MAX_TRAIL_POINTS))
+        step = math.ceil(len(run) / _MAX_TRAIL_POINTS)
         self._trail_rows = np.arange(0, len(run), step)
         self._floor_lines = _floor_lines(run)
         self._marks = contact_marks(run)
@@ -117,9 +129,7 @@ class Stage:
     def legend(self) -> Mapping[str, str]:
         """Name of a line on the floor → colour."""
         pictures = added_to(self.run)
-        if pictures:
-            return pictures.legend
-        return {}
+        return pictures.legend if pictures else {}
 
     def row_at(self, time: float) -> int:
         """Return the sample nearest to a time, s."""
@@ -167,23 +177,16 @@ class Stage:
         for x, y in points[rows <= row]:
             if scene.ngeom == scene.maxgeom:
                 return
-            mujoco.mjv_initGeom(
-                scene.geoms[scene.ngeom],
-                disc,
-                size,
-                [x, y, 0.0],
-                np.eye(3).ravel(),
-                rgba,
-            )
+            geom = scene.geoms[scene.ngeom]
+            place = [x, y, 0.0]
+            mujoco.mjv_initGeom(geom, disc, size, place, np.eye(3).ravel(), rgba)
             scene.ngeom += 1
 
     def _add_scale_bar(self, scene: mujoco.MjvScene, camera: mujoco.MjvCamera) -> None:
         """Add a scale bar of 0.1 m with a label, between the camera and its target."""
         azimuth = math.radians(camera.azimuth)
-        forward, right = (
-            np.array([math.cos(a), math.sin(a)])
-            for a in (azimuth, azimuth - math.pi / 2)
-        )
+        forward = np.array([math.cos(azimuth), math.sin(azimuth)])
+        right = np.array([math.sin(azimuth), -math.cos(azimuth)])
         centre = np.array(camera.lookat[:2]) - 0.25 * camera.distance * forward
         first = scene.ngeom
         ends = centre + _SCALE_BAR_M * np.array([[-0.5], [0.5]]) * right
@@ -197,13 +200,11 @@ class Stage:
             return
         plant, run = self.ghost
         line = self._ghost_line[int(np.abs(run.time - self.run.time[row]).argmin())]
-        color = np.array(
-            unit_rgba(style_of(plant).color, _GHOST_ALPHA), dtype=np.float32
-        )
+        color = unit_rgba(style_of(plant).color, _GHOST_ALPHA)
+        rgba = np.array(color, dtype=np.float32)
         skin = self._skins.geoms[0][0]
-        points = np.pad(
-            line, ((0, 0), (0, 1)), constant_values=self.data.geom_xpos[skin, 2]
-        )
+        height = self.data.geom_xpos[skin, 2]
+        points = np.pad(line, ((0, 0), (0, 1)), constant_values=height)
         # Slightly thinner than the twin, so that coincident surfaces do not flicker.
         radius = 0.92 * self.model.geom_size[skin, 0]
         for begin, end in zip(points, points[1:], strict=False):
@@ -211,9 +212,8 @@ class Stage:
                 return
             geom = scene.geoms[scene.ngeom]
             capsule = mujoco.mjtGeom.mjGEOM_CAPSULE
-            mujoco.mjv_initGeom(
-                geom, capsule, np.zeros(3), np.zeros(3), np.zeros(9), color
-            )
+            unset = np.zeros(3), np.zeros(3), np.zeros(9)
+            mujoco.mjv_initGeom(geom, capsule, *unset, rgba)
             mujoco.mjv_connector(geom, capsule, radius, begin, end)
             scene.ngeom += 1
 
@@ -228,12 +228,10 @@ def contact_marks(run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     if not run.has("load"):
         return np.empty(0, dtype=int), np.empty((0, 2))
     touches = run.stack("load") > 0.0
-    step = max(1, -(-int(touches.sum()) // _MAX_MARKS))
+    step = max(1, math.ceil(touches.sum() / _MAX_MARKS))
     rows, connectors = np.nonzero(touches[::step])
-    return (
-        rows * step,
-        np.stack([run.stack("x"), run.stack("y")], axis=-1)[rows * step, connectors],
-    )
+    rows = rows * step
+    return rows, run.position[rows, connectors]
 
 
 def add_line(
@@ -262,32 +260,29 @@ def add_line(
     for begin, end, height in zip(points, points[1:], heights, strict=False):
         if scene.ngeom == scene.maxgeom:
             return
-        (x, y), length = end - begin, math.hypot(*(end - begin))
-        c, s = (x / length, y / length) if length else (1.0, 0.0)
+        length = math.hypot(*(end - begin))
+        c, s = (end - begin) / length if length else (1.0, 0.0)
         size = [length / 2 + half_width, half_width, _LINE_M / 2]
-        position = [*(begin + end) / 2, height]
-        mujoco.mjv_initGeom(
-            scene.geoms[scene.ngeom],
-            box,
-            size,
-            position,
-            [c, -s, 0, s, c, 0, 0, 0, 1],
-            rgba,
-        )
+        place = [*(begin + end) / 2, height]
+        axes = [c, -s, 0, s, c, 0, 0, 0, 1]
+        mujoco.mjv_initGeom(scene.geoms[scene.ngeom], box, size, place, axes, rgba)
         scene.ngeom += 1
 
 
 def _legend(run: Trajectory, ghost: Ghost | None, *, bench: bool) -> list[Label]:
     """Return the labels that explain the colours."""
-    sides = [Label("p+ > p-", PLUS_COLOR), Label("p+ < p-", MINUS_COLOR)]
-    labels = sides if run.has("pressure_plus") else []
-    labels += [] if bench else [Label("twin, CoM", STYLES["twin"].color)]
-    labels += [Label("contacts", CONTACT_COLOR)] if run.has("load") else []
+    labels: dict[str, str] = {}
+    if run.has("pressure_plus"):
+        labels |= {"p+ > p-": PLUS_COLOR, "p+ < p-": MINUS_COLOR}
+    if not bench:
+        labels["twin, CoM"] = STYLES["twin"].color
+    if run.has("load"):
+        labels["contacts"] = CONTACT_COLOR
     if pictures := added_to(run):
-        labels += [Label(name, color) for name, color in pictures.legend.items()]
-    return labels + (
-        [] if ghost is None else [Label(ghost[0], style_of(ghost[0]).color)]
-    )
+        labels |= pictures.legend
+    if ghost is not None:
+        labels[ghost.plant] = style_of(ghost.plant).color
+    return [Label(text, color) for text, color in labels.items()]
 
 
 def make_obstacles_translucent(model: mujoco.MjModel) -> None:
@@ -329,17 +324,19 @@ class Skins:
             pressure: pressures, shape (segments, 2), any unit.
             full_scale: pressure difference that is drawn in the full colour.
         """
-        self.paint(
-            pressure_colors(pressure[:, 0] - pressure[:, 1], full_scale)
-            / np.float32(255)
-        )
+        colors = pressure_colors(pressure[:, 0] - pressure[:, 1], full_scale)
+        self.paint(colors / np.float32(255))
 
 
 def _floor_lines(run: Trajectory) -> list[tuple[np.ndarray, str]]:
     """Return points and colour of the lines on the floor that extensions add and list in their legend."""
     pictures = added_to(run)
-    lines = [] if pictures is None else pictures.floor_lines(run)
-    listed = [
-        line for line in lines if pictures and line.color in pictures.legend.values()
+    if pictures is None:
+        return []
+    listed = pictures.legend.values()
+    return [
+        (strip, line.color)
+        for line in pictures.floor_lines(run)
+        if line.color in listed
+        for strip in line.strips
     ]
-    return [(strip, line.color) for line in listed for strip in line.strips]

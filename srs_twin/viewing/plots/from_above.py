@@ -13,9 +13,9 @@ from matplotlib.path import Path
 from shapely import LineString
 
 from srs_twin.robot.spec import Geometry, RobotSpec
-from srs_twin.robot.world import World
+from srs_twin.robot.world import MovableObject, World
 from srs_twin.trajectory import Trajectory
-from srs_twin.viewing.plots.signals import body_line
+from srs_twin.viewing.plots.signals import body_line, goal_ring
 from srs_twin.viewing.plots.style import (
     OBJECT_COLOR,
     Style,
@@ -47,20 +47,15 @@ def plan_view(
     """
     world = world or World()
     times = strobe_times(trajectories, spec.geometry)
-    low, high = bounds(trajectories, spec.geometry, times)
     objects = [
         line
         for run in trajectories.values()
         for line in object_outlines(run, times, world)
     ]
-    if objects:
-        points = np.concatenate(objects)
-        low = np.minimum(low, points.min(axis=0))
-        high = np.maximum(high, points.max(axis=0))
-    height = float(
-        np.clip(8.0 * (high[1] - low[1]) / (high[0] - low[0]) + 1.2, 2.4, 7.0)
-    )
-    figure, (axes,) = panels(height)
+    low, high = bounds(trajectories, spec.geometry, times)
+    corners = np.concatenate([[low, high], *objects])
+    width, depth = np.ptp(corners, axis=0)
+    figure, (axes,) = panels(float(np.clip(8.0 * depth / width + 1.2, 2.4, 7.0)))
     for index, (plant, run) in enumerate(trajectories.items()):
         draw_run(
             axes,
@@ -76,7 +71,8 @@ def plan_view(
         )
     axes.autoscale_view()
     circles = ((item.x, item.y, item.radius) for item in world.obstacles)
-    for patch in obstacle_patches(circles, (item.corners for item in world.polygons)):
+    polygons = (item.corners for item in world.polygons)
+    for patch in obstacle_patches(circles, polygons):
         axes.add_artist(patch)  # unlike add_patch, leaves far obstacles out of view
     axes.set_aspect("equal", adjustable="datalim")
     listed = ", ".join(f"{time:.3g}" for time in times)
@@ -137,9 +133,8 @@ def obstacle_patches(
 ) -> list[Patch]:
     """Return patches of round obstacles (x, y and radius, m) and of polygons (corners, m)."""
     style: dict[str, Any] = {"facecolor": "0.35", "zorder": 1}
-    round_ones = [Circle((x, y), radius, **style) for x, y, radius in circles]
     return [
-        *round_ones,
+        *(Circle((x, y), radius, **style) for x, y, radius in circles),
         *(Polygon(np.array(list(corners)), **style) for corners in polygons),
     ]
 
@@ -156,27 +151,21 @@ def object_outlines(
     outlines = []
     for sample in samples_at(run, times):
         for k, item in enumerate(world.objects, start=1):
+            place = [sample[f"object_x_{k}"][0], sample[f"object_y_{k}"][0]]
             turn = float(sample[f"object_heading_{k}"][0])
-            angle = np.linspace(0.0, 2 * np.pi, 49)
-            line = np.vstack(
-                [
-                    np.zeros(2),
-                    item.size[0] * np.column_stack([np.cos(angle), np.sin(angle)]),
-                ]
-            )
-            if item.is_box:
-                line = (
-                    np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])
-                    * np.array(item.size)
-                    / 2
-                )
-            axes = np.array(
-                [[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]
-            )
-            outlines.append(
-                line @ axes + [sample[f"object_x_{k}"][0], sample[f"object_y_{k}"][0]]
-            )
+            c = np.cos(turn)
+            s = np.sin(turn)
+            axes = np.array([[c, s], [-s, c]])
+            outlines.append(_outline(item) @ axes + place)
     return outlines
+
+
+def _outline(item: MovableObject) -> np.ndarray:
+    """Return the outline of an object at the origin with a heading of 0, shape (k, 2), m."""
+    if item.is_box:
+        corners = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])
+        return np.asarray(corners * np.array(item.size) / 2)
+    return np.vstack([np.zeros(2), goal_ring(0.0, 0.0, item.size[0])])
 
 
 def draw_body(
@@ -191,11 +180,10 @@ def draw_body(
         axes.add_patch(
             PathPatch(outline, facecolor=style.color, alpha=0.25, linewidth=0)
         )
+    look: dict[str, Any] = {"color": style.color, "zorder": 5}
     for ring in rings:
-        axes.plot(
-            *ring.T, color=style.color, linestyle=style.dash, linewidth=1.0, zorder=5
-        )
-    axes.plot(*sample.position[0, 0], "o", color=style.color, markersize=2.5, zorder=5)
+        axes.plot(*ring.T, linestyle=style.dash, linewidth=1.0, **look)
+    axes.plot(*sample.position[0, 0], "o", markersize=2.5, **look)
 
 
 def bounds(

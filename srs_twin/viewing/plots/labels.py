@@ -62,10 +62,9 @@ def field_label(path: str) -> str:
     name, unit = split_unit(keys[-1])
     title = re.split(r" \(|[,:]", _title(path))[0]
     if not 0 < len(title) <= _MAX_TITLE or title.startswith(_SENTENCE_STARTS):
+        group = ""
         if len(keys) > 1 and keys[0] != "plants":
             group = keys[-2]
-        else:
-            group = ""
         title = f"{group} {_spaced(name)}".strip()
     if not title[:2].isupper():
         title = title[:1].lower() + title[1:]
@@ -91,10 +90,11 @@ def metric_title(metric: str) -> str:
     if metric in _TITLES:
         return _TITLES[metric]
     name, _ = split_metric(metric)
-    for suffix, text in _SUFFIXES.items():
+    suffixes = dict(_SUFFIXES)
+    if metric not in COMPARISON_UNITS:
+        suffixes["_rel"] = ", relative"
+    for suffix, text in suffixes.items():
         if name.endswith(suffix):
-            if suffix == "_rel" and metric not in COMPARISON_UNITS:
-                text = ", relative"
             name = name.removesuffix(suffix) + text
     return _spaced(name.replace("com_", "CoM ").replace("_rms", " RMS"))
 

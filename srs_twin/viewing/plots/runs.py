@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -44,7 +44,12 @@ from srs_twin.viewing.plots.style import (
 )
 
 if TYPE_CHECKING:
-    from srs_twin.comparison.compare import Attribution, Comparison, MeasuredDifference
+    from srs_twin.comparison.compare import (
+        AssumptionShare,
+        Attribution,
+        Comparison,
+        MeasuredDifference,
+    )
 
 Runs = Mapping[str, Trajectory]
 
@@ -88,19 +93,19 @@ def speed_plot(trajectories: Runs) -> Figure:
     figure, (axes,) = panels(3.0)
     for style, run in runs_with_styles(trajectories):
         period = gait_period(run)
-        time, mean = (
-            period_speed(run, period) if period else (run.time[:0], run.time[:0])
-        )
-        thin = style.line | {"label": f"{style.label}, along the heading"}
-        if len(time):
-            thin = {"color": style.color, "linewidth": 0.7, "alpha": 0.35}
-        axes.plot(run.time, forward_speed(run), **thin)
-        if len(time):
-            thick = style.line | {
-                "label": f"{style.label}, mean of one gait period",
-                "linewidth": 2.0,
-            }
-            axes.plot(time, mean, **thick, zorder=style.zorder)
+        time = run.time[:0]
+        mean = time
+        if period:
+            time, mean = period_speed(run, period)
+        speed = forward_speed(run)
+        if not len(time):
+            label = f"{style.label}, along the heading"
+            axes.plot(run.time, speed, **style.line | {"label": label})
+            continue
+        axes.plot(run.time, speed, color=style.color, linewidth=0.7, alpha=0.35)
+        label = f"{style.label}, mean of one gait period"
+        thick = style.line | {"label": label, "linewidth": 2.0}
+        axes.plot(time, mean, **thick, zorder=style.zorder)
     axes.axhline(0.0, color="0.5", linewidth=0.6)
     title = (
         "Speed of the centre of mass, forward positive (thin: instantaneous, along the"
@@ -116,7 +121,6 @@ def error_plot(comparison: Comparison, spec: RobotSpec) -> Figure:
     """Plot the differences of shape and path over time, in mm and per cent of the body length."""
     figure, (shape, path) = panels(4.0, 2, right=0.75)
     length = 1e3 * spec.geometry.body_length
-
     conversions = (
         (lambda mm: mm * 100 / length),
         (lambda percent: percent * length / 100),
@@ -152,69 +156,62 @@ def _by_segment(
     """Plot one panel per segment from head to tail, for at most eight segments spread over the body."""
     signals = [signal(run) for run in trajectories.values()]
     segments = min(values.shape[1] for values in signals)
-    plotted = np.unique(
-        np.linspace(0, segments - 1, min(segments, _MAX_ROWS)).round().astype(int)
-    )
+    count = min(segments, _MAX_ROWS)
+    plotted = np.unique(np.linspace(0, segments - 1, count).round().astype(int))
     figure, rows = panels(0.9 + 1.1 * len(plotted), len(plotted), share_y=True)
-    first, last, remark = _window(trajectories)
+    window = _common_window(trajectories)
     for axes, j in zip(rows, plotted, strict=True):
         for (style, run), values in zip(
             runs_with_styles(trajectories), signals, strict=True
         ):
-            window = _in_window(run, first, last)
+            shown = window.contains(run)
             axes.plot(
-                run.time[window], values[window, j], **style.line, zorder=style.zorder
+                run.time[shown], values[shown, j], **style.line, zorder=style.zorder
             )
         finish(axes, label.format(j + 1))
-    if len(plotted) == segments:
-        selection = ""
-    else:
+    selection = ""
+    if len(plotted) < segments:
         selection = f", {len(plotted)} of {segments} segments"
-    set_title(rows[0], f"{title}, head first{selection}{remark}", "left")
-    _finish_time(figure, rows, first, last)
+    set_title(rows[0], f"{title}, head first{selection}{window.remark}", "left")
+    _finish_time(figure, rows, window)
     return figure
 
 
-def _in_window(run: Trajectory, first: float, last: float) -> np.ndarray:
-    return (run.time >= first - 1e-9) & (run.time <= last + 1e-9)
+class _Window(NamedTuple):
+    """Plotted time, s, and a remark for the title."""
+
+    first: float
+    last: float
+    remark: str = ""
+
+    def contains(self, run: Trajectory) -> np.ndarray:
+        """Return whether the samples of a run are in the window."""
+        return (run.time >= self.first - 1e-9) & (run.time <= self.last + 1e-9)
 
 
-def _finish_time(
-    figure: Figure, rows: Sequence[Axes], first: float, last: float
-) -> None:
+def _finish_time(figure: Figure, rows: Sequence[Axes], window: _Window) -> None:
     """Add a legend above the first panel, and set the range of the time axis."""
     handles, labels = rows[0].get_legend_handles_labels()
     figure.legend(
         handles, labels, loc="upper right", ncols=len(labels), fontsize=8, frameon=False
     )
     rows[-1].set_xlabel("time (s)")
-    rows[-1].set_xlim(first, last if last > first else first + 1.0)
+    last = window.last if window.last > window.first else window.first + 1.0
+    rows[-1].set_xlim(window.first, last)
 
 
-def _window(trajectories: Runs) -> tuple[float, float, str]:
-    """Return begin and end of the plotted time, s, and a remark for the title.
-
-    Of a long run these are the last gait periods that all runs have in common.
-    """
+def _common_window(trajectories: Runs) -> _Window:
+    """Return the whole time of all runs, or the last gait periods that long runs have in common."""
     first = min(float(run.time[0]) for run in trajectories.values())
     ends = [float(run.time[-1]) for run in trajectories.values()]
-    period = max(
-        (gait_period(run) or 0.0 for run in trajectories.values()), default=0.0
-    )
+    period = max(gait_period(run) or 0.0 for run in trajectories.values())
     if not period or max(ends) - first <= (_PERIODS_SHOWN + 1) * period:
-        return first, max(ends), ""
+        return _Window(first, max(ends))
     last = max(min(ends), first + _PERIODS_SHOWN * period)
+    remark = f" (last {_PERIODS_SHOWN} gait periods)"
     if last < max(ends):
-        return (
-            last - _PERIODS_SHOWN * period,
-            last,
-            f" ({_PERIODS_SHOWN} gait periods before the first end)",
-        )
-    return (
-        last - _PERIODS_SHOWN * period,
-        last,
-        f" (last {_PERIODS_SHOWN} gait periods)",
-    )
+        remark = f" ({_PERIODS_SHOWN} gait periods before the first end)"
+    return _Window(last - _PERIODS_SHOWN * period, last, remark)
 
 
 @drawing
@@ -239,21 +236,9 @@ def learning_plot(trajectories: Runs) -> Figure:
         sharex=True,
         sharey="col",
     )
-    chambers = {"+": PLUS_COLOR, "\u2212": MINUS_COLOR}
     for j, (bends, duties) in enumerate(grid):
         for style, run in runs:
-            periods = np.arange(1, len(run.duty) + 1)
-            for side, color in enumerate(chambers.values()):
-                line = {"color": color, "linestyle": style.dash, "linewidth": 1.4}
-                bends.plot(periods, run.amplitude[:, j, side], **line)
-                bends.plot(
-                    periods,
-                    run.target[:, j, side],
-                    color=color,
-                    linestyle=":",
-                    linewidth=0.8,
-                )
-                duties.plot(periods, run.duty[:, j, side], **line)
+            _plot_learning(bends, duties, style, run, j)
         duties.set_ylim(-0.04, 1.04)
         finish(bends, f"segment {j + 1}\n(rad)")
         finish(duties, "duty")
@@ -264,7 +249,7 @@ def learning_plot(trajectories: Runs) -> Figure:
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     handles = [
         Line2D([], [], color=color, label=f"{side} chamber")
-        for side, color in chambers.items()
+        for side, color in _CHAMBERS.items()
     ]
     handles += [
         Line2D([], [], color="0.4", linestyle=style.dash, label=style.label)
@@ -274,6 +259,26 @@ def learning_plot(trajectories: Runs) -> Figure:
         handles=handles, loc="upper right", ncols=4, fontsize=8, frameon=False
     )
     return figure
+
+
+_CHAMBERS = {"+": PLUS_COLOR, "\u2212": MINUS_COLOR}
+
+
+def _plot_learning(
+    bends: Axes, duties: Axes, style: Style, run: PeriodAmplitudes, j: int
+) -> None:
+    """Plot amplitudes, targets and duties of module j of a run."""
+    periods = np.arange(1, len(run.duty) + 1)
+    for side, color in enumerate(_CHAMBERS.values()):
+        line: dict[str, Any] = {
+            "color": color,
+            "linestyle": style.dash,
+            "linewidth": 1.4,
+        }
+        target: dict[str, Any] = {"color": color, "linestyle": ":", "linewidth": 0.8}
+        bends.plot(periods, run.amplitude[:, j, side], **line)
+        bends.plot(periods, run.target[:, j, side], **target)
+        duties.plot(periods, run.duty[:, j, side], **line)
 
 
 @drawing
@@ -293,30 +298,26 @@ def tracking_plot(trajectories: Runs) -> Figure:
     last = float(run.time[-1])
     if (period := reference_period(run)) is not None:
         first = max(first, last - _PERIODS_SHOWN * period)
-    window = _in_window(run, first, last)
-    bends.plot(run.time[window], run["reference_1"][window], **REFERENCE.line, zorder=3)
+    window = _Window(first, last)
+    shown = window.contains(run)
+    bends.plot(run.time[shown], run["reference_1"][shown], **REFERENCE.line, zorder=3)
     for (style, run), axes, plant in zip(
         runs_with_styles(trajectories), valves, trajectories, strict=True
     ):
-        window = _in_window(run, first, last)
-        time = run.time[window]
+        shown = window.contains(run)
+        time = run.time[shown]
         if run.has("sensed_1"):
-            bends.plot(
-                time,
-                run["sensed_1"][window],
-                color=style.color,
-                linewidth=0.4,
-                alpha=0.3,
-            )
-        bends.plot(time, run["bend_1"][window], **style.line, zorder=style.zorder)
-        state = (run["valve_plus_1"] - run["valve_minus_1"])[window] / 2
+            sensed = run["sensed_1"][shown]
+            bends.plot(time, sensed, color=style.color, linewidth=0.4, alpha=0.3)
+        bends.plot(time, run["bend_1"][shown], **style.line, zorder=style.zorder)
+        state = (run["valve_plus_1"] - run["valve_minus_1"])[shown] / 2
         # The valve states of a sample hold since the previous sample.
         axes.step(time, state, where="pre", color=style.color, linewidth=0.8)
         axes.set(ylim=(-1.3, 1.3), yticks=[-1, 0, 1])
         finish(axes, f"{plant}\nvalves")
     title = "Bend and reference (thin: sensor reading), and valve states"
     finish(bends, "$q_1$ (rad)", title=title, loc="left")
-    _finish_time(figure, [bends, *valves], first, last)
+    _finish_time(figure, [bends, *valves], window)
     return figure
 
 
@@ -326,30 +327,26 @@ def reading_plot(trajectories: Runs) -> Figure | None:
 
     Returns None if all sensors are ideal.
     """
-    all_curves = [
-        (style, run, ReadingCurve.from_trajectory(run))
-        for style, run in runs_with_styles(trajectories)
-    ]
     curves = [
-        (style, run, curve) for style, run, curve in all_curves if curve is not None
+        (style, run, curve)
+        for style, run in runs_with_styles(trajectories)
+        if (curve := ReadingCurve.from_trajectory(run)) is not None
     ]
     if not curves:
         return None
     figure, (readings, errors) = panels(4.6, 2)
     bends = np.concatenate([curve.bend for _, _, curve in curves])
+    ends = np.zeros(2)
     if len(bends):
         ends = np.degrees([bends.min(), bends.max()])
-    else:
-        ends = np.zeros(2)
     readings.plot(ends, ends, **REFERENCE.line | {"label": "bend"})
     for style, run, curve in curves:
         subset = slice(None, None, math.ceil(len(run) / _MAX_DOTS))
-        dots = np.degrees(run["bend_1"][subset]), np.degrees(run["sensed_1"][subset])
+        dots = np.degrees([run["bend_1"][subset], run["sensed_1"][subset]])
         readings.plot(*dots, ".", color=style.color, markersize=1.5, alpha=0.3)
-        readings.plot(np.degrees(curve.bend), np.degrees(curve.reading), **style.line)
-        errors.plot(
-            np.degrees(curve.bend), np.degrees(curve.reading - curve.bend), **style.line
-        )
+        bend = np.degrees(curve.bend)
+        readings.plot(bend, np.degrees(curve.reading), **style.line)
+        errors.plot(bend, np.degrees(curve.reading - curve.bend), **style.line)
     title = "Sensor reading of the first segment (dots: single readings; lines: means)"
     finish(readings, "sensed (°)", title=title, loc="left")
     finish(errors, "mean − bend (°)", "bend (°)")
@@ -377,9 +374,8 @@ def measured_plot(differences: Mapping[str, MeasuredDifference]) -> Figure | Non
         ]
         for axes, value in zip(rows, [*values, difference.bend_rms], strict=True):
             axes.plot(difference.comparison.time, value, **style_of(plant, index).line)
-    for axes, label in zip(
-        rows, [*(label for label, _ in plotted.values()), "bends (rad)"], strict=True
-    ):
+    labels = [*(label for label, _ in plotted.values()), "bends (rad)"]
+    for axes, label in zip(rows, labels, strict=True):
         finish(axes, label)
     distances = "shapes and paths as distances, " if plotted else ""
     set_title(rows[0], f"Plant − measured: {distances}bends RMS over segments")
@@ -405,21 +401,8 @@ def attribution_plot(attribution: Attribution) -> Figure:
     replaced. The last two bars are the part that is not explained, and the difference,
     which is the sum of the bars above it.
     """
-    # Each of shape (measures, assumptions).
-    value, low, high = (
-        np.array([getattr(share, bound) for share in attribution.shares]).T
-        for bound in ("value", "low", "high")
-    )
-    order = np.argsort(
-        -(np.abs(value) / np.abs(value).max(axis=1, keepdims=True).clip(1e-12)).sum(
-            axis=0
-        )
-    )
-    names = [
-        *(attribution.shares[i].name for i in order),
-        "not explained",
-        "twin − analytical",
-    ]
+    shares = _by_size(attribution.shares)
+    names = [*(share.name for share in shares), "not explained", "twin − analytical"]
     rows = len(MEASURES) // 2
     height = rows * (_BAR_PITCH * len(names) + _PANEL_GAP) + 0.3
     left = 0.35 + 0.07 * max(map(len, names))  # inches, for labels of 9.5 pt
@@ -443,19 +426,15 @@ def attribution_plot(attribution: Attribution) -> Figure:
         zip(grid.flat, MEASURES.values(), strict=True)
     ):
         totals = [attribution.remainder[m], attribution.gap[m]]
-        bars = np.array([*value[m, order], *totals])
-        ends = np.array([low[m, order], high[m, order]])
-        scale, prefix = (1e3, "m") if np.abs(bars).max() < 0.1 else (1.0, "")
-        colors = [
-            *np.where(bars[:-2] < 0, _NEGATIVE_COLOR, _POSITIVE_COLOR),
-            _REMAINDER_COLOR,
-            STYLES["twin"].color,
-        ]
-        axes.barh(range(len(bars)), scale * bars, height=0.65, color=colors)
-        axes.hlines(range(len(order)), *scale * ends, color="0.2", linewidth=0.9)
-        _write_values(axes, scale * bars, scale * np.hstack([ends, [totals, totals]]))
-        axes.axvline(0.0, color="0.3", linewidth=0.8)
-        axes.axhline(len(bars) - 1.5, color="0.3", linewidth=0.8)
+        bars = np.array([*(share.value[m] for share in shares), *totals])
+        low = np.array([*(share.low[m] for share in shares), *totals])
+        high = np.array([*(share.high[m] for share in shares), *totals])
+        scale = 1.0
+        prefix = ""
+        if np.abs(bars).max() < 0.1:
+            scale = 1e3
+            prefix = "m"
+        _plot_contributions(axes, scale * bars, scale * low, scale * high)
         finish(axes, "", title=f"{title} ({prefix}{unit})", loc="left")
     grid[0, 0].set_yticks(range(len(names)), names)
     grid[0, 0].invert_yaxis()
@@ -464,27 +443,45 @@ def attribution_plot(attribution: Attribution) -> Figure:
     return figure
 
 
-def _write_values(axes: Axes, bars: np.ndarray, ends: np.ndarray) -> None:
-    """Write each value next to its bar and its thin line, and widen the axis accordingly.
+def _by_size(shares: Sequence[AssumptionShare]) -> list[AssumptionShare]:
+    """Return the contributions, those with the largest values relative to the largest of a measure first."""
+    value = np.abs([share.value for share in shares])
+    size = (value / value.max(axis=0).clip(1e-12)).sum(axis=1)
+    return [shares[i] for i in np.argsort(-size)]
 
-    Args:
-        axes: panel.
-        bars: values, shape (bars,).
-        ends: minimum and maximum of each value, shape (2, bars).
-    """
-    low = np.minimum(ends[0], 0.0)
-    high = np.maximum(ends[1], 0.0)
+
+def _plot_contributions(
+    axes: Axes, bars: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> None:
+    """Draw the bars of one measure, and the range of each of them but the last two as a thin line."""
+    colors = [
+        *np.where(bars[:-2] < 0, _NEGATIVE_COLOR, _POSITIVE_COLOR),
+        _REMAINDER_COLOR,
+        STYLES["twin"].color,
+    ]
+    axes.barh(range(len(bars)), bars, height=0.65, color=colors)
+    rows = range(len(bars) - 2)
+    axes.hlines(rows, low[:-2], high[:-2], color="0.2", linewidth=0.9)
+    _write_values(axes, bars, low, high)
+    axes.axvline(0.0, color="0.3", linewidth=0.8)
+    axes.axhline(len(bars) - 1.5, color="0.3", linewidth=0.8)
+
+
+def _write_values(
+    axes: Axes, bars: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> None:
+    """Write each value next to its bar and its thin line, and widen the axis accordingly."""
+    low = np.minimum(low, 0.0)
+    high = np.maximum(high, 0.0)
     span = max(float(high.max() - low.min()), 1e-12)
     digits = max(0, 1 - math.floor(math.log10(span)))
     axes.set_xlim(low.min() - 0.24 * span, high.max() + 0.24 * span)
+    style: dict[str, Any] = {"va": "center", "fontsize": 9}
     for row, bar in enumerate(bars):
+        text = "0"
         if round(bar, digits):
             text = f"{bar:+.{digits}f}".replace("-", "−")
+        if bar < 0:
+            axes.text(low[row] - 0.02 * span, row, text, ha="right", **style)
         else:
-            text = "0"
-        x, alignment = (
-            (low[row] - 0.02 * span, "right")
-            if bar < 0
-            else (high[row] + 0.02 * span, "left")
-        )
-        axes.text(x, row, text, ha=alignment, va="center", fontsize=9)
+            axes.text(high[row] + 0.02 * span, row, text, ha="left", **style)

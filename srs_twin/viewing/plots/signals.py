@@ -44,12 +44,9 @@ def wheel_turns(trajectory: Trajectory, geometry: Geometry) -> Array:
     theta = trajectory.stack("theta")
     mean_theta = (theta[1:] + theta[:-1]) / 2
     forward = np.stack([np.cos(mean_theta), np.sin(mean_theta)], axis=-1)[:, :, None]
-    increments = (np.diff(centres, axis=0) * forward).sum(
-        axis=-1
-    ) / geometry.wheel_radius
-    return np.concatenate(
-        [np.zeros((1, *increments.shape[1:])), np.cumsum(increments, axis=0)]
-    )
+    paths = (np.diff(centres, axis=0) * forward).sum(axis=-1)
+    turns = np.cumsum(paths / geometry.wheel_radius, axis=0)
+    return np.concatenate([np.zeros((1, *turns.shape[1:])), turns])
 
 
 def pressure_difference(trajectory: Trajectory) -> Array:
@@ -62,10 +59,9 @@ def pressure_difference(trajectory: Trajectory) -> Array:
 def kind_of(trajectories: Mapping[str, Trajectory]) -> str:
     """Return the kind of experiment: gait, bench, learning, or a kind of an extension."""
     runs = trajectories.values()
-    if any(
-        run.has("reference_1") or run.metadata.get("base") == "clamped" for run in runs
-    ):
-        return "bench"
+    for run in runs:
+        if run.has("reference_1") or run.metadata.get("base") == "clamped":
+            return "bench"
     for run in runs:
         if pictures := added_to(run):
             return pictures.kind
@@ -117,9 +113,10 @@ def period_speed(trajectory: Trajectory, period: float) -> tuple[Array, Array]:
     centres = time[(time >= first - 1e-9) & (time <= last + 1e-9)]
     begin = centres - period / 2
     end = centres + period / 2
-    displacement = [
-        np.interp(end, time, c) - np.interp(begin, time, c) for c in trajectory.com.T
-    ]
+    x, y = (
+        np.interp(end, time, column) - np.interp(begin, time, column)
+        for column in trajectory.com.T
+    )
     direction = np.interp(centres, time, heading)
-    forward = displacement[0] * np.cos(direction) + displacement[1] * np.sin(direction)
-    return centres, np.copysign(np.hypot(*displacement), forward) / period
+    forward = x * np.cos(direction) + y * np.sin(direction)
+    return centres, np.copysign(np.hypot(x, y), forward) / period

@@ -80,12 +80,9 @@ def run_blueprint(layout: Layout) -> rrb.Blueprint:
         )
         rows.append(rrb.TextLogView(origin="events", name="Events", columns=columns))
         shares.append(2)
+    plots = rrb.Vertical(*rows, row_shares=shares)
     return _with_collapsed_panels(
-        rrb.Horizontal(
-            scene_view(layout),
-            rrb.Vertical(*rows, row_shares=shares),
-            column_shares=[3, 2],
-        )
+        rrb.Horizontal(scene_view(layout), plots, column_shares=[3, 2])
     )
 
 
@@ -102,9 +99,8 @@ def side_by_side_blueprint(layouts: Mapping[str, Layout]) -> rrb.Blueprint:
             _plot(f"{layout.root}/body/heading", "Heading (rad)"),
             _plot(f"{layout.root}/module/1/bend", "Bend 1 (rad)"),
         )
-        columns.append(
-            rrb.Vertical(scene_view(layout, name=name), body, row_shares=[3, 1])
-        )
+        scene = scene_view(layout, name=name)
+        columns.append(rrb.Vertical(scene, body, row_shares=[3, 1]))
     return _with_collapsed_panels(rrb.Grid(*columns, grid_columns=min(3, len(columns))))
 
 
@@ -119,70 +115,78 @@ def _with_collapsed_panels(contents: rrb.Horizontal | rrb.Grid) -> rrb.Blueprint
 
 def _plots(layout: Layout) -> Rows:
     """Return the plots for the kind of experiment."""
-
-    def modules(signal: str, name: str, **options: Any) -> rrb.Tabs:
-        """Return one tab per module; the middle one is active because the first hardly shows differences."""
-        numbers = range(1, layout.segments + 1)
-        views = [
-            _plot(f"module/{j}{signal}", name.format(j), **options) for j in numbers
-        ]
-        return rrb.Tabs(
-            *views, active_tab=layout.segments // 2, name=name.partition(" {")[0]
-        )
-
-    periods = _periods_axis(layout)
-    bends = modules("/bend", "Bend {} (rad)", axis_x=periods)
-    pressures = "Pressure {} (kPa)"
-    # Differences from the measured robot; on a bench, often only bends are measured.
-    distances = [f"+ /measured/{name}/**" for name in layout.measured if name != "bend"]
-    if distances:
-        measured = [
-            _plot("/", "Distance from the measured robot (mm)", contents=distances)
-        ]
-    else:
-        measured = []
-    if "bend" in layout.measured:
-        measured.append(
-            _plot("measured/bend", "Bends from the measured robot, RMS (rad)")
-        )
-    if layout.speeds is None:
-        speed_axis = None
-    else:
-        speed_axis = rrb.ScalarAxis(range=layout.speeds)
-    body = [
-        _plot("body/speed", "Speed (m/s)", axis_y=speed_axis),
-        _plot("body/heading", "Heading (rad)"),
-    ]
-    if layout.compared:
-        body.append(_plot("comparison", "Difference (mm)"))
-    body += measured
     if layout.kind == "bench":
-        both = ["+ $origin/bend/**", "+ $origin/sensed/**"]
-        return [
-            modules("", "Bend {}, reference, readings (rad)", contents=both),
-            modules("/valve", "Valves {} (1: left)"),
-            modules("/pressure", pressures),
-            *([rrb.Tabs(*reversed(measured))] if measured else []),
-        ]
+        return _bench_plots(layout)
+    periods = _periods_axis(layout)
+    bends = _modules(layout, "/bend", "Bend {} (rad)", axis_x=periods)
+    body = _body_plots(layout)
     if layout.signals:
-        plots = [
+        plots: Rows = [
             _plot(f"follow/{signal.entity}", signal.title) for signal in layout.signals
         ]
         return [*plots, rrb.Tabs(*body, bends)]
-    learns = layout.kind == "learning"
-    duties = modules("/duty", "Duties {}")
-    return [
-        bends,
-        duties if learns else modules("/pressure", pressures, axis_x=periods),
-        rrb.Tabs(*body),
+    if layout.kind == "learning":
+        chambers = _modules(layout, "/duty", "Duties {}")
+    else:
+        chambers = _modules(layout, "/pressure", _PRESSURES, axis_x=periods)
+    return [bends, chambers, rrb.Tabs(*body)]
+
+
+_PRESSURES = "Pressure {} (kPa)"
+
+
+def _bench_plots(layout: Layout) -> Rows:
+    both = ["+ $origin/bend/**", "+ $origin/sensed/**"]
+    plots: Rows = [
+        _modules(layout, "", "Bend {}, reference, readings (rad)", contents=both),
+        _modules(layout, "/valve", "Valves {} (1: left)"),
+        _modules(layout, "/pressure", _PRESSURES),
     ]
+    if measured := _measured_plots(layout):
+        # On a bench, often only bends are measured.
+        plots.append(rrb.Tabs(*reversed(measured)))
+    return plots
+
+
+def _body_plots(layout: Layout) -> list[rrb.TimeSeriesView]:
+    """Return the plots of speed, heading and differences."""
+    axis = None if layout.speeds is None else rrb.ScalarAxis(range=layout.speeds)
+    plots = [
+        _plot("body/speed", "Speed (m/s)", axis_y=axis),
+        _plot("body/heading", "Heading (rad)"),
+    ]
+    if layout.compared:
+        plots.append(_plot("comparison", "Difference (mm)"))
+    return plots + _measured_plots(layout)
+
+
+def _measured_plots(layout: Layout) -> list[rrb.TimeSeriesView]:
+    """Return the plots of the differences from the measured robot."""
+    plots = []
+    distances = [f"+ /measured/{name}/**" for name in layout.measured if name != "bend"]
+    if distances:
+        title = "Distance from the measured robot (mm)"
+        plots.append(_plot("/", title, contents=distances))
+    if "bend" in layout.measured:
+        title = "Bends from the measured robot, RMS (rad)"
+        plots.append(_plot("measured/bend", title))
+    return plots
+
+
+def _modules(layout: Layout, signal: str, name: str, **options: Any) -> rrb.Tabs:
+    """Return one tab per module; the middle one is active because the first hardly shows differences."""
+    views = [
+        _plot(f"module/{j}{signal}", name.format(j), **options)
+        for j in range(1, layout.segments + 1)
+    ]
+    title = name.partition(" {")[0]
+    return rrb.Tabs(*views, active_tab=layout.segments // 2, name=title)
 
 
 def scene_view(layout: Layout, name: str = "") -> rrb.Spatial3DView:
     """Return the 3-D view: the camera follows on the right of the snakes; trails end at the cursor."""
-    name = name or (
-        "Both plants, grid 0.1 m" if len(layout.plants) > 1 else "Grid 0.1 m"
-    )
+    if not name:
+        name = "Both plants, grid 0.1 m" if len(layout.plants) > 1 else "Grid 0.1 m"
     right = np.array([np.sin(layout.heading), -np.cos(layout.heading)])
     distance = max(
         1.25 * layout.body_length, 0.75 * (layout.body_length + layout.separation)

@@ -8,6 +8,8 @@ standard deviations). The timeline is `sim_time`, seconds since the start.
 
 from __future__ import annotations
 
+import math
+from collections import deque
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
@@ -48,7 +50,7 @@ _Z95 = 1.96
 
 
 class LiveEstimate(Protocol):
-    """Current state estimate of a robot; `live.shadow.Estimate`."""
+    """Current state estimate of a robot; `live.estimate.Estimate`."""
 
     @property
     def time(self) -> float:
@@ -84,7 +86,7 @@ class LiveEstimate(Protocol):
 
 
 class LiveForecast(Protocol):
-    """Predicted poses; `live.prediction.Prediction`."""
+    """Predicted poses; `live.estimate.Prediction`."""
 
     @property
     def pose(self) -> np.ndarray:
@@ -107,8 +109,8 @@ class LiveView:
         """
         self._log = log
         self._spec = spec
-        self._start = float("nan")
-        self._trail: list[list[float]] = []
+        self._start = math.nan
+        self._trail: deque[list[float]] = deque(maxlen=_MAX_TRAIL_POINTS + 1)
         self._logged_faults: tuple[tuple[str, str, float], ...] | None = None
         scene = rrb.Spatial3DView(
             origin="world", name="Robot, estimate (orange: next second)"
@@ -121,11 +123,8 @@ class LiveView:
         )
         faults = rrb.TextDocumentView(origin="lamps", name="Faults")
         right = rrb.Vertical(faults, bends, innovations, row_shares=[1, 2, 2])
-        log.send_blueprint(
-            rrb.Blueprint(
-                rrb.Horizontal(scene, right, column_shares=[3, 2]), collapse_panels=True
-            )
-        )
+        whole = rrb.Horizontal(scene, right, column_shares=[3, 2])
+        log.send_blueprint(rrb.Blueprint(whole, collapse_panels=True))
         log.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         for j in range(1, spec.segments + 1):
             log.log(
@@ -135,71 +134,64 @@ class LiveView:
     def __call__(self, estimate: LiveEstimate, prediction: LiveForecast | None) -> None:
         """Log an estimate and a prediction."""
         log = self._log
-        if np.isnan(self._start):
+        if math.isnan(self._start):
             self._start = estimate.time
         log.set_time(TIMELINE, duration=estimate.time - self._start)
-        width = self._spec.geometry.width
-        poses = estimate.connectors
-        names = [
-            f"{column}_{i}"
-            for i in range(1, len(poses) + 1)
-            for column in ("x", "y", "theta")
-        ]
-        line = body_line(
-            Trajectory(dict(zip(names, poses.reshape(-1, 1), strict=True))),
-            self._spec.geometry,
-        )[0]
-        color = _LOST_COLOR if estimate.lost else rgb(STYLES["twin"].color)
-        log.log(
-            "world/robot/body",
-            rr.LineStrips3D(
-                [_at_height(line, _BODY_HEIGHT_M)], colors=[color], radii=width / 4
-            ),
-        )
-        spread = np.full(
-            len(poses), _Z95 * float(np.hypot(*estimate.pose_sd[:2])) + width / 4
-        )
-        log.log(
-            "world/robot/spread",
-            rr.Points3D(
-                _at_height(poses[:, :2], _FLOOR_HEIGHT_M),
-                radii=spread,
-                colors=[(*color, 50)],
-            ),
-        )
-        self._trail = [
-            *self._trail[-_MAX_TRAIL_POINTS:],
-            [*estimate.pose[:2].tolist(), _FLOOR_HEIGHT_M],
-        ]
-        log.log(
-            "world/robot/trail",
-            rr.LineStrips3D([self._trail], colors=[color], radii=0.001),
-        )
+        self._log_robot(estimate)
         if prediction is not None:
-            points = _at_height(prediction.pose[:, :2], _FLOOR_HEIGHT_M)
-            log.log(
-                "world/next/path",
-                rr.LineStrips3D([points], colors=[_PREDICTION_COLOR], radii=0.002),
-            )
-            radii = _Z95 * np.hypot(prediction.pose_sd[:, 0], prediction.pose_sd[:, 1])
-            color_of_fan = (*_PREDICTION_COLOR, _PREDICTION_ALPHA)
-            log.log(
-                "world/next/fan",
-                rr.Points3D(points, radii=radii, colors=[color_of_fan]),
-            )
+            self._log_prediction(prediction)
         for j, bend in enumerate(estimate.bend.tolist(), start=1):
             log.log(f"bend/segment_{j}", rr.Scalars(bend))
         for kind, innovation in estimate.off.items():
             log.log(f"off/{kind}", rr.Scalars(innovation))
         if estimate.faults != self._logged_faults:
             self._logged_faults = estimate.faults
-            lines = [
-                f"- 🔴 **{name}**: {fault} ({share:.0%})"
-                for name, fault, share in estimate.faults
-            ]
-            lost = f"\n\n🔴 {estimate.lost}" if estimate.lost else ""
-            text = "\n".join(lines or ["🟢 none"]) + lost
+            text = _fault_text(estimate)
             log.log("lamps", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
+
+    def _log_robot(self, estimate: LiveEstimate) -> None:
+        """Log the body, the uncertainty of its position, and its trail."""
+        geometry = self._spec.geometry
+        poses = estimate.connectors
+        columns: dict[str, np.ndarray] = {}
+        for i, pose in enumerate(poses, start=1):
+            x, y, theta = pose[:, None]
+            columns |= {f"x_{i}": x, f"y_{i}": y, f"theta_{i}": theta}
+        line = body_line(Trajectory(columns), geometry)[0]
+        color = _LOST_COLOR if estimate.lost else rgb(STYLES["twin"].color)
+        thickness = geometry.width / 4
+        strips = [_at_height(line, _BODY_HEIGHT_M)]
+        body = rr.LineStrips3D(strips, colors=[color], radii=thickness)
+        self._log.log("world/robot/body", body)
+        sd = float(np.hypot(*estimate.pose_sd[:2]))
+        radii = np.full(len(poses), _Z95 * sd + thickness)
+        points = _at_height(poses[:, :2], _FLOOR_HEIGHT_M)
+        spread = rr.Points3D(points, radii=radii, colors=[(*color, 50)])
+        self._log.log("world/robot/spread", spread)
+        self._trail.append([*estimate.pose[:2].tolist(), _FLOOR_HEIGHT_M])
+        trail = rr.LineStrips3D([list(self._trail)], colors=[color], radii=0.001)
+        self._log.log("world/robot/trail", trail)
+
+    def _log_prediction(self, prediction: LiveForecast) -> None:
+        points = _at_height(prediction.pose[:, :2], _FLOOR_HEIGHT_M)
+        path = rr.LineStrips3D([points], colors=[_PREDICTION_COLOR], radii=0.002)
+        self._log.log("world/next/path", path)
+        radii = _Z95 * np.hypot(prediction.pose_sd[:, 0], prediction.pose_sd[:, 1])
+        color = (*_PREDICTION_COLOR, _PREDICTION_ALPHA)
+        fan = rr.Points3D(points, radii=radii, colors=[color])
+        self._log.log("world/next/fan", fan)
+
+
+def _fault_text(estimate: LiveEstimate) -> str:
+    """Return the detected faults as Markdown, and the reason of an unreliable estimate."""
+    lines = [
+        f"- 🔴 **{part}**: {fault} ({probability:.0%})"
+        for part, fault, probability in estimate.faults
+    ]
+    text = "\n".join(lines or ["🟢 none"])
+    if estimate.lost:
+        text += f"\n\n🔴 {estimate.lost}"
+    return text
 
 
 @contextmanager
@@ -218,9 +210,9 @@ def live_view(
         InputError: Rerun does not start, or there is no display for a window.
     """
     log = rr.RecordingStream(APPLICATION)
-    sinks: list[rr.FileSink | rr.GrpcSink] = (
-        [] if recording is None else [rr.FileSink(str(recording))]
-    )
+    sinks: list[rr.FileSink | rr.GrpcSink] = []
+    if recording is not None:
+        sinks.append(rr.FileSink(str(recording)))
     port = free_port()
     address = f"rerun+http://{HOST}:{port}/proxy"
     if window and lacks_display():

@@ -17,7 +17,7 @@ entity per run and shows the runs side by side.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -93,64 +93,61 @@ def write_recording(path: str | Path, content: RunContent, *, title: str = "") -
         content: content of the run.
         title: name of the recording in the viewer; default: title of the robot.
     """
-    spec = content.spec
     trajectories = content.trajectories
-    comparison = content.comparison
-    world = content.world
-    measured = content.measured
     residuals = {
-        plant: _residuals(difference) for plant, difference in measured.items()
+        plant: _residuals(difference) for plant, difference in content.measured.items()
     }
-    quantities = list(
-        dict.fromkeys(name for errors in residuals.values() for name in errors)
-    )
     log = rr.RecordingStream(APPLICATION)
     # Do not use `log.save`: on a full disk it leaves an incomplete recording, sometimes
     # without an error.
     memory = log.memory_recording()
-    send_blueprint(
-        log,
-        run_blueprint(_layout(trajectories, spec, comparison is not None, quantities)),
-    )
-    log.set_log_time_enabled(False)
-    log.set_log_tick_enabled(False)
-    log.send_recording_name(title or spec.title)
+    send_blueprint(log, run_blueprint(_layout(content, residuals)))
+    _begin(log, title or content.spec.title)
     scene = Entities(log, np.zeros(0), "world/")
-    _send_floor(scene, trajectories, spec)
-    send_obstacles(scene, world)
-    send_lines(
-        scene,
-        next((added.floor_lines(run) for run, added in _additions(trajectories)), []),
-    )
+    _send_floor(scene, trajectories, content.spec)
+    send_obstacles(scene, content.world)
+    for run, added in _additions(trajectories)[:1]:
+        send_lines(scene, added.floor_lines(run))
     _send_camera_target(log, trajectories)
-    for index, (plant, run) in enumerate(trajectories.items()):
-        style = replace(style_of(plant, index), label=plant)
-        ghost = plant != "twin" and "twin" in trajectories
-        shapes = subsample(run, SCENE_HZ)
-        send_snake(
-            Entities(log, shapes.time, f"world/{plant}/"),
-            shapes,
-            spec,
-            style,
-            ghost=ghost,
-        )
-        send_objects(Entities(log, shapes.time, f"world/{plant}/"), shapes, world)
-        send_contacts(
-            Entities(log, run.time, f"world/{plant}/"), run, line_height(spec.geometry)
-        )
-        _send_modules(Entities(log, run.time), plant, run, style)
-        _send_motion(Entities(log, run.time), plant, run, style)
-        _send_events(log, plant, run, style)
+    for index, plant in enumerate(trajectories):
+        _send_plant(log, content, plant, index)
+    comparison = content.comparison
     if comparison is not None:
         errors = {"shape": comparison.shape_error, "path": comparison.path_error}
         for index, (name, error) in enumerate(errors.items()):
             to = Entities(log, comparison.time, "comparison/")
             to.line(name, 1e3 * error, style_of(name, index))
     for index, (plant, errors) in enumerate(residuals.items()):
+        to = Entities(log, content.measured[plant].comparison.time, "measured/")
         for name, error in errors.items():
-            to = Entities(log, measured[plant].comparison.time, "measured/")
             to.line(f"{name}/{plant}", error, style_of(plant, index))
     Path(path).write_bytes(_drain(log, memory))
+
+
+def _begin(log: rr.RecordingStream, title: str) -> None:
+    """Name a recording, and leave out the times at which it is written."""
+    log.set_log_time_enabled(False)
+    log.set_log_tick_enabled(False)
+    log.send_recording_name(title)
+
+
+def _send_plant(
+    log: rr.RecordingStream, content: RunContent, plant: str, index: int
+) -> None:
+    """Send the run of one plant; the index selects the style of an unknown plant."""
+    run = content.trajectories[plant]
+    spec = content.spec
+    style = replace(style_of(plant, index), label=plant)
+    ghost = plant != "twin" and "twin" in content.trajectories
+    shapes = subsample(run, SCENE_HZ)
+    body = Entities(log, shapes.time, f"world/{plant}/")
+    send_snake(body, shapes, spec, style, ghost=ghost)
+    send_objects(body, shapes, content.world)
+    signals = Entities(log, run.time)
+    send_contacts(replace(signals, root=body.root), run, line_height(spec.geometry))
+    _send_modules(signals, plant, run, style)
+    _send_motion(signals, plant, run, style)
+    _send_events(log, plant, run, style)
 
 
 def _drain(log: rr.RecordingStream, memory: rr.MemoryRecording) -> bytes:
@@ -180,7 +177,7 @@ def send_blueprint(log: rr.RecordingStream, blueprint: Blueprint) -> None:
     Rerun 0.41 does not close it: each recording of a process would leave two threads
     and 2 MB of memory.
     """
-    carrier = rr.RecordingStream._from_native(
+    carrier = rr.RecordingStream._from_native(  # noqa: SLF001
         bindings.new_blueprint(
             application_id=APPLICATION,
             make_default=False,
@@ -189,7 +186,7 @@ def send_blueprint(log: rr.RecordingStream, blueprint: Blueprint) -> None:
         )
     )
     carrier.set_time("blueprint", sequence=0)
-    blueprint._log_to_stream(carrier)
+    blueprint._log_to_stream(carrier)  # noqa: SLF001
     content = carrier.memory_recording()
     # Make the layout active, not only the default, so that the viewer does not reuse
     # that of another robot.
@@ -200,35 +197,38 @@ def send_blueprint(log: rr.RecordingStream, blueprint: Blueprint) -> None:
 def subsample(trajectory: Trajectory, rate_hz: float) -> Trajectory:
     """Return every n-th sample, so that the sample rate is about `rate_hz`."""
     steps = np.diff(trajectory.time[:2])
+    stride = 1
     if len(steps) and steps[0] > 0:
         stride = max(1, round(1 / (rate_hz * steps[0])))
-    else:
-        stride = 1
     columns = {name: column[::stride] for name, column in trajectory.columns.items()}
     return Trajectory(columns, trajectory.units, trajectory.events, trajectory.metadata)
 
 
 def _additions(
     trajectories: Mapping[str, Trajectory],
-) -> Iterator[tuple[Trajectory, RunPictures]]:
-    """Yield runs with the additions of extensions."""
-    for run in trajectories.values():
-        if added := added_to(run):
-            yield run, added
+) -> list[tuple[Trajectory, RunPictures]]:
+    """Return the runs that extensions add to, with the additions."""
+    return [
+        (run, added)
+        for run in trajectories.values()
+        if (added := added_to(run)) is not None
+    ]
 
 
 def _layout(
-    trajectories: Mapping[str, Trajectory],
-    spec: RobotSpec,
-    compared: bool,
-    measured: Sequence[str],
+    content: RunContent, residuals: Mapping[str, Mapping[str, np.ndarray]]
 ) -> Layout:
+    """Return the layout of a run, given plant → quantity → difference from the measured robot."""
+    trajectories = content.trajectories
+    spec = content.spec
     followed = trajectories.get("twin") or next(iter(trajectories.values()))
     _, coms = _coms(trajectories)
     # Include zero, because a truncated axis exaggerates differences.
     speeds = np.concatenate(
         [[0.0, 1e-3], *(_speed(run)[1] for run in trajectories.values())]
     )
+    quantities = [name for errors in residuals.values() for name in errors]
+    signals = [added.signals for _, added in _additions(trajectories)]
     return Layout(
         plants=list(trajectories),
         camera_target=_CAMERA_TARGET,
@@ -238,10 +238,10 @@ def _layout(
         body_length=spec.geometry.body_length,
         separation=_separation(coms),
         period=gait_period(followed),
-        compared=compared,
-        measured=measured,
+        compared=content.comparison is not None,
+        measured=list(dict.fromkeys(quantities)),
         kind=kind_of(trajectories),
-        signals=next((added.signals for _, added in _additions(trajectories)), ()),
+        signals=signals[0] if signals else (),
         speeds=(1.1 * float(speeds.min()), 1.1 * float(speeds.max())),
         events=any(map(events_of, trajectories.values())),
     )
@@ -252,12 +252,10 @@ def _coms(trajectories: Mapping[str, Trajectory]) -> tuple[np.ndarray, np.ndarra
     time = max((run.time for run in trajectories.values()), key=lambda times: times[-1])
     runs = trajectories.values()
     coms = [
-        np.column_stack(
-            [np.interp(time, run.time, coordinate) for coordinate in run.com.T]
-        )
+        [np.interp(time, run.time, coordinate) for coordinate in run.com.T]
         for run in runs
     ]
-    return time, np.array(coms)
+    return time, np.array(coms).transpose(0, 2, 1)
 
 
 def _separation(coms: np.ndarray) -> float:
@@ -306,55 +304,35 @@ def _send_modules(to: Entities, plant: str, run: Trajectory, style: Style) -> No
     omitted.
     """
 
-    def send(
-        signal: str,
-        values: np.ndarray,
-        style: Style,
-        name: str = plant,
-        steps: bool = False,
-    ) -> None:
+    def send(name: str, values: np.ndarray, style: Style, steps: bool = False) -> None:
         for j, value in enumerate(values.T, start=1):
-            to.line(f"module/{j}/{signal}/{name}", value, style, steps=steps)
+            to.line(f"module/{j}/{name}", value, style, steps=steps)
 
     bends = run.stack("bend")
     pressures = pressure_difference(run)
-    send("bend", bends, style)
+    send(f"bend/{plant}", bends, style)
     if np.isfinite(pressures).any():
-        send("pressure", 1e-3 * pressures, style)
+        send(f"pressure/{plant}", 1e-3 * pressures, style)
     if run.has("reference_1"):
-        send("bend", run.stack("reference"), _REFERENCE, "reference")
+        send("bend/reference", run.stack("reference"), _REFERENCE)
     if run.has("valve_plus"):
-        send(
-            "valve",
-            (run.stack("valve_plus") - run.stack("valve_minus")) / 2,
-            style,
-            steps=True,
-        )
+        states = (run.stack("valve_plus") - run.stack("valve_minus")) / 2
+        send(f"valve/{plant}", states, style, steps=True)
     if run.has("sensed") and not np.array_equal(run.stack("sensed"), bends):
         thin = replace(style, label=f"{style.label}, sensed", width=_READING_WIDTH)
-        send("sensed", run.stack("sensed"), thin)
+        send(f"sensed/{plant}", run.stack("sensed"), thin)
     for side, color in _CHAMBER_COLORS.items():
         if run.has(f"duty_{side}"):
-            chamber_style = replace(style, label=f"{style.label}, {side}", color=color)
-            send(
-                "duty",
-                run.stack(f"duty_{side}"),
-                chamber_style,
-                f"{plant}/{side}",
-                steps=True,
-            )
+            colored = replace(style, label=f"{style.label}, {side}", color=color)
+            send(f"duty/{plant}/{side}", run.stack(f"duty_{side}"), colored, steps=True)
 
 
 def _send_motion(to: Entities, plant: str, run: Trajectory, style: Style) -> None:
     """Log heading and speed of the body, and the signals of extensions."""
-    for added in additions():
-        for signal in added.signals:
-            if run.has(signal.column):
-                to.line(
-                    f"follow/{signal.entity}/{plant}",
-                    signal.factor * run[signal.column],
-                    style,
-                )
+    for signal in (signal for added in additions() for signal in added.signals):
+        if run.has(signal.column):
+            values = signal.factor * run[signal.column]
+            to.line(f"follow/{signal.entity}/{plant}", values, style)
     to.line(f"body/heading/{plant}", run["heading"], style)
     time, speed = _speed(run)
     replace(to, time=time).line(f"body/speed/{plant}", speed, style)
@@ -364,7 +342,7 @@ def _speed(run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     """Return times, s, and forward speeds, m/s; averaged over a gait period if there is a gait."""
     period = gait_period(run)
     if period is None:
-        return (run.time, forward_speed(run))
+        return run.time, forward_speed(run)
     return period_speed(run, period)
 
 
@@ -441,14 +419,9 @@ class _StoredRun:
             for plant in snakes
         ]
         coms = np.array([path[: min(map(len, paths))] for path in paths])
-        has_target = any(
-            chunk.entity_path == f"/world/{_CAMERA_TARGET}" for chunk in self.chunks
-        )
         return Layout(
             plants=snakes,
-            camera_target=(
-                _CAMERA_TARGET if has_target else f"{followed}/com"
-            ),  # absent before 2026-11
+            camera_target=_CAMERA_TARGET,
             segments=len(connectors) - 1,
             start=coms[:, 0].mean(axis=0),
             heading=float(np.arctan2(along[1], along[0])),
@@ -479,25 +452,20 @@ def write_side_by_side(path: str | Path, recordings: Mapping[str, Path]) -> None
         reader = RrdReader(recording)
         stored, *_ = reader.recordings()
         # Entities with a leading `__` are properties of the file.
-        chunks = (
-            c
-            for c in reader.stream(store=stored).to_chunks()
-            if not c.entity_path.startswith("/__")
-        )
-        runs.append(_StoredRun(name, tuple(chunks)))
+        chunks = reader.stream(store=stored).to_chunks()
+        kept = (chunk for chunk in chunks if not chunk.entity_path.startswith("/__"))
+        runs.append(_StoredRun(name, tuple(kept)))
     log = rr.RecordingStream(APPLICATION)
     memory = log.memory_recording()
-    send_blueprint(
-        log, side_by_side_blueprint({run.name: run.layout() for run in runs})
-    )
+    layouts = {run.name: run.layout() for run in runs}
+    send_blueprint(log, side_by_side_blueprint(layouts))
     log.send_recording_name(" | ".join(recordings))
     for run in runs:
-        log.send_chunks(
-            [
-                chunk.with_entity_path(f"/{run.root}{chunk.entity_path}")
-                for chunk in run.chunks
-            ]
-        )
+        moved = [
+            chunk.with_entity_path(f"/{run.root}{chunk.entity_path}")
+            for chunk in run.chunks
+        ]
+        log.send_chunks(moved)
     content = _drain(log, memory)
     with atomic_write(path) as temporary:
         temporary.write_bytes(content)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -64,24 +65,20 @@ class Entities:
     ) -> None:
         """Send a signal; with `steps`, only the samples at which it changes and the last one."""
         entities = self
+        mode = None
         if steps:
-            changes = np.append(
-                np.flatnonzero(np.append(True, values[1:] != values[:-1])),
-                len(values) - 1,
-            )
+            changed = np.flatnonzero(np.append(True, values[1:] != values[:-1]))
+            changes = np.append(changed, len(values) - 1)
             # The value of a sample has been valid since the previous sample.
-            begins = np.append(np.maximum(changes[:-1] - 1, 0), changes[-1])
+            begins = np.append(np.maximum(changed - 1, 0), changes[-1])
             entities = replace(self, time=self.time[begins])
             values = values[changes]
-        if steps:
             mode = rr.components.InterpolationMode.StepAfter
-        else:
-            mode = None
-        colors = [style.rgb]
-        names = [style.label]
-        widths = [style.width]
         line = rr.SeriesLines(
-            colors=colors, names=names, widths=widths, interpolation_mode=mode
+            colors=[style.rgb],
+            names=[style.label],
+            widths=[style.width],
+            interpolation_mode=mode,
         )
         entities.static(name, line)
         entities.send(name, rr.Scalars.columns(scalars=np.asarray(values, dtype=float)))
@@ -109,26 +106,22 @@ def send_obstacles(to: Entities, world: World) -> None:
 
 def send_objects(to: Entities, run: Trajectory, world: World) -> None:
     """Log the movable objects of a run as `object_1` and so on."""
-    for k, item in enumerate(world.objects if run.has("object_x") else (), start=1):
-        half = _OBSTACLE_HEIGHT_M / 2
+    if not run.has("object_x"):
+        return
+    half = _OBSTACLE_HEIGHT_M / 2
+    for k, item in enumerate(world.objects, start=1):
         x = run[f"object_x_{k}"]
         y = run[f"object_y_{k}"]
         turn = run[f"object_heading_{k}"] / 2
         rotation = np.stack([0 * turn, 0 * turn, np.sin(turn), np.cos(turn)], axis=-1)
-        shape: object = rr.Boxes3D if item.is_box else rr.Cylinders3D
-        size: dict[str, object] = {"lengths": [2 * half], "radii": [item.size[0]]}
+        shape: object = rr.Cylinders3D
+        look: dict[str, object] = {"lengths": [2 * half], "radii": [item.size[0]]}
         if item.is_box:
-            size = {"half_sizes": [[item.size[0] / 2, item.size[1] / 2, half]]}
+            shape = rr.Boxes3D
+            look = {"half_sizes": [[item.size[0] / 2, item.size[1] / 2, half]]}
+        look["colors"] = [rgb(OBJECT_COLOR)]
         centres = _at_height(np.stack([x, y], axis=-1), half)
-        _send_solids(
-            to,
-            f"object_{k}",
-            shape,
-            centres,
-            rotation,
-            colors=[rgb(OBJECT_COLOR)],
-            **size,
-        )
+        _send_solids(to, f"object_{k}", shape, centres, rotation, **look)
 
 
 def send_contacts(to: Entities, run: Trajectory, height: float) -> None:
@@ -159,10 +152,8 @@ def send_contacts(to: Entities, run: Trajectory, height: float) -> None:
     rows = np.flatnonzero(in_contact | ended)
     origins = _at_height(run.position[rows][touched[rows]], height)
     vectors = _at_height(METRES_PER_NEWTON * force[rows][touched[rows]], 0.0)
-    to.static(
-        "contact",
-        rr.Arrows3D.from_fields(colors=[rgb(FORCE_COLOR)], radii=[_FORCE_RADIUS_M]),
-    )
+    look = rr.Arrows3D.from_fields(colors=[rgb(FORCE_COLOR)], radii=[_FORCE_RADIUS_M])
+    to.static("contact", look)
     arrows = rr.Arrows3D.columns(origins=origins, vectors=vectors)
     replace(to, time=run.time[rows]).send("contact", arrows, touched[rows].sum(axis=1))
 
@@ -188,20 +179,16 @@ def send_snake(
     """Log a snake: a ghost is translucent in the colour of its plant; otherwise, colours show pressures."""
     geometry = spec.geometry
     wheeled = spec.skin is None
-    ghost_color = (*style.rgb, _GHOST_ALPHA)
     if ghost:
-        _send_hull(to, snake, geometry, ghost_color)
+        connectors = wheels = (*style.rgb, _GHOST_ALPHA)
+        _send_hull(to, snake, geometry, connectors)
     else:
+        connectors = _CONNECTOR_COLOR
+        wheels = _WHEEL_COLOR
         _send_tubes(to, snake, geometry)
-    connectors, wheels = (
-        (ghost_color, ghost_color) if ghost else (_CONNECTOR_COLOR, _WHEEL_COLOR)
-    )
-    _send_connectors(
-        to,
-        snake,
-        geometry,
-        [(*style.rgb, connectors[3])] + [connectors] * (geometry.connectors - 1),
-    )
+    head = (*style.rgb, connectors[3])
+    colors = [head] + [connectors] * (geometry.connectors - 1)
+    _send_connectors(to, snake, geometry, colors)
     if wheeled:
         _send_wheels(to, snake, geometry, wheels)
     if wheeled and not ghost:
@@ -214,18 +201,18 @@ def send_snake(
 def _send_tracks(to: Entities, snake: Trajectory, style: Style) -> None:
     """Log the places where connectors press on the floor during the whole run."""
     places = snake.position[snake.stack("load") > 0.0]
-    points = _at_height(places[:: -(-len(places) // _MAX_TRACKS) or 1], _LINE_HEIGHT_M)
-    to.static(
-        "tracks", rr.Points3D(points, colors=[style.rgb], radii=[_FORCE_RADIUS_M])
-    )
+    step = max(1, math.ceil(len(places) / _MAX_TRACKS))
+    points = _at_height(places[::step], _LINE_HEIGHT_M)
+    tracks = rr.Points3D(points, colors=[style.rgb], radii=[_FORCE_RADIUS_M])
+    to.static("tracks", tracks)
 
 
-def _heights(snake: Trajectory, geometry: Geometry) -> np.ndarray:
-    """Return the heights of the drawn connectors, shape (samples, N), m."""
-    raised = line_height(geometry) - geometry.com_height
+def _places(snake: Trajectory, geometry: Geometry) -> np.ndarray:
+    """Return the places of the drawn connectors, shape (samples, N, 3), m."""
+    height = np.full_like(snake.stack("x"), line_height(geometry))
     if snake.has("z"):
-        return snake.stack("z") + raised
-    return np.full_like(snake.stack("x"), line_height(geometry))
+        height = snake.stack("z") + (line_height(geometry) - geometry.com_height)
+    return np.concatenate([snake.position, height[..., None]], axis=-1)
 
 
 def _lines(snake: Trajectory, geometry: Geometry) -> np.ndarray:
@@ -236,12 +223,9 @@ def _lines(snake: Trajectory, geometry: Geometry) -> np.ndarray:
     """
     if not snake.has("z"):
         flat = centre_lines(snake, geometry, CHORDS)
-        return np.concatenate(
-            [flat, np.full_like(flat[..., :1], line_height(geometry))], axis=-1
-        )
-    place = np.concatenate(
-        [snake.position, _heights(snake, geometry)[..., None]], axis=-1
-    )
+        height = np.full_like(flat[..., :1], line_height(geometry))
+        return np.concatenate([flat, height], axis=-1)
+    place = _places(snake, geometry)
     x, y, z, w = np.moveaxis(_orientations(snake), -1, 0)
     axis = np.stack(
         [1 - 2 * (y**2 + z**2), 2 * (x * y + w * z), 2 * (x * z - w * y)], axis=-1
@@ -298,10 +282,9 @@ def _send_hull(
     lines = _lines(snake, geometry)
     # Segments share their ends, and without a rigid gap the ends of an arc coincide
     # with the connectors.
+    unique = slice(1, -2)
     if geometry.rigid_gap or snake.has("z"):
         unique = slice(0, -1)
-    else:
-        unique = slice(1, -2)
     inner = lines[:, :, unique].reshape(len(lines), -1, 3)
     line = np.concatenate([inner, lines[:, -1, -1:]], axis=1)
     tangent = np.gradient(line, axis=1)
@@ -319,11 +302,8 @@ def _send_hull(
         triangle_indices=triangles, albedo_factor=color, face_rendering="front"
     )
     to.static("body", hull)
-    to.send(
-        "body",
-        rr.Mesh3D.columns(vertex_positions=vertices.reshape(-1, 3)),
-        6 * line.shape[1],
-    )
+    columns = rr.Mesh3D.columns(vertex_positions=vertices.reshape(-1, 3))
+    to.send("body", columns, 6 * line.shape[1])
 
 
 def _tube_triangles(rings: int) -> np.ndarray:
@@ -346,20 +326,9 @@ def _send_connectors(
         max(track - 0.2 * radius, width),
         width,
     ]
-    centres = np.concatenate(
-        [snake.position, _heights(snake, geometry)[..., None]], axis=-1
-    )
-    centres = centres.reshape(-1, 3).astype(np.float32)
-    rotation = _orientations(snake)
-    _send_solids(
-        to,
-        "connectors",
-        rr.Boxes3D,
-        centres,
-        rotation,
-        half_sizes=[half],
-        colors=colors,
-    )
+    centres = _places(snake, geometry).reshape(-1, 3).astype(np.float32)
+    look = {"half_sizes": [half], "colors": colors}
+    _send_solids(to, "connectors", rr.Boxes3D, centres, _orientations(snake), **look)
 
 
 def _send_wheels(
@@ -368,16 +337,8 @@ def _send_wheels(
     radius = geometry.wheel_radius
     axle = np.repeat(snake.stack("theta") + np.pi / 2, 2, axis=1)
     centres = _at_height(wheel_centres(snake, geometry), radius)
-    size: dict[str, object] = {"lengths": [0.4 * radius], "radii": [radius]}
-    _send_solids(
-        to,
-        "wheels",
-        rr.Cylinders3D,
-        centres,
-        _yaw_quaternions(axle),
-        colors=[color],
-        **size,
-    )
+    look = {"lengths": [0.4 * radius], "radii": [radius], "colors": [color]}
+    _send_solids(to, "wheels", rr.Cylinders3D, centres, _yaw_quaternions(axle), **look)
 
 
 def _send_spokes(to: Entities, snake: Trajectory, geometry: Geometry) -> None:
@@ -388,20 +349,12 @@ def _send_spokes(to: Entities, snake: Trajectory, geometry: Geometry) -> None:
     turn = wheel_turns(snake, geometry) / 2
     c = np.cos(yaw)
     s = np.sin(yaw)
-    rotation = np.stack(
-        [-s * np.sin(turn), c * np.sin(turn), s * np.cos(turn), c * np.cos(turn)],
-        axis=-1,
-    )
+    cos = np.cos(turn)
+    sin = np.sin(turn)
+    rotation = np.stack([-s * sin, c * sin, s * cos, c * cos], axis=-1)
     centres = _at_height(wheel_centres(snake, geometry), radius)
-    _send_solids(
-        to,
-        "spokes",
-        rr.Boxes3D,
-        centres,
-        rotation,
-        half_sizes=[half],
-        colors=[_SPOKE_COLOR],
-    )
+    look = {"half_sizes": [half], "colors": [_SPOKE_COLOR]}
+    _send_solids(to, "spokes", rr.Boxes3D, centres, rotation, **look)
 
 
 def _send_solids(
@@ -431,9 +384,8 @@ def _send_solids(
 
 def _send_trail(to: Entities, snake: Trajectory, style: Style) -> None:
     """Log the centre of mass and its trail, one line per sample; the view shows those up to the cursor."""
-    ends = np.stack(
-        [np.concatenate([snake.com[:1], snake.com[:-1]]), snake.com], axis=1
-    )
+    before = np.concatenate([snake.com[:1], snake.com[:-1]])
+    ends = np.stack([before, snake.com], axis=1)
     strips = _at_height(ends, 0.002).reshape(-1, 2, 3)
     to.static("trail", rr.LineStrips3D.from_fields(colors=[style.rgb], radii=[0.002]))
     to.send("trail", rr.LineStrips3D.columns(strips=strips))
@@ -450,10 +402,9 @@ def send_lines(to: Entities, lines: Iterable[FloorLine]) -> None:
     """Log lines on the floor."""
     for line in lines:
         strips = [_at_height(strip, _LINE_HEIGHT_M) for strip in line.strips]
-        to.static(
-            line.name,
-            rr.LineStrips3D(strips, colors=[rgb(line.color)], radii=[line.radius]),
-        )
+        colors = [rgb(line.color)]
+        shape = rr.LineStrips3D(strips, colors=colors, radii=[line.radius])
+        to.static(line.name, shape)
 
 
 def _at_height(points: np.ndarray, height: float) -> np.ndarray:
@@ -465,9 +416,8 @@ def _at_height(points: np.ndarray, height: float) -> np.ndarray:
 def _along(steps: np.ndarray) -> np.ndarray:
     """Return quaternions (n, 4), xyzw, that rotate +z (the axis of capsules) to the steps (…, 3)."""
     # Without a rigid gap the first and the last step of a segment have no length.
-    x, y, z = np.moveaxis(
-        steps / np.maximum(np.linalg.norm(steps, axis=-1, keepdims=True), 1e-12), -1, 0
-    )
+    length = np.maximum(np.linalg.norm(steps, axis=-1, keepdims=True), 1e-12)
+    x, y, z = np.moveaxis(steps / length, -1, 0)
     turn = np.stack([-y, x, 0.0 * x, 1.0 + z], axis=-1)
     turn /= np.maximum(np.linalg.norm(turn, axis=-1, keepdims=True), 1e-9)
     return turn.reshape(-1, 4).astype(np.float32)
