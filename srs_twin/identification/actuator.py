@@ -36,9 +36,6 @@ from srs_twin.robot.spec import RobotSpec
 _BEND_NOISE_RAD = 0.01
 """Standard deviation of bends whose error is not known."""
 
-_PRESSURE_NOISE_PA = 500.0
-"""Standard deviation of measured pressures."""
-
 MIN_DRIFT_RAD = 1e-4
 """Drift over a plateau below which a bend has settled; also the smallest error of a bend."""
 
@@ -60,8 +57,6 @@ class Response:
         supply_pa: gauge pressure of the supply, Pa; not used with a log of pressures.
         time: sample times, ascending, shape (samples,), s.
         bend: measured bends, shape (samples, segments), rad; NaN if unknown.
-        pressure: pressures measured with a log of valves, shape (samples, segments, 2),
-            Pa, or None.
         clock_known: whether drive and bends share a clock; if not, their offset is
             estimated.
     """
@@ -72,7 +67,6 @@ class Response:
     supply_pa: float
     time: np.ndarray
     bend: np.ndarray
-    pressure: np.ndarray | None = None
     clock_known: bool = True
 
     @classmethod
@@ -86,18 +80,22 @@ class Response:
         """
         trajectory = recording.trajectory
         log = log_of(recording, name)
-        log_metadata = trajectory.metadata.get("valve_log")
-        is_estimated = isinstance(log_metadata, Mapping) and log_metadata.get(
-            "offset_estimated"
-        )
+        about = trajectory.metadata.get("valve_log")
+        is_estimated = isinstance(about, Mapping) and about.get("offset_estimated")
         bend = measured_bends(recording)
-        drive = (
-            log.schedule() if log.kind == "valve" else log.shifted(-float(log.time[0]))
-        )
-        sha256 = array_hash(bend, log.time, log.values)
-        time = trajectory.time - log.time[0]
+        drive: Schedule | ValveLog
+        if log.kind == "valve":
+            drive = log.schedule()
+        else:
+            drive = log.shifted(-float(log.time[0]))
         return cls(
-            name, sha256, drive, supply_pa, time, bend, clock_known=not is_estimated
+            name,
+            array_hash(bend, log.time, log.values),
+            drive,
+            supply_pa,
+            trajectory.time - log.time[0],
+            bend,
+            clock_known=not is_estimated,
         )
 
     def data_set(self, role: Role) -> DataSet:
@@ -173,27 +171,22 @@ def fit_actuator(
         for k, (response, role) in enumerate(data):
             # Validation responses have no clock parameter, because they must not
             # influence the fit.
-            result += _response_residuals(
-                response, robot, values.get(f"clock_{k}", 0.0), role
-            )
+            clock = values.get(f"clock_{k}", 0.0)
+            difference = response.bend - predict_response(response, robot, clock)
+            result += bend_residuals(response.name, difference, role, math.nan)
         return result
 
+    if names is None:
+        names = default_actuator_parameters(spec)
+    unknowns = free_parameters(spec, names)
+    bound = 4 * CLOCK_ERROR_S
     clocks = [
         FreeParameter(
-            f"clock_{k}",
-            "s",
-            0.0,
-            -CLOCK_ERROR_S * 4,
-            CLOCK_ERROR_S * 4,
-            CLOCK_ERROR_S,
-            nuisance=True,
+            f"clock_{k}", "s", 0.0, -bound, bound, CLOCK_ERROR_S, nuisance=True
         )
         for k, response in enumerate(responses)
         if not response.clock_known
     ]
-    unknowns = free_parameters(
-        spec, default_actuator_parameters(spec) if names is None else names
-    )
     held = fixed_values(spec, unknowns)
     return least_squares(
         residuals, [*unknowns, *clocks], starts=starts, held=held, watch=watch
@@ -212,8 +205,8 @@ def fixed_values(
 
 def predict_response(
     response: Response, spec: RobotSpec, clock: float = 0.0
-) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return the bends (samples, segments), rad, and pressures (samples, segments, 2), Pa, of free segments.
+) -> np.ndarray:
+    """Return the bends of free segments, shape (samples, segments), rad.
 
     Args:
         response: drive and sample times.
@@ -222,25 +215,10 @@ def predict_response(
     """
     if isinstance(response.drive, ValveLog):
         delayed = response.drive.at(response.time + clock - spec.actuator.tau_mode)
-        return spec.modules.array("bias") + air_bend(spec, delayed), None
+        return spec.modules.array("bias") + air_bend(spec, delayed)
     chambers = LagPneumatics(spec, supply_pa=response.supply_pa, layout="in_out")
     times = np.clip(response.time + clock, 0.0, response.drive.span)
-    trace = chambers.advance(response.drive, times)
-    return trace.bend, trace.pressure
-
-
-def _response_residuals(
-    response: Response, spec: RobotSpec, clock: float, role: Role
-) -> list[Residual]:
-    bend, pressure = predict_response(response, spec, clock)
-    residuals = bend_residuals(response.name, response.bend - bend, role, math.nan)
-    if response.pressure is not None and pressure is not None:
-        difference = response.pressure - pressure
-        for j, (plus, minus) in enumerate(difference.transpose(1, 2, 0), start=1):
-            for side, values in (("plus", plus), ("minus", minus)):
-                name = f"{response.name} pressure_{side}_{j}"
-                residuals.append(Residual(name, "Pa", values, _PRESSURE_NOISE_PA, role))
-    return residuals
+    return chambers.advance(response.drive, times).bend
 
 
 def bend_residuals(
@@ -252,16 +230,13 @@ def bend_residuals(
     `_BEND_NOISE_RAD` if any error is unknown.
     """
     residuals = []
-    errors = np.broadcast_to(error, difference.shape)
-    for j, (column, column_errors) in enumerate(
-        zip(difference.T, errors.T, strict=True)
-    ):
+    columns = zip(difference.T, np.broadcast_to(error, difference.shape).T, strict=True)
+    for j, (column, errors) in enumerate(columns, start=1):
         measured = np.isfinite(column)
-        noise = float(
-            np.sqrt((column_errors[measured] ** 2).sum() / max(measured.sum(), 1))
-        )
-        noise = _BEND_NOISE_RAD if math.isnan(noise) else max(noise, MIN_DRIFT_RAD)
-        residuals.append(
-            Residual(f"{name} bend_{j + 1}", "rad", column[measured], noise, role)
-        )
+        square = (errors[measured] ** 2).sum() / max(measured.sum(), 1)
+        noise = max(float(np.sqrt(square)), MIN_DRIFT_RAD)
+        if math.isnan(square):
+            noise = _BEND_NOISE_RAD
+        signal = f"{name} bend_{j}"
+        residuals.append(Residual(signal, "rad", column[measured], noise, role))
     return residuals

@@ -24,17 +24,18 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import stats
 from scipy.interpolate import CubicSpline
 
 from srs_twin.errors import InputError, check_choice
 from srs_twin.identification.decay import Decay, calm_samples
 from srs_twin.identification.estimate import (
-    IDENTIFIED_ERROR,
     FitEstimate,
     Parameter,
     Residual,
     Verdict,
+    half_width,
+    verdict_on,
+    with_value,
 )
 from srs_twin.identification.hanging_segment import (
     NO_BRANCHES,
@@ -47,7 +48,6 @@ from srs_twin.identification.hanging_segment import (
     weight_moment,
 )
 from srs_twin.identification.least_squares import (
-    LEVEL,
     Refit,
     SearchOptions,
     Watch,
@@ -482,11 +482,7 @@ def _derived(
     def logarithm(changes: Mapping[str, float]) -> float:
         return math.log(getattr(fit.small_swing(estimate.values | dict(changes)), name))
 
-    rows = [
-        k
-        for k, parameter in enumerate(estimate.parameters)
-        if parameter.value is not None
-    ]
+    rows = with_value(estimate.parameters)
     changes = []
     for parameter in (estimate.parameters[k] for k in rows):
         value = parameter.value or 0.0
@@ -499,13 +495,9 @@ def _derived(
     variance = float(row @ estimate.correlation[np.ix_(rows, rows)] @ row)
     error = math.hypot(math.sqrt(max(variance, 0.0)), model_error)
     freedom = max(estimate.independent - len(estimate.parameters), 1.0)
-    half = float(stats.t.ppf(0.5 + LEVEL / 2, freedom)) * error
+    half = half_width(error, freedom)
     value = math.exp(logarithm({}))
-    verdict: Verdict = (
-        "identified" if error <= IDENTIFIED_ERROR else "weakly identified"
-    )
-    if estimate.misfit:
-        verdict = "cannot tell"
+    verdict: Verdict = "cannot tell" if estimate.misfit else verdict_on(error, 1.0)
     low = value * math.exp(-half)
     high = value * math.exp(half)
     return Parameter(name, unit, verdict, value, value * error, low, high)

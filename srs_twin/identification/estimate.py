@@ -24,7 +24,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, Protocol
 
 import numpy as np
 
@@ -39,6 +39,9 @@ UNIDENTIFIABLE_ERROR = 1.0
 
 MAX_RESIDUAL_SCALE = 2.0
 """Largest RMS of weighted residuals, per kind of signal, with which a model explains the data."""
+
+LEVEL = 0.95
+"""Level of the confidence intervals."""
 
 MISFIT_MESSAGE = "the model does not explain the data; these intervals do not hold"
 
@@ -112,6 +115,38 @@ class Parameter:
             raise InputError(f"{self.name}: {self.verdict}, so it must have {expected}")
 
 
+def half_width(error: float, freedom: float) -> float:
+    """Return half the width of a confidence interval.
+
+    Args:
+        error: standard error.
+        freedom: degrees of freedom of its estimate.
+    """
+    from scipy import stats  # the import takes long, so only fits pay for it
+
+    return float(stats.t.ppf(0.5 + LEVEL / 2, freedom)) * error
+
+
+def verdict_on(error: float, scale: float) -> Verdict:
+    """Return the verdict on a value with a standard error; `scale` is a significant difference."""
+    if error <= IDENTIFIED_ERROR * scale:
+        return "identified"
+    return "weakly identified"
+
+
+class Estimated(Protocol):
+    """Parameter with or without a value."""
+
+    @property
+    def value(self) -> float | None:
+        """Estimate."""
+
+
+def with_value(parameters: Sequence[Estimated]) -> list[int]:
+    """Return the indices of the parameters that have a value."""
+    return [k for k, parameter in enumerate(parameters) if parameter.value is not None]
+
+
 def correlation_matrix(
     covariance: np.ndarray, parameters: Sequence[Parameter]
 ) -> np.ndarray:
@@ -123,7 +158,7 @@ def correlation_matrix(
         parameters: parameters.
     """
     matrix = np.full(covariance.shape, np.nan)
-    rows = [k for k, parameter in enumerate(parameters) if parameter.value is not None]
+    rows = with_value(parameters)
     known = covariance[np.ix_(rows, rows)]
     # Without noise all errors are 0; the floor avoids 0/0.
     errors = np.maximum(np.sqrt(np.diag(known)), 1e-150)
@@ -196,10 +231,9 @@ class FitEstimate(HtmlResult):
         count = len(known)
         correlation = np.eye(size + count)
         correlation[:size, :size] = self.correlation
-        for i, parameter in enumerate(self.parameters):
-            if parameter.value is None:
-                correlation[i] = np.nan
-                correlation[:, i] = np.nan
+        lost = np.isnan(np.diag(correlation))
+        correlation[lost] = np.nan
+        correlation[:, lost] = np.nan
         return replace(
             self, parameters=(*self.parameters, *known), correlation=correlation
         )

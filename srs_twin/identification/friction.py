@@ -46,14 +46,15 @@ import numpy as np
 
 from srs_twin.errors import InputError
 from srs_twin.identification.estimate import (
-    IDENTIFIED_ERROR,
+    LEVEL,
     UNIDENTIFIABLE_ERROR,
     FitEstimate,
     Parameter,
     Residual,
     Role,
-    Verdict,
     correlation_matrix,
+    half_width,
+    verdict_on,
 )
 from srs_twin.identification.fit_file import (
     DataSet,
@@ -61,7 +62,7 @@ from srs_twin.identification.fit_file import (
     assign_roles,
     trajectory_hash,
 )
-from srs_twin.identification.least_squares import LEVEL, Watch, least_squares
+from srs_twin.identification.least_squares import Watch, least_squares
 from srs_twin.identification.parameters import FreeParameter, free_parameters
 from srs_twin.io.files import StrPath
 from srs_twin.plants.analytical.floor import slide, spin_share
@@ -166,9 +167,8 @@ def fit_pulls(pulls: Pulls, *, validation: Sequence[Pulls] = ()) -> FitEstimate:
         InputError: the same pulls are used for fit and validation.
     """
     data_with_roles = assign_roles("pulls", [pulls], validation)
-    shared = (pulls.stiffness_error / pulls.stiffness) ** 2 + (
-        pulls.mass_error / pulls.mass
-    ) ** 2
+    shared = (pulls.stiffness_error / pulls.stiffness) ** 2
+    shared += (pulls.mass_error / pulls.mass) ** 2
     values = [pulls.coefficients(direction) for direction in _DIRECTIONS]
     means = np.array([value.mean() if len(value) else np.nan for value in values])
     variances = np.array(
@@ -180,7 +180,6 @@ def fit_pulls(pulls: Pulls, *, validation: Sequence[Pulls] = ()) -> FitEstimate:
     parameters = [
         _parameter(k, values[k], means[k], variances[k], errors[k]) for k in range(2)
     ]
-    correlation = correlation_matrix(covariance, parameters)
     scatter = [
         max(float(value.std(ddof=1)), 1e-12) if len(value) else math.nan
         for value in values
@@ -198,24 +197,20 @@ def fit_pulls(pulls: Pulls, *, validation: Sequence[Pulls] = ()) -> FitEstimate:
         if len(values[k]) and len(data.coefficients(direction))
     )
     samples = sum(len(value) for value in values)
-    held = {"mass_kg": pulls.mass, "spring_n_per_m": pulls.stiffness}
     return FitEstimate(
         tuple(parameters),
-        correlation,
+        correlation_matrix(covariance, parameters),
         residuals,
-        (),
-        samples,
-        float(samples),
-        1.0,
-        held,
+        samples=samples,
+        independent=float(samples),
+        residual_scale=1.0,
+        held={"mass_kg": pulls.mass, "spring_n_per_m": pulls.stiffness},
     )
 
 
 def _parameter(
     k: int, values: np.ndarray, mean: float, variance: float, error: float
 ) -> Parameter:
-    from scipy import stats
-
     if not len(values):  # one alone is refused
         why = f"there are no pulls {_DIRECTIONS[k]}"
         return Parameter(_NAMES[k], "1", "not identifiable", why=why)
@@ -228,13 +223,16 @@ def _parameter(
         freedom = (len(values) - 1) * (error**2 / variance) ** 2
     else:
         freedom = np.inf
-    half_width = float(stats.t.ppf(0.5 + LEVEL / 2, freedom)) * error
-    verdict: Verdict = (
-        "identified" if error <= IDENTIFIED_ERROR * mean else "weakly identified"
+    half = half_width(error, freedom)
+    return Parameter(
+        _NAMES[k],
+        "1",
+        verdict_on(error, mean),
+        float(mean),
+        float(error),
+        low=max(mean - half, 0.0),
+        high=mean + half,
     )
-    low = max(mean - half_width, 0.0)
-    high = mean + half_width
-    return Parameter(_NAMES[k], "1", verdict, float(mean), float(error), low, high)
 
 
 _CONSTANTS = ("spring_n_per_m", "mass_kg", "spring_error_n_per_m", "mass_error_kg")
@@ -415,24 +413,18 @@ class CoastingTest:
         Raises:
             InputError: the test is too short or too slow, or the robot turns.
         """
+        needed = f"{_MIN_SAMPLES} or more are needed"
         time = trajectory.time
-        com = trajectory.com
         if len(time) < _MIN_SAMPLES:
-            raise InputError(
-                f"{name}: {len(time)} samples; {_MIN_SAMPLES} or more are needed"
-            )
-        speed = np.hypot(*moving_slope(time, com).T)
+            raise InputError(f"{name}: {len(time)} samples; {needed}")
+        speed = np.hypot(*moving_slope(time, trajectory.com).T)
         if start is None:
             first = int(np.argmax(speed))
         else:
             first = int(np.searchsorted(time, start))
         time = time[first:]
-        com = com[first:]
         if len(time) < _MIN_SAMPLES:
-            raise InputError(
-                f"{name}: {len(time)} samples after the push; {_MIN_SAMPLES} or more"
-                " are needed"
-            )
+            raise InputError(f"{name}: {len(time)} samples after the push; {needed}")
         if speed[first] < _MIN_SPEED_M_S:
             raise InputError(
                 f"{name}: the largest speed is {speed[first]:.2g} m/s;"
@@ -446,24 +438,22 @@ class CoastingTest:
             )
         trend = np.polynomial.Polynomial.fit(time, heading, _HEADING_DEGREE)(time)
         middle = (trend[1:] + trend[:-1]) / 2
-        steps = np.diff(com, axis=0) @ [1.0, 1.0j] * np.exp(-1j * middle)
+        moves = np.diff(trajectory.com[first:], axis=0)
+        steps = moves @ [1.0, 1.0j] * np.exp(-1j * middle)
         path = np.concatenate([[0.0], np.cumsum(steps)])
         position = np.stack([path.real, path.imag], axis=1)
-        guess = moving_slope(time, position)[0]
-        velocity = (float(guess[0]), float(guess[1]))
-        span = (float(time[0]), float(time[-1]))
+        along, across = moving_slope(time, position)[0].tolist()
+        bends = None
         if trajectory.has("bend_1"):
             bends = trajectory.stack("bend")[first:].mean(axis=0)
-        else:
-            bends = None
         return cls(
             name,
             trajectory_hash(trajectory),
             time - time[0],
             position,
-            velocity,
-            span,
-            bends,
+            velocity=(along, across),
+            span=(float(time[0]), float(time[-1])),
+            bends=bends,
         )
 
     def data_set(self, role: Role) -> DataSet:

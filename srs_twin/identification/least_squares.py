@@ -42,13 +42,19 @@ import numpy as np
 from srs_twin.compute.arrays import Array
 from srs_twin.errors import InputError
 from srs_twin.identification.estimate import (
+    LEVEL,
     FitEstimate,
     Residual,
     correlation_matrix,
     correlation_time,
     explains_data,
+    half_width,
 )
-from srs_twin.identification.identifiability import Accuracy, identifiability
+from srs_twin.identification.identifiability import (
+    Accuracy,
+    Identifiability,
+    identifiability,
+)
 from srs_twin.identification.parameters import FreeParameter
 
 Values = Mapping[str, float]
@@ -347,9 +353,6 @@ def select_starts(search: Search, count: int) -> list[Array]:
     return starts
 
 
-LEVEL = 0.95
-"""Level of the confidence intervals."""
-
 _BOUND_DISTANCE = 1e-3
 """Distance in z from a bound below which a parameter counts as being at it."""
 
@@ -413,16 +416,7 @@ def _estimate(
     variance = 2 * best.cost / samples * max(independent / freedom, 1.0)
     noise = float(np.sqrt(variance * samples / independent))
     scale = float(np.sqrt(variance))
-    jacobian, error = search.jacobian_and_error(z, noise)
-    # A parameter without effect may end anywhere, so a bound at its end means nothing.
-    has_effect = np.linalg.norm(jacobian, axis=0) > 2 * np.linalg.norm(error, axis=0)
-    at_bound = has_effect & (
-        (z - search.low < _BOUND_DISTANCE) | (search.high - z < _BOUND_DISTANCE)
-    )
-    inside = np.flatnonzero(~at_bound)
-    widths = (search.high - search.low)[inside]
-    names = [unknowns[i].name for i in inside]
-    known = identifiability(jacobian[:, inside], error[:, inside], noise, widths, names)
+    inside, known = _identify(search, z, noise)
     bias = np.zeros(len(z))
     explained = explains_data(residuals, scale)
     if refit is not None and explained:
@@ -433,24 +427,41 @@ def _estimate(
         known = replace(known, covariance=known.covariance + terms.T @ terms)
     limit = stats.chi2.ppf(LEVEL, len(unknowns)) * variance * samples / independent
     spread = _spread_of_minima(best, ends, limit)
-    quantile = float(stats.t.ppf(0.5 + LEVEL / 2, freedom))
+    quantile = half_width(1.0, freedom)
     accuracy = Accuracy(
         unknowns, z, best.converged, inside, known, bias, spread, quantile, explained
     )
     kept = [i for i, unknown in enumerate(unknowns) if not unknown.nuisance]
     parameters = tuple(accuracy.parameter(i) for i in kept)
     correlation = correlation_matrix(accuracy.covariance(kept), parameters)
-    counts = (samples, float(independent))
     return FitEstimate(
         parameters,
         correlation,
         residuals,
         known.cancels,
-        *counts,
+        samples,
+        float(independent),
         scale,
         held,
         best.converged,
     )
+
+
+def _identify(
+    search: Search, z: Array, noise: float
+) -> tuple[np.ndarray, Identifiability]:
+    """Return the indices of the parameters that did not end at a bound, and their identifiability."""
+    jacobian, error = search.jacobian_and_error(z, noise)
+    # A parameter without effect may end anywhere, so a bound at its end means nothing.
+    has_effect = np.linalg.norm(jacobian, axis=0) > 2 * np.linalg.norm(error, axis=0)
+    at_bound = has_effect & (
+        (z - search.low < _BOUND_DISTANCE) | (search.high - z < _BOUND_DISTANCE)
+    )
+    inside = np.flatnonzero(~at_bound)
+    widths = (search.high - search.low)[inside]
+    names = [search.unknowns[i].name for i in inside]
+    known = identifiability(jacobian[:, inside], error[:, inside], noise, widths, names)
+    return inside, known
 
 
 def _count_samples(

@@ -23,16 +23,15 @@ from srs_twin.control.base import Controller
 from srs_twin.control.replay import Replay
 from srs_twin.errors import DivergedError, InputError, UnknownNameError
 from srs_twin.identification.estimate import (
-    IDENTIFIED_ERROR,
     FitEstimate,
     Parameter,
     Residual,
     Role,
-    Verdict,
+    half_width,
+    verdict_on,
 )
 from srs_twin.identification.fit_file import DataSet, assign_roles, trajectory_hash
 from srs_twin.identification.least_squares import (
-    LEVEL,
     Search,
     SearchOptions,
     Watch,
@@ -107,8 +106,6 @@ def measured_length(
     ]
     if len(requested) != 1 or not marked:
         return None
-    from scipy import stats
-
     parameter = free_parameters(spec, requested)[0]
     count = spec.segments
     straight_lengths = np.empty((len(marked), count))
@@ -126,13 +123,12 @@ def measured_length(
     )
     scatter = float(means.std(ddof=1)) if count > 1 else 0.0
     error = math.hypot(scatter / math.sqrt(count), math.sqrt(2) * noise / count)
-    half_width = float(stats.t.ppf(0.5 + LEVEL / 2, max(count - 1, 1))) * error
+    half = half_width(error, max(count - 1, 1))
     value, low, high = (
         parameter.value(parameter.coordinate(v))
-        for v in (value, value - half_width, value + half_width)
+        for v in (value, value - half, value + half)
     )
-    is_identified = error <= IDENTIFIED_ERROR * parameter.slope(value)
-    verdict: Verdict = "identified" if is_identified else "weakly identified"
+    verdict = verdict_on(error, parameter.slope(value))
     return Parameter(
         parameter.name, parameter.unit, verdict, value, error, low, high, FROM_MARKERS
     )
@@ -395,21 +391,16 @@ def fit_locomotion(
     """
     if against not in AGAINST:
         raise UnknownNameError("residual", against, AGAINST)
-    values = {
-        parameter.name: parameter.value
-        for parameter in known
-        if parameter.value is not None
-    }
-    spec = with_values(spec, values)
-    measured = {parameter.name for parameter in known}
-    unknowns = free_parameters(spec, [name for name in names if name not in measured])
+    fixed = {parameter.name: parameter.value or 0.0 for parameter in known}
+    spec = with_values(spec, fixed)
+    unknowns = free_parameters(spec, [name for name in names if name not in fixed])
     comparison = _Comparison(model or PlantModel(), spec, against)
     data = [
         comparison.data(run, role)
         for run, role in assign_roles("gait runs", runs, validation)
     ]
-    fitted = [entry for entry in data if entry[2] == "fit"]
-    kept = [entry for entry in data if entry[2] != "fit"]
+    fitted = data[: len(runs)]
+    kept = data[len(runs) :]
     if not unknowns and known:
         return FitEstimate(
             (), np.zeros((0, 0)), tuple(comparison.residuals(data, {}))
