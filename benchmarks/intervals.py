@@ -101,7 +101,7 @@ def actuator(rho: float) -> Fit:
         time,
         np.zeros((300, 1)),
     )
-    bend = predict_response(blank, with_values(MODULE, ACTUATOR))
+    bend, _ = predict_response(blank, with_values(MODULE, ACTUATOR))
     return lambda rng: fit_actuator(
         [replace(blank, bend=bend + 0.01 * correlated(rng, len(time), rho)[:, None])],
         MODULE,

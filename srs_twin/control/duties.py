@@ -74,7 +74,8 @@ def targets(amplitude: float, offset: float) -> np.ndarray:
         offset: φ, positive to the left.
     """
     smaller = amplitude * (1 - (1 - MIN_AMPLITUDE_RATIO) * abs(offset) / MAX_OFFSET)
-    return np.array([amplitude, smaller] if offset >= 0 else [smaller, amplitude])
+    left_and_right = np.array([amplitude, smaller])
+    return left_and_right if offset >= 0 else left_and_right[::-1]
 
 
 class ChamberPeriods(Stateful):

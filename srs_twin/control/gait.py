@@ -252,7 +252,9 @@ class Gait(Controller):
         if self._tick < self._shortest_level() and (first == last).all():
             return _antagonistic(first)
         wave = self._wave(time + self._tick * self._slot_centres)
-        return _antagonistic(wave[0] if (wave == wave[0]).all() else wave)
+        if (wave == wave[0]).all():
+            wave = wave[0]
+        return _antagonistic(wave)
 
     def script(self, duration: float) -> Schedule:
         """Return the valve states of the whole run."""
@@ -340,7 +342,8 @@ def _three_levels(value: np.ndarray, rest: float) -> np.ndarray:
     high = rest - 1e-12
     if rest >= 1:
         high = rest + 1e-12  # the wave only touches the level
-    return np.where(value >= high, 1, np.where(value >= low, 0, -1) if rest else -1)
+    below_high = np.where(value >= low, 0, -1) if rest else -1
+    return np.where(value >= high, 1, below_high)
 
 
 def _checked_frequency(frequency: float) -> float:

@@ -13,7 +13,7 @@ error is (τ_mode/τ₁)²), and the filling of the chambers cannot be estimated
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,10 +31,14 @@ from srs_twin.identification.parameters import (
 from srs_twin.pneumatics import LagPneumatics, Schedule
 from srs_twin.pneumatics.chambers import air_bend
 from srs_twin.recordings.recording import Recording, ValveLog
+from srs_twin.recordings.signals.logs import SIDES
 from srs_twin.robot.spec import RobotSpec
 
 _BEND_NOISE_RAD = 0.01
 """Standard deviation of bends whose error is not known."""
+
+_PRESSURE_NOISE_PA = 500.0
+"""Standard deviation of measured pressures."""
 
 MIN_DRIFT_RAD = 1e-4
 """Drift over a plateau below which a bend has settled; also the smallest error of a bend."""
@@ -57,6 +61,8 @@ class Response:
         supply_pa: gauge pressure of the supply, Pa; not used with a log of pressures.
         time: sample times, ascending, shape (samples,), s.
         bend: measured bends, shape (samples, segments), rad; NaN if unknown.
+        pressure: pressures measured with a log of valves, shape (samples, segments, 2),
+            Pa, or None.
         clock_known: whether drive and bends share a clock; if not, their offset is
             estimated.
     """
@@ -67,6 +73,7 @@ class Response:
     supply_pa: float
     time: np.ndarray
     bend: np.ndarray
+    pressure: np.ndarray | None = None
     clock_known: bool = True
 
     @classmethod
@@ -172,8 +179,7 @@ def fit_actuator(
             # Validation responses have no clock parameter, because they must not
             # influence the fit.
             clock = values.get(f"clock_{k}", 0.0)
-            difference = response.bend - predict_response(response, robot, clock)
-            result += bend_residuals(response.name, difference, role, math.nan)
+            result += _response_residuals(response, robot, clock, role)
         return result
 
     if names is None:
@@ -205,8 +211,8 @@ def fixed_values(
 
 def predict_response(
     response: Response, spec: RobotSpec, clock: float = 0.0
-) -> np.ndarray:
-    """Return the bends of free segments, shape (samples, segments), rad.
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return the bends (samples, segments), rad, and pressures (samples, segments, 2), Pa, of free segments.
 
     Args:
         response: drive and sample times.
@@ -215,10 +221,24 @@ def predict_response(
     """
     if isinstance(response.drive, ValveLog):
         delayed = response.drive.at(response.time + clock - spec.actuator.tau_mode)
-        return spec.modules.array("bias") + air_bend(spec, delayed)
+        return spec.modules.array("bias") + air_bend(spec, delayed), None
     chambers = LagPneumatics(spec, supply_pa=response.supply_pa, layout="in_out")
     times = np.clip(response.time + clock, 0.0, response.drive.span)
-    return chambers.advance(response.drive, times).bend
+    trace = chambers.advance(response.drive, times)
+    return trace.bend, trace.pressure
+
+
+def _response_residuals(
+    response: Response, spec: RobotSpec, clock: float, role: Role
+) -> Iterator[Residual]:
+    bend, pressure = predict_response(response, spec, clock)
+    yield from bend_residuals(response.name, response.bend - bend, role, math.nan)
+    if response.pressure is not None and pressure is not None:
+        difference = response.pressure - pressure
+        for j, k in np.ndindex(spec.segments, len(SIDES)):
+            signal = f"{response.name} pressure_{SIDES[k]}_{j + 1}"
+            values = difference[:, j, k]
+            yield Residual(signal, "Pa", values, _PRESSURE_NOISE_PA, role)
 
 
 def bend_residuals(

@@ -186,18 +186,16 @@ def fit_damping(
     # does not widen it.
     error = fit.frequency_error()
     estimate = fit.search(fit.unknowns(), watch=watch, refit=fit.refit)
-    derived = (
-        _derived(start, fit, "frequency", "Hz", error),
-        _derived(estimate, fit, "loss_factor", "1"),
-    )
-    kept = [
-        k for k, parameter in enumerate(estimate.parameters) if parameter.name in NAMES
-    ]
+    derived: tuple[Parameter, ...] = ()
+    if estimate.values.keys() >= set(NAMES):
+        frequency = _derived(start, fit, "frequency", "Hz", error)
+        derived = (frequency, _derived(estimate, fit, "loss_factor", "1"))
+    count = len(NAMES)  # the other unknowns follow
     return replace(
         estimate,
-        parameters=tuple(estimate.parameters[k] for k in kept),
-        correlation=estimate.correlation[np.ix_(kept, kept)],
-        derived=derived if estimate.values.keys() >= set(NAMES) else (),
+        parameters=estimate.parameters[:count],
+        correlation=estimate.correlation[:count, :count],
+        derived=derived,
         held=fit.held(),
     )
 

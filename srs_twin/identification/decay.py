@@ -185,8 +185,7 @@ def free_swing(
         InputError: the swing is too small, too short, overdamped or too fast for the
             sampling.
     """
-    if noise is None:
-        noise = _noise(bend)
+    noise = _noise(bend) if noise is None else noise
     if start is None:
         first = int(np.argmax(np.abs(np.diff(bend) / np.diff(time)))) + 1
     else:
@@ -211,8 +210,9 @@ def free_swing(
             f"{name}: {len(time[used])} samples of free swing; {_MIN_SAMPLES} or more"
             " are needed"
         )
+    used_pressure = None if pressure is None else pressure[used]
     swings = np.abs(np.diff(bend[turns]))
-    decrement = float(np.mean(np.log(swings[:-1] / swings[1:])))
+    decrements = np.log(swings[:-1] / swings[1:])
     return Decay(
         name,
         sha256,
@@ -220,10 +220,10 @@ def free_swing(
         bend[used],
         bend[: first + 1],
         time[: first + 1],
-        None if pressure is None else pressure[used],
+        used_pressure,
         noise,
         half_period,
-        max(decrement, _LEAST_DECREMENT),
+        max(float(np.mean(decrements)), _LEAST_DECREMENT),
     )
 
 

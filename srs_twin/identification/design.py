@@ -215,7 +215,9 @@ def _gait_runs(spec: RobotSpec) -> Iterator[CandidateExperiment]:
             )
             metrics = plant_metrics(rollout(snake, Gait(frequency, offset=offset), 6.0))
             observed = [metrics["com_speed_m_s"], *metrics["bend_amplitude_rad"]]
-            return np.array(observed + ([metrics["yaw_rate_rad_s"]] if offset else []))
+            if offset:
+                observed.append(metrics["yaw_rate_rad_s"])
+            return np.array(observed)
 
         description = (
             f"walk at {frequency:g} Hz, offset {offset:g}, {supply / 1e3:.0f} kPa, 20"
@@ -327,7 +329,7 @@ def choose_experiments(
     offered = list(candidates(spec))
     gains = [_information(each, spec, names, values, scale) for each in offered]
     goals = np.array(list(targets.values()))
-    units = np.array([1.0 if values[name] else zero_scale for name in targets])
+    units = np.where([values[name] for name in targets], 1.0, zero_scale)
 
     def widths(matrix: Array) -> Array:
         variances = np.diag(np.linalg.inv(matrix))[: len(targets)]

@@ -90,9 +90,8 @@ class FollowerRun:
                 Outcome.FOUND, "drawn", path_from_arcs(start, [*run_up, *arcs], body)
             )
 
-        plan = plan_from(
-            Pose(*scenario.pose), *([(0.0, self.run_up)] if self.run_up else [])
-        )
+        run_up = [(0.0, self.run_up)] if self.run_up else []
+        plan = plan_from(Pose(*scenario.pose), *run_up)
         assert plan.end is not None, "it has segments"
         conditions = replace(follower.conditions, stray=math.inf, run_up=self.run_up)
         controller = replace(
@@ -120,12 +119,12 @@ class FollowerRun:
         start = metadata["plans"][-1]["time"]
         excess = beyond(trajectory)
         is_after = trajectory.time >= start
+        during_run_up = 0.0
         if self.run_up:
             during_run_up = float(excess[~is_after].max(initial=0.0))
-        else:
-            during_run_up = 0.0
-        has_arrived = metadata["ending"] == next(iter(ENDINGS))
-        return during_run_up, float(excess[is_after].max()) if has_arrived else LOST_M
+        if metadata["ending"] != next(iter(ENDINGS)):  # not arrived
+            return during_run_up, LOST_M
+        return during_run_up, float(excess[is_after].max())
 
 
 def _random_arcs(
@@ -150,8 +149,8 @@ def _random_arcs(
             length = (math.copysign(_MAX_HEADING, curvature) - heading) / curvature
         if length > _MIN_ARC_M:
             arcs.append((curvature, length))
-            heading = heading + curvature * length
-            left = left - length
+            heading += curvature * length
+            left -= length
     return arcs
 
 
@@ -278,9 +277,10 @@ def measure_excursions(
         path.append(round(after, _DIGITS))
         progress()
     command = f"`srs-twin calibrate margin {scenario.name}`"
+    sorted_run_up = sorted(run_up) if conditions.run_up_m else None
     return ExcursionsFile(
         conditions=conditions,
         source=f"{command}: {runs} drawn ways of {LENGTH_M:g} m",
         path_m=sorted(path),
-        run_up_m=sorted(run_up) if conditions.run_up_m else None,
+        run_up_m=sorted_run_up,
     )

@@ -76,7 +76,7 @@ def robot_override(
     held = {name: fit.held[name] for name in (_BEND,) if name in fit.held}
     changed = _changed_fixed_values(fit, base)
     values = {parameter.name: parameter.value or 0.0 for parameter in used}
-    spec = with_values(base if over is None else over, held | changed | values)
+    spec = with_values(over or base, held | changed | values)
     priors = {
         parameter.name: prior for parameter in used if (prior := _prior(parameter))
     }

@@ -457,14 +457,11 @@ def footprint_study(
     Raises:
         InputError: a value is not allowed.
     """
-    if offsets is None:
-        rows = setup.offsets
-    else:
-        rows = tuple(float(offset) for offset in offsets)
-    study = FootprintStudy(setup, rows, (), **counts)
-    return replace(
-        study, changes=default_changes(rows) if changes is None else tuple(changes)
-    )
+    rows = setup.offsets if offsets is None else tuple(map(float, offsets))
+    study = FootprintStudy(setup, rows, tuple(changes or ()), **counts)
+    if changes is None:
+        return replace(study, changes=default_changes(rows))
+    return study
 
 
 def default_changes(offsets: Sequence[float]) -> tuple[tuple[float, float], ...]:

@@ -170,26 +170,26 @@ def fit_pulls(pulls: Pulls, *, validation: Sequence[Pulls] = ()) -> FitEstimate:
     shared = (pulls.stiffness_error / pulls.stiffness) ** 2
     shared += (pulls.mass_error / pulls.mass) ** 2
     values = [pulls.coefficients(direction) for direction in _DIRECTIONS]
-    means = np.array([value.mean() if len(value) else np.nan for value in values])
-    variances = np.array(
-        [value.var(ddof=1) / len(value) if len(value) else np.nan for value in values]
-    )
+    means = np.full(len(values), np.nan)
+    variances = np.full(len(values), np.nan)
+    scatter = np.full(len(values), np.nan)
+    for k, value in enumerate(values):
+        if len(value):
+            means[k] = value.mean()
+            variances[k] = value.var(ddof=1) / len(value)
+            scatter[k] = max(value.std(ddof=1), 1e-12)
     # Errors of k and m affect both coefficients by the same factor, so they correlate.
     covariance = np.diag(variances) + shared * np.outer(means, means)
     errors = np.sqrt(np.diag(covariance))
     parameters = [
         _parameter(k, values[k], means[k], variances[k], errors[k]) for k in range(2)
     ]
-    scatter = [
-        max(float(value.std(ddof=1)), 1e-12) if len(value) else math.nan
-        for value in values
-    ]
     residuals = tuple(
         Residual(
             f"{data.name} {direction}",
             "1",
             data.coefficients(direction) - means[k],
-            scatter[k],
+            float(scatter[k]),
             role,
         )
         for data, role in data_with_roles
@@ -219,10 +219,9 @@ def _parameter(
         return Parameter(_NAMES[k], "1", "not identifiable", why=why)
     # Welch-Satterthwaite formula; the shared errors of k and m get many degrees of
     # freedom, as if exactly known.
+    freedom = np.inf
     if variance > 0:
         freedom = (len(values) - 1) * (error**2 / variance) ** 2
-    else:
-        freedom = np.inf
     half = half_width(error, freedom)
     return Parameter(
         _NAMES[k],
@@ -541,19 +540,14 @@ def _widened(parameter: Parameter, ends: Sequence[FitEstimate]) -> Parameter:
             return fit
     low = min(fit.low for fit in fits if fit.low is not None)
     high = max(fit.high for fit in fits if fit.high is not None)
-    verdict = parameter.verdict
-    why = parameter.why
-    value = parameter.value or 0.0
-    if (
-        verdict == "identified"
-        and max(value - low, high - value) > _MAX_HALF_WIDTH * value
-    ):
-        verdict = "weakly identified"
-        why = f"its interval reaches beyond ±{100 * _MAX_HALF_WIDTH:.0f} %"
     error = (high - low) / 2 / _STDS_IN_HALF_WIDTH
-    return replace(
-        parameter, verdict=verdict, standard_error=error, low=low, high=high, why=why
-    )
+    widened = replace(parameter, standard_error=error, low=low, high=high)
+    value = parameter.value or 0.0
+    is_wide = max(value - low, high - value) > _MAX_HALF_WIDTH * value
+    if is_wide and parameter.verdict == "identified":
+        why = f"its interval reaches beyond ±{100 * _MAX_HALF_WIDTH:.0f} %"
+        return replace(widened, verdict="weakly identified", why=why)
+    return widened
 
 
 @dataclass(frozen=True)
@@ -660,34 +654,22 @@ def _motion(run: CoastingTest, k: int) -> list[FreeParameter]:
     moved = late - run.position[2 * few : 3 * few].mean(axis=0)
     rolls = abs(moved[0]) > _MIN_TRAVEL * _NOISE_M
     limit = _MAX_ROLL_ANGLE_RAD / 2
+    angle = 0.0
     if rolls:
         angle = min(max(float(moved[1] / moved[0]), -limit), limit)
-    else:
-        angle = 0.0
-    turned = (
-        (late - run.position[: max(1, few // 4)].mean(axis=0))
-        @ [1.0, 1.0j]
-        * np.exp(-1j * angle)
-    )
-    travel = abs(turned.real), abs(turned.imag)
-    unknowns = [
-        FreeParameter(
-            f"{direction}_{k}",
-            "m/s",
-            guess,
-            guess - 2.0,
-            guess + 2.0,
-            1.0,
-            nuisance=True,
-        )
-        for direction, guess, distance in zip(
-            _DIRECTIONS, run.velocity, travel, strict=True
-        )
-        if distance > _MIN_TRAVEL * _NOISE_M
-    ]
-    if rolls:
-        bound = _MAX_ROLL_ANGLE_RAD
+    shift = late - run.position[: max(1, few // 4)].mean(axis=0)
+    turned = shift @ [1.0, 1.0j] * np.exp(-1j * angle)
+
+    def free(name: str, unit: str, start: float, low: float, high: float) -> None:
         unknowns.append(
-            FreeParameter(f"roll_{k}", "rad", angle, -bound, bound, 1.0, nuisance=True)
+            FreeParameter(f"{name}_{k}", unit, start, low, high, 1.0, nuisance=True)
         )
+
+    unknowns: list[FreeParameter] = []
+    travel = (abs(turned.real), abs(turned.imag))
+    for name, guess, distance in zip(_DIRECTIONS, run.velocity, travel, strict=True):
+        if distance > _MIN_TRAVEL * _NOISE_M:
+            free(name, "m/s", guess, guess - 2.0, guess + 2.0)
+    if rolls:
+        free("roll", "rad", angle, -_MAX_ROLL_ANGLE_RAD, _MAX_ROLL_ANGLE_RAD)
     return unknowns

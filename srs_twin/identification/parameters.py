@@ -221,15 +221,15 @@ def _module(
     attribute: str, side: int | None, unit: str, low: float, high: float, **more: Any
 ) -> _Accessor:
     """Return the accessor of a parameter of single modules; side 0 is the + chamber."""
+    place = () if side is None else (side,)
 
     def get(spec: RobotSpec, k: int) -> float:
-        row = spec.modules.array(attribute)[k]
-        return float(row if side is None else row[side])
+        return float(spec.modules.array(attribute)[k, *place])
 
     def put(spec: RobotSpec, value: float, k: int) -> RobotSpec:
         modules = spec.modules
         arrays = {field.name: modules.array(field.name) for field in fields(Modules)}
-        arrays[attribute][k if side is None else (k, side)] = value
+        arrays[attribute][k, *place] = value
         return replace(spec, variation=Modules.from_arrays(**arrays))
 
     return _Accessor(unit, low, high, get, put, numbered="segment", **more)

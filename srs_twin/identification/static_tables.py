@@ -328,10 +328,7 @@ def write_static_table(table: StaticTable, path: StrPath) -> None:
     ]
     error = np.broadcast_to(table.bend_error, table.bend.shape)
     rows = np.hstack([table.pressure.reshape(points, -1), table.bend, error]).tolist()
-    lines = (
-        ",".join("" if math.isnan(value) else repr(value) for value in row)
-        for row in rows
-    )
+    lines = (",".join(map(repr, row)).replace("nan", "") for row in rows)
     write_text(path, "\n".join([",".join(header), *lines, ""]))
 
 
@@ -497,22 +494,16 @@ def _fit_dead_zone(
     if not _is_significant(complete, linear):
         return linear
     partial = with_dead_zone({_ONSET_SHARE: 0.8} | complete.values, {})
-    if _is_significant(partial, complete):
-        best = partial
-    else:
-        best = complete
+    best = partial if _is_significant(partial, complete) else complete
     why = (
         f"a straight line leaves {linear.rms('fit'):.3g} times the noise, a dead zone"
         f" {best.rms('fit'):.3g}"
     )
-    parameters = (
-        (
-            replace(parameter, why="; ".join(filter(None, (why, parameter.why))))
-            if parameter.name == _ONSET
-            else parameter
-        )
-        for parameter in best.parameters
-    )
+    parameters = list(best.parameters)
+    for k, parameter in enumerate(parameters):
+        if parameter.name == _ONSET:
+            both = "; ".join(filter(None, (why, parameter.why)))
+            parameters[k] = replace(parameter, why=both)
     return replace(best, parameters=tuple(parameters))
 
 

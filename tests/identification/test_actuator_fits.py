@@ -166,6 +166,21 @@ def test_a_mode_faster_than_the_camera_is_not_identified():
     assert fit["actuator.tau_vent_s"].verdict == "identified"
 
 
+def test_measured_pressures_separate_the_mode_from_the_filling():
+    """From bends alone the two time constants can be exchanged if filling and venting are equally slow."""
+    time = np.arange(0.0, 3.0, 0.01)
+    truth = TRUTH | {
+        "actuator.tau_fill_s": 0.04,
+        "actuator.tau_vent_s": 0.04,
+        "actuator.tau_mode_s": 0.06,
+    }
+    bend, pressure = free_bends(with_values(MODULE, truth), time)
+    seen = Response("x", array_hash(bend), STEPS, SUPPLY, time, bend, pressure)
+    fit = fit_actuator([seen], MODULE)
+    for name, value in truth.items():
+        assert fit[name].value == pytest.approx(value, rel=1e-3), name
+
+
 def test_a_pressure_log_identifies_gains_and_biases():
     time = np.arange(0.0, 3.0, 0.01)
     bend, pressure = free_bends(
