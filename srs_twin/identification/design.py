@@ -324,7 +324,8 @@ def choose_experiments(
     }
     values |= {name: value for name, (value, _) in known.items()}
     scale = np.array([abs(values[name]) or zero_scale for name in names])
-    std = np.array([known.get(name, (0.0, np.inf))[1] for name in names]) / scale
+    deviations = {name: deviation for name, (_, deviation) in known.items()}
+    std = np.array([deviations.get(name, np.inf) for name in names]) / scale
     information = np.diag(1 / np.minimum(std, _PRIOR_STD) ** 2)
     offered = list(candidates(spec))
     gains = [_information(each, spec, names, values, scale) for each in offered]

@@ -108,10 +108,8 @@ class Parameter:
         numbers = (self.value, self.standard_error, self.low, self.high)
         is_empty = self.verdict == "not identifiable"
         if any((number is None) != is_empty for number in numbers):
-            if is_empty:
-                expected = "no numbers"
-            else:
-                expected = "value, standard_error, low and high"
+            required = "value, standard_error, low and high"
+            expected = "no numbers" if is_empty else required
             raise InputError(f"{self.name}: {self.verdict}, so it must have {expected}")
 
 
@@ -285,11 +283,8 @@ def residuals_by_kind(residuals: Sequence[Residual]) -> dict[str, list[Residual]
 
 
 def _weighted_rms(residuals: Sequence[Residual]) -> float:
-    return float(
-        np.sqrt(
-            np.mean([(residual.rms / residual.scale) ** 2 for residual in residuals])
-        )
-    )
+    squares = [(residual.rms / residual.scale) ** 2 for residual in residuals]
+    return float(np.sqrt(np.mean(squares)))
 
 
 def explains_data(residuals: Sequence[Residual], scale: float) -> bool:
@@ -316,10 +311,8 @@ def describe_misfit(residuals: Sequence[Residual]) -> Iterator[str]:
         before, after = np.sum(halves, axis=0)
         is_growing = len(worst.values) >= _MIN_SERIES and after > _GROWTH**2 * before
         growing = ", growing with time" if is_growing else ""
-        if name := worst.name.rpartition(" ")[0]:
-            where = f", most in {name}"
-        else:
-            where = ""
+        name = worst.name.rpartition(" ")[0]
+        where = f", most in {name}" if name else ""
         yield f"residuals of {kind}: {scale:.3g} times the noise{where}{growing}"
 
 
@@ -347,10 +340,9 @@ def correlation_time(series: Sequence[np.ndarray], unknowns: int = 0) -> float:
         return 1.0
     longest = max(len(residuals) for residuals in long)
     total = np.zeros(longest)
+    largest = max(abs(residuals).max() for residuals in long)
     for residuals in long:
-        total[: len(residuals)] += _autocovariance(
-            residuals / max(abs(r).max() for r in long)
-        )
+        total[: len(residuals)] += _autocovariance(residuals / largest)
     rho = total / total[0]
     pairs = rho[: longest // 2 * 2].reshape(-1, 2).sum(axis=1)
     ends = np.flatnonzero(pairs <= 0)
@@ -361,9 +353,8 @@ def correlation_time(series: Sequence[np.ndarray], unknowns: int = 0) -> float:
     time = uncorrected
     for _ in range(_ITERATIONS):
         removed = min(unknowns * time / samples, _MAX_REMOVED_SHARE)
-        time = max(
-            1.0, 1.0 + 2 * (float(kept.sum()) - 1 + lags * removed) / (1 + removed)
-        )
+        correlations = (float(kept.sum()) - 1 + lags * removed) / (1 + removed)
+        time = max(1.0, 1.0 + 2 * correlations)
     return time
 
 

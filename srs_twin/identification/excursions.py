@@ -163,7 +163,7 @@ def calibrate_margin(
     scenario: StrPath | Scenario,
     *,
     out: StrPath | None = None,
-    set: Overrides = (),
+    set: Overrides = (),  # noqa: A002
     runs: int = 100,
     plants: Sequence[str] | None = None,
     workers: int | None = None,

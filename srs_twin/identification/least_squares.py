@@ -222,10 +222,8 @@ class Search:
             down = z.copy()
             up[i] = min(z[i] + h, self.high[i])
             down[i] = max(z[i] - h, self.low[i])
-            columns.append(
-                (self.weighted(up, only) - self.weighted(down, only))
-                / (up[i] - down[i])
-            )
+            change = self.weighted(up, only) - self.weighted(down, only)
+            columns.append(change / (up[i] - down[i]))
         return np.stack(columns, axis=1)
 
     def jacobian_and_error(self, z: Array, noise: float) -> tuple[Array, Array]:
@@ -238,10 +236,9 @@ class Search:
         step = self._options.step
         wide = self._options.identifiability_step
         if wide is not None:
-            smallest = float(
-                np.linalg.svd(self.jacobian(z, wide), compute_uv=False)[-1]
-            )
-            step = wide if noise > step * smallest else step
+            singular = np.linalg.svd(self.jacobian(z, wide), compute_uv=False)
+            if noise > step * singular[-1]:
+                step = wide
         fine = self.jacobian(z, step)
         coarse = self.jacobian(z, 2 * step)
         if wide is None:
@@ -253,12 +250,8 @@ class Search:
     def bias(self, z: Array, refit: Refit) -> Array:
         """Return the bias b(z): the result of a search in simulated data minus z, shape (n,)."""
         values = refit(self.values(z))
-        return (
-            np.array(
-                [unknown.coordinate(values[unknown.name]) for unknown in self.unknowns]
-            )
-            - z
-        )
+        found = [unknown.coordinate(values[unknown.name]) for unknown in self.unknowns]
+        return np.array(found) - z
 
     def run(self, start: Array) -> SearchResult:
         """Search from a start, with the first stage if there is one; if stopped, return the best point."""
@@ -287,15 +280,13 @@ class Search:
         fine = self._options.step
         coarse = self._options.coarse_step
         end = self._minimize(start, fine)
+        if coarse is None:
+            return end
         for _ in range(_MAX_COARSE_SEARCHES):
-            if coarse is None:
-                break
             before = end
             other = self._minimize(end.z, coarse)
             if other.cost < before.cost:
                 end = self._minimize(other.z, fine)
-            else:
-                end = before
             if not end.cost < _IMPROVEMENT * before.cost:
                 break
         return end
@@ -307,10 +298,8 @@ class Search:
 
         # Add one observation per parameter at its start, so that parameters without
         # effect on the filtered residuals stay there.
-        if only is None:
-            prior = np.zeros((0, len(start)))
-        else:
-            prior = np.eye(len(start))
+        count = 0 if only is None else len(start)
+        prior = np.eye(count, len(start))
         result = optimize.least_squares(
             lambda z: np.concatenate([self.weighted(z, only), prior @ (z - start)]),
             start,
@@ -345,10 +334,8 @@ def select_starts(search: Search, count: int) -> list[Array]:
     candidates.sort(key=search.start_cost)
     starts = [search.start]
     for z in candidates:
-        distances = [np.linalg.norm(z - start) for start in starts]
-        if len(starts) < count and all(
-            distance > _MIN_START_DISTANCE for distance in distances
-        ):
+        nearest = min(np.linalg.norm(z - start) for start in starts)
+        if len(starts) < count and nearest > _MIN_START_DISTANCE:
             starts.append(z)
     return starts
 

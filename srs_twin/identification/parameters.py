@@ -142,7 +142,8 @@ def with_values(spec: RobotSpec, values: Mapping[str, float]) -> RobotSpec:
 
 def is_parameter(name: str) -> bool:
     """Return whether a name is a robot parameter."""
-    return _key(name)[0] in _ACCESSORS
+    key, _ = _key(name)
+    return key in _ACCESSORS
 
 
 def parameter_unit(name: str) -> str:
@@ -151,7 +152,8 @@ def parameter_unit(name: str) -> str:
     Raises:
         UnknownNameError: the parameter does not exist.
     """
-    return _accessor(name)[0].unit
+    accessor, _ = _accessor(name)
+    return accessor.unit
 
 
 def parameter_names() -> list[str]:
@@ -167,11 +169,10 @@ def per_segment(spec: RobotSpec, *names: str) -> tuple[str, ...]:
 def _key(name: str) -> tuple[str, int]:
     """Return a name with N for its number, and the number counted from 0; 0 if it has none."""
     match = re.fullmatch(r"(.+_)([1-9]\d?)", name, flags=re.ASCII)
-    if match is None:
-        return (
-            "" if name.endswith("_N") else name
-        ), 0  # a name with a literal N is invalid
-    return f"{match[1]}N", int(match[2]) - 1
+    if match is not None:
+        return f"{match[1]}N", int(match[2]) - 1
+    # A name with a literal N is invalid.
+    return "" if name.endswith("_N") else name, 0
 
 
 def _accessor(name: str) -> tuple[_Accessor, int]:
