@@ -74,7 +74,8 @@ def targets(amplitude: float, offset: float) -> np.ndarray:
         offset: φ, positive to the left.
     """
     smaller = amplitude * (1 - (1 - MIN_AMPLITUDE_RATIO) * abs(offset) / MAX_OFFSET)
-    return np.array([amplitude, smaller] if offset >= 0 else [smaller, amplitude])
+    left_and_right = np.array([amplitude, smaller])
+    return left_and_right if offset >= 0 else left_and_right[::-1]
 
 
 class ChamberPeriods(Stateful):
@@ -132,11 +133,10 @@ class ChamberPeriods(Stateful):
             )
         fraction = np.stack([phase_lag, phase_lag + math.pi], axis=-1) / (2 * math.pi)
         fraction = (fraction + _PERIOD_ROUNDING) % 1 - _PERIOD_ROUNDING
-        fraction = np.where(fraction > 0.5 + _PERIOD_ROUNDING, fraction - 1, fraction)
+        fraction[fraction > 0.5 + _PERIOD_ROUNDING] -= 1
         if common:
-            self.fill_starts = np.zeros(fraction.shape)
-        else:
-            self.fill_starts = fraction * self.period
+            fraction[:] = 0.0
+        self.fill_starts = fraction * self.period
         self.number = np.where(self.fill_starts < -_PERIOD_ROUNDING * self.period, 1, 0)
         self.peak: np.ndarray = np.full(fraction.shape, math.nan)
         self.span: np.ndarray = np.full(fraction.shape, math.nan)
@@ -159,9 +159,8 @@ class ChamberPeriods(Stateful):
                 those of − chambers.
         """
         if not self._common:
-            self.fill_starts = self._unsteered + shift / (
-                2 * math.pi
-            ) * self.period * np.array([-1, 1])
+            lead = shift / (2 * math.pi) * self.period
+            self.fill_starts = self._unsteered + lead * np.array([-1, 1])
             self._set_next()
 
     def update(self, reading: np.ndarray, lost: np.ndarray) -> None:
@@ -190,12 +189,10 @@ class ChamberPeriods(Stateful):
         ended = begun & (self.number >= 1)
         self.peak = np.where(ended, self._max, self.peak)
         self.span = np.where(ended, self._max - self._min, self.span)
-        self.lost = np.where(
-            ended, self._lost_readings / np.maximum(self._readings, 1), self.lost
-        )
-        self.started = np.where(
-            ended, self.fill_starts + (self.number - 1) * self.period, self.started
-        )
+        lost = self._lost_readings / np.maximum(self._readings, 1)
+        self.lost = np.where(ended, lost, self.lost)
+        started = self.fill_starts + (self.number - 1) * self.period
+        self.started = np.where(ended, started, self.started)
         self._max[begun] = -math.inf
         self._min[begun] = math.inf
         self._readings[begun] = self._lost_readings[begun] = 0
@@ -252,24 +249,18 @@ class Duties(Stateful):
             target: target amplitudes, rad.
         """
         self.error = np.where(chambers, target - peak, self.error)
-        self._relative_error = np.where(
-            chambers, np.abs(target - peak) / target, self._relative_error
-        )
+        relative = np.abs(target - peak) / target
+        self._relative_error = np.where(chambers, relative, self._relative_error)
         unclipped = np.where(chambers, self.value + self._gain * self.error, self.value)
         self.value = np.clip(unclipped, 0.0, 1.0)
-        saturation = (unclipped > 1 + _DUTY_ROUNDING).astype(int) - (
-            unclipped < -_DUTY_ROUNDING
-        )
+        saturation = 1 * (unclipped > 1 + _DUTY_ROUNDING)
+        saturation[unclipped < -_DUTY_ROUNDING] = -1
         saturation = np.where(chambers, saturation, self._saturation)
-        events = [
-            Event(
-                time,
-                "saturation",
-                f"segment {j + 1}, {SIDES[k]} chamber:"
-                f" {_SATURATIONS[saturation[j, k]]}",
-            )
-            for j, k in np.argwhere(saturation != self._saturation)
-        ]
+        events = []
+        for j, k in np.argwhere(saturation != self._saturation):
+            what = _SATURATIONS[saturation[j, k]]
+            text = f"segment {j + 1}, {SIDES[k]} chamber: {what}"
+            events.append(Event(time, "saturation", text))
         self._saturation = saturation
         return events
 
@@ -285,10 +276,8 @@ class Duties(Stateful):
             time: s.
             working: segments without a fault, shape (segments,).
         """
-        reached = bool(
-            working.any()
-            and (self._relative_error[working] <= CONVERGENCE_TOLERANCE).all()
-        )
+        errors = self._relative_error[working]
+        reached = errors.size and (errors <= CONVERGENCE_TOLERANCE).all()
         if self._converged or not reached:
             return []
         self._converged = True

@@ -109,18 +109,15 @@ class PitchWave:
     @property
     def rest_levels(self) -> tuple[float, float]:
         """Levels sin(π r/2) below which the wave to the left and right, and the pitch wave, rest."""
-        if self.share < 1:
-            ratio = self.share / (1 - self.share)
-        else:
-            ratio = math.inf
-        return _rest_level(1 / ratio if ratio > 1 else 1.0), _rest_level(
-            min(ratio, 1.0)
-        )
+        ratio = self.share / (1 - self.share) if self.share < 1 else math.inf
+        left = 1 / max(ratio, 1.0)
+        up = min(ratio, 1.0)
+        return _rest_level(left), _rest_level(up)
 
 
 def _rest_level(amplitude: float) -> float:
     """Return the level below which a square wave rests for a given amplitude of its fundamental."""
-    return math.sqrt(max(0.0, 1 - amplitude**2))
+    return math.sqrt(1 - amplitude**2)
 
 
 class Gait(Controller):
@@ -234,10 +231,7 @@ class Gait(Controller):
             self.pitch.check(spec)
         self._axes = spec.chamber.axes if spec.is_spatial else None
         slots = count_slots(tick, spec.scale)
-        if self._phase_step is None:
-            step = spec.phase_step
-        else:
-            step = self._phase_step
+        step = spec.phase_step if self._phase_step is None else self._phase_step
         self.phase_lag = step * np.arange(spec.segments) - self.phase
         if self._phases:
             self.phase_lag = self.phase_lag + np.asarray(self._phases)
@@ -258,7 +252,9 @@ class Gait(Controller):
         if self._tick < self._shortest_level() and (first == last).all():
             return _antagonistic(first)
         wave = self._wave(time + self._tick * self._slot_centres)
-        return _antagonistic(wave[0] if (wave == wave[0]).all() else wave)
+        if (wave == wave[0]).all():
+            wave = wave[0]
+        return _antagonistic(wave)
 
     def script(self, duration: float) -> Schedule:
         """Return the valve states of the whole run."""
@@ -277,11 +273,11 @@ class Gait(Controller):
             )
         # Evaluate the wave only near its changes: in the slot of a change and in the
         # two adjacent slots, because rounding may move the change by one slot.
-        period, (up, down) = 1 / self.frequency, self._crossings()
+        period = 1 / self.frequency
+        up, down = self._crossings()
+        angles = [-up, math.pi + up]
         if self.rest_level:
-            angles = [-up, math.pi + up, -down, math.pi + down]
-        else:
-            angles = [-up, math.pi + up]
+            angles += [-down, math.pi + down]
         phases = np.add.outer(self.phase_lag, angles).ravel() / (2 * math.pi) * period
         numbers = np.arange(
             math.floor(-phases.max() / period), math.ceil(duration / period) + 1
@@ -296,11 +292,14 @@ class Gait(Controller):
     def _spatial_valves(self, time: np.ndarray) -> np.ndarray:
         """Return the valve states of a spatial robot at some times (s), shape (times, segments, chambers)."""
         assert self._axes is not None
-        pitch = self.pitch or PitchWave(share=0.0)
         angle = 2 * math.pi * self.frequency * time[:, None] - self.phase_lag
-        rest_left, rest_up = (
-            (self.rest_level, 1.0) if self.pitch is None else pitch.rest_levels
-        )
+        if self.pitch is None:
+            pitch = PitchWave(share=0.0)
+            rest_left = self.rest_level
+            rest_up = 1.0
+        else:
+            pitch = self.pitch
+            rest_left, rest_up = pitch.rest_levels
         left = _three_levels(np.sin(angle) + self._offset, rest_left)
         up = _three_levels(
             np.sin(pitch.frequency_ratio * angle - pitch.lag_rad), rest_up
@@ -317,19 +316,14 @@ class Gait(Controller):
     def _shortest_level(self) -> float:
         """Return the shortest time between two changes of S, s."""
         up, down = self._crossings()
-        angles = [
-            math.pi + 2 * up,
-            math.pi - 2 * down,
-            *([down - up] if self.rest_level else []),
-        ]
-        return min(angle for angle in angles if angle > 0) / (
-            2 * math.pi * self.frequency
-        )
+        angles = [math.pi + 2 * up, math.pi - 2 * down, down - up]
+        shortest = min(angle for angle in angles if angle > 0)
+        return shortest / (2 * math.pi * self.frequency)
 
     def _crossings(self) -> tuple[float, float]:
         """Return the negated phase angles at which S changes to 1 and to −1, rad."""
-        levels = self._offset - self.rest_level, self._offset + self.rest_level
-        up, down = (math.asin(min(max(level, -1.0), 1.0)) for level in levels)
+        up = math.asin(max(self._offset - self.rest_level, -1.0))
+        down = math.asin(min(self._offset + self.rest_level, 1.0))
         return up, down
 
     def _wave(self, time: np.ndarray) -> np.ndarray:
@@ -348,7 +342,8 @@ def _three_levels(value: np.ndarray, rest: float) -> np.ndarray:
     high = rest - 1e-12
     if rest >= 1:
         high = rest + 1e-12  # the wave only touches the level
-    return np.where(value >= high, 1, np.where(value >= low, 0, -1) if rest else -1)
+    below_high = np.where(value >= low, 0, -1) if rest else -1
+    return np.where(value >= high, 1, below_high)
 
 
 def _checked_frequency(frequency: float) -> float:

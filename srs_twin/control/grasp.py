@@ -48,6 +48,10 @@ class Phase(IntEnum):
     RELEASE = 3
 
 
+def _reached(value: float, limit: float | None) -> bool:
+    return limit is not None and value >= limit
+
+
 def check_hold(hold: int, spec: RobotSpec) -> None:
     """Check that enough segments remain to crawl if some hold.
 
@@ -195,7 +199,6 @@ class Grasp(Controller):
             valves = np.repeat(valves[None], _SLOTS, axis=0)
         if self.phase is Phase.CURL:
             valves[:] = -1
-        if self.phase is Phase.CURL:
             duty = min(time / self.curl_s, 1.0)
         else:
             duty = float(self.phase is Phase.DRAG)
@@ -208,31 +211,23 @@ class Grasp(Controller):
         if self.finished:
             return
         if self.phase is Phase.CURL and time >= self.curl_s:
-            rate = np.abs(self._past[-1] - self._past[0]).max() / (
-                self._tick * (len(self._past) - 1)
-            )
-            late = time >= self.drag_after_s
-            if (
-                self.mode == "sensed"
-                and (late or rate < _SETTLED_RAD_PER_S)
-                and self.grip < _GRIP_RAD
-            ):
-                self._events.append(
-                    Event(time, "grasp_missed", "the tail is closed without an object")
-                )
+            change = np.abs(self._past[-1] - self._past[0]).max()
+            rate = change / (self._tick * (len(self._past) - 1))
+            is_sensed = self.mode == "sensed"
+            has_settled = is_sensed and rate < _SETTLED_RAD_PER_S
+            if not (has_settled or time >= self.drag_after_s):
+                return
+            if is_sensed and self.grip < _GRIP_RAD:
+                missed = "the tail is closed without an object"
+                self._events.append(Event(time, "grasp_missed", missed))
                 self.finished = True
-            elif late or (self.mode == "sensed" and rate < _SETTLED_RAD_PER_S):
+            else:
                 self._begin(Phase.DRAG, time, com)
         elif self.phase is Phase.DRAG:
-            timed_out = (
-                self.release_after_s is not None
-                and time - self._since >= self.release_after_s
-            )
-            moved = (
-                self.drag_m is not None
-                and np.hypot(*(com - self._start)) >= self.drag_m
-            )
-            if timed_out or moved:
+            moved = np.hypot(*(com - self._start))
+            if _reached(time - self._since, self.release_after_s) or _reached(
+                moved, self.drag_m
+            ):
                 self._begin(Phase.RELEASE, time, com)
 
     def _begin(self, phase: Phase, time: float, com: np.ndarray) -> None:

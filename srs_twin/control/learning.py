@@ -116,38 +116,31 @@ class ILC(Controller):
             InputError: a number is out of range, or a fill has too few pulses.
             UnknownNameError: an option has an unknown value.
         """
-        for name, word in {
-            "on_fault": on_fault,
-            "clock": clock,
-            "steering": steering,
-        }.items():
-            if word not in _CHOICES[name]:
-                raise UnknownNameError(name, word, _CHOICES[name])
-        if isinstance(target, str) and target != SMALLEST:
+        words = {"on_fault": on_fault, "clock": clock, "steering": steering}
+        for name, allowed in _CHOICES.items():
+            if words[name] not in allowed:
+                raise UnknownNameError(name, words[name], allowed)
+        self._fixed_target: float | None = None
+        if not isinstance(target, str):
+            check_positive("ilc target", target)
+            self._fixed_target = float(target)
+        elif target != SMALLEST:
             raise UnknownNameError("target", target, [SMALLEST])
-        if isinstance(target, str):
-            fixed_target = None
-        else:
-            fixed_target = float(target)
-        numbers = {"k": k, "carrier_hz": carrier_hz}
-        if fixed_target is not None:
-            numbers["target"] = fixed_target
-        for name, value in numbers.items():
-            check_positive(f"ilc {name}", value)
+        check_positive("ilc k", k)
+        check_positive("ilc carrier_hz", carrier_hz)
         if free_periods < 1:
             raise InputError(
                 f"ilc free_periods {free_periods!r} is not allowed; it must be 1 or"
                 " more"
             )
         self._gait = Gait(frequency, phase=phase, phase_step=phase_step)
-        if carrier_hz < 2 * MIN_PULSES * frequency:
+        lowest_hz = 2 * MIN_PULSES * frequency
+        if carrier_hz < lowest_hz:
             raise InputError(
                 f"ilc carrier_hz {carrier_hz:g} gives fewer than {MIN_PULSES} pulses"
-                f" per fill at {frequency:g} Hz; use {2 * MIN_PULSES * frequency:g} Hz"
-                " or more"
+                f" per fill at {frequency:g} Hz; use {lowest_hz:g} Hz or more"
             )
         self.frequency = frequency
-        self._fixed_target = fixed_target
         self._k = k
         self._free_periods = free_periods
         self._carrier_hz = carrier_hz
@@ -184,9 +177,8 @@ class ILC(Controller):
             allow_long_ticks=True,
             scale=spec.scale,
         )
-        common = self._clock == "common"
         self._periods = ChamberPeriods(
-            self._gait.phase_lag, self.frequency, tick, common=common
+            self._gait.phase_lag, self.frequency, tick, common=self._clock == "common"
         )
         self._steer_wave()
         starts = self._periods.fill_starts
@@ -199,7 +191,7 @@ class ILC(Controller):
         self._steer_wave()
         self._events += self._readings.update(time, state.sensed)
         self._periods.update(self._readings.value, self._readings.lost)
-        if self.faults.testing:
+        if self.faults.tested.any():
             self.faults.update_tests(time, self._readings.value)
             self._set_commands()
         if self._periods.due(time):
@@ -263,9 +255,8 @@ class ILC(Controller):
         saves time.
         """
         working = self.faults.working[:, None]
-        sides = targets(
-            math.nan if self.amplitude is None else self.amplitude, self._offset
-        )
+        amplitude = math.nan if self.amplitude is None else self.amplitude
+        sides = targets(amplitude, self._offset)
         self._command: np.ndarray = np.where(working, self.duties.value, 0.0)
         self._targets: np.ndarray = np.where(working, sides, math.nan)
         self.finished = self._on_fault == "stop" and bool(self.faults.detected)

@@ -49,21 +49,11 @@ class ModuleFaults(Stateful):
         detected: descriptions of the detected faults, in order of time.
         faulty: segments with a detected fault, shape (segments,).
         tested: segments whose chambers vent for a test, shape (segments,).
-        testing: whether any segment is tested.
         resumed: end of the last test of each segment, shape (segments,), s.
     """
 
     state_attributes = (
-        *(
-            "detected",
-            "faulty",
-            "tested",
-            "testing",
-            "resumed",
-            "_weak",
-            "_strong",
-            "_cleared",
-        ),
+        *("detected", "faulty", "tested", "resumed", "_weak", "_strong", "_cleared"),
         *("_test_started", "_bent_above", "_rest_sum", "_rest_count", "_events"),
     )
 
@@ -77,7 +67,6 @@ class ModuleFaults(Stateful):
         self.detected: list[str] = []
         self.faulty = np.zeros(segments, dtype=bool)
         self.tested = np.zeros(segments, dtype=bool)
-        self.testing = False
         self.resumed = np.full(segments, -math.inf)
         self._period = period
         # Successive periods in which each chamber was too weak, or too strong.
@@ -147,13 +136,9 @@ class ModuleFaults(Stateful):
         ended = ended & self.working[:, None] & ~np.isnan(peak)
         weak = (duty >= 1) & (peak < WEAK_RATIO * target)
         strong = (duty <= 0) & (peak > STRONG_RATIO * target) & ~self._cleared
-        self._weak = np.where(ended, np.where(weak, self._weak + 1, 0), self._weak)
-        self._strong = np.where(
-            ended, np.where(strong, self._strong + 1, 0), self._strong
-        )
-        suspected = (self._weak >= SUSPICIOUS_PERIODS) | (
-            self._strong >= SUSPICIOUS_PERIODS
-        )
+        self._weak = np.where(ended, (self._weak + 1) * weak, self._weak)
+        self._strong = np.where(ended, (self._strong + 1) * strong, self._strong)
+        suspected = np.maximum(self._weak, self._strong) >= SUSPICIOUS_PERIODS
         self._start_tests(time, suspected, target)
 
     def check_amplitudes(self, time: float, peaks: np.ndarray) -> None:
@@ -165,9 +150,8 @@ class ModuleFaults(Stateful):
                 2), rad.
         """
         median = float(np.nanmedian(peaks[-1][self.working]))
-        weak = (peaks <= max(WEAK_RATIO * median, 0.0)).all(axis=0) & self.working[
-            :, None
-        ]
+        weak = (peaks <= max(WEAK_RATIO * median, 0.0)).all(axis=0)
+        weak &= self.working[:, None]
         self._weak[weak] = SUSPICIOUS_PERIODS
         self._start_tests(time, weak, np.full(weak.shape, median))
 
@@ -177,7 +161,6 @@ class ModuleFaults(Stateful):
         """Vent the segments of suspected chambers; arrays have the shape (segments, 2), targets in rad."""
         for j in np.flatnonzero(chambers.any(axis=1) & self.working):
             self.tested[j] = True
-            self.testing = True
             self._bent_above[j] = BENT_RATIO * float(target[j].min())
             self._test_started[j] = time
             self._rest_sum[j] = self._rest_count[j] = 0
@@ -198,28 +181,21 @@ class ModuleFaults(Stateful):
         for j in np.flatnonzero(self.tested & (elapsed >= VENTING_PERIODS + 1)):
             self.tested[j] = False
             self.resumed[j] = time
-            self._end_test(
-                time, int(j), self._rest_sum[j] / max(self._rest_count[j], 1)
-            )
-        self.testing = bool(self.tested.any())
+            rest = self._rest_sum[j] / max(self._rest_count[j], 1)
+            self._end_test(time, int(j), rest)
 
     def _end_test(self, time: float, j: int, rest: float) -> None:
         """Report the fault of segment j from its bend at rest (rad), or clear the segment."""
         weak = self._weak[j] >= SUSPICIOUS_PERIODS
         if abs(rest) > self._bent_above[j]:
-            self._report(
-                time, j, f"valve of the {SIDES[int(rest < 0)]} chamber stuck open"
-            )
+            side = SIDES[int(rest < 0)]
+            self._report(time, j, f"valve of the {side} chamber stuck open")
         elif weak.all():
-            self._report(
-                time, j, "neither chamber bends it: both valves stuck shut, or no air"
-            )
+            both = "both valves stuck shut, or no air"
+            self._report(time, j, f"neither chamber bends it: {both}")
         elif weak.any():
-            self._report(
-                time,
-                j,
-                f"valve of the {SIDES[int(np.argmax(weak))]} chamber stuck shut",
-            )
+            side = SIDES[int(np.argmax(weak))]
+            self._report(time, j, f"valve of the {side} chamber stuck shut")
         else:
             self._cleared[j] = True
             text = f"segment {j + 1}: rests straight when vented; no valve is stuck"

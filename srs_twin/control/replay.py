@@ -48,14 +48,10 @@ class Replay(Controller):
     def step(self, state: SnakeState) -> np.ndarray:
         """Return the valve states of the next tick; without the slot axis if no state changes in it."""
         schedule = self.schedule
-        runs = (
-            np.searchsorted(
-                schedule.starts, float(state.time) + self._slot_centres, side="right"
-            )
-            - 1
-        )
-        states = schedule.states[np.maximum(runs, 0)]
-        return np.asarray(states[0] if runs[0] == runs[-1] else states)
+        time = float(state.time) + self._slot_centres
+        runs = np.searchsorted(schedule.starts, time, side="right") - 1
+        states: np.ndarray = schedule.states[np.maximum(runs, 0)]
+        return states[0] if runs[0] == runs[-1] else states
 
     def script(self, duration: float) -> Schedule:
         """Return the valve states of the whole run."""

@@ -344,10 +344,7 @@ class IterativeSMC(SlidingMode):
 
     def _update(self) -> None:
         """Update μ from the mean errors since the last update; before the first one the error was 0."""
-        if self._count:
-            elapsed = self._count * self._tick
-        else:
-            elapsed = self._pulses.period
+        elapsed = self._count * self._tick or self._pulses.period
         mean = self._error_sum / max(self._count, 1)
         self._sigma = (self._error - self._last_error) / elapsed + self.D * mean
         self._mu = np.clip(self._mu + self.K * self._sigma, -1.0, 1.0)

@@ -13,7 +13,7 @@ error is (τ_mode/τ₁)²), and the filling of the chambers cannot be estimated
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +31,7 @@ from srs_twin.identification.parameters import (
 from srs_twin.pneumatics import LagPneumatics, Schedule
 from srs_twin.pneumatics.chambers import air_bend
 from srs_twin.recordings.recording import Recording, ValveLog
+from srs_twin.recordings.signals.logs import SIDES
 from srs_twin.robot.spec import RobotSpec
 
 _BEND_NOISE_RAD = 0.01
@@ -86,18 +87,22 @@ class Response:
         """
         trajectory = recording.trajectory
         log = log_of(recording, name)
-        log_metadata = trajectory.metadata.get("valve_log")
-        is_estimated = isinstance(log_metadata, Mapping) and log_metadata.get(
-            "offset_estimated"
-        )
+        about = trajectory.metadata.get("valve_log")
+        is_estimated = isinstance(about, Mapping) and about.get("offset_estimated")
         bend = measured_bends(recording)
-        drive = (
-            log.schedule() if log.kind == "valve" else log.shifted(-float(log.time[0]))
-        )
-        sha256 = array_hash(bend, log.time, log.values)
-        time = trajectory.time - log.time[0]
+        drive: Schedule | ValveLog
+        if log.kind == "valve":
+            drive = log.schedule()
+        else:
+            drive = log.shifted(-float(log.time[0]))
         return cls(
-            name, sha256, drive, supply_pa, time, bend, clock_known=not is_estimated
+            name,
+            array_hash(bend, log.time, log.values),
+            drive,
+            supply_pa,
+            trajectory.time - log.time[0],
+            bend,
+            clock_known=not is_estimated,
         )
 
     def data_set(self, role: Role) -> DataSet:
@@ -173,27 +178,21 @@ def fit_actuator(
         for k, (response, role) in enumerate(data):
             # Validation responses have no clock parameter, because they must not
             # influence the fit.
-            result += _response_residuals(
-                response, robot, values.get(f"clock_{k}", 0.0), role
-            )
+            clock = values.get(f"clock_{k}", 0.0)
+            result += _response_residuals(response, robot, clock, role)
         return result
 
+    if names is None:
+        names = default_actuator_parameters(spec)
+    unknowns = free_parameters(spec, names)
+    bound = 4 * CLOCK_ERROR_S
     clocks = [
         FreeParameter(
-            f"clock_{k}",
-            "s",
-            0.0,
-            -CLOCK_ERROR_S * 4,
-            CLOCK_ERROR_S * 4,
-            CLOCK_ERROR_S,
-            nuisance=True,
+            f"clock_{k}", "s", 0.0, -bound, bound, CLOCK_ERROR_S, nuisance=True
         )
         for k, response in enumerate(responses)
         if not response.clock_known
     ]
-    unknowns = free_parameters(
-        spec, default_actuator_parameters(spec) if names is None else names
-    )
     held = fixed_values(spec, unknowns)
     return least_squares(
         residuals, [*unknowns, *clocks], starts=starts, held=held, watch=watch
@@ -231,16 +230,15 @@ def predict_response(
 
 def _response_residuals(
     response: Response, spec: RobotSpec, clock: float, role: Role
-) -> list[Residual]:
+) -> Iterator[Residual]:
     bend, pressure = predict_response(response, spec, clock)
-    residuals = bend_residuals(response.name, response.bend - bend, role, math.nan)
+    yield from bend_residuals(response.name, response.bend - bend, role, math.nan)
     if response.pressure is not None and pressure is not None:
         difference = response.pressure - pressure
-        for j, (plus, minus) in enumerate(difference.transpose(1, 2, 0), start=1):
-            for side, values in (("plus", plus), ("minus", minus)):
-                name = f"{response.name} pressure_{side}_{j}"
-                residuals.append(Residual(name, "Pa", values, _PRESSURE_NOISE_PA, role))
-    return residuals
+        for j, k in np.ndindex(spec.segments, len(SIDES)):
+            signal = f"{response.name} pressure_{SIDES[k]}_{j + 1}"
+            values = difference[:, j, k]
+            yield Residual(signal, "Pa", values, _PRESSURE_NOISE_PA, role)
 
 
 def bend_residuals(
@@ -252,16 +250,13 @@ def bend_residuals(
     `_BEND_NOISE_RAD` if any error is unknown.
     """
     residuals = []
-    errors = np.broadcast_to(error, difference.shape)
-    for j, (column, column_errors) in enumerate(
-        zip(difference.T, errors.T, strict=True)
-    ):
+    columns = zip(difference.T, np.broadcast_to(error, difference.shape).T, strict=True)
+    for j, (column, errors) in enumerate(columns, start=1):
         measured = np.isfinite(column)
-        noise = float(
-            np.sqrt((column_errors[measured] ** 2).sum() / max(measured.sum(), 1))
-        )
-        noise = _BEND_NOISE_RAD if math.isnan(noise) else max(noise, MIN_DRIFT_RAD)
-        residuals.append(
-            Residual(f"{name} bend_{j + 1}", "rad", column[measured], noise, role)
-        )
+        square = (errors[measured] ** 2).sum() / max(measured.sum(), 1)
+        noise = max(float(np.sqrt(square)), MIN_DRIFT_RAD)
+        if math.isnan(square):
+            noise = _BEND_NOISE_RAD
+        signal = f"{name} bend_{j}"
+        residuals.append(Residual(signal, "rad", column[measured], noise, role))
     return residuals

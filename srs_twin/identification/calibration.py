@@ -262,15 +262,15 @@ def calibrate_locomotion(
         InputError: a file cannot be read, or the data do not allow the fit.
     """
     task = _Task(calibrate_locomotion, locals())
-    is_twin = plant == "twin"
-    default_starts = 1 if is_twin and against != "averages" else 3
+    reference = None if plant == "twin" else PlantModel("twin")
+    default_starts = 1 if plant == "twin" and against != "averages" else 3
     return task.calibrate(
         _GAIT_RUNS,
         names=find,
         model=PlantModel(plant, _plant_settings(plant, model, law)),
         against=against,
         starts=starts or default_starts,
-        reference=None if is_twin else PlantModel("twin"),
+        reference=reference,
     )
 
 
@@ -385,13 +385,16 @@ class _Task:
         progress = self.given["progress"]
         estimate = kind.fit(fitted, self.spec, watch=progress, **settings)
         robot = self.given["robot"]
+        if isinstance(robot, RobotSpec):
+            robot = robot.name
+        plateaus = merge_tables(fitted) if kind is _PLATEAUS else None
         result = Calibration(
             estimate,
             kind.method,
             kind.title.format(spec=self.spec, **self.given),
-            robot.name if isinstance(robot, RobotSpec) else os.fspath(robot),
+            os.fspath(robot),
             tuple(data_sets(fitted, validation)),
-            merge_tables(fitted) if kind is _PLATEAUS else None,
+            plateaus,
         )
         if self.given["out"] is not None:
             path = Path(self.given["out"])

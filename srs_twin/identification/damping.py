@@ -22,19 +22,21 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
 from scipy.interpolate import CubicSpline
 
 from srs_twin.errors import InputError, check_choice
 from srs_twin.identification.decay import Decay, calm_samples
 from srs_twin.identification.estimate import (
-    IDENTIFIED_ERROR,
     FitEstimate,
     Parameter,
     Residual,
     Verdict,
+    half_width,
+    verdict_on,
+    with_value,
 )
 from srs_twin.identification.hanging_segment import (
     NO_BRANCHES,
@@ -47,7 +49,6 @@ from srs_twin.identification.hanging_segment import (
     weight_moment,
 )
 from srs_twin.identification.least_squares import (
-    LEVEL,
     Refit,
     SearchOptions,
     Watch,
@@ -119,15 +120,11 @@ class HangingBody:
                 " connectors; this robot has a skin or bends in space"
             )
         connector = spec.mass.connectors[0]
-        mass = connector if mass is None else mass
-        inertia = (
-            float(spec.yaw_inertia()[0]) * mass / connector
-            if inertia is None
-            else inertia
-        )
-        if not (
-            math.isfinite(mass) and mass > 0 and math.isfinite(inertia) and inertia >= 0
-        ):
+        if mass is None:
+            mass = connector
+        if inertia is None:
+            inertia = float(spec.yaw_inertia()[0]) * mass / connector
+        if not (0 < mass < math.inf and 0 <= inertia < math.inf):
             raise InputError(
                 f"mass {mass:g} kg with inertia {inertia:g} kg·m² is not allowed; give"
                 " more than 0"
@@ -186,20 +183,30 @@ def fit_damping(
     # does not widen it.
     error = fit.frequency_error()
     estimate = fit.search(fit.unknowns(), watch=watch, refit=fit.refit)
-    derived = (
-        _derived(start, fit, "frequency", "Hz", error),
-        _derived(estimate, fit, "loss_factor", "1"),
-    )
-    kept = [
-        k for k, parameter in enumerate(estimate.parameters) if parameter.name in NAMES
-    ]
+    derived: tuple[Parameter, ...] = ()
+    if estimate.values.keys() >= set(NAMES):
+        frequency = _derived(start, fit, "frequency", "Hz", error)
+        derived = (frequency, _derived(estimate, fit, "loss_factor", "1"))
+    count = len(NAMES)  # the other unknowns follow
     return replace(
         estimate,
-        parameters=tuple(estimate.parameters[k] for k in kept),
-        correlation=estimate.correlation[np.ix_(kept, kept)],
-        derived=derived if estimate.values.keys() >= set(NAMES) else (),
+        parameters=estimate.parameters[:count],
+        correlation=estimate.correlation[:count, :count],
+        derived=derived,
         held=fit.held(),
     )
+
+
+class _Swing(NamedTuple):
+    """Predicted free swing.
+
+    Attributes:
+        bend: bends at the samples, shape (samples,), rad.
+        air: amounts of enclosed air at the end, + chamber before −, shape (2,), J.
+    """
+
+    bend: np.ndarray
+    air: np.ndarray
 
 
 class _DampingFit:
@@ -220,17 +227,16 @@ class _DampingFit:
         self.encloses_air = closed and decays[0].pressure is None
         self.segment = body.segment(spec, self.encloses_air)
         self.free_leak = self.encloses_air and leak is None
-        self.calm = (
-            [calm_samples(decay) for decay in decays] if self.encloses_air else []
-        )
+        self.calm: list[int] = []
+        if self.encloses_air:
+            self.calm = [calm_samples(decay) for decay in decays]
         self.grids = [_grid(decay) for decay in decays]
         self.air = [
             _measured_air(decay, spec, grid)
             for decay, grid in zip(decays, self.grids, strict=True)
         ]
-        self.values = self._first_values() | {
-            "leak": _FIRST_LEAK if leak is None else leak
-        }
+        self.values = self._first_values()
+        self.values["leak"] = _FIRST_LEAK if leak is None else leak
         if not self.encloses_air:
             self.values["leak"] = 0.0
 
@@ -298,17 +304,15 @@ class _DampingFit:
             result = []
             for k, (decay, bend) in enumerate(zip(self.decays, fitted, strict=True)):
                 used = decay.time <= decay.time[0] + 2 * swings * decay.half_period
-                difference = (bend - self._swing(values, k)[0])[used]
+                difference = (bend - self._swing(values, k).bend)[used]
                 result.append(
                     Residual(f"{decay.name} bend", "rad", difference, _scale(decay))
                 )
             # A wrong leak rate, which few swings do not show, would contradict the bend
             # at rest.
-            return (
-                result
-                if swings < math.inf
-                else [*result, *self._rest_residuals(values)]
-            )
+            if swings == math.inf:
+                result += self._rest_residuals(values)
+            return result
 
         estimate = least_squares(
             residuals, unknowns, watch=watch, refit=refit, options=_SEARCH
@@ -334,12 +338,11 @@ class _DampingFit:
     def refit(self, values: Mapping[str, float]) -> Mapping[str, float]:
         """Return the fit to decays of a material with a constant loss factor."""
         pulsation = 2 * math.pi * self.small_swing(values).frequency
-        bends = [self._swing(values, k, pulsation)[0] for k in range(len(self.decays))]
-        return (
-            self.values
-            | dict(values)
-            | self.search(self.unknowns(), bends=bends).values
-        )
+        bends = [
+            self._swing(values, k, pulsation).bend for k in range(len(self.decays))
+        ]
+        fitted = self.search(self.unknowns(), bends=bends).values
+        return self.values | dict(values) | fitted
 
     def frequency_error(self) -> float:
         """Return ln of the fitted over the true frequency for a material with a constant loss factor."""
@@ -364,11 +367,10 @@ class _DampingFit:
         values = self.values | dict(values)
         material = self._material(values)
         branches = NO_BRANCHES
-        air = (
-            self._swing(values, 0, constant_about)[1][2:4]
-            if self.encloses_air
-            else self._air_at_end()
-        )
+        if self.encloses_air:
+            air = self._swing(values, 0, constant_about).air
+        else:
+            air = self._air_at_end()
         if constant_about is not None:
             material, branches, _ = constant_loss(material, constant_about, 0.0)
         segment = self.body.segment(self.spec, self.closed)
@@ -376,8 +378,8 @@ class _DampingFit:
 
     def _swing(
         self, values: Mapping[str, float], k: int, constant_about: float | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the bends of recording k, rad, and the last state; arguments as in `small_swing`."""
+    ) -> _Swing:
+        """Return the free swing of recording k; arguments as in `small_swing`."""
         values = self.values | dict(values)
         decay = self.decays[k]
         grid = self.grids[k]
@@ -398,7 +400,7 @@ class _DampingFit:
         path, end = swing(
             grid, start, rest, decay.pulsation, material, self.segment, branches
         )
-        return path[:: len(grid) // len(decay.time)], end
+        return _Swing(path[:: len(grid) // len(decay.time)], end[2:4])
 
     def _enclosed_air(self, decay: Decay, leak: float) -> np.ndarray:
         """Return the amounts of air at the start of the free swing, + chamber before −, J."""
@@ -482,11 +484,7 @@ def _derived(
     def logarithm(changes: Mapping[str, float]) -> float:
         return math.log(getattr(fit.small_swing(estimate.values | dict(changes)), name))
 
-    rows = [
-        k
-        for k, parameter in enumerate(estimate.parameters)
-        if parameter.value is not None
-    ]
+    rows = with_value(estimate.parameters)
     changes = []
     for parameter in (estimate.parameters[k] for k in rows):
         value = parameter.value or 0.0
@@ -499,13 +497,9 @@ def _derived(
     variance = float(row @ estimate.correlation[np.ix_(rows, rows)] @ row)
     error = math.hypot(math.sqrt(max(variance, 0.0)), model_error)
     freedom = max(estimate.independent - len(estimate.parameters), 1.0)
-    half = float(stats.t.ppf(0.5 + LEVEL / 2, freedom)) * error
+    half = half_width(error, freedom)
     value = math.exp(logarithm({}))
-    verdict: Verdict = (
-        "identified" if error <= IDENTIFIED_ERROR else "weakly identified"
-    )
-    if estimate.misfit:
-        verdict = "cannot tell"
+    verdict: Verdict = "cannot tell" if estimate.misfit else verdict_on(error, 1.0)
     low = value * math.exp(-half)
     high = value * math.exp(half)
     return Parameter(name, unit, verdict, value, value * error, low, high)

@@ -154,11 +154,10 @@ def read_decay(
     time = rows.time[known]
     values = rows.values[known]
     if len(time) < _MIN_SAMPLES or not (np.diff(time) > 0).all():
-        problem = (
+        raise file.error(
             f"{len(time)} samples; at least {_MIN_SAMPLES} with increasing times are"
             " needed"
         )
-        raise file.error(problem)
     rate = 1 / float(np.median(np.diff(time)))
     if rate < _MIN_RATE_HZ * (1 - 1e-3):
         raise file.error(
@@ -191,11 +190,49 @@ def free_swing(
         first = int(np.argmax(np.abs(np.diff(bend) / np.diff(time)))) + 1
     else:
         first = int(np.searchsorted(time, start))
-        if first >= len(time):
-            raise InputError(
-                f"{name}: it ends at {time[-1]:g} s, before the free swing from"
-                f" {start:g} s"
-            )
+    if first >= len(time):
+        raise InputError(
+            f"{name}: it ends at {time[-1]:g} s, before the free swing from {start:g} s"
+        )
+    turns = _visible_turns(name, bend, first, noise)
+    half_period = float(time[turns[-1]] - time[turns[0]]) / (len(turns) - 1)
+    spacing = float(np.median(np.diff(time)))
+    if 2 * half_period < _MIN_SAMPLES_PER_SWING * spacing:
+        raise InputError(
+            f"{name}: {2 * half_period / spacing:.2g} samples per swing;"
+            f" {_MIN_SAMPLES_PER_SWING:g} or more are needed: record faster, or hang a"
+            " heavier body"
+        )
+    end = time[first] + _KEPT_SPANS * (time[turns[-1]] - time[first])
+    used = slice(first, int(np.searchsorted(time, end, side="right")))
+    if len(time[used]) < _MIN_SAMPLES:
+        raise InputError(
+            f"{name}: {len(time[used])} samples of free swing; {_MIN_SAMPLES} or more"
+            " are needed"
+        )
+    used_pressure = None if pressure is None else pressure[used]
+    swings = np.abs(np.diff(bend[turns]))
+    decrements = np.log(swings[:-1] / swings[1:])
+    return Decay(
+        name,
+        sha256,
+        time[used],
+        bend[used],
+        bend[: first + 1],
+        time[: first + 1],
+        used_pressure,
+        noise,
+        half_period,
+        max(float(np.mean(decrements)), _LEAST_DECREMENT),
+    )
+
+
+def _visible_turns(name: str, bend: np.ndarray, first: int, noise: float) -> list[int]:
+    """Return the samples of the turning points of the free swing that starts at sample `first`.
+
+    Raises:
+        InputError: the swing is within the noise, or overdamped.
+    """
     size = float(np.ptp(bend[max(first - 1, 0) :]))
     threshold = max(_MIN_TURN * noise, _MIN_TURN_SHARE * size)
     if size <= _MIN_SIZE * noise:
@@ -210,36 +247,7 @@ def free_swing(
             " needed. An overdamped decay tells only the product k T: hang a heavier"
             " body, or record longer"
         )
-    half_period = float(time[turns[-1]] - time[turns[0]]) / (len(turns) - 1)
-    spacing = float(np.median(np.diff(time)))
-    if 2 * half_period < _MIN_SAMPLES_PER_SWING * spacing:
-        raise InputError(
-            f"{name}: {2 * half_period / spacing:.2g} samples per swing;"
-            f" {_MIN_SAMPLES_PER_SWING:g} or more are needed: record faster, or hang a"
-            " heavier body"
-        )
-    end = time[first] + _KEPT_SPANS * (time[turns[-1]] - time[first])
-    used = slice(first, int(np.searchsorted(time, end, side="right")))
-    if len(time[used]) < _MIN_SAMPLES:
-        problem = (
-            f"{len(time[used])} samples of free swing; {_MIN_SAMPLES} or more are"
-            " needed"
-        )
-        raise InputError(f"{name}: {problem}")
-    swings = np.abs(np.diff(bend[turns]))
-    decrement = float(np.mean(np.log(swings[:-1] / swings[1:])))
-    return Decay(
-        name,
-        sha256,
-        time[used],
-        bend[used],
-        bend[: first + 1],
-        time[: first + 1],
-        None if pressure is None else pressure[used],
-        noise,
-        half_period,
-        max(decrement, _LEAST_DECREMENT),
-    )
+    return turns
 
 
 def _noise(bend: np.ndarray) -> float:

@@ -215,7 +215,9 @@ def _gait_runs(spec: RobotSpec) -> Iterator[CandidateExperiment]:
             )
             metrics = plant_metrics(rollout(snake, Gait(frequency, offset=offset), 6.0))
             observed = [metrics["com_speed_m_s"], *metrics["bend_amplitude_rad"]]
-            return np.array(observed + ([metrics["yaw_rate_rad_s"]] if offset else []))
+            if offset:
+                observed.append(metrics["yaw_rate_rad_s"])
+            return np.array(observed)
 
         description = (
             f"walk at {frequency:g} Hz, offset {offset:g}, {supply / 1e3:.0f} kPa, 20"
@@ -316,61 +318,47 @@ def choose_experiments(
         )
     zero_scale = 0.1 * spec.friction.mu_t * spec.mass.total * GRAVITY
     names = list(dict.fromkeys([*targets, *known]))
+    unknown = [name for name in names if name not in known]
     values = {
-        name: known[name][0] if name in known else _value(spec, name) for name in names
+        parameter.name: parameter.start for parameter in free_parameters(spec, unknown)
     }
+    values |= {name: value for name, (value, _) in known.items()}
     scale = np.array([abs(values[name]) or zero_scale for name in names])
-    std = (
-        np.array([known[name][1] if name in known else np.inf for name in names])
-        / scale
-    )
+    deviations = {name: deviation for name, (_, deviation) in known.items()}
+    std = np.array([deviations.get(name, np.inf) for name in names]) / scale
     information = np.diag(1 / np.minimum(std, _PRIOR_STD) ** 2)
     offered = list(candidates(spec))
-    gains = [
-        _information(experiment, spec, names, values, scale) for experiment in offered
-    ]
-    rows = [names.index(name) for name in targets]
+    gains = [_information(each, spec, names, values, scale) for each in offered]
     goals = np.array(list(targets.values()))
-    units = np.array([1.0 if values[name] else zero_scale for name in targets])
+    units = np.where([values[name] for name in targets], 1.0, zero_scale)
 
     def widths(matrix: Array) -> Array:
-        return np.asarray(1.96 * np.sqrt(np.diag(np.linalg.inv(matrix))[rows]) * units)
+        variances = np.diag(np.linalg.inv(matrix))[: len(targets)]
+        return np.asarray(1.96 * np.sqrt(variances) * units)
 
-    before = widths(information)
     chosen: list[int] = []
-    after: list[Array] = []
-    current = before
-    while (current > goals).any():
-        too_wide = current > goals
-        scores = [
-            (
-                np.inf
-                if chosen.count(k) >= _MAX_REPETITIONS
-                else np.log(
-                    np.maximum(widths(information + gain) / goals, 1.0)[too_wide]
-                ).mean()
-            )
-            for k, gain in enumerate(gains)
-        ]
+    reached = [widths(information)]
+    while (too_wide := reached[-1] > goals).any():
+        scores = np.full(len(gains), np.inf)
+        for k, gain in enumerate(gains):
+            if chosen.count(k) < _MAX_REPETITIONS:
+                excess = np.maximum(widths(information + gain) / goals, 1.0)
+                scores[k] = np.log(excess[too_wide]).mean()
         best = int(np.argmin(scores))
-        narrowed = widths(information + gains[best])
-        is_useful = (narrowed[too_wide] < _MIN_NARROWING * current[too_wide]).any()
-        if not np.isfinite(scores[best]) or not is_useful:
-            break
         information = information + gains[best]
-        current = narrowed
+        narrowed = widths(information)
+        is_useful = narrowed[too_wide] < _MIN_NARROWING * reached[-1][too_wide]
+        if not np.isfinite(scores[best]) or not is_useful.any():
+            break
         chosen.append(best)
-        after.append(current)
-    columns = {
-        name: tuple(float(row[i]) for row in after) for i, name in enumerate(targets)
-    }
-    experiments = tuple(offered[k] for k in chosen)
-    initial = dict(zip(targets, map(float, before), strict=True))
-    return ExperimentDesign(experiments, columns, initial, dict(targets))
-
-
-def _value(spec: RobotSpec, name: str) -> float:
-    return float(free_parameters(spec, [name])[0].start)
+        reached.append(narrowed)
+    before, *after = np.array(reached).tolist()
+    return ExperimentDesign(
+        tuple(offered[k] for k in chosen),
+        {name: tuple(row[i] for row in after) for i, name in enumerate(targets)},
+        dict(zip(targets, before, strict=True)),
+        dict(targets),
+    )
 
 
 def _information(

@@ -24,7 +24,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, Protocol
 
 import numpy as np
 
@@ -39,6 +39,9 @@ UNIDENTIFIABLE_ERROR = 1.0
 
 MAX_RESIDUAL_SCALE = 2.0
 """Largest RMS of weighted residuals, per kind of signal, with which a model explains the data."""
+
+LEVEL = 0.95
+"""Level of the confidence intervals."""
 
 MISFIT_MESSAGE = "the model does not explain the data; these intervals do not hold"
 
@@ -105,11 +108,41 @@ class Parameter:
         numbers = (self.value, self.standard_error, self.low, self.high)
         is_empty = self.verdict == "not identifiable"
         if any((number is None) != is_empty for number in numbers):
-            if is_empty:
-                expected = "no numbers"
-            else:
-                expected = "value, standard_error, low and high"
+            required = "value, standard_error, low and high"
+            expected = "no numbers" if is_empty else required
             raise InputError(f"{self.name}: {self.verdict}, so it must have {expected}")
+
+
+def half_width(error: float, freedom: float) -> float:
+    """Return half the width of a confidence interval.
+
+    Args:
+        error: standard error.
+        freedom: degrees of freedom of its estimate.
+    """
+    from scipy import stats  # the import takes long, so only fits pay for it
+
+    return float(stats.t.ppf(0.5 + LEVEL / 2, freedom)) * error
+
+
+def verdict_on(error: float, scale: float) -> Verdict:
+    """Return the verdict on a value with a standard error; `scale` is a significant difference."""
+    if error <= IDENTIFIED_ERROR * scale:
+        return "identified"
+    return "weakly identified"
+
+
+class Estimated(Protocol):
+    """Parameter with or without a value."""
+
+    @property
+    def value(self) -> float | None:
+        """Estimate."""
+
+
+def with_value(parameters: Sequence[Estimated]) -> list[int]:
+    """Return the indices of the parameters that have a value."""
+    return [k for k, parameter in enumerate(parameters) if parameter.value is not None]
 
 
 def correlation_matrix(
@@ -123,7 +156,7 @@ def correlation_matrix(
         parameters: parameters.
     """
     matrix = np.full(covariance.shape, np.nan)
-    rows = [k for k, parameter in enumerate(parameters) if parameter.value is not None]
+    rows = with_value(parameters)
     known = covariance[np.ix_(rows, rows)]
     # Without noise all errors are 0; the floor avoids 0/0.
     errors = np.maximum(np.sqrt(np.diag(known)), 1e-150)
@@ -196,10 +229,9 @@ class FitEstimate(HtmlResult):
         count = len(known)
         correlation = np.eye(size + count)
         correlation[:size, :size] = self.correlation
-        for i, parameter in enumerate(self.parameters):
-            if parameter.value is None:
-                correlation[i] = np.nan
-                correlation[:, i] = np.nan
+        lost = np.isnan(np.diag(correlation))
+        correlation[lost] = np.nan
+        correlation[:, lost] = np.nan
         return replace(
             self, parameters=(*self.parameters, *known), correlation=correlation
         )
@@ -251,11 +283,8 @@ def residuals_by_kind(residuals: Sequence[Residual]) -> dict[str, list[Residual]
 
 
 def _weighted_rms(residuals: Sequence[Residual]) -> float:
-    return float(
-        np.sqrt(
-            np.mean([(residual.rms / residual.scale) ** 2 for residual in residuals])
-        )
-    )
+    squares = [(residual.rms / residual.scale) ** 2 for residual in residuals]
+    return float(np.sqrt(np.mean(squares)))
 
 
 def explains_data(residuals: Sequence[Residual], scale: float) -> bool:
@@ -282,10 +311,8 @@ def describe_misfit(residuals: Sequence[Residual]) -> Iterator[str]:
         before, after = np.sum(halves, axis=0)
         is_growing = len(worst.values) >= _MIN_SERIES and after > _GROWTH**2 * before
         growing = ", growing with time" if is_growing else ""
-        if name := worst.name.rpartition(" ")[0]:
-            where = f", most in {name}"
-        else:
-            where = ""
+        name = worst.name.rpartition(" ")[0]
+        where = f", most in {name}" if name else ""
         yield f"residuals of {kind}: {scale:.3g} times the noise{where}{growing}"
 
 
@@ -313,10 +340,9 @@ def correlation_time(series: Sequence[np.ndarray], unknowns: int = 0) -> float:
         return 1.0
     longest = max(len(residuals) for residuals in long)
     total = np.zeros(longest)
+    largest = max(abs(residuals).max() for residuals in long)
     for residuals in long:
-        total[: len(residuals)] += _autocovariance(
-            residuals / max(abs(r).max() for r in long)
-        )
+        total[: len(residuals)] += _autocovariance(residuals / largest)
     rho = total / total[0]
     pairs = rho[: longest // 2 * 2].reshape(-1, 2).sum(axis=1)
     ends = np.flatnonzero(pairs <= 0)
@@ -327,9 +353,8 @@ def correlation_time(series: Sequence[np.ndarray], unknowns: int = 0) -> float:
     time = uncorrected
     for _ in range(_ITERATIONS):
         removed = min(unknowns * time / samples, _MAX_REMOVED_SHARE)
-        time = max(
-            1.0, 1.0 + 2 * (float(kept.sum()) - 1 + lags * removed) / (1 + removed)
-        )
+        correlations = (float(kept.sum()) - 1 + lags * removed) / (1 + removed)
+        time = max(1.0, 1.0 + 2 * correlations)
     return time
 
 

@@ -90,9 +90,8 @@ class FollowerRun:
                 Outcome.FOUND, "drawn", path_from_arcs(start, [*run_up, *arcs], body)
             )
 
-        plan = plan_from(
-            Pose(*scenario.pose), *([(0.0, self.run_up)] if self.run_up else [])
-        )
+        run_up = [(0.0, self.run_up)] if self.run_up else []
+        plan = plan_from(Pose(*scenario.pose), *run_up)
         assert plan.end is not None, "it has segments"
         conditions = replace(follower.conditions, stray=math.inf, run_up=self.run_up)
         controller = replace(
@@ -120,12 +119,12 @@ class FollowerRun:
         start = metadata["plans"][-1]["time"]
         excess = beyond(trajectory)
         is_after = trajectory.time >= start
+        during_run_up = 0.0
         if self.run_up:
             during_run_up = float(excess[~is_after].max(initial=0.0))
-        else:
-            during_run_up = 0.0
-        has_arrived = metadata["ending"] == next(iter(ENDINGS))
-        return during_run_up, float(excess[is_after].max()) if has_arrived else LOST_M
+        if metadata["ending"] != next(iter(ENDINGS)):  # not arrived
+            return during_run_up, LOST_M
+        return during_run_up, float(excess[is_after].max())
 
 
 def _random_arcs(
@@ -150,8 +149,8 @@ def _random_arcs(
             length = (math.copysign(_MAX_HEADING, curvature) - heading) / curvature
         if length > _MIN_ARC_M:
             arcs.append((curvature, length))
-            heading = heading + curvature * length
-            left = left - length
+            heading += curvature * length
+            left -= length
     return arcs
 
 
@@ -164,7 +163,7 @@ def calibrate_margin(
     scenario: StrPath | Scenario,
     *,
     out: StrPath | None = None,
-    set: Overrides = (),
+    set: Overrides = (),  # noqa: A002
     runs: int = 100,
     plants: Sequence[str] | None = None,
     workers: int | None = None,
@@ -225,8 +224,8 @@ def measure_excursions(
     plant: str,
     runs: int,
     *,
-    workers: int | None = None,
-    progress: Callable[[], None] | None = None,
+    workers: int | None,
+    progress: Callable[[], None],
 ) -> ExcursionsFile:
     """Measure the excursions of a scenario's follower on a plant.
 
@@ -234,7 +233,7 @@ def measure_excursions(
         scenario: scenario that follows a plan.
         plant: "analytical" or "twin".
         runs: number of runs; their seeds start at 0.
-        workers: number of processes; default: one per processor.
+        workers: number of processes; None: one per processor.
         progress: called after each run.
 
     Returns:
@@ -252,12 +251,10 @@ def measure_excursions(
         )
     robot = RobotFile.model_validate(scenario.document["robot"])
     settings = {plant: scenario.document["plants"].get(plant, {})}
-    contact = getattr(
-        PlantsFile.model_validate(settings).running[plant], "contact", None
-    )
-    conditions = controller.conditions(
-        plant, contact, scenario.file.pneumatics.kind, robot, planner
-    )
+    section = PlantsFile.model_validate(settings).running[plant]
+    contact = getattr(section, "contact", None)
+    chambers = scenario.file.pneumatics.kind
+    conditions = controller.conditions(plant, contact, chambers, robot, planner)
     straight = {"kind": "given", "turns_rad": [0.0], "step_m": 1.0}
     footprint = {"footprint": planner.footprint, "turn_share": planner.turn_share}
     document = {
@@ -270,23 +267,20 @@ def measure_excursions(
     jobs = [
         FollowerRun(document, conditions.run_up_m, plant, seed) for seed in range(runs)
     ]
-    results: list[tuple[float, float]] = []
+    run_up = []
+    path = []
     for done in run_tasks(FollowerRun.run, jobs, workers=workers):
         if done.result is None:
             raise InputError(f"{scenario.name}, seed {done.number}: {done.error}")
-        results.append(done.result)
-        if progress:
-            progress()
-    columns = zip(*results, strict=True)
-    run_up, path = (
-        sorted(round(value, _DIGITS) for value in column) for column in columns
-    )
+        during_run_up, after = done.result
+        run_up.append(round(during_run_up, _DIGITS))
+        path.append(round(after, _DIGITS))
+        progress()
+    command = f"`srs-twin calibrate margin {scenario.name}`"
+    sorted_run_up = sorted(run_up) if conditions.run_up_m else None
     return ExcursionsFile(
         conditions=conditions,
-        source=(
-            f"`srs-twin calibrate margin {scenario.name}`: {runs} drawn ways of"
-            f" {LENGTH_M:g} m"
-        ),
-        path_m=path,
-        run_up_m=run_up if conditions.run_up_m else None,
+        source=f"{command}: {runs} drawn ways of {LENGTH_M:g} m",
+        path_m=sorted(path),
+        run_up_m=sorted_run_up,
     )

@@ -19,7 +19,13 @@ import numpy as np
 from pydantic import Field
 
 from srs_twin.errors import InputError, UnknownNameError
-from srs_twin.identification.estimate import FitEstimate, Parameter, Role, Verdict
+from srs_twin.identification.estimate import (
+    FitEstimate,
+    Parameter,
+    Role,
+    Verdict,
+    with_value,
+)
 from srs_twin.identification.parameters import parameter_unit
 from srs_twin.io.documents import Loc, dump_yaml
 from srs_twin.io.files import StrPath, require_file, write_text
@@ -281,9 +287,7 @@ class FitFile(StrictModel, HtmlResult):
         parameters = tuple(
             Parameter(**parameter.model_dump()) for parameter in self.parameters
         )
-        rows = [
-            k for k, parameter in enumerate(parameters) if parameter.value is not None
-        ]
+        rows = with_value(parameters)
         correlation = np.full((len(parameters), len(parameters)), np.nan)
         if rows:
             correlation[np.ix_(rows, rows)] = self.correlation
@@ -330,8 +334,9 @@ class FitFile(StrictModel, HtmlResult):
         ).items():
             if count > 1:
                 yield ("parameters",), f"{name} is listed {count} times; list it once"
-        count = sum(parameter.value is not None for parameter in self.parameters)
-        yield from _check_correlation(self.correlation, count)
+        yield from _check_correlation(
+            self.correlation, len(with_value(self.parameters))
+        )
 
 
 def fit_file(
@@ -348,11 +353,7 @@ def fit_file(
         InputError: data have both roles.
     """
     check_disjoint(data)
-    rows = [
-        k
-        for k, parameter in enumerate(estimate.parameters)
-        if parameter.value is not None
-    ]
+    rows = with_value(estimate.parameters)
     matrix = estimate.correlation[np.ix_(rows, rows)]
     quality = QualityFile(
         samples=estimate.samples,

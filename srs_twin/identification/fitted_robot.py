@@ -10,7 +10,7 @@ import itertools
 import math
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +32,7 @@ from srs_twin.robot.sourced import split_unit
 from srs_twin.robot.spec import RobotSpec
 
 _PA_PER_KPA = 1e3
+_BEND = "actuator.bend_rad"
 
 _STDS_IN_INTERVAL = 3.92
 """Width of a 95 % interval in standard deviations."""
@@ -71,59 +72,27 @@ def robot_override(
             f"{fit.name}: no parameter is identified, so the fit does not change the"
             " robot"
         )
-    values = {
-        parameter.name: parameter.value
-        for parameter in used
-        if parameter.value is not None
-    }
-    held = fit.held.keys() & {"actuator.bend_rad"}
-    changed = _changed_fixed_values(fit, file.spec())
-    fixed = {name: fit.held[name] for name in held} | changed
-    spec = with_values(file.spec() if over is None else over, fixed | values)
-    block: dict[str, Any] = {"base": fit.robot}
+    base = file.spec()
+    held = {name: fit.held[name] for name in (_BEND,) if name in fit.held}
+    changed = _changed_fixed_values(fit, base)
+    values = {parameter.name: parameter.value or 0.0 for parameter in used}
+    spec = with_values(over or base, held | changed | values)
     priors = {
         parameter.name: prior for parameter in used if (prior := _prior(parameter))
     }
-
-    def put(name: str, status: str, source: str, *, over: bool = True) -> None:
+    block: dict[str, Any] = {"base": fit.robot}
+    for name, status, source in _changes(fit, used, changed):
         section, key = name.split(".", 1)
+        records = block.setdefault(section, {})
         for record_key, record in _records(spec, section, key).items():
-            if over or record_key not in block.get(section, {}):
-                about = {"status": status, "source": source} | priors.get(
-                    f"{section}.{record_key}", {}
-                )
-                block.setdefault(section, {})[record_key] = record | about
-
-    for parameter in used:
-        same_record = [
-            other
-            for other in used
-            if _record_key(other.name) == _record_key(parameter.name)
-        ]
-        put(parameter.name, "calibrated", _source(fit, same_record))
-    if (
-        any(name.startswith("modules.gain") for name in values)
-        and held
-        and "actuator.bend_rad" not in values
-    ):
-        put(
-            "actuator.bend_rad",
-            "calibrated",
-            f"held in fit {fit.name}: gains are multiples of it",
-        )
-    for name in changed:
-        put(
-            name,
-            "estimated",
-            f"held in fit {fit.name}: its values refer to it",
-            over=False,
-        )
+            prior = priors.get(f"{section}.{record_key}", {})
+            about = {"status": status, "source": source} | prior
+            records.setdefault(record_key, record | about)
     if pairs := _correlations(fit, list(priors)):
         block["correlated"] = pairs
-    tolerances = file.modules
-    for key in block.get("modules", {}) if tolerances else ():
+    for key in block.get("modules", {}) if file.modules else ():
         tolerance = SPREAD_KEYS[key.removesuffix("_rad")]
-        if getattr(tolerances, tolerance) is not None:
+        if getattr(file.modules, tolerance) is not None:
             raise InputError(
                 f"{fit.robot}: it draws modules.{key} at random ({tolerance}), which"
                 f" excludes fits; remove {tolerance} first"
@@ -131,16 +100,35 @@ def robot_override(
     return block
 
 
+def _changes(
+    fit: FitFile, used: Sequence[ParameterEntry], changed: Iterable[str]
+) -> Iterator[tuple[str, str, str]]:
+    """Yield name, status and source of the values that change; the first of a record counts.
+
+    Args:
+        fit: fit.
+        used: parameters whose fitted values are used.
+        changed: fixed values that differ from the base.
+    """
+    for parameter in used:
+        record = _record_key(parameter.name)
+        same_record = [other for other in used if _record_key(other.name) == record]
+        yield parameter.name, "calibrated", _source(fit, same_record)
+    names = {parameter.name for parameter in used}
+    has_gain = any(name.startswith("modules.gain") for name in names)
+    if has_gain and _BEND in fit.held and _BEND not in names:
+        why = "gains are multiples of it"
+        yield _BEND, "calibrated", f"held in fit {fit.name}: {why}"
+    for name in changed:
+        yield name, "estimated", f"held in fit {fit.name}: its values refer to it"
+
+
 def apply_fit(fit: FitFile, robot: RobotSpec, *, weak: bool = True) -> RobotSpec:
     """Return a robot with the fitted and the fixed values of a fit; see `robot_override`."""
-    values = {
-        parameter.name: parameter.value
-        for parameter in _used_parameters(fit, weak)
-        if parameter.value is not None
-    }
-    return with_values(
-        robot, _changed_fixed_values(fit, load_robot_file(fit.robot).spec()) | values
-    )
+    used = _used_parameters(fit, weak)
+    values = {parameter.name: parameter.value or 0.0 for parameter in used}
+    base = load_robot_file(fit.robot).spec()
+    return with_values(robot, _changed_fixed_values(fit, base) | values)
 
 
 def _changed_fixed_values(fit: FitFile, base: RobotSpec) -> dict[str, float]:

@@ -6,7 +6,6 @@ import os
 import shlex
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
-from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -164,22 +163,15 @@ def print_estimate(estimate: FitEstimate) -> None:
 
 def correlation_lines(estimate: FitEstimate) -> Iterator[str]:
     """Yield a line for each of the strongest correlations."""
-    names = [parameter.name for parameter in estimate.parameters]
-    known = [
-        k
-        for k, parameter in enumerate(estimate.parameters)
-        if parameter.value is not None
-    ]
-    pairs = [
-        (float(estimate.correlation[i, j]), names[i], names[j])
-        for i, j in combinations(known, 2)
-    ]
-    strong = [pair for pair in pairs if abs(pair[0]) >= _STRONG_CORRELATION]
-    strong.sort(key=lambda pair: -abs(pair[0]))
-    yield from (
-        f"correlation {value:+.2f}: {one}, {other}"
-        for value, one, other in strong[:_MAX_PAIRS]
-    )
+    import numpy as np
+
+    matrix = np.triu(np.nan_to_num(estimate.correlation), 1)
+    strong = np.argwhere(np.abs(matrix) >= _STRONG_CORRELATION).tolist()
+    strong.sort(key=lambda pair: -abs(matrix[*pair]))
+    for i, j in strong[:_MAX_PAIRS]:
+        one = estimate.parameters[i].name
+        other = estimate.parameters[j].name
+        yield f"correlation {matrix[i, j]:+.2f}: {one}, {other}"
 
 
 def direction_lines(estimate: FitEstimate) -> Iterator[str]:
@@ -327,21 +319,16 @@ def command_line(context: typer.Context) -> str:
     for parameter in context.command.params:
         value: object = context.params.get(parameter.name or "")
         # Ignore output options, because they do not change the result.
-        if value in (None, (), [], parameter.default) or parameter.name in (
-            "quiet",
-            "overwrite",
-            "as_json",
-        ):
+        is_output = parameter.name in ("quiet", "overwrite", "as_json")
+        if is_output or value in (None, (), [], parameter.default):
             continue
         values = value if isinstance(value, (list, tuple)) else [value]
         if parameter.param_type_name == "argument":
             arguments += map(str, values)
-        elif isinstance(value, bool):
-            words.append(
-                parameter.opts[0]
-                if value
-                else (parameter.secondary_opts or parameter.opts)[0]
-            )
+        elif value is False:
+            words.append(parameter.secondary_opts[0])
+        elif value is True:
+            words.append(parameter.opts[0])
         else:
             words += [f"{parameter.opts[0]}={item}" for item in values]
     from srs_twin.identification.fit_file import short_command

@@ -17,6 +17,7 @@ from functools import partial
 from typing import Any
 
 from srs_twin.comparison.gait import GaitWindow
+from srs_twin.compute.arrays import check_positive
 from srs_twin.control.commands import ScheduledOffset
 from srs_twin.control.gait import Gait
 from srs_twin.control.learning import ILC, TARGETS
@@ -89,12 +90,11 @@ class GaitSetup:
                 robot's limit for pulses.
             UnknownNameError: the controller, plant or chambers do not exist.
         """
-        if self.controller not in CONTROLLERS:
-            raise UnknownNameError("controller", self.controller, CONTROLLERS)
-        if isinstance(self.plant, str) and self.plant not in PLANTS:
-            raise UnknownNameError("plant", self.plant, PLANTS)
-        if self.chambers not in KINDS:
-            raise UnknownNameError("chambers", self.chambers, KINDS)
+        allowed = {"controller": CONTROLLERS, "plant": PLANTS, "chambers": KINDS}
+        for name, names in allowed.items():
+            value = getattr(self, name)
+            if isinstance(value, str) and value not in names:
+                raise UnknownNameError(name, value, names)
         if self.contact is not None:
             as_contact(self.contact)
             if self.plant != "twin":
@@ -102,18 +102,10 @@ class GaitSetup:
                     f"contact {self.contact!r} is only for the twin; remove it for"
                     " other plants"
                 )
-        positive = (
-            ("pressure", self.supply_pa / 1000, "kPa"),
-            ("frequency", self.frequency, "Hz"),
-        )
-        for name, value, unit in positive:
-            if not (math.isfinite(value) and value > 0):
-                raise InputError(
-                    f"{name} {value:g} {unit} is not allowed; it must be finite and"
-                    " above 0"
-                )
+        check_positive("pressure", self.supply_pa / 1000, "kPa")
+        check_positive("frequency", self.frequency, "Hz")
         spec = self.spec
-        supply = self.spec.supply
+        supply = spec.supply
         spec.require_planar("a footprint")
         if spec.segments < 2:
             raise InputError(
@@ -148,16 +140,12 @@ class GaitSetup:
     @property
     def settling_periods(self) -> int:
         """Number of gait periods until pressures or learnt duties are steady after a start."""
-        if self.controller == "ilc":
-            return 16
-        return 8
+        return 16 if self.controller == "ilc" else 8
 
     @property
     def transient_periods(self) -> int:
         """Gait periods allowed for the transient after a change of offset."""
-        if self.controller == "ilc":
-            return 12
-        return 6
+        return 12 if self.controller == "ilc" else 6
 
     @property
     def offsets(self) -> tuple[float, ...]:
@@ -303,7 +291,8 @@ class FootprintStudy:
         """
         for offset in (*self.offsets, *itertools.chain.from_iterable(self.changes)):
             self.setup.make_controller(offset)
-        message = f"offsets {_listed(self.offsets)} are not allowed"
+        listed = ", ".join(f"{offset:g}" for offset in self.offsets) or "(none)"
+        message = f"offsets {listed} are not allowed"
         if not all(b > a for a, b in zip(self.offsets, self.offsets[1:], strict=False)):
             raise InputError(f"{message}; give each once, in ascending order")
         both_sides = self.offsets and self.offsets[0] < 0 < self.offsets[-1]
@@ -334,21 +323,21 @@ class FootprintStudy:
         self,
         *,
         threads: int | None = None,
-        progress: Callable[[int], None] | None = None,
+        progress: Callable[[int, int], object] = max,
     ) -> FootprintMeasurement:
         """Run the plant and measure the footprint.
 
         Args:
             threads: number of parallel runs, which does not affect the result; default:
                 one per processor.
-            progress: called with the number of finished runs.
+            progress: called with the numbers of finished and of all runs.
 
         Raises:
             DivergedError: a run diverged; the message names it.
             InputError: the snake does not move forward at an offset.
         """
         setup = self.setup
-        factory = self.setup.plant_factory()
+        factory = setup.plant_factory()
         phases = [k / self.phases for k in range(self.phases)]
         jobs = [
             setup.steady_job(factory, offset, 2 * math.pi * phase, self.periods)
@@ -361,27 +350,32 @@ class FootprintStudy:
             for change in self.changes
             for time in times
         ]
-        runs = self._run(jobs, threads, progress)
-        repeats = [runs[k : k + self.phases] for k in range(0, len(runs), self.phases)]
-        steady = {
-            offset: self._steady(offset, repeat)
-            for offset, repeat in zip(
-                self.offsets, repeats[: len(self.offsets)], strict=True
-            )
-        }
-        paths = {offset: path for offset, (path, _) in steady.items()}
+
+        def count(done: int) -> None:
+            progress(done, self.runs)
+
+        runs = self._run(jobs, threads, count)
+        repeats = iter(
+            [runs[k : k + self.phases] for k in range(0, len(runs), self.phases)]
+        )
+        paths = {}
+        spreads = []
+        for offset, repeat in zip(self.offsets, repeats, strict=False):
+            with named_in_errors(f"offset {offset:g}"):
+                path, spread = average_repeats(
+                    [steady_path(setup, run, self.periods) for run in repeat]
+                )
+            paths[offset] = path
+            spreads.append(spread)
         transients = [
             self._transient(change, times, repeat, paths)
-            for change, repeat in zip(
-                self.changes, repeats[len(self.offsets) :], strict=True
-            )
+            for change, repeat in zip(self.changes, repeats, strict=True)
         ]
-        means, spreads = zip(*steady.values(), strict=True)
         return FootprintMeasurement(
             setup,
             self.offsets,
-            means,
-            spreads,
+            tuple(paths.values()),
+            tuple(spreads),
             tuple(transients),
             self.phases,
             self.periods,
@@ -391,7 +385,7 @@ class FootprintStudy:
         self,
         jobs: Sequence[Job],
         threads: int | None,
-        progress: Callable[[int], None] | None,
+        progress: Callable[[int], None],
     ) -> list[Trajectory]:
         runs = []
         for k, run in enumerate(run_many(jobs, threads=threads, progress=progress)):
@@ -401,15 +395,6 @@ class FootprintStudy:
             runs.append(run)
         return runs
 
-    def _steady(
-        self, offset: float, runs: Sequence[Trajectory]
-    ) -> tuple[SteadyPath, SteadyPath]:
-        """Return the path at an offset and half its range over the repeats."""
-        with named_in_errors(f"offset {offset:g}"):
-            return average_repeats(
-                [steady_path(self.setup, run, self.periods) for run in runs]
-            )
-
     def _transient(
         self,
         change: tuple[float, float],
@@ -418,17 +403,13 @@ class FootprintStudy:
         paths: Mapping[float, SteadyPath],
     ) -> Transient:
         """Return the transient after a change of offset, the largest over the phases of the gait."""
-        geometry, period, (before, after) = (
-            self.setup.spec.geometry,
-            self.setup.period,
-            change,
-        )
+        before, after = change
         with named_in_errors(f"offset {before:g} to {after:g}"):
             transients = [
                 measure_transient(
                     run,
-                    geometry,
-                    period,
+                    self.setup.spec.geometry,
+                    self.setup.period,
                     OffsetChange(time, before, after),
                     (paths[before], paths[after]),
                 )
@@ -454,10 +435,6 @@ def steady_path(setup: GaitSetup, run: Trajectory, periods: int) -> SteadyPath:
     return SteadyPath.measure(run, setup.spec.geometry, window)
 
 
-def _listed(offsets: Sequence[float]) -> str:
-    return ", ".join(f"{offset:g}" for offset in offsets) or "(none)"
-
-
 Changes = Sequence[tuple[float, float]]
 
 
@@ -480,14 +457,11 @@ def footprint_study(
     Raises:
         InputError: a value is not allowed.
     """
-    if offsets is None:
-        rows = setup.offsets
-    else:
-        rows = tuple(float(offset) for offset in offsets)
-    study = FootprintStudy(setup, rows, (), **counts)
-    return replace(
-        study, changes=default_changes(rows) if changes is None else tuple(changes)
-    )
+    rows = setup.offsets if offsets is None else tuple(map(float, offsets))
+    study = FootprintStudy(setup, rows, tuple(changes or ()), **counts)
+    if changes is None:
+        return replace(study, changes=default_changes(rows))
+    return study
 
 
 def default_changes(offsets: Sequence[float]) -> tuple[tuple[float, float], ...]:

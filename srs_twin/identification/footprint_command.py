@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple
+from dataclasses import asdict, astuple, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from srs_twin.cli.console import RunCounter, interruptible, say
 from srs_twin.cli.options import (
@@ -28,35 +28,14 @@ from srs_twin.io.files import display_path
 
 if TYPE_CHECKING:
     from srs_twin.identification.footprint import FootprintMeasurement
-    from srs_twin.planning.footprint import Transient
 
 FOOTPRINTS = "calibration/footprints"
 """Default folder of footprint files."""
 
 
-def footprint(
-    robot: RobotArgument,
-    controller: str = "gait",
-    frequency: float | None = None,
-    pressure: PressureOption = None,
-    target: float = 0.7,
-    plant: str = "twin",
-    contact: str | None = None,
-    chambers: str = "lag",
-    offsets: str | None = None,
-    transients: bool = True,
-    periods: int = 6,
-    phases: int = 4,
-    threads: Annotated[int | None, jobs_option("--threads -j N")] = None,
-    out: str = FOOTPRINTS,
-    name: str | None = None,
-    overwrite: OverwriteOption = False,
-    quiet: QuietOption = False,
-    as_json: JsonOption = False,
-) -> None:
-    """Measure the area swept at each offset.
-
-    With --transients, the area swept during changes of offset is measured as well.
+@dataclass(frozen=True)
+class MeasurementOptions:
+    """Options of the runs from which a footprint is measured.
 
     Options:
         --controller NAME: Controller: gait (open loop) or ilc (learning).
@@ -70,21 +49,73 @@ def footprint(
         --transients/--no-transients: Also measure changes of offset.
         --periods N: Measured gait periods of each run.
         --phases N: Runs per offset, with different initial phases.
+    """
+
+    controller: str = "gait"
+    frequency: float | None = None
+    pressure: PressureOption = None
+    target: float = 0.7
+    plant: str = "twin"
+    contact: str | None = None
+    chambers: str = "lag"
+    offsets: str | None = None
+    transients: bool = True
+    periods: int = 6
+    phases: int = 4
+    threads: Annotated[int | None, jobs_option("--threads -j N")] = None
+
+    def given(self) -> dict[str, Any]:
+        """Return the arguments of `calibrate_footprint`.
+
+        Raises:
+            InputError: the offsets are not numbers.
+        """
+        given = asdict(self)
+        given["frequency_hz"] = given.pop("frequency")
+        given["target_rad"] = given.pop("target")
+        pressure = given.pop("pressure")
+        if pressure is not None:
+            given["supply_pa"] = 1000 * pressure
+        if self.offsets is not None:
+            try:
+                given["offsets"] = [float(text) for text in self.offsets.split(",")]
+            except ValueError:
+                raise InputError(
+                    f"--offsets: '{self.offsets}' is not a list of numbers such as"
+                    " -0.3,0,0.3"
+                ) from None
+        return given
+
+
+_DEFAULT_MEASUREMENT = MeasurementOptions()
+
+
+def footprint(
+    robot: RobotArgument,
+    measurement: MeasurementOptions = _DEFAULT_MEASUREMENT,
+    out: str = FOOTPRINTS,
+    name: str | None = None,
+    overwrite: OverwriteOption = False,
+    quiet: QuietOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure the area swept at each offset.
+
+    With --transients, the area swept during changes of offset is measured as well.
+
+    Options:
         --out DIR: Output folder.
         --name NAME: Name of the footprint and its file. [default: ROBOT_CONTROLLER]
     """
     from srs_twin.robot.file import load_robot
 
-    if offsets is None:
-        requested_offsets = None
-    else:
-        requested_offsets = _parse_numbers(offsets)
+    given = measurement.given()
     from srs_twin.identification.footprint_report import (
         calibrate_footprint,
         footprint_file,
     )
 
-    file_name = name or f"{load_robot(robot).name}_{controller}"
+    file_name = name or f"{load_robot(robot).name}_{measurement.controller}"
     with (
         interruptible(NOTHING_WRITTEN),
         RunCounter(file_name, 0, quiet=quiet) as counting,
@@ -94,19 +125,8 @@ def footprint(
             out=out,
             name=file_name,
             overwrite=overwrite,
-            controller=controller,
-            frequency_hz=frequency,
-            supply_pa=None if pressure is None else 1000 * pressure,
-            target_rad=target,
-            plant=plant,
-            contact=contact,
-            chambers=chambers,
-            offsets=requested_offsets,
-            transients=transients,
-            periods=periods,
-            phases=phases,
-            threads=threads,
             progress=counting.count,
+            **given,
         )
     if as_json:
         file = footprint_file(measured, file_name)
@@ -162,12 +182,9 @@ def margin(
     elif not quiet:
         rows = []
         for result in measured:
-            quantiles = [
-                excursion_quantile(result.path_m, share) for share in (0.5, 0.9, 0.95)
-            ]
-            widths = (
-                f"{1000 * value:.0f}" for value in (*quantiles, result.path_m[-1])
-            )
+            path = result.path_m
+            quantiles = (excursion_quantile(path, share) for share in (0.5, 0.9, 0.95))
+            widths = (f"{1000 * value:.0f}" for value in (*quantiles, path[-1]))
             rows.append((result.conditions.plant, *widths))
         print_table(
             ("plant", "half of the runs", "90 %", "95 %", "all, mm"), rows, left=(0,)
@@ -176,48 +193,22 @@ def margin(
     say(f"excursions in {display_path(Path(out) / f'{name}.yaml')}", quiet=quiet)
 
 
-def _parse_numbers(text: str) -> list[float]:
-    """Return the numbers in a list such as -0.3,0,0.3.
-
-    Raises:
-        InputError: an entry is not a number.
-    """
-    try:
-        return [float(number) for number in text.split(",")]
-    except ValueError:
-        raise InputError(
-            f"--offsets: '{text}' is not a list of numbers such as -0.3,0,0.3"
-        ) from None
-
-
 def _print_footprint(measured: FootprintMeasurement) -> None:
     """Print the tables of steady paths, with half the range over the repeats, and of transients."""
-    rows = [
-        (
-            f"{offset:g}",
-            *(
-                f"{getattr(path, name):.4f} ± {getattr(spread, name):.4f}"
-                for name in ("speed", "curvature", "left", "right")
-            ),
+    paths = zip(measured.offsets, measured.steady, measured.spread, strict=True)
+    rows = []
+    for offset, path, spread in paths:
+        cells = (
+            f"{getattr(path, name):.4f} ± {getattr(spread, name):.4f}"
+            for name in ("speed", "curvature", "left", "right")
         )
-        for offset, path, spread in zip(
-            measured.offsets, measured.steady, measured.spread, strict=True
-        )
-    ]
+        rows.append((f"{offset:g}", *cells))
     print_table(("offset", "speed m/s", "curvature 1/m", "left m", "right m"), rows)
-    if measured.transients:
-        headings = (
-            "offset",
-            "left m",
-            "right m",
-            "over m",
-            "dx m",
-            "dy m",
-            "dheading rad",
-        )
-        print_table(headings, map(_transient_row, measured.transients))
-
-
-def _transient_row(change: Transient) -> tuple[str, ...]:
-    before, after, *numbers = astuple(change)
-    return f"{before:g} to {after:g}", *(f"{number:.3f}" for number in numbers)
+    if not measured.transients:
+        return
+    rows = []
+    for change in measured.transients:
+        before, after, *numbers = astuple(change)
+        rows.append((f"{before:g} to {after:g}", *(f"{n:.3f}" for n in numbers)))
+    headings = "offset,left m,right m,over m,dx m,dy m,dheading rad"
+    print_table(headings.split(","), rows)

@@ -52,7 +52,11 @@ def footprint_file(measured: FootprintMeasurement, name: str) -> FootprintFile:
     """Return a measurement as the content of a file, with unit, status and source of each column."""
     setup = measured.setup
     paths = measured.steady
-    source = _source(measured)
+    phases = f"{measured.repeats} phases of the gait"
+    source = (
+        f"measured on {_plant_text(setup)} by `srs-twin calibrate footprint`, over"
+        f" {measured.periods} gait periods at each of {phases} at the start"
+    )
     edge = "as curvature_per_m; the farthest that any repeat reached"
     # The straight snake at the start is longer than during the gait, so its length is
     # an upper bound.
@@ -82,10 +86,7 @@ def footprint_file(measured: FootprintMeasurement, name: str) -> FootprintFile:
         ),
         "behind_m": record(max(*_column(paths, "behind"), straight), "m", "as ahead_m"),
         "spread": {
-            "source": (
-                f"half the range over {measured.repeats} phases of the gait at the"
-                " start"
-            ),
+            "source": f"half the range over {phases} at the start",
             **{key: _column(measured.spread, name) for key, name in _SPREADS.items()},
         },
     }
@@ -93,8 +94,8 @@ def footprint_file(measured: FootprintMeasurement, name: str) -> FootprintFile:
         content["transients"] = {
             "status": "calibrated",
             "source": (
-                f"as curvature_per_m, each change at {measured.repeats} phases of the"
-                " gait: the widest and longest of them, and the mean jump"
+                f"as curvature_per_m, each change at {phases}: the widest and longest"
+                " of them, and the mean jump"
             ),
             "changes": [_change_entry(transient) for transient in measured.transients],
         }
@@ -148,14 +149,11 @@ def calibrate_footprint(
     """
     spec = load_robot(robot)
     if frequency_hz is None:
-        frequency = FREQUENCY_HZ.get(controller, 1.0)
-    else:
-        frequency = frequency_hz
-    supply = spec.supply.nominal if supply_pa is None else supply_pa
+        frequency_hz = FREQUENCY_HZ.get(controller, 1.0)
     setup = GaitSetup(
         spec,
-        frequency,
-        supply,
+        frequency_hz,
+        spec.supply.nominal if supply_pa is None else supply_pa,
         controller,
         target_rad,
         plant,
@@ -164,27 +162,18 @@ def calibrate_footprint(
     )
     study = footprint_study(
         setup,
-        offsets=None if offsets is None else sorted(offsets),
+        offsets=offsets and sorted(offsets),
         changes=None if transients else (),
         periods=periods,
         phases=phases,
     )
     file_name = check_file_name(name or f"{spec.name}_{controller}", "--name")
-    path = None if out is None else Path(out) / f"{file_name}.yaml"
-    if isinstance(robot, RobotSpec):
-        robot_name = spec.name
-    else:
-        robot_name = os.fspath(robot)
-    if path is not None:
-        if not overwrite:
-            check_same_study(path, study, robot_name, file_name)
-        check_output_folder(path.parent, (path.name,))
-
-    def count(done: int) -> None:
-        progress(done, study.runs)
-
-    measured = study.measure(threads=threads, progress=count)
-    if path is not None:
+    robot_name = spec.name if isinstance(robot, RobotSpec) else os.fspath(robot)
+    path = Path(out or ".") / f"{file_name}.yaml"
+    if out is not None:
+        _check_writable(path, _identity(study, robot_name, file_name), overwrite)
+    measured = study.measure(threads=threads, progress=progress)
+    if out is not None:
         header = header_lines(study, robot_name, file_name, versions())
         save_footprint(footprint_file(measured, file_name), path, header=header)
     return measured
@@ -200,11 +189,9 @@ def calibrate_command(study: FootprintStudy, robot: str, name: str) -> str:
     """
     setup = study.setup
     words = [
-        (
-            f"srs-twin calibrate footprint {robot} --name {name} --controller"
-            f" {setup.controller}"
-        ),
-        f"--frequency {setup.frequency:g} --pressure {setup.supply_pa / 1000:.9g}",
+        f"srs-twin calibrate footprint {robot} --name {name}",
+        f"--controller {setup.controller} --frequency {setup.frequency:g}",
+        f"--pressure {setup.supply_pa / 1000:.9g}",
     ]
     if setup.controller == "ilc":
         words.append(f"--target {setup.target:g}")
@@ -251,20 +238,20 @@ def robot_hash(spec: RobotSpec) -> str:
     return hashlib.sha256(repr(non_defaults(spec)).encode()).hexdigest()
 
 
-def check_same_study(path: Path, study: FootprintStudy, robot: str, name: str) -> None:
-    """Check that an existing file is from the same study, which may be replaced.
+def _check_writable(path: Path, identity: list[str], overwrite: bool) -> None:
+    """Check that a file may be written: it is new, of the same study, or to be replaced.
 
     Raises:
-        InputError: the file is from another study, or cannot be read.
+        InputError: the file is of another study, or cannot be read or written.
     """
-    if not os.path.lexists(path):
-        return
-    first = [line.removeprefix("# ") for line in read_text(path).splitlines()[:2]]
-    if first != _identity(study, robot, name):
-        raise InputError(
-            f"{display_path(path)}: the file exists with another footprint; --overwrite"
-            " replaces it; --name or --out choose another file"
-        )
+    if os.path.lexists(path) and not overwrite:
+        first = read_text(path).splitlines()[: len(identity)]
+        if [line.removeprefix("# ") for line in first] != identity:
+            raise InputError(
+                f"{display_path(path)}: the file exists with another footprint;"
+                " --overwrite replaces it; --name or --out choose another file"
+            )
+    check_output_folder(path.parent, (path.name,))
 
 
 def _identity(study: FootprintStudy, robot: str, name: str) -> list[str]:
@@ -285,14 +272,6 @@ def _column(paths: Sequence[SteadyPath], key: str) -> list[float]:
 def _change_entry(transient: Transient) -> dict[str, float]:
     values = zip(TransientFile.model_fields, astuple(transient), strict=True)
     return {key: round(value, _DIGITS) + 0.0 for key, value in values}
-
-
-def _source(measured: FootprintMeasurement) -> str:
-    return (
-        f"measured on {_plant_text(measured.setup)} by `srs-twin calibrate footprint`,"
-        f" over {measured.periods} gait periods at each of {measured.repeats} phases of"
-        " the gait at the start"
-    )
 
 
 def _plant_text(setup: GaitSetup) -> str:

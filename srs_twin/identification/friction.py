@@ -46,14 +46,15 @@ import numpy as np
 
 from srs_twin.errors import InputError
 from srs_twin.identification.estimate import (
-    IDENTIFIED_ERROR,
+    LEVEL,
     UNIDENTIFIABLE_ERROR,
     FitEstimate,
     Parameter,
     Residual,
     Role,
-    Verdict,
     correlation_matrix,
+    half_width,
+    verdict_on,
 )
 from srs_twin.identification.fit_file import (
     DataSet,
@@ -61,7 +62,7 @@ from srs_twin.identification.fit_file import (
     assign_roles,
     trajectory_hash,
 )
-from srs_twin.identification.least_squares import LEVEL, Watch, least_squares
+from srs_twin.identification.least_squares import Watch, least_squares
 from srs_twin.identification.parameters import FreeParameter, free_parameters
 from srs_twin.io.files import StrPath
 from srs_twin.plants.analytical.floor import slide, spin_share
@@ -166,31 +167,29 @@ def fit_pulls(pulls: Pulls, *, validation: Sequence[Pulls] = ()) -> FitEstimate:
         InputError: the same pulls are used for fit and validation.
     """
     data_with_roles = assign_roles("pulls", [pulls], validation)
-    shared = (pulls.stiffness_error / pulls.stiffness) ** 2 + (
-        pulls.mass_error / pulls.mass
-    ) ** 2
+    shared = (pulls.stiffness_error / pulls.stiffness) ** 2
+    shared += (pulls.mass_error / pulls.mass) ** 2
     values = [pulls.coefficients(direction) for direction in _DIRECTIONS]
-    means = np.array([value.mean() if len(value) else np.nan for value in values])
-    variances = np.array(
-        [value.var(ddof=1) / len(value) if len(value) else np.nan for value in values]
-    )
+    means = np.full(len(values), np.nan)
+    variances = np.full(len(values), np.nan)
+    scatter = np.full(len(values), np.nan)
+    for k, value in enumerate(values):
+        if len(value):
+            means[k] = value.mean()
+            variances[k] = value.var(ddof=1) / len(value)
+            scatter[k] = max(value.std(ddof=1), 1e-12)
     # Errors of k and m affect both coefficients by the same factor, so they correlate.
     covariance = np.diag(variances) + shared * np.outer(means, means)
     errors = np.sqrt(np.diag(covariance))
     parameters = [
         _parameter(k, values[k], means[k], variances[k], errors[k]) for k in range(2)
     ]
-    correlation = correlation_matrix(covariance, parameters)
-    scatter = [
-        max(float(value.std(ddof=1)), 1e-12) if len(value) else math.nan
-        for value in values
-    ]
     residuals = tuple(
         Residual(
             f"{data.name} {direction}",
             "1",
             data.coefficients(direction) - means[k],
-            scatter[k],
+            float(scatter[k]),
             role,
         )
         for data, role in data_with_roles
@@ -198,24 +197,20 @@ def fit_pulls(pulls: Pulls, *, validation: Sequence[Pulls] = ()) -> FitEstimate:
         if len(values[k]) and len(data.coefficients(direction))
     )
     samples = sum(len(value) for value in values)
-    held = {"mass_kg": pulls.mass, "spring_n_per_m": pulls.stiffness}
     return FitEstimate(
         tuple(parameters),
-        correlation,
+        correlation_matrix(covariance, parameters),
         residuals,
-        (),
-        samples,
-        float(samples),
-        1.0,
-        held,
+        samples=samples,
+        independent=float(samples),
+        residual_scale=1.0,
+        held={"mass_kg": pulls.mass, "spring_n_per_m": pulls.stiffness},
     )
 
 
 def _parameter(
     k: int, values: np.ndarray, mean: float, variance: float, error: float
 ) -> Parameter:
-    from scipy import stats
-
     if not len(values):  # one alone is refused
         why = f"there are no pulls {_DIRECTIONS[k]}"
         return Parameter(_NAMES[k], "1", "not identifiable", why=why)
@@ -224,17 +219,19 @@ def _parameter(
         return Parameter(_NAMES[k], "1", "not identifiable", why=why)
     # Welch-Satterthwaite formula; the shared errors of k and m get many degrees of
     # freedom, as if exactly known.
+    freedom = np.inf
     if variance > 0:
         freedom = (len(values) - 1) * (error**2 / variance) ** 2
-    else:
-        freedom = np.inf
-    half_width = float(stats.t.ppf(0.5 + LEVEL / 2, freedom)) * error
-    verdict: Verdict = (
-        "identified" if error <= IDENTIFIED_ERROR * mean else "weakly identified"
+    half = half_width(error, freedom)
+    return Parameter(
+        _NAMES[k],
+        "1",
+        verdict_on(error, mean),
+        float(mean),
+        float(error),
+        low=max(mean - half, 0.0),
+        high=mean + half,
     )
-    low = max(mean - half_width, 0.0)
-    high = mean + half_width
-    return Parameter(_NAMES[k], "1", verdict, float(mean), float(error), low, high)
 
 
 _CONSTANTS = ("spring_n_per_m", "mass_kg", "spring_error_n_per_m", "mass_error_kg")
@@ -415,24 +412,18 @@ class CoastingTest:
         Raises:
             InputError: the test is too short or too slow, or the robot turns.
         """
+        needed = f"{_MIN_SAMPLES} or more are needed"
         time = trajectory.time
-        com = trajectory.com
         if len(time) < _MIN_SAMPLES:
-            raise InputError(
-                f"{name}: {len(time)} samples; {_MIN_SAMPLES} or more are needed"
-            )
-        speed = np.hypot(*moving_slope(time, com).T)
+            raise InputError(f"{name}: {len(time)} samples; {needed}")
+        speed = np.hypot(*moving_slope(time, trajectory.com).T)
         if start is None:
             first = int(np.argmax(speed))
         else:
             first = int(np.searchsorted(time, start))
         time = time[first:]
-        com = com[first:]
         if len(time) < _MIN_SAMPLES:
-            raise InputError(
-                f"{name}: {len(time)} samples after the push; {_MIN_SAMPLES} or more"
-                " are needed"
-            )
+            raise InputError(f"{name}: {len(time)} samples after the push; {needed}")
         if speed[first] < _MIN_SPEED_M_S:
             raise InputError(
                 f"{name}: the largest speed is {speed[first]:.2g} m/s;"
@@ -446,24 +437,22 @@ class CoastingTest:
             )
         trend = np.polynomial.Polynomial.fit(time, heading, _HEADING_DEGREE)(time)
         middle = (trend[1:] + trend[:-1]) / 2
-        steps = np.diff(com, axis=0) @ [1.0, 1.0j] * np.exp(-1j * middle)
+        moves = np.diff(trajectory.com[first:], axis=0)
+        steps = moves @ [1.0, 1.0j] * np.exp(-1j * middle)
         path = np.concatenate([[0.0], np.cumsum(steps)])
         position = np.stack([path.real, path.imag], axis=1)
-        guess = moving_slope(time, position)[0]
-        velocity = (float(guess[0]), float(guess[1]))
-        span = (float(time[0]), float(time[-1]))
+        along, across = moving_slope(time, position)[0].tolist()
+        bends = None
         if trajectory.has("bend_1"):
             bends = trajectory.stack("bend")[first:].mean(axis=0)
-        else:
-            bends = None
         return cls(
             name,
             trajectory_hash(trajectory),
             time - time[0],
             position,
-            velocity,
-            span,
-            bends,
+            velocity=(along, across),
+            span=(float(time[0]), float(time[-1])),
+            bends=bends,
         )
 
     def data_set(self, role: Role) -> DataSet:
@@ -551,19 +540,14 @@ def _widened(parameter: Parameter, ends: Sequence[FitEstimate]) -> Parameter:
             return fit
     low = min(fit.low for fit in fits if fit.low is not None)
     high = max(fit.high for fit in fits if fit.high is not None)
-    verdict = parameter.verdict
-    why = parameter.why
-    value = parameter.value or 0.0
-    if (
-        verdict == "identified"
-        and max(value - low, high - value) > _MAX_HALF_WIDTH * value
-    ):
-        verdict = "weakly identified"
-        why = f"its interval reaches beyond ±{100 * _MAX_HALF_WIDTH:.0f} %"
     error = (high - low) / 2 / _STDS_IN_HALF_WIDTH
-    return replace(
-        parameter, verdict=verdict, standard_error=error, low=low, high=high, why=why
-    )
+    widened = replace(parameter, standard_error=error, low=low, high=high)
+    value = parameter.value or 0.0
+    is_wide = max(value - low, high - value) > _MAX_HALF_WIDTH * value
+    if is_wide and parameter.verdict == "identified":
+        why = f"its interval reaches beyond ±{100 * _MAX_HALF_WIDTH:.0f} %"
+        return replace(widened, verdict="weakly identified", why=why)
+    return widened
 
 
 @dataclass(frozen=True)
@@ -670,34 +654,22 @@ def _motion(run: CoastingTest, k: int) -> list[FreeParameter]:
     moved = late - run.position[2 * few : 3 * few].mean(axis=0)
     rolls = abs(moved[0]) > _MIN_TRAVEL * _NOISE_M
     limit = _MAX_ROLL_ANGLE_RAD / 2
+    angle = 0.0
     if rolls:
         angle = min(max(float(moved[1] / moved[0]), -limit), limit)
-    else:
-        angle = 0.0
-    turned = (
-        (late - run.position[: max(1, few // 4)].mean(axis=0))
-        @ [1.0, 1.0j]
-        * np.exp(-1j * angle)
-    )
-    travel = abs(turned.real), abs(turned.imag)
-    unknowns = [
-        FreeParameter(
-            f"{direction}_{k}",
-            "m/s",
-            guess,
-            guess - 2.0,
-            guess + 2.0,
-            1.0,
-            nuisance=True,
-        )
-        for direction, guess, distance in zip(
-            _DIRECTIONS, run.velocity, travel, strict=True
-        )
-        if distance > _MIN_TRAVEL * _NOISE_M
-    ]
-    if rolls:
-        bound = _MAX_ROLL_ANGLE_RAD
+    shift = late - run.position[: max(1, few // 4)].mean(axis=0)
+    turned = shift @ [1.0, 1.0j] * np.exp(-1j * angle)
+
+    def free(name: str, unit: str, start: float, low: float, high: float) -> None:
         unknowns.append(
-            FreeParameter(f"roll_{k}", "rad", angle, -bound, bound, 1.0, nuisance=True)
+            FreeParameter(f"{name}_{k}", unit, start, low, high, 1.0, nuisance=True)
         )
+
+    unknowns: list[FreeParameter] = []
+    travel = (abs(turned.real), abs(turned.imag))
+    for name, guess, distance in zip(_DIRECTIONS, run.velocity, travel, strict=True):
+        if distance > _MIN_TRAVEL * _NOISE_M:
+            free(name, "m/s", guess, guess - 2.0, guess + 2.0)
+    if rolls:
+        free("roll", "rad", angle, -_MAX_ROLL_ANGLE_RAD, _MAX_ROLL_ANGLE_RAD)
     return unknowns

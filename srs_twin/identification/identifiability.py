@@ -76,17 +76,12 @@ class Identifiability:
 
     def describe(self, i: int) -> str:
         """Return the reason why parameter i is not identifiable."""
-        rows = [row for row in self.directions if abs(row[i]) > _MIN_COMPONENT]
-        components = [
-            (name, k, abs(row[k]))
-            for row in rows
-            for k, name in enumerate(self.names)
-            if k != i
-        ]
+        components = np.abs(self.directions) > _MIN_COMPONENT
+        rows = components[components[:, i]]
         others = sorted(
-            {name for name, _, component in components if component > _MIN_COMPONENT}
+            name for k, name in enumerate(self.names) if k != i and rows[:, k].any()
         )
-        if not rows:
+        if not len(rows):
             return f"its standard error in z is {self.errors[i]:.2g}, 1 or more"
         if not others:
             return "the residuals do not depend on it"
@@ -97,13 +92,11 @@ class Identifiability:
         """Unidentifiable directions as name → component, the largest component positive."""
         rows = []
         for row in self.directions:
-            components = zip(
-                self.names, row * np.sign(row[np.argmax(np.abs(row))]), strict=True
-            )
+            positive = row * np.sign(row[np.argmax(np.abs(row))])
             rows.append(
                 {
                     name: round(float(value), 3)
-                    for name, value in components
+                    for name, value in zip(self.names, positive, strict=True)
                     if abs(value) > _MIN_COMPONENT
                 }
             )
@@ -224,9 +217,10 @@ class Accuracy:
 
 def _describe_bound(parameter: FreeParameter, z: float) -> str:
     """Return the reason why a parameter whose search ended at a bound has no value."""
-    lower = (
-        z - parameter.coordinate(parameter.low)
-        < parameter.coordinate(parameter.high) - z
-    )
-    bound, side = (parameter.low, "lower") if lower else (parameter.high, "upper")
-    return f"the best fit is at the {side} bound, {bound:g} {parameter.unit}, or beyond"
+    above = z - parameter.coordinate(parameter.low)
+    below = parameter.coordinate(parameter.high) - z
+    if above < below:
+        where = f"lower bound, {parameter.low:g}"
+    else:
+        where = f"upper bound, {parameter.high:g}"
+    return f"the best fit is at the {where} {parameter.unit}, or beyond"

@@ -42,13 +42,19 @@ import numpy as np
 from srs_twin.compute.arrays import Array
 from srs_twin.errors import InputError
 from srs_twin.identification.estimate import (
+    LEVEL,
     FitEstimate,
     Residual,
     correlation_matrix,
     correlation_time,
     explains_data,
+    half_width,
 )
-from srs_twin.identification.identifiability import Accuracy, identifiability
+from srs_twin.identification.identifiability import (
+    Accuracy,
+    Identifiability,
+    identifiability,
+)
 from srs_twin.identification.parameters import FreeParameter
 
 Values = Mapping[str, float]
@@ -216,10 +222,8 @@ class Search:
             down = z.copy()
             up[i] = min(z[i] + h, self.high[i])
             down[i] = max(z[i] - h, self.low[i])
-            columns.append(
-                (self.weighted(up, only) - self.weighted(down, only))
-                / (up[i] - down[i])
-            )
+            change = self.weighted(up, only) - self.weighted(down, only)
+            columns.append(change / (up[i] - down[i]))
         return np.stack(columns, axis=1)
 
     def jacobian_and_error(self, z: Array, noise: float) -> tuple[Array, Array]:
@@ -232,10 +236,9 @@ class Search:
         step = self._options.step
         wide = self._options.identifiability_step
         if wide is not None:
-            smallest = float(
-                np.linalg.svd(self.jacobian(z, wide), compute_uv=False)[-1]
-            )
-            step = wide if noise > step * smallest else step
+            singular = np.linalg.svd(self.jacobian(z, wide), compute_uv=False)
+            if noise > step * singular[-1]:
+                step = wide
         fine = self.jacobian(z, step)
         coarse = self.jacobian(z, 2 * step)
         if wide is None:
@@ -247,12 +250,8 @@ class Search:
     def bias(self, z: Array, refit: Refit) -> Array:
         """Return the bias b(z): the result of a search in simulated data minus z, shape (n,)."""
         values = refit(self.values(z))
-        return (
-            np.array(
-                [unknown.coordinate(values[unknown.name]) for unknown in self.unknowns]
-            )
-            - z
-        )
+        found = [unknown.coordinate(values[unknown.name]) for unknown in self.unknowns]
+        return np.array(found) - z
 
     def run(self, start: Array) -> SearchResult:
         """Search from a start, with the first stage if there is one; if stopped, return the best point."""
@@ -281,15 +280,13 @@ class Search:
         fine = self._options.step
         coarse = self._options.coarse_step
         end = self._minimize(start, fine)
+        if coarse is None:
+            return end
         for _ in range(_MAX_COARSE_SEARCHES):
-            if coarse is None:
-                break
             before = end
             other = self._minimize(end.z, coarse)
             if other.cost < before.cost:
                 end = self._minimize(other.z, fine)
-            else:
-                end = before
             if not end.cost < _IMPROVEMENT * before.cost:
                 break
         return end
@@ -301,10 +298,8 @@ class Search:
 
         # Add one observation per parameter at its start, so that parameters without
         # effect on the filtered residuals stay there.
-        if only is None:
-            prior = np.zeros((0, len(start)))
-        else:
-            prior = np.eye(len(start))
+        count = 0 if only is None else len(start)
+        prior = np.eye(count, len(start))
         result = optimize.least_squares(
             lambda z: np.concatenate([self.weighted(z, only), prior @ (z - start)]),
             start,
@@ -339,16 +334,11 @@ def select_starts(search: Search, count: int) -> list[Array]:
     candidates.sort(key=search.start_cost)
     starts = [search.start]
     for z in candidates:
-        distances = [np.linalg.norm(z - start) for start in starts]
-        if len(starts) < count and all(
-            distance > _MIN_START_DISTANCE for distance in distances
-        ):
+        nearest = min(np.linalg.norm(z - start) for start in starts)
+        if len(starts) < count and nearest > _MIN_START_DISTANCE:
             starts.append(z)
     return starts
 
-
-LEVEL = 0.95
-"""Level of the confidence intervals."""
 
 _BOUND_DISTANCE = 1e-3
 """Distance in z from a bound below which a parameter counts as being at it."""
@@ -413,16 +403,7 @@ def _estimate(
     variance = 2 * best.cost / samples * max(independent / freedom, 1.0)
     noise = float(np.sqrt(variance * samples / independent))
     scale = float(np.sqrt(variance))
-    jacobian, error = search.jacobian_and_error(z, noise)
-    # A parameter without effect may end anywhere, so a bound at its end means nothing.
-    has_effect = np.linalg.norm(jacobian, axis=0) > 2 * np.linalg.norm(error, axis=0)
-    at_bound = has_effect & (
-        (z - search.low < _BOUND_DISTANCE) | (search.high - z < _BOUND_DISTANCE)
-    )
-    inside = np.flatnonzero(~at_bound)
-    widths = (search.high - search.low)[inside]
-    names = [unknowns[i].name for i in inside]
-    known = identifiability(jacobian[:, inside], error[:, inside], noise, widths, names)
+    inside, known = _identify(search, z, noise)
     bias = np.zeros(len(z))
     explained = explains_data(residuals, scale)
     if refit is not None and explained:
@@ -433,24 +414,41 @@ def _estimate(
         known = replace(known, covariance=known.covariance + terms.T @ terms)
     limit = stats.chi2.ppf(LEVEL, len(unknowns)) * variance * samples / independent
     spread = _spread_of_minima(best, ends, limit)
-    quantile = float(stats.t.ppf(0.5 + LEVEL / 2, freedom))
+    quantile = half_width(1.0, freedom)
     accuracy = Accuracy(
         unknowns, z, best.converged, inside, known, bias, spread, quantile, explained
     )
     kept = [i for i, unknown in enumerate(unknowns) if not unknown.nuisance]
     parameters = tuple(accuracy.parameter(i) for i in kept)
     correlation = correlation_matrix(accuracy.covariance(kept), parameters)
-    counts = (samples, float(independent))
     return FitEstimate(
         parameters,
         correlation,
         residuals,
         known.cancels,
-        *counts,
+        samples,
+        float(independent),
         scale,
         held,
         best.converged,
     )
+
+
+def _identify(
+    search: Search, z: Array, noise: float
+) -> tuple[np.ndarray, Identifiability]:
+    """Return the indices of the parameters that did not end at a bound, and their identifiability."""
+    jacobian, error = search.jacobian_and_error(z, noise)
+    # A parameter without effect may end anywhere, so a bound at its end means nothing.
+    has_effect = np.linalg.norm(jacobian, axis=0) > 2 * np.linalg.norm(error, axis=0)
+    at_bound = has_effect & (
+        (z - search.low < _BOUND_DISTANCE) | (search.high - z < _BOUND_DISTANCE)
+    )
+    inside = np.flatnonzero(~at_bound)
+    widths = (search.high - search.low)[inside]
+    names = [search.unknowns[i].name for i in inside]
+    known = identifiability(jacobian[:, inside], error[:, inside], noise, widths, names)
+    return inside, known
 
 
 def _count_samples(

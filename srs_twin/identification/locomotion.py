@@ -14,7 +14,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,16 +23,15 @@ from srs_twin.control.base import Controller
 from srs_twin.control.replay import Replay
 from srs_twin.errors import DivergedError, InputError, UnknownNameError
 from srs_twin.identification.estimate import (
-    IDENTIFIED_ERROR,
     FitEstimate,
     Parameter,
     Residual,
     Role,
-    Verdict,
+    half_width,
+    verdict_on,
 )
 from srs_twin.identification.fit_file import DataSet, assign_roles, trajectory_hash
 from srs_twin.identification.least_squares import (
-    LEVEL,
     Search,
     SearchOptions,
     Watch,
@@ -107,8 +106,6 @@ def measured_length(
     ]
     if len(requested) != 1 or not marked:
         return None
-    from scipy import stats
-
     parameter = free_parameters(spec, requested)[0]
     count = spec.segments
     straight_lengths = np.empty((len(marked), count))
@@ -126,13 +123,12 @@ def measured_length(
     )
     scatter = float(means.std(ddof=1)) if count > 1 else 0.0
     error = math.hypot(scatter / math.sqrt(count), math.sqrt(2) * noise / count)
-    half_width = float(stats.t.ppf(0.5 + LEVEL / 2, max(count - 1, 1))) * error
+    half = half_width(error, max(count - 1, 1))
     value, low, high = (
         parameter.value(parameter.coordinate(v))
-        for v in (value, value - half_width, value + half_width)
+        for v in (value, value - half, value + half)
     )
-    is_identified = error <= IDENTIFIED_ERROR * parameter.slope(value)
-    verdict: Verdict = "identified" if is_identified else "weakly identified"
+    verdict = verdict_on(error, parameter.slope(value))
     return Parameter(
         parameter.name, parameter.unit, verdict, value, error, low, high, FROM_MARKERS
     )
@@ -236,20 +232,18 @@ class PlantModel:
         twin, and all its signals are monotonic.
         """
         if self.plant == "twin":
-            uses_shapes = against != "averages"
-            return SearchOptions(
+            options = SearchOptions(
                 step=3e-3,
                 coarse_step=3e-2,
                 tolerance=3e-4,
-                first_stage=(
-                    (lambda residual: " bend_" in residual.name)
-                    if uses_shapes
-                    else None
-                ),
+                first_stage=lambda residual: " bend_" in residual.name,
                 identifiability_step=3e-2,
                 target_rms=1e-2,
                 max_runs=MAX_TWIN_RUNS,
             )
+            if against == "averages":
+                return replace(options, first_stage=None)
+            return options
         if self.settings.get("model") == "compliant":
             return SearchOptions(
                 step=1e-2,
@@ -264,22 +258,20 @@ class PlantModel:
         self, spec: RobotSpec, supply_pa: float, chambers: Pneumatics | None = None
     ) -> Plant:
         """Return the plant of a robot, optionally with given chambers."""
-        if chambers is None:
-            settings = self.settings
-        else:
-            settings = {**self.settings, "pneumatics": chambers}
+        settings = dict(self.settings)
+        if chambers is not None:
+            settings["pneumatics"] = chambers
         if self.plant == "twin":
             from srs_twin.plants.twin.snake import TwinSnake
 
             return TwinSnake(spec, supply_pa=supply_pa, **settings)
         from srs_twin.plants.analytical import AnalyticalSnake
 
-        if settings.get("model") == "compliant":
-            steps = _COMPLIANT_STEPS
-        else:
-            steps = _CLOSE_STEPS
-        steps = {name: value * spec.scale.time for name, value in steps.items()}
-        return AnalyticalSnake(spec, supply_pa=supply_pa, **{**steps, **settings})
+        is_compliant = settings.get("model") == "compliant"
+        steps = _COMPLIANT_STEPS if is_compliant else _CLOSE_STEPS
+        for name, value in steps.items():
+            settings.setdefault(name, value * spec.scale.time)
+        return AnalyticalSnake(spec, supply_pa=supply_pa, **settings)
 
     def simulate(self, run: GaitRun, spec: RobotSpec) -> Trajectory:
         """Return the motion of the plant under the valve states of a run.
@@ -287,16 +279,19 @@ class PlantModel:
         Raises:
             DivergedError: the simulation diverges.
         """
-        plant = self.build(
-            spec, run.supply_pa, run.chambers(spec) if run.chambers else None
-        )
+        chambers = run.chambers and run.chambers(spec)
+        plant = self.build(spec, run.supply_pa, chambers)
         span = float(run.trajectory.time[-1] - run.trajectory.time[0])
         duration = math.ceil(span / plant.tick - 1e-9) * plant.tick
         return rollout(plant, run.controller, duration, record_hz=1 / plant.tick)
 
 
-_Data = tuple[GaitRun, dict[str, np.ndarray], Role]
-"""Run, its measured signals and its role."""
+class _Data(NamedTuple):
+    """Run with its measured signals and its role."""
+
+    run: GaitRun
+    measured: dict[str, np.ndarray]
+    role: Role
 
 
 @dataclass(frozen=True)
@@ -315,7 +310,8 @@ class _Comparison:
 
     def data(self, run: GaitRun, role: Role) -> _Data:
         """Return a run with its measured signals."""
-        return run, signals(run.trajectory, None, self.against, run.name), role
+        measured = signals(run.trajectory, None, self.against, run.name)
+        return _Data(run, measured, role)
 
     def simulated(
         self, data: Sequence[_Data], plant: PlantModel, values: Mapping[str, float]
@@ -346,15 +342,14 @@ class _Comparison:
                     for name, signal in measured.items()
                 }
             for name, difference in differences.items():
-                scale, unit = NOISE[name if name in NOISE else name.rpartition("_")[0]]
-                bend_error = run.trajectory.columns.get(
-                    name.replace("bend", "bend_error")
-                )
-                if "bend" in name and bend_error is not None:
-                    scale = max(scale, float(np.sqrt(np.mean(bend_error**2))))
-                result.append(
-                    Residual(f"{run.name} {name}", unit, difference, scale, role)
-                )
+                kind = name if name in NOISE else name.rpartition("_")[0]
+                scale, unit = NOISE[kind]
+                error_name = name.replace("bend", "bend_error")
+                error = run.trajectory.columns.get(error_name)
+                if kind == "bend" and error is not None:
+                    scale = max(scale, float(np.sqrt(np.mean(error**2))))
+                signal = f"{run.name} {name}"
+                result.append(Residual(signal, unit, difference, scale, role))
         return result
 
 
@@ -395,21 +390,16 @@ def fit_locomotion(
     """
     if against not in AGAINST:
         raise UnknownNameError("residual", against, AGAINST)
-    values = {
-        parameter.name: parameter.value
-        for parameter in known
-        if parameter.value is not None
-    }
-    spec = with_values(spec, values)
-    measured = {parameter.name for parameter in known}
-    unknowns = free_parameters(spec, [name for name in names if name not in measured])
+    fixed = {parameter.name: parameter.value or 0.0 for parameter in known}
+    spec = with_values(spec, fixed)
+    unknowns = free_parameters(spec, [name for name in names if name not in fixed])
     comparison = _Comparison(model or PlantModel(), spec, against)
     data = [
         comparison.data(run, role)
         for run, role in assign_roles("gait runs", runs, validation)
     ]
-    fitted = [entry for entry in data if entry[2] == "fit"]
-    kept = [entry for entry in data if entry[2] != "fit"]
+    fitted = data[: len(runs)]
+    kept = data[len(runs) :]
     if not unknowns and known:
         return FitEstimate(
             (), np.zeros((0, 0)), tuple(comparison.residuals(data, {}))
@@ -495,9 +485,8 @@ def _shapes(
         turn = float((target_heading - heading).mean())
         c = math.cos(turn)
         s = math.sin(turn)
-        path = (path - path.mean(axis=0)) @ np.array([[c, s], [-s, c]]) + target.mean(
-            axis=0
-        )
+        turned = (path - path.mean(axis=0)) @ np.array([[c, s], [-s, c]])
+        path = turned + target.mean(axis=0)
         heading = heading + turn
     shapes = {"path_x": path[:, 0], "path_y": path[:, 1], "heading": heading}
     return shapes | numbered_columns(

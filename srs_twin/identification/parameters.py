@@ -143,7 +143,8 @@ def with_values(spec: RobotSpec, values: Mapping[str, float]) -> RobotSpec:
 
 def is_parameter(name: str) -> bool:
     """Return whether a name is a robot parameter."""
-    return _key(name)[0] in _ACCESSORS
+    key, _ = _key(name)
+    return key in _ACCESSORS
 
 
 def parameter_unit(name: str) -> str:
@@ -152,7 +153,8 @@ def parameter_unit(name: str) -> str:
     Raises:
         UnknownNameError: the parameter does not exist.
     """
-    return _accessor(name)[0].unit
+    accessor, _ = _accessor(name)
+    return accessor.unit
 
 
 def parameter_names() -> list[str]:
@@ -168,11 +170,10 @@ def per_segment(spec: RobotSpec, *names: str) -> tuple[str, ...]:
 def _key(name: str) -> tuple[str, int]:
     """Return a name with N for its number, and the number counted from 0; 0 if it has none."""
     match = re.fullmatch(r"(.+_)([1-9]\d?)", name, flags=re.ASCII)
-    if match is None:
-        return (
-            "" if name.endswith("_N") else name
-        ), 0  # a name with a literal N is invalid
-    return f"{match[1]}N", int(match[2]) - 1
+    if match is not None:
+        return f"{match[1]}N", int(match[2]) - 1
+    # A name with a literal N is invalid.
+    return "" if name.endswith("_N") else name, 0
 
 
 def _accessor(name: str) -> tuple[_Accessor, int]:
@@ -222,15 +223,15 @@ def _module(
     attribute: str, side: int | None, unit: str, low: float, high: float, **more: Any
 ) -> _Accessor:
     """Return the accessor of a parameter of single modules; side 0 is the + chamber."""
+    place = () if side is None else (side,)
 
     def get(spec: RobotSpec, k: int) -> float:
-        row = spec.modules.array(attribute)[k]
-        return float(row if side is None else row[side])
+        return float(spec.modules.array(attribute)[k, *place])
 
     def put(spec: RobotSpec, value: float, k: int) -> RobotSpec:
         modules = spec.modules
         arrays = {field.name: modules.array(field.name) for field in fields(Modules)}
-        arrays[attribute][k if side is None else (k, side)] = value
+        arrays[attribute][k, *place] = value
         return replace(spec, variation=Modules.from_arrays(**arrays))
 
     return _Accessor(unit, low, high, get, put, numbered="segment", **more)

@@ -290,51 +290,65 @@ def measure_transient(
         raise InputError(
             f"a change of offset needs {STEADY_PERIODS} gait periods before it"
         )
-    settled, (before, after) = (
-        _settling_time(trajectory, period, change.time, paths),
-        paths,
-    )
+    before, after = paths
+    settled = _settling_time(trajectory, period, change.time, paths)
     end = min(settled + STEADY_PERIODS * period, float(trajectory.time[-1]))
     new = GaitWindow.ending_at(trajectory, period, end, STEADY_PERIODS)
     assert new is not None, "it begins after the change"
     begin = _extrapolate(trajectory, old, change.time, before).mean()
-    jump = (
-        begin.inverse()
-        .compose(_extrapolate(trajectory, new, change.time, after))
-        .mean()
-    )
-
-    during = (trajectory.time >= change.time - 1e-9) & (
-        trajectory.time <= settled + 1e-9
-    )
-    body = body_sides(trajectory, geometry)[during]
-    distance = after.speed * (trajectory.time[during] - change.time)
-    _, left = begin.compose(Poses.arc(after.curvature, distance)).coordinates(
-        body, after.curvature
-    )
-    # Exclude the area that the old arc sweeps up to the change, at most one body length
-    # before it.
-    along, offset = begin.coordinates(body, before.curvature)
-    swept = (offset <= before.left) & (offset >= -before.right)
-    swept &= (along <= before.ahead) & (along >= -before.ahead - before.behind)
-    excess = [
-        np.where(swept, 0.0, out).max()
-        for out in (left - after.left, -left - after.right)
-    ]
-    left_excess, right_excess = (max(float(distance), 0.0) for distance in excess)
-    length = after.speed * (settled - change.time)
-    place = jump.place
-    turn = float(np.angle(np.exp(1j * jump.heading)))
+    end_of_jump = _extrapolate(trajectory, new, change.time, after)
+    jump = begin.inverse().compose(end_of_jump).mean()
+    left, right = _excess(trajectory, geometry, change.time, settled, begin, paths)
     return Transient(
         change.before,
         change.after,
-        left_excess,
-        right_excess,
-        length,
-        float(place.real),
-        float(place.imag),
-        turn,
+        left,
+        right,
+        length=after.speed * (settled - change.time),
+        dx=float(jump.place.real),
+        dy=float(jump.place.imag),
+        dheading=float(np.angle(np.exp(1j * jump.heading))),
     )
+
+
+def _excess(
+    trajectory: Trajectory,
+    geometry: Geometry,
+    time: float,
+    settled: float,
+    begin: Poses,
+    paths: BothPaths,
+) -> tuple[float, float]:
+    """Return how far the body reaches beyond the new arc during a transient, m.
+
+    The area that the old arc sweeps up to the change, at most one body length before
+    it, is excluded.
+
+    Args:
+        trajectory: run.
+        geometry: geometry of its robot.
+        time: time of the change, s.
+        settled: end of the transient, s.
+        begin: pose at the change.
+        paths: steady paths of the old and the new offset.
+
+    Returns:
+        Excess to the left and to the right.
+    """
+    before, after = paths
+    during = (trajectory.time >= time - 1e-9) & (trajectory.time <= settled + 1e-9)
+    body = body_sides(trajectory, geometry)[during]
+    distance = after.speed * (trajectory.time[during] - time)
+    _, left = begin.compose(Poses.arc(after.curvature, distance)).coordinates(
+        body, after.curvature
+    )
+    along, offset = begin.coordinates(body, before.curvature)
+    swept = (offset <= before.left) & (offset >= -before.right)
+    swept &= (along <= before.ahead) & (along >= -before.ahead - before.behind)
+    outside = [np.where(swept, 0.0, left - after.left).max()]
+    outside.append(np.where(swept, 0.0, -left - after.right).max())
+    left_excess, right_excess = (max(float(distance), 0.0) for distance in outside)
+    return left_excess, right_excess
 
 
 def _settling_time(

@@ -36,7 +36,7 @@ def replay_scenario(
     robot: StrPath,
     *,
     recording: Mapping[str, Any] = MappingProxyType({}),
-    set: Overrides = (),
+    set: Overrides = (),  # noqa: A002
     fits: Sequence[StrPath] = (),
     expect: StrPath | None = None,
     bench: bool = False,
@@ -101,19 +101,16 @@ def _duration(
     recording: Mapping[str, Any], robot: RobotFile, notify: Callable[[str], object]
 ) -> float:
     """Return the duration of the recording in whole ticks, s."""
-    settings = {
-        key: value
-        for key, value in recording.items()
-        if key not in ("motion", "valves")
-    }
-    motion = recording["motion"]
-    valves = recording.get("valves")
+    settings = dict(recording)
+    motion = settings.pop("motion")
+    valves = settings.pop("valves", None)
     (log,) = logs_of([motion], [valves] if valves else [])
     settings["map"] = read_map(settings.get("map", {}))
     measured = RecordingReader(**settings).take(motion, log, robot.spec())
     notify(f"{measured.summary.text()}\n")
     time = measured.trajectory.time
-    ticks = math.floor(min(float(time[-1] - time[0]), _MAX_DURATION_S) / TICK_S + 1e-6)
+    duration = min(float(time[-1] - time[0]), _MAX_DURATION_S)
+    ticks = math.floor(duration / TICK_S + 1e-6)
     return round(ticks * TICK_S, 6)
 
 

@@ -73,17 +73,18 @@ def replay(
     if report.fails and expect is None:
         flag = "--check" if check else "--strict"
         raise InputError(f"{flag}: there are no expectations; give --expect FILE.yaml")
-    files = {"valves": valves, "offset_s": offset, "gait_frequency_hz": frequency}
+    recording = {"valves": valves, "offset_s": offset, "gait_frequency_hz": frequency}
+    given = {key: value for key, value in recording.items() if value is not None}
+    supply_pa = None if pressure is None else 1e3 * pressure
     scenario = replay_scenario(
         motion,
         robot,
-        recording={key: value for key, value in files.items() if value is not None}
-        | markers.given(),
+        recording=given | markers.given(),
         set=changed.changes(),
         fits=fit or (),
         expect=expect,
         bench=bench,
-        supply_pa=None if pressure is None else 1e3 * pressure,
+        supply_pa=supply_pa,
         plants=parse_plants(plants),
         model=model,
         law=law,

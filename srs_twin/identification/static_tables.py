@@ -54,11 +54,12 @@ from srs_twin.io.files import StrPath, write_text
 from srs_twin.pneumatics.chambers import air_bend
 from srs_twin.recordings.csv_table import first_line_names, read_table
 from srs_twin.recordings.recorded_file import read_file
-from srs_twin.recordings.recording import Recording
+from srs_twin.recordings.recording import Recording, ValveLog
 from srs_twin.recordings.signals.gaps import MIN_FRAMES
 from srs_twin.recordings.signals.logs import SIDES
 from srs_twin.recordings.signals.units import ANGLES, PRESSURES, is_clock
 from srs_twin.robot.spec import RobotSpec
+from srs_twin.trajectory import Trajectory
 
 _PLATEAU_BAND_PA = 1e3
 """Largest deviation from the mean of a constant pressure."""
@@ -120,21 +121,13 @@ class StaticTable:
         log = log_of(recording, name)
         time = trajectory.time
         bend = measured_bends(recording)
-        pressure = np.stack(
-            [trajectory.stack(f"{log.kind}_{side}") for side in SIDES], axis=-1
-        )
+        pressure = _chamber_pressures(trajectory, log, supply_pa)
         band = np.maximum(_PLATEAU_BAND_PA, 3 * _noise_scale(log.values))
-        if log.kind == "valve":
-            pressure = np.select(
-                [pressure == 1, pressure == -1], [supply_pa, 0.0], np.nan
-            )
+        frame_error = np.zeros_like(bend)
         if trajectory.has("bend_error"):
             frame_error = trajectory.stack("bend_error")
-        else:
-            frame_error = np.zeros_like(bend)
-        wait = 5 * max(
-            spec.actuator.tau_fill, spec.actuator.tau_vent, spec.actuator.tau_mode
-        )
+        actuator = spec.actuator
+        wait = 5 * max(actuator.tau_fill, actuator.tau_vent, actuator.tau_mode)
         points = []
         longest = 0.0
         for begin, end in _constant_intervals(pressure, band):
@@ -142,34 +135,31 @@ class StaticTable:
             frames = _settled_frames(time, pressure, band, begin, end, wait)
             if frames is None:
                 continue
-            signals = (
-                pressure[frames].swapaxes(0, 1),
-                bend[frames].T,
-                frame_error[frames].T,
-            )
             point = np.array(
                 [
-                    _settled_mean(time[frames], *signal)
-                    for signal in zip(*signals, strict=True)
+                    _settled_mean(
+                        time[frames],
+                        pressure[frames, j],
+                        bend[frames, j],
+                        frame_error[frames, j],
+                    )
+                    for j in range(spec.segments)
                 ]
             )
             if np.isfinite(point[:, 2]).any():
                 points.append(point)
         if not points:
-            needed = (
-                f"{wait:.2g} s (5 times the largest time constant) and {MIN_FRAMES}"
-                " more frames"
-            )
             message = (
-                f"pressures are constant for {longest:.2g} s; {needed}, with settled"
-                " bends, are needed"
+                f"{name}: no plateau: pressures are constant for {longest:.2g} s;"
+                f" {wait:.2g} s (5 times the largest time constant) and {MIN_FRAMES}"
+                " more frames, with settled bends, are needed"
             )
             if log.kind == "valve" and np.isnan(pressure).any():
                 message += (
                     "; the pressure of a chamber that holds (0) is unknown: log"
                     " pressures"
                 )
-            raise InputError(f"{name}: no plateau: {message}")
+            raise InputError(message)
         table = np.array(points)
         return cls(
             name, array_hash(table), table[..., :2], table[..., 2], table[..., 3]
@@ -178,6 +168,18 @@ class StaticTable:
     def data_set(self, role: Role) -> DataSet:
         """Return name, hash and size of the data."""
         return DataSet(self.name, self.sha256, role, int(np.isfinite(self.bend).sum()))
+
+
+def _chamber_pressures(
+    trajectory: Trajectory, log: ValveLog, supply_pa: float
+) -> np.ndarray:
+    """Return the settled pressures of a log, shape (samples, segments, 2), Pa; NaN if unknown."""
+    values = np.stack(
+        [trajectory.stack(f"{log.kind}_{side}") for side in SIDES], axis=-1
+    )
+    if log.kind != "valve":
+        return values
+    return np.select([values == 1, values == -1], [supply_pa, 0.0], np.nan)
 
 
 def _settled_frames(
@@ -326,10 +328,7 @@ def write_static_table(table: StaticTable, path: StrPath) -> None:
     ]
     error = np.broadcast_to(table.bend_error, table.bend.shape)
     rows = np.hstack([table.pressure.reshape(points, -1), table.bend, error]).tolist()
-    lines = (
-        ",".join("" if math.isnan(value) else repr(value) for value in row)
-        for row in rows
-    )
+    lines = (",".join(map(repr, row)).replace("nan", "") for row in rows)
     write_text(path, "\n".join([",".join(header), *lines, ""]))
 
 
@@ -413,43 +412,34 @@ def fit_static(
     largest = max(float(np.nanmax(np.abs(table.bend), initial=0.1)) for table in tables)
     unlimited = math.isinf(spec.actuator.bend_limit)
 
+    def residuals(robot: RobotSpec) -> list[Residual]:
+        result = []
+        for table, role in data:
+            rest = robot.modules.array("bias")
+            difference = table.bend - rest - air_bend(robot, table.pressure)
+            result += bend_residuals(table.name, difference, role, table.bend_error)
+        return result
+
     def search(
         searched: Sequence[str], fixed: Mapping[str, float], starts: Mapping[str, float]
     ) -> FitEstimate:
         base = with_values(spec, fixed)
-
-        def residuals(values: Mapping[str, float]) -> list[Residual]:
-            robot = with_values(base, values)
-            result = []
-            for table, role in data:
-                difference = (
-                    table.bend
-                    - robot.modules.array("bias")
-                    - air_bend(robot, table.pressure)
-                )
-                result += bend_residuals(table.name, difference, role, table.bend_error)
-            return result
-
         unknowns = free_parameters(base, searched, starts=starts)
-        held = fixed_values(base, unknowns) | dict(fixed)
-        estimate = least_squares(residuals, unknowns, held=held, watch=watch)
-        has_limit = _BEND_LIMIT in searched and estimate[_BEND_LIMIT].value is not None
-        if (
-            names is not None
-            or not unlimited
-            or _BEND_LIMIT not in searched
-            or has_limit
-        ):
+        estimate = least_squares(
+            lambda values: residuals(with_values(base, values)),
+            unknowns,
+            held=fixed_values(base, unknowns) | dict(fixed),
+            watch=watch,
+        )
+        is_reached = _BEND_LIMIT not in searched or _BEND_LIMIT in estimate.values
+        if names is not None or not unlimited or is_reached:
             return estimate
         # The data do not reach the bend limit. At its upper bound it would still reduce
         # the bends, so fit without it.
         without = search([name for name in searched if name != _BEND_LIMIT], fixed, {})
         return without.with_fixed([estimate[_BEND_LIMIT]])
 
-    if unlimited:
-        starts = {_BEND_LIMIT: min(1.5 * max(largest, 0.1), 6.0)}
-    else:
-        starts = {}
+    starts = {_BEND_LIMIT: min(1.5 * max(largest, 0.1), 6.0)} if unlimited else {}
     default = [*per_segment(spec, *MODULE_PARAMETERS), _BEND_LIMIT]
     searched = default if names is None else list(names)
     linear = search(searched, {}, starts)
@@ -460,7 +450,6 @@ def fit_static(
         or points <= len(searched) + len(_DEAD_ZONE)
     ):
         return linear
-
     return _fit_dead_zone(search, linear, searched, starts, largest)
 
 
@@ -505,22 +494,16 @@ def _fit_dead_zone(
     if not _is_significant(complete, linear):
         return linear
     partial = with_dead_zone({_ONSET_SHARE: 0.8} | complete.values, {})
-    if _is_significant(partial, complete):
-        best = partial
-    else:
-        best = complete
+    best = partial if _is_significant(partial, complete) else complete
     why = (
         f"a straight line leaves {linear.rms('fit'):.3g} times the noise, a dead zone"
         f" {best.rms('fit'):.3g}"
     )
-    parameters = (
-        (
-            replace(parameter, why="; ".join(filter(None, (why, parameter.why))))
-            if parameter.name == _ONSET
-            else parameter
-        )
-        for parameter in best.parameters
-    )
+    parameters = list(best.parameters)
+    for k, parameter in enumerate(parameters):
+        if parameter.name == _ONSET:
+            both = "; ".join(filter(None, (why, parameter.why)))
+            parameters[k] = replace(parameter, why=both)
     return replace(best, parameters=tuple(parameters))
 
 

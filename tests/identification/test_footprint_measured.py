@@ -402,7 +402,7 @@ def test_a_full_measurement_is_valid_for_the_planner():
         periods=3,
         phases=2,
         changes=[(-0.2, 0.2), (0.2, -0.2)],
-        progress=done.append,
+        progress=lambda count, total: done.append(count),
     )
     body = validate_footprint(footprint_of(fit))
     assert body.offsets == (-0.2, 0.0, 0.2) and done == list(range(1, 11))
@@ -464,7 +464,7 @@ GEN2 = load_robot("gen2")
         ({"plant": "twins"}, "unknown plant 'twins'; did you mean twin?"),
         ({"supply_pa": 600e3}, "pressure 600 kPa is above the"),
         ({"supply_pa": math.nan}, "pressure nan kPa is not allowed"),
-        ({"frequency": 0.0}, "frequency 0 Hz is not allowed"),
+        ({"frequency": 0.0}, "frequency 0.0 Hz is not allowed"),
         ({"frequency": 5.0}, "it must be 4 Hz or less"),
         ({"controller": "ilc", "target": -1.0}, "ilc target -1.0 is not allowed"),
         ({"periods": 2}, "periods 2 is not allowed; it must be from 3 to 200"),
