@@ -402,7 +402,8 @@ class Chamber:
     def __post_init__(self) -> None:
         _positive(self, "dead_volume", "displacement")
         if self.directions is not None:
-            raise_violations(direction_violations(np.degrees(self.directions)))
+            directions = tuple(map(math.degrees, self.directions))
+            raise_violations(direction_violations(directions))
 
     @property
     def axes(self) -> np.ndarray:

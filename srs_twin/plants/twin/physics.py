@@ -494,7 +494,8 @@ class SnakePhysics(Stateful):
         elif spec.actuator.extension:  # the actuators take bends and lengths
             lengths = free_extensions(spec, trace.pressure)[..., None]
             driven = np.concatenate([driven, lengths], axis=-1)
-        return driven.reshape(len(driven), -1)
+        controls: np.ndarray = driven.reshape(len(driven), -1)
+        return controls
 
     def evaluate(
         self,

@@ -379,7 +379,9 @@ class TwinSnake(PneumaticPlant):
             self._internal_loss = float(internal[-1])
 
         def mean_per_sample(force: np.ndarray) -> np.ndarray:
-            return force[:used].reshape(count, steps, *force.shape[1:]).mean(axis=1)
+            by_sample = force[:used].reshape(count, steps, *force.shape[1:])
+            mean: np.ndarray = by_sample.mean(axis=1)
+            return mean
 
         loads = Loads(
             floor_force=mean_per_sample(batch.floor_force),
