@@ -45,7 +45,15 @@ from srs_twin.pneumatics.chambers import (
     volume,
 )
 from srs_twin.pneumatics.flow import REFERENCE_PA, conductances
-from srs_twin.pneumatics.orifice_kernels import Plumbing, simulate
+from srs_twin.pneumatics.orifice_kernels import (
+    DRAWN,
+    LINE,
+    LOST,
+    ActualBends,
+    OrificeState,
+    Plumbing,
+    simulate,
+)
 from srs_twin.pneumatics.valves import Schedule
 from srs_twin.robot.spec import RobotSpec
 
@@ -64,9 +72,8 @@ A choked flow at a working point would not determine C.
 LINE_VOLUME = 50e-6
 """Volume between a limited supply and the inlets, m³. Estimate: compressor outlet, tubes and manifold."""
 
-_SUBSTEP_S = (
-    5e-4  # longest step of the integrator at a time unit of 1 (`robot.scale`), s
-)
+_SUBSTEP_S = 5e-4
+"""Longest step of the integrator at a time unit of 1 (`robot.scale`), s."""
 
 REGULATOR_BAND = 0.01
 """Fraction of the supply's gauge pressure over which its regulator closes, 1."""
@@ -126,18 +133,11 @@ class OrificePneumatics(Pneumatics):
             InputError: the layout is unknown, or a number is out of range.
         """
         check_not_negative(leak_per_s=leak_per_s)
-        limited = flow_limit is not None
-        largest_flow = 1.0 if flow_limit is None else flow_limit
-        if substep is None:
-            self._substep = _SUBSTEP_S * spec.scale.time
-        else:
-            self._substep = substep
-        for name, value in (
-            ("flow_limit", largest_flow),
-            ("line_volume", line_volume),
-            ("substep", self._substep),
-        ):
-            check_positive(name, value)
+        self._substep = _SUBSTEP_S * spec.scale.time if substep is None else substep
+        check_positive("line_volume", line_volume)
+        check_positive("substep", self._substep)
+        if flow_limit is not None:
+            check_positive("flow_limit", flow_limit)
         if not 0 <= critical_ratio <= MAX_CRITICAL_RATIO:
             raise InputError(
                 f"critical_ratio {critical_ratio!r} is not allowed; it must be 0 to"
@@ -149,12 +149,13 @@ class OrificePneumatics(Pneumatics):
                 f"line_begins {begins!r} Pa is not allowed; it must be 0 to the"
                 f" supply's {supply_pa:g}"
             )
+        limited = flow_limit is not None
         # A closed chamber is a stiff spring. Without a flow limit the speed of gen 2
         # differs by 0.5 % between 1 ms and 0.25 ms, and 2 ms diverges. A flow limit
         # couples all chambers, and 1 ms oscillates.
         self.coupling_step_s = (0.00025 if limited else 0.001) * spec.scale.time
         self.stiffness = _closed_stiffness(spec, supply_pa)
-        *nominal, self._capacity = conductances(spec, critical_ratio)
+        nominal_fill, nominal_vent, self._capacity = conductances(spec, critical_ratio)
         self._max_supply = supply_pa
         self._line_begins = begins + AMBIENT_PA
         fill, vent = self.conductances = _chamber_conductances(spec, critical_ratio)
@@ -170,7 +171,7 @@ class OrificePneumatics(Pneumatics):
             vent=REFERENCE_PA * vent,
             leak=np.full((spec.segments, 2), leak_per_s * self._capacity),
             supply=supply_pa + AMBIENT_PA,
-            max_flow=AMBIENT_PA * largest_flow,
+            max_flow=AMBIENT_PA * (1.0 if flow_limit is None else flow_limit),
             band=REGULATOR_BAND * supply_pa,
             line_volume=line_volume,
             limited=limited,
@@ -182,8 +183,8 @@ class OrificePneumatics(Pneumatics):
             "line_volume_ml": line_volume * 1e6 if limited else None,
             "line_begins_kpa": begins / 1000 if limited else None,
             "leak_per_s": leak_per_s,
-            "conductance_fill_m3_per_s_pa": nominal[0],
-            "conductance_vent_m3_per_s_pa": nominal[1],
+            "conductance_fill_m3_per_s_pa": nominal_fill,
+            "conductance_vent_m3_per_s_pa": nominal_vent,
         }
         super().__init__(spec, layout=layout, valve_delay_s=valve_delay_s)
 
@@ -239,17 +240,17 @@ class OrificePneumatics(Pneumatics):
     @property
     def line_pressure(self) -> float:
         """Current gauge pressure between supply and inlets, Pa."""
-        return float(self._amounts[0]) / self._plumbing.line_volume - AMBIENT_PA
+        return float(self._amounts[LINE]) / self._plumbing.line_volume - AMBIENT_PA
 
     @property
     def drawn(self) -> float:
         """Amount of air drawn from the supply since `reset`, P V, J."""
-        return float(self._amounts[1])
+        return float(self._amounts[DRAWN])
 
     @property
     def lost(self) -> float:
         """Amount of air vented and leaked since `reset`, P V, J."""
-        return float(self._amounts[2])
+        return float(self._amounts[LOST])
 
     def describe(self) -> dict[str, object]:
         """See `Pneumatics.describe`."""
@@ -263,23 +264,21 @@ class OrificePneumatics(Pneumatics):
         bend_rate: OptionalArray,
     ) -> Trace:
         trace = self._empty_trace(len(times))
-        state = self._state.copy()
-        amounts = self._amounts.copy()
-        actual = np.zeros((2, self._segments))
-        if bend is not None:
-            actual[0] = bend
-            actual[1] = 0.0 if bend_rate is None else bend_rate
-        end = np.empty((self._segments, 2)), np.empty(self._segments)
-        start = (state, amounts)
-        motion = (bend is not None, actual)
-        simulate(
-            start, schedule, times, self._substep, motion, self._plumbing, end, trace
+        segments = self._segments
+        now = OrificeState(
+            self._state.copy(),
+            self._amounts.copy(),
+            np.empty((segments, 2)),
+            np.empty(segments),
         )
+        actual = ActualBends(bend is not None, np.zeros(segments), np.zeros(segments))
+        if bend is not None:
+            actual.bend[:] = bend
+            actual.rate[:] = 0.0 if bend_rate is None else bend_rate
+        simulate(now, schedule, times, self._substep, actual, self._plumbing, trace)
         np.multiply(trace.air, self._energy_per_amount, out=trace.air)
-        self._state = state
-        self._amounts = amounts
-        self.pressure, self.bend = end
-        self.air = self._energy_per_amount * float(amounts[1])
+        self._state, self._amounts, self.pressure, self.bend = now
+        self.air = self._energy_per_amount * self.drawn
         return trace
 
 

@@ -229,22 +229,12 @@ def _chamber_kernel(
         for s in range(SLOTS):
             state = valves[i, s, j]
             content_before = filling(
-                state, pressure[0], pressure[1], before, law.space, AMBIENT_PA
+                state, pressure[0], pressure[1], before, law, AMBIENT_PA
             )
-            plus, minus, x = segment(
-                state,
-                law.kinds[j],
-                pressure,
-                air.linear[j],
-                law.asymptotes,
-                law.gain[j],
-                law.decay,
-                law.lag,
-                law.mode,
-            )
-            after, _, _ = bend_law(x, law.law)
+            plus, minus, x = segment(state, j, pressure, air.linear[j], law)
+            after, _, _ = bend_law(x, law)
             after += law.bias[j]
-            content = filling(state, plus, minus, after, law.space, AMBIENT_PA)
+            content = filling(state, plus, minus, after, law, AMBIENT_PA)
             air.drawn[j] = air.drawn[j] + law.worth * (content - content_before)
             pressure[0] = plus
             pressure[1] = minus
@@ -254,7 +244,7 @@ def _chamber_kernel(
                     air.openings[j, side] = air.openings[j, side] + 1
                 air.valves[j, side] = state[side]
             before = after
-        bend, slope, _ = bend_law(air.linear[j], law.law)
+        bend, slope, _ = bend_law(air.linear[j], law)
         pull = law.gain[j, 0] * pressure[0] - law.gain[j, 1] * pressure[1]
         air.bend[j] = bend
         air.bend_rate[j] = slope * (pull - air.linear[j]) / law.tau
