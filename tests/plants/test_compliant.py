@@ -82,7 +82,7 @@ class Body:
         tiny = 1e-30
         stages = np.stack([begin + kernels.GAMMA * step, begin + step], axis=1)
         times = np.append(0.0, stages.ravel())
-        free = bends(times), bends(times + 1j * tiny).imag / tiny
+        free = kernels.Bends(bends(times), bends(times + 1j * tiny).imag / tiny)
         first = compliant_kernels.BENDS
         state = np.zeros(first + 2 * segments)
         u = np.zeros(3 + segments)
@@ -96,10 +96,12 @@ class Body:
             state[first + segments :] = momentum[3:]
         states = np.empty((count, len(state)))
         marks = np.arange(1, count + 1)
-        seen = states, np.empty((count, len(u)))
+        seen = kernels.Samples(states, np.empty((count, len(u))))
         work = WorkArrays.of(len(self.mass), len(state))
+        now = compliant_kernels.CompliantState(state, u)
+        steps = np.full(count, step)
         done = compliant_kernels.advance(
-            (state, u), np.full(count, step), free, marks, self.model, seen, work
+            now, steps, free, marks, self.model, seen, work
         )
         assert done == count
         return states

@@ -112,7 +112,7 @@ def make_constants(
         damping=stiffness * times,
         radius=radius,
         depth=radius * _DEPTH_RATIO,
-        friction=(mu.mu_t, mu.backward, mu.mu_n, slip_speed),
+        friction=kinematics.SkinFriction(mu.mu_t, mu.backward, mu.mu_n, slip_speed),
         drag_time=_DRAG_TIME_S * spec.scale.time,
         longest_move=radius * _MOVE_RATIO,
         jump_speed=_JUMP_RATIO * math.sqrt(GRAVITY * radius),
@@ -171,7 +171,7 @@ class QuasistaticArcs(Body):
     ) -> tuple[int, np.ndarray, np.ndarray]:
         """See `Body.move`."""
         samples = self._allocate(len(sample_steps))
-        now = (self.state, self.velocity)
+        now = kinematics.QuasistaticState(self.state, self.velocity)
         free = np.ascontiguousarray(trace.bend[::2])
         done: int = advance(
             now, steps, free, sample_steps, self._constants, self._work, samples
