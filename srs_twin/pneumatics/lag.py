@@ -248,18 +248,20 @@ class LagPneumatics(LagChambers):
         self._tau_fill = kinds[0]
         self._bend_law = bend_law(spec)
         self._law = Relaxation(
-            kind.reshape(tau_fill.shape),
-            rates,
-            *(np.zeros_like(rates) for _ in range(3)),
-            np.zeros(1),
-            spec.actuator.tau_mode,
-            self._leak,
-            spec.bending.damping_time,
-            chamber_gains(spec),
-            spec.modules.array("bias"),
-            *self._bend_law,
-            spec.chamber.dead_volume,
-            spec.chamber.displacement,
+            kinds=kind.reshape(tau_fill.shape),
+            rates=rates,
+            asymptotes=np.zeros_like(rates),
+            decay=np.zeros_like(rates),
+            lag=np.zeros_like(rates),
+            mode=np.zeros(1),
+            tau=spec.actuator.tau_mode,
+            leak=self._leak,
+            damping_time=spec.bending.damping_time,
+            gain=chamber_gains(spec),
+            bias=spec.modules.array("bias"),
+            **self._bend_law._asdict(),
+            dead_volume=spec.chamber.dead_volume,
+            displacement=spec.chamber.displacement,
         )
 
     @property
@@ -340,18 +342,16 @@ def _fill_trace(now, schedule, times, law, trace):  # type: ignore[no-untyped-de
     for run in range(starts.shape[0]):
         state = schedule.states[run]
         begin = starts[run]
-        stop = starts[run + 1] if run + 1 < starts.shape[0] else schedule.span
+        is_last = run + 1 == starts.shape[0]
+        stop = schedule.span if is_last else starts[run + 1]
         # Filling chambers draw the increase of their content plus their leak; other
         # chambers draw nothing.
         content_before = _filling_content(state, now, law)
-        leaked = 0.0
-        last = 0.0
+        leaked = last = 0.0
         while True:
             # The rows of the trace within the run, then the end of the run, from which
             # the next one starts.
-            requested = row < times.shape[0] and (
-                times[row] <= stop or run + 1 == starts.shape[0]
-            )
+            requested = row < times.shape[0] and (times[row] <= stop or is_last)
             t = (times[row] if requested else stop) - begin
             if law.leak > 0.0:
                 leaked += _leaked(last, t, state, now, law)

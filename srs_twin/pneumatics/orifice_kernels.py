@@ -229,7 +229,9 @@ def _newton(y, amounts, line_base, weight, state, coupled, air, work):  # type: 
         air: the plumbing.
         work: with the known part of y.
     """
+    base = work.base
     linear = work.linear
+    terms = work.terms
     if air.limited:
         line = amounts[LINE] / air.line_volume
     else:
@@ -238,67 +240,66 @@ def _newton(y, amounts, line_base, weight, state, coupled, air, work):  # type: 
     line_residual = amounts[LINE] - line_base - weight * supply
     line_slope = air.line_volume - weight * closing
     for j in range(y.shape[0]):
-        _eliminate_segment(j, y, line, weight, state, coupled, air, work)
-        x = linear[j, _X]
+        # Derivative of the bend with respect to x: 0 if the plant prescribes the bend.
+        q, bend_rate, _ = apply_bend_law(y[j, _X], air.law)
+        q, bend_rate = (work.bend[j], 0.0) if coupled else (air.bias[j] + q, bend_rate)
+        bend_slope = 1.0 + weight / air.tau
+        bend_by_line = 0.0
+        bend_residual = y[j, _X] * bend_slope - base[j, _X]
         for side in range(2):
-            terms = work.terms[j, side]
-            change = linear[j, side]
-            for k in range(2):
-                change[k] -= terms[_COUPLING] * x[k]
-            line_residual += weight * (
-                terms[_FLOW]
-                + terms[_FLOW_BY_AMOUNT] * change[_ALONE]
-                - terms[_FLOW_BY_BEND] * x[_ALONE]
-            )
-            line_slope += weight * (
-                terms[_FLOW_BY_LINE]
-                + terms[_FLOW_BY_AMOUNT] * change[_BY_LINE]
-                - terms[_FLOW_BY_BEND] * x[_BY_LINE]
-            )
+            c = chamber(y[j, side], q, j, side, state[j, side], line, air)
+            # Eliminate the amount of air n of the chamber: Newton's row is linear in x
+            # and the line.
+            squeeze = c.squeeze * bend_rate
+            rate_by_p = weight * (c.inflow_by_p - c.outflow_by_p)
+            pivot = 1.0 - rate_by_p * c.per_volume
+            coupling = rate_by_p * squeeze / pivot
+            signed = weight * air.gain[j, side] / air.tau * (1.0 - 2.0 * side)
+            rest = base[j, side] + weight * (c.inflow - c.outflow) - y[j, side]
+            alone = rest / pivot
+            by_line = weight * c.inflow_by_line / pivot
+            bend_residual -= signed * (c.pressure - AMBIENT_PA + c.per_volume * alone)
+            bend_slope += signed * (squeeze + c.per_volume * coupling)
+            bend_by_line += signed * c.per_volume * by_line
+            linear[j, side, _ALONE] = alone
+            linear[j, side, _BY_LINE] = by_line
+            terms[j, side, _COUPLING] = coupling
+            terms[j, side, _FLOW] = c.inflow
+            terms[j, side, _FLOW_BY_LINE] = c.inflow_by_line
+            terms[j, side, _FLOW_BY_AMOUNT] = c.inflow_by_p * c.per_volume
+            terms[j, side, _FLOW_BY_BEND] = c.inflow_by_p * squeeze
+        # With both chambers eliminated, the row of x depends on the line only.
+        linear[j, _X, _ALONE] = -bend_residual / bend_slope
+        linear[j, _X, _BY_LINE] = bend_by_line / bend_slope
+        line_residual, line_slope = _add_segment_to_line(
+            j, line_residual, line_slope, weight, linear, terms
+        )
     line_change = -line_residual / line_slope if air.limited else 0.0
     return _apply_correction(y, amounts, linear, line_change, air)
 
 
 @inlined
-def _eliminate_segment(j, y, line, weight, state, coupled, air, work):  # type: ignore[no-untyped-def]
-    """Fill the corrections of a segment as functions of the line; arguments as in `_newton`."""
-    base = work.base
-    linear = work.linear
-    q, bend_rate, _ = apply_bend_law(y[j, _X], air.law)
-    q = air.bias[j] + q
-    if coupled:
-        q = work.bend[j]
-        bend_rate = 0.0  # derivative of the bend by x: the plant prescribes the bend
-    bend_slope = 1.0 + weight / air.tau
-    bend_by_line = 0.0
-    bend_residual = y[j, _X] * bend_slope - base[j, _X]
+def _add_segment_to_line(j, residual, slope, weight, linear, terms):  # type: ignore[no-untyped-def]
+    """Correct the chambers of a segment for its bend; return residual and slope of the line with its flow."""
     for side in range(2):
-        c = chamber(y[j, side], q, j, side, state[j, side], line, air)
-        terms = work.terms[j, side]
-        change = linear[j, side]
-        # Eliminate the amount of air n of the chamber: Newton's row is linear in x and
-        # the line.
-        squeeze = c.squeeze * bend_rate
-        rate_by_p = weight * (c.inflow_by_p - c.outflow_by_p)
-        pivot = 1.0 - rate_by_p * c.per_volume
-        coupling = rate_by_p * squeeze / pivot
-        signed = weight * air.gain[j, side] / air.tau * (1.0 - 2.0 * side)
-        rest = base[j, side] + weight * (c.inflow - c.outflow) - y[j, side]
-        change[_ALONE] = rest / pivot
-        change[_BY_LINE] = weight * c.inflow_by_line / pivot
-        bend_residual -= signed * (
-            c.pressure - AMBIENT_PA + c.per_volume * change[_ALONE]
+        coupling = terms[j, side, _COUPLING]
+        inflow = terms[j, side, _FLOW]
+        inflow_by_line = terms[j, side, _FLOW_BY_LINE]
+        by_amount = terms[j, side, _FLOW_BY_AMOUNT]
+        by_bend = terms[j, side, _FLOW_BY_BEND]
+        for k in range(2):
+            linear[j, side, k] -= coupling * linear[j, _X, k]
+        residual += weight * (
+            inflow
+            + by_amount * linear[j, side, _ALONE]
+            - by_bend * linear[j, _X, _ALONE]
         )
-        bend_slope += signed * (squeeze + c.per_volume * coupling)
-        bend_by_line += signed * c.per_volume * change[_BY_LINE]
-        terms[_COUPLING] = coupling
-        terms[_FLOW] = c.inflow
-        terms[_FLOW_BY_LINE] = c.inflow_by_line
-        terms[_FLOW_BY_AMOUNT] = c.inflow_by_p * c.per_volume
-        terms[_FLOW_BY_BEND] = c.inflow_by_p * squeeze
-    # With both chambers eliminated, the row of x depends on the line only.
-    linear[j, _X, _ALONE] = -bend_residual / bend_slope
-    linear[j, _X, _BY_LINE] = bend_by_line / bend_slope
+        slope += weight * (
+            inflow_by_line
+            + by_amount * linear[j, side, _BY_LINE]
+            - by_bend * linear[j, _X, _BY_LINE]
+        )
+    return residual, slope
 
 
 @kernel_only
@@ -446,7 +447,7 @@ class _StepRows(NamedTuple):
     end: _End
 
 
-@inlined
+@kernel_only
 def _copy_end(end, out):  # type: ignore[no-untyped-def]
     for j in range(end.y.shape[0]):
         for i in range(3):
@@ -456,7 +457,13 @@ def _copy_end(end, out):  # type: ignore[no-untyped-def]
         out.air[i] = end.air[i]
 
 
-@inlined
+@kernel_only
+def _copy_amounts(now, out):  # type: ignore[no-untyped-def]
+    for i in range(AMOUNTS):
+        out[i] = now.amounts[i]
+
+
+@kernel_only
 def _rows_until(times, row, finish, is_last):  # type: ignore[no-untyped-def]
     """Return the first row of a trace, from `row` on, after the end of a step; the last step has all rows."""
     while row < times.shape[0] and (times[row] <= finish or is_last):
@@ -489,8 +496,8 @@ def simulate(now, schedule, times, substep, actual, air, trace):  # type: ignore
     )
     begin = _End(np.empty_like(y), np.empty_like(y), np.empty(5))
     end = _End(y, work.rates, np.empty(5))
-    for i in range(AMOUNTS):
-        end.air[i] = now.amounts[i]
+    at_end = end.air
+    _copy_amounts(now, at_end)
     row = 0
     runs = starts.shape[0]
     for run in range(runs):
@@ -502,18 +509,17 @@ def simulate(now, schedule, times, substep, actual, air, trace):  # type: ignore
         flows = _rates(
             y, now.amounts[LINE], state, actual.coupled, work.bend, air, work.rates
         )
-        end.air[_SUPPLY_FLOW] = flows.supply
-        end.air[_INFLOW] = flows.inflow
+        at_end[_SUPPLY_FLOW] = flows.supply
+        at_end[_INFLOW] = flows.inflow
         for k in range(count):
             begun = starts[run] + k * h
             is_last = k + 1 == count
             finish = stop if is_last else begun + h
             _copy_end(end, begin)
-            end.air[_SUPPLY_FLOW], end.air[_INFLOW] = _step(
+            at_end[_SUPPLY_FLOW], at_end[_INFLOW] = _step(
                 now, h, begun, state, actual, air, work
             )
-            for i in range(AMOUNTS):
-                end.air[i] = now.amounts[i]
+            _copy_amounts(now, at_end)
             until = _rows_until(times, row, finish, is_last and run + 1 == runs)
             if until > row:
                 step = _StepRows(row, until, begun, h, begin, end)
@@ -585,7 +591,7 @@ def _fill_rows(times, step, state, actual, air, trace):  # type: ignore[no-untyp
             _fill_segment(trace, row, j, sample, state, actual, air)
 
 
-@inlined
+@kernel_only
 def _fill_segment(trace, row, j, at, state, actual, air):  # type: ignore[no-untyped-def]
     """Fill pressures, valves and free bend of a segment in a row of a trace; `at` is a `_Sample`."""
     y = at.y
