@@ -122,7 +122,7 @@ def test_coasting_snake_loses_energy_and_comes_to_rest(law, vx, vy, spin, headin
     last = np.inf
     for _ in range(75):
         state = plant.step(vented(plant.spec))
-        moment = plant._body.state[kernels.MOMENT]
+        moment = plant.body.state[kernels.MOMENT]
         now = (
             plant.spec.mass.total * (state.com_velocity @ state.com_velocity) / 2
             + moment**2 / inertia / 2
@@ -270,7 +270,7 @@ def test_steps_end_once_on_each_event_and_sample(places, samples, timestep):
     states = np.resize([[[1, -1]] * 4, [[-1, 1]] * 4], (len(starts), 4, 2)).astype(
         np.int8
     )
-    steps = plant._steps(Schedule(0.04, starts, states), samples)
+    steps = plant.steps(Schedule(0.04, starts, states), samples)
     ends = steps.ends
     marks = steps.sample_steps
     assert (np.diff(np.append(0.0, ends)) > 1e-12).all() and ends[-1] == pytest.approx(

@@ -377,7 +377,7 @@ def test_deviations_lose_energy_while_the_valves_hold():
     plant.play(
         plant.pneumatics.schedule(hold, 0.1), 5
     )  # the free bends come to rest within 40 τ₂
-    plant._body.velocity[3:] += 3.0
+    plant.body.velocity[3:] += 3.0
     states = plant.play(plant.pneumatics.schedule(hold, 0.2), 400)
     velocity = np.gradient(states.position, 5e-4, axis=0)
     kinetic = (spec.mass.array()[:, None] * velocity**2).sum(axis=(1, 2)) / 2

@@ -364,15 +364,9 @@ def test_deprecated_keywords_work_and_warn(former, contact, numerics):
 
 
 def test_deprecated_attributes_work_and_warn():
-    twin = TwinSnake(SPEC)
     contact = PreloadedContact(preload=3.0)
-    with pytest.warns(DeprecationWarning, match="use Plant.max_chunk_s"):
-        assert twin.stretch == twin.max_chunk_s
     with pytest.warns(DeprecationWarning, match="use preload_ratio"):
         assert contact.pressed == contact.preload_ratio == 3.0
-    with pytest.warns(DeprecationWarning, match="use Plant.max_chunk_s"):
-        cautious = type("Cautious", (TwinSnake,), {"stretch": 0.1})
-    assert cautious(SPEC).max_chunk_s == 0.1
 
 
 def test_deprecated_keywords_are_checked_as_before():

@@ -73,11 +73,12 @@ class AnalyticalSnake(PneumaticPlant):
     Attributes:
         options: assumptions and numerical settings.
         timestep: longest step of the integrator, s; steps also end on valve events.
+        body: mechanics of the model.
         friction: friction law of the floor, one of `robot.friction.LAWS`.
     """
 
     name = "analytical"
-    state_attributes = ("_body",)
+    state_attributes = ("body",)
     max_chunk_s = 10.0
 
     @checked
@@ -125,7 +126,7 @@ class AnalyticalSnake(PneumaticPlant):
         self._make_pneumatics_and_sensor(pneumatics, supply_pa, layout, sensor)
         self.touches = self.options.touch and self.world.has_obstacles
         self._floor = self._make_floor()
-        self._body = self._make_body()
+        self.body = self._make_body()
         self.reset()
 
     @property
@@ -172,8 +173,8 @@ class AnalyticalSnake(PneumaticPlant):
         self.pneumatics.reset()
         self._ticks = 0
         self.seed = seed
-        self._body.reset(pose)
-        body = self._body
+        self.body.reset(pose)
+        body = self.body
         trace = self.pneumatics.rest_trace()
         now = body.motion(body.state[None].copy(), body.velocity[None].copy(), trace)
         self.state = self._observe(np.zeros(1), now, trace).at(0)
@@ -187,7 +188,7 @@ class AnalyticalSnake(PneumaticPlant):
         x, y = map(float, snake.com)
         self.reset(pose=(x, y, float(snake.heading)), seed=seed)
         self.pneumatics.place(snake.pressure, snake.bend)
-        body = self._body
+        body = self.body
         trace = self.pneumatics.current_trace()
         if body.compliant:
             bends = (snake.bend, snake.bend_rate)
@@ -205,14 +206,14 @@ class AnalyticalSnake(PneumaticPlant):
         """See `PneumaticPlant._simulate`."""
         begun = self._ticks * self.tick
         check_before_step(
-            self.name, begun + self.timestep, self._body.state, self._body.velocity
+            self.name, begun + self.timestep, self.body.state, self.body.velocity
         )
-        steps = self._steps(self.pneumatics.effective_schedule(schedule), samples)
+        steps = self.steps(self.pneumatics.effective_schedule(schedule), samples)
         done, motion, trace = self._advance(schedule, steps)
         times = begun + schedule.span * np.arange(1, samples + 1) / samples
         history = self._observe(times[: len(motion.states)], motion, trace)
         if done < len(steps.ends):
-            state = ", ".join(f"{value:.4g}" for value in self._body.state)
+            state = ", ".join(f"{value:.4g}" for value in self.body.state)
             text = (
                 f"step {done + 1} of {len(steps.ends)} has no plausible solution, state"
                 f" {state}"
@@ -233,17 +234,17 @@ class AnalyticalSnake(PneumaticPlant):
         traces = []
         done = 0
         for chunk_schedule, chunk in self._chunks(schedule, steps):
-            bend, rate = self._body.bends()
+            bend, rate = self.body.bends()
             trace = self.pneumatics.advance(
                 chunk_schedule, chunk.stage_times, bend=bend, bend_rate=rate
             )
-            completed, states, velocities = self._body.move(
+            completed, states, velocities = self.body.move(
                 chunk.lengths, trace, chunk.sample_steps
             )
             reached = int(np.searchsorted(chunk.sample_steps, completed, side="right"))
             traces.append(trace.at(2 * chunk.sample_steps[:reached]))
             motions.append(
-                self._body.motion(states[:reached], velocities[:reached], traces[-1])
+                self.body.motion(states[:reached], velocities[:reached], traces[-1])
             )
             done += completed
             if completed < len(chunk.lengths):
@@ -262,7 +263,7 @@ class AnalyticalSnake(PneumaticPlant):
     @property
     def jumps(self) -> int:
         """Number of jumps between resting poses since `reset`; 0 unless the model is "quasistatic"."""
-        return self._body.jumps
+        return self.body.jumps
 
     def describe(self) -> dict[str, Any]:
         """Return the settings for the provenance of a run."""
@@ -324,13 +325,13 @@ class AnalyticalSnake(PneumaticPlant):
 
     @property
     def _coupled(self) -> bool:
-        return self.pneumatics.depends_on_bend and self._body.compliant
+        return self.pneumatics.depends_on_bend and self.body.compliant
 
     @property
     def _coupling_step(self) -> float:
         """Largest interval between exchanges of bends and pressures, s; point masses need a shorter one."""
         step = self.pneumatics.coupling_step_s
-        if not self._body.solid.inertia.all():
+        if not self.body.solid.inertia.all():
             step = min(step, _POINT_MASS_COUPLING_STEP * self.spec.scale.time)
         return step
 
@@ -351,7 +352,7 @@ class AnalyticalSnake(PneumaticPlant):
             inertia[:: (len(mass) - 1) // self.spec.segments] = self.spec.yaw_inertia()
         return inertia
 
-    def _steps(self, schedule: Schedule, samples: int) -> Steps:
+    def steps(self, schedule: Schedule, samples: int) -> Steps:
         """Return the integrator's steps for a schedule."""
         longest = self.timestep
         if self._coupled:
@@ -366,7 +367,7 @@ class AnalyticalSnake(PneumaticPlant):
 
     def _observe(self, time: np.ndarray, motion: Motion, trace: Trace) -> SnakeState:
         """Return the history of a motion."""
-        body = self._body
+        body = self.body
         if isinstance(body, QuasistaticArcs):
             sensed = self.sensor.read(motion.bend, time, self.seed)
             return body.observe(time, motion, trace, sensed)

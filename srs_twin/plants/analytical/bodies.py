@@ -136,8 +136,9 @@ class Body(Stateful, ABC):
         bend = self.cells.split(bend)
         rate = self.cells.split(rate)
         self.state[kernels.HEADING] += self.cells.lead(bend)
-        (x, y, yaw), heading = velocity, float(self.state[kernels.HEADING])
+        x, y, yaw = velocity
         yaw += self.cells.lead(rate)
+        heading = float(self.state[kernels.HEADING])
         c = math.cos(heading)
         s = math.sin(heading)
         self.state[kernels.STATE_VX] = x
@@ -252,7 +253,8 @@ class ClampedBends(Body):
     def reset(self, pose: Pose) -> None:
         """See `Body.reset`; the head stays at its initial pose."""
         super().reset(pose)
-        (x, y, heading), ahead = pose, self.cells.com_behind_head
+        x, y, heading = pose
+        ahead = self.cells.com_behind_head
         self._head_pose = np.array(
             [x + ahead * math.cos(heading), y + ahead * math.sin(heading), heading]
         )

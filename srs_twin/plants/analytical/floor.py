@@ -337,15 +337,6 @@ def slopes_of_force(terms, c, s):  # type: ignore[no-untyped-def]
     return t_x * c - n_x * s, t_y * c - n_y * s, t_x * s + n_x * c, t_y * s + n_y * c
 
 
-@overload_part(connector_friction)
-def _compile_connector_friction(along, across, spin, weight, floor):  # type: ignore[no-untyped-def]
-    """Compile `connector_friction` for the case of a floor's type, without a branch."""
-    contacts, law = _CASES[floor.types[floor.fields.index("case")].count]
-    return lambda along, across, spin, weight, floor: _add_drag(
-        contacts(law, along, across, spin, weight, floor), along, floor
-    )
-
-
 class Twist(NamedTuple):
     """Vector of a planar body: two components in its frame, and one about the vertical.
 
@@ -506,7 +497,7 @@ def forces_and_slopes(body, mass, u, floor) -> Any:  # type: ignore[no-untyped-d
 def _compile_forces_and_slopes(body, mass, u, floor):  # type: ignore[no-untyped-def]
     """Compile `forces_and_slopes` for the case of a floor's type, without a branch."""
     function = _forces_of_case(floor.types[floor.fields.index("case")].count)
-    return lambda body, mass, u, floor: function(body, mass, u, floor)
+    return lambda body, mass, u, floor: function(body, mass, u, floor)  # noqa: PLW0108  # numba compiles the lambda
 
 
 @compiled

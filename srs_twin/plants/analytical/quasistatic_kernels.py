@@ -254,7 +254,7 @@ def _solve_step(velocity, state, body, work, h, weight):  # type: ignore[no-unty
 
 
 @compiled
-def _move_state(velocity, state, body, work, h, turn, old):  # type: ignore[no-untyped-def]
+def move_state(velocity, state, body, work, h, turn, old):  # type: ignore[no-untyped-def]
     """Advance a state by a solved step of length h."""
     segments = work.bend.shape[0]
     for j in range(segments):
@@ -384,7 +384,7 @@ def advance(now, steps, free, sample_steps, body, work, samples):  # type: ignor
                 copy(start, velocity)
             if not np.isfinite(fastest):
                 return step
-            _move_state(velocity, state, body, work, h, turn, old)
+            move_state(velocity, state, body, work, h, turn, old)
             _count_jump(state, fastest, body)
             done += h
             h = min(2 * h, steps[step] - done)
