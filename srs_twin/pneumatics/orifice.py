@@ -207,7 +207,8 @@ class OrificePneumatics(Pneumatics):
         # couples all chambers, and 1 ms oscillates.
         self.coupling_step_s = (0.00025 if limited else 0.001) * spec.scale.time
         self.stiffness = _closed_stiffness(spec, supply_pa)
-        nominal_fill, nominal_vent, self._capacity = conductances(spec, critical)
+        nominal = conductances(spec, critical)
+        self._capacity = nominal.capacity
         self._max_supply = supply_pa
         self._line_begins = begins + AMBIENT_PA
         fill, vent = self.conductances = _chamber_conductances(spec, critical)
@@ -230,8 +231,8 @@ class OrificePneumatics(Pneumatics):
         )
         self._energy_per_amount = supply_pa / (supply_pa + AMBIENT_PA)
         self._settings = valves.describe(begins) | {
-            "conductance_fill_m3_per_s_pa": nominal_fill,
-            "conductance_vent_m3_per_s_pa": nominal_vent,
+            "conductance_fill_m3_per_s_pa": nominal.fill,
+            "conductance_vent_m3_per_s_pa": nominal.vent,
         }
         super().__init__(spec, layout=layout, valve_delay_s=valve_delay_s)
 
@@ -352,15 +353,12 @@ def _chamber_conductances(
     kinds, kind = np.unique(rows, axis=0, return_inverse=True)
     pairs = []
     for gain, fill, vent in kinds:
-        parameters = {"gain": gain * actuator.gain}
-        parameters |= {
-            "tau_fill": fill * actuator.tau_fill,
-            "tau_vent": vent * actuator.tau_vent,
-        }
-        pairs.append(
-            conductances(
-                replace(spec, actuator=replace(actuator, **parameters)), critical
-            )[:2]
+        own = replace(
+            actuator,
+            gain=gain * actuator.gain,
+            tau_fill=fill * actuator.tau_fill,
+            tau_vent=vent * actuator.tau_vent,
         )
+        pairs.append(conductances(replace(spec, actuator=own), critical)[:2])
     fill, vent = np.array(pairs)[kind.ravel()].T.reshape(2, spec.segments, 2)
     return fill, vent

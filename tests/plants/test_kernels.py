@@ -349,7 +349,7 @@ def test_mean_heading_is_zero_for_a_coil_of_several_turns():
     assert body[COS] == pytest.approx(np.cos(phi), abs=1e-12)
     assert body[SIN] == pytest.approx(np.sin(phi), abs=1e-12)
     place = body_shape(bend, solid.mass, solid.length, solid.gap)
-    assert body[X : Y + 1].T == pytest.approx(place, abs=1e-12)
+    assert pytest.approx(place, abs=1e-12) == body[X : Y + 1].T
 
 
 def test_frozen_chords_have_the_straight_length():

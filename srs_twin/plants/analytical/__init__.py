@@ -174,11 +174,7 @@ class AnalyticalSnake(PneumaticPlant):
         self._ticks = 0
         self.seed = seed
         self.body.reset(pose)
-        body = self.body
-        trace = self.pneumatics.rest_trace()
-        now = body.motion(body.state[None].copy(), body.velocity[None].copy(), trace)
-        self.state = self._observe(np.zeros(1), now, trace).at(0)
-        return self.state
+        return self._observe_start(self.pneumatics.rest_trace())
 
     def place(
         self, snake: SnakeState, *, yaw_rate: float = 0.0, seed: int = 0
@@ -188,16 +184,19 @@ class AnalyticalSnake(PneumaticPlant):
         x, y = map(float, snake.com)
         self.reset(pose=(x, y, float(snake.heading)), seed=seed)
         self.pneumatics.place(snake.pressure, snake.bend)
-        body = self.body
         trace = self.pneumatics.current_trace()
-        if body.compliant:
-            bends = (snake.bend, snake.bend_rate)
-        else:
-            bends = (trace.bend[0], trace.bend_rate[0])
-        body.place(
-            np.array([*snake.com_velocity, yaw_rate]),
-            *(np.array(values, dtype=float) for values in bends),
-        )
+        bend = trace.bend[0]
+        rate = trace.bend_rate[0]
+        if self.body.compliant:
+            bend = np.array(snake.bend, dtype=float)
+            rate = np.array(snake.bend_rate, dtype=float)
+        velocity = np.array([*snake.com_velocity, yaw_rate])
+        self.body.place(velocity, bend, rate)
+        return self._observe_start(trace)
+
+    def _observe_start(self, trace: Trace) -> SnakeState:
+        """Set the state at time 0 and return it."""
+        body = self.body
         now = body.motion(body.state[None].copy(), body.velocity[None].copy(), trace)
         self.state = self._observe(np.zeros(1), now, trace).at(0)
         return self.state
