@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections import ChainMap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
@@ -158,10 +157,13 @@ class PlantVariants:
     """Builder of the plants of a scenario with switched assumptions and refinements.
 
     Attributes:
+        all_switches: all switches; later ones take precedence.
         first: switches that come first, because compliant bends need arcs instead of
             frozen chords.
         switches: the other switches in which the plants of the scenario differ, in any
             order.
+        first_on: names of the switches in `first`.
+        sets: all sets of switches that are simulated, the largest last.
         same: names of the switches in which they agree.
         refinements: refinements of approximations that one plant makes.
     """
@@ -170,30 +172,47 @@ class PlantVariants:
         self._scenario = scenario
         self._model = scenario.file.plants.analytical or AnalyticalFile()
         self._twin = scenario.file.plants.twin or TwinFile()
-        self._all = self._all_switches()
-        differing = [switch for switch in self._all if switch.differs]
+        self.all_switches = self._all_switches()
+        differing = [switch for switch in self.all_switches if switch.differs]
         self.first = [switch for switch in differing if switch.name == FROZEN_CHORDS]
         self.switches = [switch for switch in differing if switch.name != FROZEN_CHORDS]
-        self.same = [switch.name for switch in self._all if not switch.differs]
+        self.first_on = frozenset(switch.name for switch in self.first)
+        names = [switch.name for switch in self.switches]
+        self.sets = [self.first_on | subset for subset in subsets(names)]
+        self.same = [switch.name for switch in self.all_switches if not switch.differs]
         self.refinements = self._refinements()
 
     def _all_switches(self) -> list[Switch]:
-        model = self._model
-        twin = self._twin
+        gaps = self._twin.gaps
+        inertia = self._model.inertia
+        return [
+            *self._contact_switches(),
+            Switch(
+                "rigid gaps",
+                f"rigid gaps: {self._model.gaps} → {gaps}",
+                self._model.gaps != gaps,
+                {"gaps": gaps},
+            ),
+            *self._bend_switches(),
+            Switch(
+                "connector inertia",
+                f"yaw inertia of a connector: {inertia} → compact",
+                inertia != "connector",
+                {"inertia": "connector"},
+            ),
+        ]
+
+    def _contact_switches(self) -> list[Switch]:
         spec = self._scenario.robot
+        friction = self._model.friction
         law = self._twin.law
-        damping_time = spec.bending.damping_time
-        one_point = spec.skin is None and model.friction not in TWO_POINT_LAWS
-        prescribed = model.model != "compliant"
         half_track = spec.geometry.half_track
-        # Arcs and compliant bends need the torque of friction, which the simplified
-        # model may leave out.
-        torque = {"friction_torque": True}
+        one_point = spec.skin is None and friction not in TWO_POINT_LAWS
         return [
             Switch(
                 "friction law",
-                f"friction law: {model.friction} → {law}",
-                spec.skin is None and model.friction != law,
+                f"friction law: {friction} → {law}",
+                spec.skin is None and friction != law,
                 {"friction": law, "track": 0.0 if one_point else half_track},
             ),
             Switch(
@@ -202,35 +221,36 @@ class PlantVariants:
                 one_point,
                 {"track": half_track},
             ),
-            Switch(
-                "rigid gaps",
-                f"rigid gaps: {model.gaps} → {twin.gaps}",
-                model.gaps != twin.gaps,
-                {"gaps": twin.gaps},
-            ),
+        ]
+
+    def _bend_switches(self) -> list[Switch]:
+        """Return the switches of the bends.
+
+        Arcs and compliant bends need the torque of friction, which the simplified model
+        may leave out.
+        """
+        spec = self._scenario.robot
+        model = self._model.model
+        damping_time = spec.bending.damping_time
+        prescribed = model != "compliant"
+        return [
             Switch(
                 FROZEN_CHORDS,
                 "frozen chords (without friction torque) → arcs",
-                model.model == "simplified",
-                torque | {"model": "complete"},
+                model == "simplified",
+                {"friction_torque": True, "model": "complete"},
             ),
             Switch(
                 "compliance",
                 "bends: prescribed → compliant",
                 prescribed,
-                torque | {"model": "compliant"},
+                {"friction_torque": True, "model": "compliant"},
             ),
             Switch(
                 "damping",
                 f"damping c/k: τ₂ → {1e3 * damping_time:g} ms",
                 prescribed and damping_time != spec.actuator.tau_mode,
                 {},
-            ),
-            Switch(
-                "connector inertia",
-                f"yaw inertia of a connector: {model.inertia} → compact",
-                model.inertia != "connector",
-                {"inertia": "connector"},
             ),
         ]
 
@@ -259,24 +279,23 @@ class PlantVariants:
         ):
             return []
         # The preloaded twin needs axles with inertia; the loaded twin works without.
-        wheel_spin, factor = (
-            (0.0, 1.0) if self._twin.contact == "loaded" else (0.25, 4 / 3)
-        )
+        wheel_spin = 0.25
+        factor = 4 / 3
+        if self._twin.contact == "loaded":
+            wheel_spin = 0.0
+            factor = 1.0
         lighter = {"numerics": Numerics(wheel_spin=wheel_spin)}
-        return [
-            Refinement(
-                "wheel inertia",
-                "inertia of the wheels about their axles",
-                lighter,
-                factor,
-            )
-        ]
+        title = "inertia of the wheels about their axles"
+        return [Refinement("wheel inertia", title, lighter, factor)]
 
     def _refinements(self) -> list[Refinement]:
         step = self._twin.timestep_s
         hinges = self._twin.hinges_per_segment
         arcs = {"numerics": Numerics(constant_curvature=True)}
         finer_hinges = arcs | {"hinges_per_segment": 2 * hinges}
+        # The loaded twin is of second order in its time step, the preloaded one of
+        # first.
+        order_factor = 4 / 3 if self._twin.contact == "loaded" else 2.0
         finer_model = {
             "timestep": self._model.timestep_s / 4,
             "slip_speed": self._model.slip_speed_m_s / 4,
@@ -288,11 +307,9 @@ class PlantVariants:
             pitch_stiffness=4 * spec.bending.pitch_stiffness,
             roll_stiffness=4 * spec.bending.roll_stiffness,
         )
+        title = "pitch and roll of segments"
         out_of_plane = Refinement(
-            "out-of-plane motion",
-            "pitch and roll of segments",
-            {"robot": stiffer},
-            4 / 3,
+            "out-of-plane motion", title, {"robot": stiffer}, 4 / 3
         )
         return [
             Refinement(
@@ -313,9 +330,7 @@ class PlantVariants:
                 "twin time step",
                 f"time step of {1e3 * step:g} ms",
                 {"timestep": step / 2},
-                # The loaded twin is of second order in its time step, the preloaded one
-                # of first.
-                4 / 3 if self._twin.contact == "loaded" else 2.0,
+                order_factor,
             ),
             Refinement(
                 "model time step",
@@ -334,11 +349,10 @@ class PlantVariants:
             options: further arguments of the model.
         """
         spec = self._scenario.robot
-        changes = dict(
-            ChainMap(
-                *(switch.options for switch in reversed(self._all) if switch.name in on)
-            )
-        )
+        changes: dict[str, Any] = {}
+        for switch in self.all_switches:
+            if switch.name in on:
+                changes |= switch.options
         if "damping" not in on and self._model.model != "compliant":
             spec = _with_bending(spec, damping_time=spec.actuator.tau_mode)
         return self._scenario.build_plant("analytical", robot=spec, **changes | options)
@@ -450,34 +464,19 @@ def explain(
     controller = scenario.build_controller()
     end = max(float(run.time[-1]) for run in trajectories.values())
     window = None if whole else _window(scenario, controller, end)
-    limit = min(
-        math.inf if window is None else window, contact_free_s(trajectories.values())
-    )
-    model, twin = (
-        trajectories[kind].between(0.0, limit) for kind in ("analytical", "twin")
-    )
-    try:
-        gap = gap_between(model, twin)
-    except ValueError as error:
-        raise InputError(
-            f"{scenario.name}: {error}; at least three gait periods are needed"
-        ) from error
-    if scenario.file.comparison.gap_factor:
-        raise InputError(
-            f"{scenario.name}: comparison.gap_factor scales a speed, which cannot be"
-            " attributed; remove it (rigid gaps are a switch already)"
-        )
+    limit = contact_free_s(trajectories.values())
+    if window is not None:
+        limit = min(limit, window)
+    model = trajectories["analytical"].between(0.0, limit)
+    twin = trajectories["twin"].between(0.0, limit)
+    gap = _checked_gap(scenario, model, twin)
     variants = PlantVariants(scenario)
-    first = frozenset(switch.name for switch in variants.first)
-    names = [switch.name for switch in variants.switches]
-    sets = [first | subset for subset in subsets(names)]
     share = 1.0 if window is None else window / scenario.duration
     walls = {kind: share * wall for kind, wall in (wall_s or {}).items()}
-    runs = _run_all(scenario, variants, sets, controller, window, progress, walls)
+    runs = _run_all(scenario, variants, controller, window, progress, walls)
     runs = {name: run.between(0.0, limit) for name, run in runs.items()}
     runs |= {_variant_name(frozenset()): model, _variant_name({}): twin}
-
-    shares = _shares(variants, runs, first, gap)
+    shares = _shares(variants, runs, gap)
     remainder = gap - np.sum([share.value for share in shares], axis=0)
     metrics = plant_metrics(model)
     return Attribution(
@@ -493,6 +492,26 @@ def explain(
         same=tuple(variants.same),
         window_s=None if math.isinf(limit) else limit,
     )
+
+
+def _checked_gap(scenario: Scenario, model: Trajectory, twin: Trajectory) -> np.ndarray:
+    """Return the difference of the plants after a check that it can be attributed.
+
+    Raises:
+        InputError: it cannot.
+    """
+    try:
+        gap = gap_between(model, twin)
+    except ValueError as error:
+        raise InputError(
+            f"{scenario.name}: {error}; at least three gait periods are needed"
+        ) from error
+    if scenario.file.comparison.gap_factor:
+        raise InputError(
+            f"{scenario.name}: comparison.gap_factor scales a speed, which cannot be"
+            " attributed; remove it (rigid gaps are a switch already)"
+        )
+    return gap
 
 
 def _window(scenario: Scenario, controller: Controller, end: float) -> float | None:
@@ -544,34 +563,31 @@ def main_cause(
     differs = "compliance" in [switch.name for switch in variants.switches]
     if not differs or scenario.planner is not None or model["com_speed_m_s"] is None:
         return None
-    on = frozenset(switch.name for switch in variants.first) | {"compliance"}
+    on = variants.first_on | {"compliance"}
     run = rollout(
         variants.analytical(on), scenario.build_controller(), **scenario.timing
     )
     compliant = plant_metrics(run.between(0.0, end))
-    changes = {
-        name: compliant[name] - model[name]
-        for name in ("com_speed_m_s", "yaw_rate_rad_s")
-    }
-    return {"name": "compliance", **changes} | (
-        {} if math.isinf(end) else {"window_s": end}
-    )
+    cause: dict[str, Any] = {"name": "compliance"}
+    for name in ("com_speed_m_s", "yaw_rate_rad_s"):
+        cause[name] = compliant[name] - model[name]
+    if not math.isinf(end):
+        cause["window_s"] = end
+    return cause
 
 
-def _builders(
-    variants: PlantVariants, sets: Sequence[frozenset[str]]
-) -> dict[str, Callable[[], Plant]]:
+def _builders(variants: PlantVariants) -> dict[str, Callable[[], Plant]]:
     """Return name and builder of each plant to simulate, other than the two plants of the run."""
     builders: dict[str, Callable[[], Plant]] = {
         "stiff twin": variants.stiff_twin,
         "matched": variants.matched,
     }
-    for switched in filter(None, sets):
+    for switched in filter(None, variants.sets):
         builders[_variant_name(switched)] = partial(variants.analytical, switched)
     for refinement in variants.refinements:
         if refinement.plant == "analytical":
             builders[refinement.name] = partial(
-                variants.analytical, sets[-1], **refinement.options
+                variants.analytical, variants.sets[-1], **refinement.options
             )
             continue
         builders[refinement.name] = partial(variants.twin, **refinement.options)
@@ -585,35 +601,32 @@ def _builders(
 
 def _variant_name(changes: frozenset[str] | Mapping[str, Any]) -> str:
     """Return a name for the model with a set of switches on, or for the twin with changed arguments."""
-    plant = "model" if isinstance(changes, frozenset) else "twin"
-    names = changes if isinstance(changes, frozenset) else map(str, changes.items())
-    return f"{plant} with {', '.join(sorted(names))}"
+    if isinstance(changes, frozenset):
+        return f"model with {', '.join(sorted(changes))}"
+    return f"twin with {', '.join(sorted(map(str, changes.items())))}"
 
 
 def _run_all(
     scenario: Scenario,
     variants: PlantVariants,
-    sets: Sequence[frozenset[str]],
     controller: Controller,
     window: float | None,
     progress: Progress | None,
     wall_s: Mapping[str, float],
 ) -> dict[str, Trajectory]:
     """Simulate every plant under the controller of the scenario, on all processors."""
-    builders = _builders(variants, sets)
+    builders = _builders(variants)
     costs = [_relative_cost(name, wall_s) for name in builders]
-    report = (
-        None
-        if progress is None
-        else _reporter(progress, costs, is_measured=bool(wall_s))
-    )
+    report = None
+    if progress is not None:
+        report = _reporter(progress, costs, is_measured=bool(wall_s))
     results: Iterable[Trajectory | DivergedError]
     if not _is_script(controller):
         # A controller that reads the state holds the lock of the interpreter, so
         # threads would not help. The controller is sent with its plan, so that the
         # workers do not search for it again.
         duration = window or scenario.duration
-        tasks = [(scenario, sets, name, controller, duration) for name in builders]
+        tasks = [_Task(scenario, name, controller, duration) for name in builders]
         results = _in_processes(tasks, report)
     else:
         jobs = [
@@ -630,8 +643,13 @@ def _run_all(
     return trajectories
 
 
-_Task = tuple[Scenario, Sequence[frozenset[str]], str, Controller, float]
-"""Scenario, sets of switches, name of a variant, controller, and duration, s."""
+class _Task(NamedTuple):
+    """Variant that a worker process simulates for a duration (s)."""
+
+    scenario: Scenario
+    variant: str
+    controller: Controller
+    duration: float
 
 
 def _in_processes(
@@ -651,9 +669,9 @@ def _in_processes(
 
 def _simulate(task: _Task) -> Trajectory:
     """Simulate a variant in a worker process."""
-    scenario, sets, name, controller, duration = task
-    plant = _builders(PlantVariants(scenario), sets)[name]()
-    return rollout(plant, controller, **scenario.timing | {"duration": duration})
+    plant = _builders(PlantVariants(task.scenario))[task.variant]()
+    timing = task.scenario.timing | {"duration": task.duration}
+    return rollout(plant, task.controller, **timing)
 
 
 def _relative_cost(name: str, wall_s: Mapping[str, float]) -> float:
@@ -675,7 +693,10 @@ def _reporter(
     """
     start = time.monotonic()
     total = sum(costs)
-    progress(0.0, total / min(processor_count(), len(costs)) if is_measured else None)
+    remaining = None
+    if is_measured:
+        remaining = total / min(processor_count(), len(costs))
+    progress(0.0, remaining)
 
     def report(done: int) -> None:
         fraction = sum(costs[:done]) / total if done < len(costs) else 1.0
@@ -687,14 +708,13 @@ def _reporter(
 def _shares(
     variants: PlantVariants,
     runs: Mapping[str, Trajectory],
-    first: frozenset[str],
     gap: np.ndarray,
 ) -> list[AssumptionShare]:
     """Return the contributions of switches and refinements to the difference."""
     twin = runs[_variant_name({})]
     names = [switch.name for switch in variants.switches]
     differences = {
-        subset: gap_between(runs[_variant_name(first | subset)], twin)
+        subset: gap_between(runs[_variant_name(variants.first_on | subset)], twin)
         for subset in subsets(names)
     }
     change = differences[frozenset()] - gap
@@ -706,20 +726,18 @@ def _shares(
             _make_share(switch, "averaged", averaged[switch.name])
             for switch in variants.switches
         ),
-        *_refinement_shares(variants.refinements, runs, first.union(names)),
+        *_refinement_shares(variants, runs),
     ]
 
 
 def _refinement_shares(
-    refinements: Sequence[Refinement],
-    runs: Mapping[str, Trajectory],
-    all_on: frozenset[str],
+    variants: PlantVariants, runs: Mapping[str, Trajectory]
 ) -> list[AssumptionShare]:
     """Return the contributions of the refinements to the model with all switches on or to the twin."""
-    model = runs[_variant_name(all_on)]
+    model = runs[_variant_name(variants.sets[-1])]
     twin = runs[_variant_name({})]
     shares = []
-    for refinement in refinements:
+    for refinement in variants.refinements:
         if refinement.plant == "twin":
             before = gap_between(model, runs[_variant_name(refinement.base)])
             after = gap_between(model, runs[refinement.name])

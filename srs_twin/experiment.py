@@ -106,6 +106,21 @@ class RunResult:
 
 
 @dataclass(frozen=True)
+class _Simulated:
+    """Results of the simulation of the plants.
+
+    Attributes:
+        trajectories: trajectory of each plant, up to its divergence.
+        walls: wall time of each plant, s.
+        diverged: errors of diverged plants.
+    """
+
+    trajectories: dict[str, Trajectory] = field(default_factory=dict)
+    walls: dict[str, float] = field(default_factory=dict)
+    diverged: list[DivergedError] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
 class PreparedRun:
     """Scenario with its plants and controllers, and an output folder that can be written.
 
@@ -159,75 +174,83 @@ class PreparedRun:
         scenario = self.scenario
         if explain is not None:
             scenario.robot.require_planar("the attribution of a difference")
-        trajectories: dict[str, Trajectory] = {}
-        walls: dict[str, float] = {}
-        diverged: list[DivergedError] = []
+        done = _Simulated()
         for kind, (plant, controller) in self.pairs.items():
             # Compile the kernels first, so that the measured time excludes compilation.
-            plant.step(
-                np.full((plant.spec.segments, plant.spec.chambers), -1, dtype=np.int8)
-            )
-            watch = _percents(
-                partial(progress, kind) if progress else None, scenario.duration
-            )
+            shape = (plant.spec.segments, plant.spec.chambers)
+            plant.step(np.full(shape, -1, dtype=np.int8))
+            report = partial(progress, kind) if progress else None
+            watch = _percents(report, scenario.duration)
             start = time.perf_counter()
             try:
-                trajectories[kind] = rollout(
+                done.trajectories[kind] = rollout(
                     plant, controller, **scenario.timing, progress=watch
                 )
                 watch(scenario.duration)
             except DivergedError as error:
                 path = display_path(self.folder / f"{kind}.parquet")
-                error.args = (
-                    (
-                        f"{scenario.name}: {error}; the trajectory up to that time is"
-                        f" in {path}"
-                    ),
+                text = (
+                    f"{scenario.name}: {error}; the trajectory up to that time is in"
+                    f" {path}"
                 )
-                diverged.append(error)
-                trajectories[kind] = error.trajectory
-            walls[kind] = time.perf_counter() - start
+                error.args = (text,)
+                done.diverged.append(error)
+                done.trajectories[kind] = error.trajectory
+            done.walls[kind] = time.perf_counter() - start
+        return self._conclude(done, progress, explain, main_cause)
+
+    def _conclude(
+        self,
+        done: _Simulated,
+        progress: Progress | None,
+        explain: Explain | None,
+        main_cause: Callable[..., dict[str, Any] | None] | None,
+    ) -> RunResult:
+        """Compare the simulated plants and write the files; see `execute`."""
+        scenario = self.scenario
         attribution = None
-        failed_attributions = []
-        # Too early a contact leaves no difference to explain, and the headline says so.
-        before = _before_contact(trajectories) or {"plants": {}}
-        starts = [plant["com_speed_m_s"] for plant in before["plants"].values()]
-        if explain is not None and not diverged and None not in starts:
-            if progress:
-                explaining = partial(progress, "attribution")
-            else:
-                explaining = None
+        failed: tuple[DivergedError, ...] = ()
+        if explain is not None and _can_be_explained(done):
             try:
                 attribution = explain(
-                    scenario, trajectories, progress=explaining, wall_s=walls
+                    scenario,
+                    done.trajectories,
+                    progress=partial(progress, "attribution") if progress else None,
+                    wall_s=done.walls,
                 )
             except DivergedError as error:
-                failed_attributions.append(error)
+                failed = (error,)
         cause = None
-        if main_cause is not None and not (diverged or attribution):
-            cause = main_cause(scenario, trajectories)
+        if main_cause is not None and not (done.diverged or attribution):
+            cause = main_cause(scenario, done.trajectories)
+        metrics: dict[str, Any] = {}
         # Replace all files at once, so that an interrupt or a full disk leaves those of
         # an earlier run.
         with replace_files(self.folder, _ALL_PRODUCTS) as fresh:
-            (fresh / RESOLVED).write_text(dump_yaml(scenario.document), "utf-8")
-            for kind, trajectory in trajectories.items():
-                trajectory.to_parquet(fresh / f"{kind}.parquet")
-            if scenario.measured is not None:
-                scenario.measured.to_parquet(fresh / f"{MEASURED}.parquet")
-            if diverged:
-                return RunResult(
-                    scenario.name, self.folder, trajectories, diverged=tuple(diverged)
+            self._write_trajectories(fresh, done.trajectories)
+            if not done.diverged:
+                metrics, content = self.measure(
+                    done.trajectories, done.walls, attribution, cause
                 )
-            metrics, content = self.measure(trajectories, walls, attribution, cause)
-            self._write(fresh, metrics, content, attribution)
-        failed = tuple(failed_attributions)
+                self._write(fresh, metrics, content, attribution)
         return RunResult(
             scenario.name,
             self.folder,
-            trajectories,
+            done.trajectories,
             metrics,
-            failed_attributions=failed,
+            tuple(done.diverged),
+            failed,
         )
+
+    def _write_trajectories(
+        self, fresh: Path, trajectories: Mapping[str, Trajectory]
+    ) -> None:
+        scenario = self.scenario
+        (fresh / RESOLVED).write_text(dump_yaml(scenario.document), "utf-8")
+        for kind, trajectory in trajectories.items():
+            trajectory.to_parquet(fresh / f"{kind}.parquet")
+        if scenario.measured is not None:
+            scenario.measured.to_parquet(fresh / f"{MEASURED}.parquet")
 
     def measure(
         self,
@@ -245,13 +268,11 @@ class PreparedRun:
             cause: main cause of the difference, see `execute`.
         """
         scenario = self.scenario
-        measured = self.scenario.measured
         comparison = None
         if all(plant in trajectories for plant in PLANTS):
             factor = scenario.file.comparison.gap_factor
-            comparison = difference(
-                *(trajectories[plant] for plant in PLANTS), gap_factor=factor
-            )
+            both = (trajectories[plant] for plant in PLANTS)
+            comparison = difference(*both, gap_factor=factor)
         metrics: dict[str, Any] = {
             "scenario": scenario.name,
             "robot": scenario.robot.name,
@@ -262,34 +283,14 @@ class PreparedRun:
             "events": {k: _notable(t) for k, t in trajectories.items()},
             "changes": list(scenario.changes),
         }
-        if ignoring := [
-            kind for kind, run in trajectories.items() if ignores_obstacles(run)
-        ]:
-            metrics["ignores_obstacles"] = ignoring
-        if comparison and (before := _before_contact(trajectories)):
-            metrics["before_contact"] = before
-        geometries = {
-            kind: plant.spec.geometry for kind, (plant, _) in self.pairs.items()
-        }
-        overlaps = {k: body_overlap(t, geometries[k]) for k, t in trajectories.items()}
-        if any(overlaps.values()):
-            metrics["body_overlap_m"] = {
-                k: overlap for k, overlap in overlaps.items() if overlap
-            }
+        metrics |= self._contact_entries(trajectories)
         drawn = dict(trajectories)
         differences = {}
-        if measured is not None:
-            drawn[MEASURED] = measured
-            differences = {
-                k: MeasuredDifference.between(measured, t)
-                for k, t in trajectories.items()
-            }
-            for kind, deviation in differences.items():
-                metrics["plants"][kind] |= deviation.metrics
-            metrics["plants"][MEASURED] = plant_metrics(measured)
-            metrics["residuals"] = {
-                k: deviation.document() for k, deviation in differences.items()
-            }
+        if scenario.measured is not None:
+            drawn[MEASURED] = scenario.measured
+            differences = _compare_with_measured(
+                scenario.measured, metrics, trajectories
+            )
         if attribution is not None:
             metrics["attribution"] = attribution.document()
         if cause is not None:
@@ -303,6 +304,25 @@ class PreparedRun:
         spec = [plant.spec for plant, _ in self.pairs.values()][-1]
         return metrics, RunContent(spec, drawn, comparison, differences, scenario.world)
 
+    def _contact_entries(self, runs: Mapping[str, Trajectory]) -> dict[str, Any]:
+        """Return the entries of metrics.json on contacts and overlaps, as far as there are any."""
+        entries: dict[str, Any] = {}
+        ignoring = [kind for kind, run in runs.items() if ignores_obstacles(run)]
+        if ignoring:
+            entries["ignores_obstacles"] = ignoring
+        before = _before_contact(runs)
+        if before and runs.keys() >= set(PLANTS):
+            entries["before_contact"] = before
+        overlaps = {
+            kind: body_overlap(run, self.pairs[kind][0].spec.geometry)
+            for kind, run in runs.items()
+        }
+        if any(overlaps.values()):
+            entries["body_overlap_m"] = {
+                k: size for k, size in overlaps.items() if size
+            }
+        return entries
+
     def _judged(
         self, metrics: dict[str, Any], runs: Mapping[str, Trajectory]
     ) -> dict[str, Any]:
@@ -314,10 +334,9 @@ class PreparedRun:
         """
         scenario = self.scenario
         # Expectations of plants that were not run do not count as missed.
-        available = {
-            *metrics["plants"],
-            *(["comparison"] if metrics["comparison"] else ()),
-        } - {MEASURED}
+        available = metrics["plants"].keys() - {MEASURED}
+        if metrics["comparison"]:
+            available |= {"comparison"}
         complete = set(scenario.plants) <= available
         expected = [
             item for item in scenario.expect if item.subject in available or complete
@@ -399,35 +418,29 @@ def stored_intervals(scenario: Scenario) -> dict[str, Any]:
         digest = data["digest"]
         plants = data["plants"]
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        return {
-            "stale": (
-                f"{display_path(path)} cannot be read ({error}); {renew} writes it"
-                " again"
-            )
-        }
+        reason = (
+            f"{display_path(path)} cannot be read ({error}); {renew} writes it again"
+        )
+        return {"stale": reason}
     own = data.get("contact") or UNSTATED_CONTACT
     contact = twin_contact(scenario)
+    shown = f"the interval in {display_path(path)}"
     if "twin" in plants and contact is not None and own != contact:
-        return {
-            "stale": (
-                f"the interval in {display_path(path)} is for a twin with contact"
-                f" {own}, not {contact}; {renew} renews it"
-            )
-        }
+        reason = (
+            f"{shown} is for a twin with contact {own}, not {contact}; {renew} renews"
+            " it"
+        )
+        return {"stale": reason}
     if digest != judged_digest(scenario.document):
-        return {
-            "stale": (
-                f"the interval in {display_path(path)} is for another robot or"
-                f" scenario; {renew} renews it"
-            )
-        }
-    stored = {
+        reason = f"{shown} is for another robot or scenario; {renew} renews it"
+        return {"stale": reason}
+    return {
         "stale": None,
         "file": display_path(path),
         "renew": renew,
         "plants": plants,
+        "segments": data.get("segments"),
     }
-    return stored | {"segments": data.get("segments")}
 
 
 def _notable(trajectory: Trajectory) -> list[dict[str, Any]]:
@@ -437,6 +450,33 @@ def _notable(trajectory: Trajectory) -> list[dict[str, Any]]:
         asdict(event)
         for event in (*faults, *contact_events(trajectory), *end_event(trajectory))
     ]
+
+
+def _compare_with_measured(
+    measured: Trajectory,
+    metrics: dict[str, Any],
+    trajectories: Mapping[str, Trajectory],
+) -> dict[str, MeasuredDifference]:
+    """Add the differences from a measured trajectory to the metrics; return them by plant."""
+    differences = {
+        kind: MeasuredDifference.between(measured, run)
+        for kind, run in trajectories.items()
+    }
+    for kind, deviation in differences.items():
+        metrics["plants"][kind] |= deviation.metrics
+    metrics["plants"][MEASURED] = plant_metrics(measured)
+    metrics["residuals"] = {k: each.document() for k, each in differences.items()}
+    return differences
+
+
+def _can_be_explained(done: _Simulated) -> bool:
+    """Return whether no plant diverged or touched something too early to leave a difference to explain."""
+    if done.diverged:
+        return False
+    before = _before_contact(done.trajectories)
+    if before is None:
+        return True
+    return all(row["com_speed_m_s"] is not None for row in before["plants"].values())
 
 
 def _before_contact(runs: Mapping[str, Trajectory]) -> dict[str, Any] | None:
@@ -514,7 +554,7 @@ def compare(
     reference: Trajectory | Scenario | StrPath,
     candidate: Trajectory | None = None,
     *,
-    set: Mapping[str, object] | None = None,
+    set: Mapping[str, object] | None = None,  # noqa: A002  # as --set
     gap_factor: bool = False,
 ) -> Comparison:
     """Compare two trajectories, or run a scenario on both plants and compare the plants.
@@ -601,7 +641,7 @@ def run_scenario(
     scenario: StrPath | Scenario,
     out: StrPath | None = None,
     *,
-    set: Overrides = (),
+    set: Overrides = (),  # noqa: A002  # as --set
     plants: Sequence[str] | None = None,
     progress: Progress | None = None,
     explain: Explain | None = None,

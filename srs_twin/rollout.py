@@ -127,38 +127,22 @@ def rollout(
         )
     ticks = count_steps("duration", duration, "tick", plant.tick)
     recorder = Recorder(plant, controller, record_hz, duration)
-    if plant.layout not in controller.layouts:
-        raise InputError(
-            f"controller '{controller.kind}' drives valves of layout"
-            f" {', '.join(controller.layouts)}; the {plant.name} plant has"
-            f" {plant.layout} (layout in_out can hold, 3/2 cannot)"
-        )
-    if not controller.spatial:
-        plant.spec.require_planar(f"controller '{controller.kind}'")
+    _check_drives(controller, plant)
     with claim(plant), claim(controller):
-        if begin is None:
-            state = plant.reset(
-                pose=(0.0, 0.0, 0.0) if pose is None else pose, seed=seed
-            )
+        if resume is None:
+            state = _initial_state(plant, pose, begin, seed)
+            controller.reset(plant.spec, plant.tick, seed=seed)
         else:
-            state = begin(plant, seed)
-        controller.reset(plant.spec, plant.tick, seed=seed)
-        if resume is not None:
+            plant.reset(seed=seed)
+            controller.reset(plant.spec, plant.tick, seed=seed)
             state = plant.restore(resume[0])
             controller.restore(resume[1])
-        else:
-            # A start in the state of another run may be in contact.
-            soft = PENETRATION_M * plant.spec.scale.length
-            check_start(plant, state, TOUCHING_M if begin is None else soft)
         recorder.add(state)
         observers = tuple(observers)
-        start = float(state.time)
-        if until is not None or observers:
-            script = None
-        else:
-            script = controller.script(start + ticks * plant.tick)
-        if script is not None and start:
-            script = script.slice(start, start + ticks * plant.tick)
+        script = None
+        if until is None and not observers:
+            begun = float(state.time)
+            script = _script(controller, begun, ticks * plant.tick)
         try:
             if script is None or not _play_script(recorder, script, ticks, progress):
                 _step_ticks(recorder, state, ticks, until, observers, progress)
@@ -168,6 +152,40 @@ def rollout(
             error.trajectory = recorder.trajectory()
             raise
         return recorder.trajectory()
+
+
+def _initial_state(
+    plant: Plant, pose: Pose | None, begin: PlaceFunction | None, seed: int
+) -> SnakeState:
+    """Set the initial state of a plant and return it; arguments as in `rollout`."""
+    if begin is None:
+        state = plant.reset(pose=(0.0, 0.0, 0.0) if pose is None else pose, seed=seed)
+        check_start(plant, state, TOUCHING_M)
+    else:
+        state = begin(plant, seed)
+        # A start in the state of another run may be in contact.
+        check_start(plant, state, PENETRATION_M * plant.spec.scale.length)
+    return state
+
+
+def _check_drives(controller: Controller, plant: Plant) -> None:
+    """Raise `InputError` if a controller cannot drive a plant."""
+    if plant.layout not in controller.layouts:
+        raise InputError(
+            f"controller '{controller.kind}' drives valves of layout"
+            f" {', '.join(controller.layouts)}; the {plant.name} plant has"
+            f" {plant.layout} (layout in_out can hold, 3/2 cannot)"
+        )
+    if not controller.spatial:
+        plant.spec.require_planar(f"controller '{controller.kind}'")
+
+
+def _script(controller: Controller, start: float, span: float) -> Schedule | None:
+    """Return the commands from a time on (s) over a span (s), if they do not depend on the state."""
+    script = controller.script(start + span)
+    if script is not None and start:
+        script = script.slice(start, start + span)
+    return script
 
 
 def _play_script(
@@ -188,16 +206,19 @@ def _play_script(
     recorded = ticks - ticks % stride
     done = 0
     while done < ticks:
-        count = min(chunk, (recorded if done < recorded else ticks) - done)
+        is_recorded = done < recorded
+        end = recorded if is_recorded else ticks
+        count = min(chunk, end - done)
         commands = script.slice(done * plant.tick, (done + count) * plant.tick)
         check_commands(controller, done * plant.tick, commands.states)
-        history = plant.play(
-            commands, count * recorder.samples // stride if done < recorded else 1
-        )
+        samples = 1
+        if is_recorded:
+            samples = count * recorder.samples // stride
+        history = plant.play(commands, samples)
         if history is None:
             return False
         check_plausible(plant.name, history)
-        if done < recorded:
+        if is_recorded:
             recorder.add(history)
         done += count
         if progress is not None:
@@ -225,10 +246,7 @@ def _step_ticks(
         for sample in states:
             check_plausible(plant.name, sample)
         state = states[-1]
-        if controller.finished:
-            recorder.ended_by = "controller"
-        elif until is not None and until(state):
-            recorder.ended_by = "until"
+        recorder.ended_by = _end_of_run(controller, until, state)
         ends = recorder.ended_by is not None
         if k % recorder.stride == 0 or ends:
             for sample in states:
@@ -240,6 +258,19 @@ def _step_ticks(
             progress(k * plant.tick)
         if ends:
             break
+
+
+def _end_of_run(
+    controller: Controller,
+    until: Callable[[SnakeState], bool] | None,
+    state: SnakeState,
+) -> str | None:
+    """Return the reason why a run ends in a state, or None."""
+    if controller.finished:
+        return "controller"
+    if until is not None and until(state):
+        return "until"
+    return None
 
 
 def _describe_controller(controller: Controller) -> str:
@@ -322,28 +353,24 @@ class Recorder:
         columns = {"time": values_of("time")}
         columns |= _numbered_columns("com_", values_of("com"), "xy")
         columns["heading"] = values_of("heading")
-        position = values_of("position")
-        columns |= _numbered_columns("x_", position[..., 0]) | _numbered_columns(
-            "y_", position[..., 1]
-        )
+        for axis, name in enumerate("xy"):
+            columns |= _numbered_columns(f"{name}_", values_of("position")[..., axis])
         if isinstance(states, SpatialState):
             columns |= _spatial_columns(states)
         else:
-            for name in ("theta", "bend", "sensed", "torque"):
-                columns |= _numbered_columns(f"{name}_", values_of(name))
-            for name, attribute in (("pressure", "pressure"), ("valve", "valves")):
-                chambers = values_of(attribute)
-                columns |= _numbered_columns(f"{name}_plus_", chambers[..., 0])
-                columns |= _numbered_columns(f"{name}_minus_", chambers[..., 1])
-        columns["work"] = values_of("work")
-        if self.plant.has_internal_loss:
-            columns["internal_loss"] = values_of("internal_loss")
-        if self.plant.metered:
-            columns["air"] = values_of("air")
+            columns |= _planar_columns(states)
+        has_energy = {
+            "work": True,
+            "internal_loss": self.plant.has_internal_loss,
+            "air": self.plant.metered,
+        }
+        columns |= {name: values_of(name) for name, has in has_energy.items() if has}
         if self.plant.touches:
             force = values_of("obstacle_force")
-            columns |= _numbered_columns("obstacle_force_x_", force[..., 0])
-            columns |= _numbered_columns("obstacle_force_y_", force[..., 1])
+            for axis, name in enumerate("xy"):
+                columns |= _numbered_columns(
+                    f"obstacle_force_{name}_", force[..., axis]
+                )
         for k in range(self.plant.objects):
             first = 3 * (k - self.plant.objects)
             for axis, name in enumerate(("x", "y", "heading")):
@@ -365,12 +392,15 @@ class Recorder:
     def _metadata(self) -> dict[str, object]:
         plant = self.plant
         geometry = self.plant.spec.geometry
-        return {
+        metadata: dict[str, object] = {
             **plant.describe(),
             **self._settings,
             "body_length_m": geometry.body_length,
             "body_width_m": geometry.width,
-            **({"spatial": True} if plant.spec.is_spatial else {}),
+        }
+        if plant.spec.is_spatial:
+            metadata["spatial"] = True
+        return metadata | {
             "segment_length_m": geometry.segment_length,
             "rigid_gap_m": geometry.rigid_gap,
             "mass_kg": plant.spec.mass.total,
@@ -380,6 +410,18 @@ class Recorder:
             "ended_by": self.ended_by,
             "valve_switches": plant.openings().tolist() if plant.metered else None,
         }
+
+
+def _planar_columns(states: SnakeState) -> dict[str, np.ndarray]:
+    """Return the columns of a history that a spatial snake has under other names or with more axes."""
+    columns: dict[str, np.ndarray] = {}
+    for name in ("theta", "bend", "sensed", "torque"):
+        columns |= _numbered_columns(f"{name}_", getattr(states, name))
+    for name, values in (("pressure", states.pressure), ("valve", states.valves)):
+        chambers = np.asarray(values, dtype=float)
+        columns |= _numbered_columns(f"{name}_plus_", chambers[..., 0])
+        columns |= _numbered_columns(f"{name}_minus_", chambers[..., 1])
+    return columns
 
 
 def _spatial_columns(states: SpatialState) -> dict[str, np.ndarray]:

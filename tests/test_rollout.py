@@ -434,7 +434,7 @@ def test_diverged_run_keeps_its_samples():
 
 
 def spoil_analytical(plant: AnalyticalSnake, value: float) -> None:
-    plant._body.state[3] = value
+    plant.body.state[3] = value
 
 
 def spoil_twin(plant: TwinSnake, value: float) -> None:

@@ -181,6 +181,16 @@ def kernel_only(function: Function) -> Function:
     return part
 
 
+def inlined(function: Function) -> Function:
+    """Copy a function that only kernels call into its callers, before they are optimised.
+
+    The order of sums in a kernel then does not depend on whether a part of it has a
+    name of its own.
+    """
+    part: Function = njit(**_PART_OPTIONS, **_NO_REFCOUNTS, inline="always")(function)
+    return part
+
+
 # Functions that are chosen by types return no arrays, whose references they would have
 # to count.
 overload_part: Function = functools.partial(

@@ -76,10 +76,8 @@ class MemberDynamics:
             mu.mu_t,
             mu.mu_n,
             _SLIP_SPEED * unit,
-            lean,
-            drag=drag,
-            unit=unit,
-        )
+            load_transfer=lean,
+        )._replace(drag=drag, unit=unit)
         self.mass: np.ndarray = solid.mass
         self._model = CompliantModel.of(
             solid, spec.bending.stiffness, spec.bending.damping, floor
@@ -204,21 +202,21 @@ def _free_bends(linear, speed, bias, law):  # type: ignore[no-untyped-def]
                 free, slope, _ = apply_bend_law(linear[t, m, j], law)
                 bends[m, t, j] = bias[m, j] + free
                 rates[m, t, j] = slope * speed[t, m, j]
-    return bends, rates
+    return kernels.Bends(bends, rates)
 
 
 @allocating
 def _advance(states, velocities, steps, free, model, work):  # type: ignore[no-untyped-def]
     """Advance bodies in place; return whether each made all steps."""
-    bends, rates = free
     complete = np.empty(states.shape[0], dtype=np.bool_)
     marks = np.empty(0, dtype=np.int64)
-    seen = np.empty((0, states.shape[1])), np.empty((0, velocities.shape[1]))
+    seen = kernels.Samples(
+        np.empty((0, states.shape[1])), np.empty((0, velocities.shape[1]))
+    )
     for m in range(states.shape[0]):
-        now = states[m], velocities[m]
-        done = compliant_kernels.advance(
-            now, steps, (bends[m], rates[m]), marks, model, seen, work
-        )
+        now = compliant_kernels.CompliantState(states[m], velocities[m])
+        bends = kernels.Bends(free.bend[m], free.rate[m])
+        done = compliant_kernels.advance(now, steps, bends, marks, model, seen, work)
         complete[m] = done == steps.shape[0]
     return complete
 

@@ -9,7 +9,6 @@ which the engine replaces by 0, or a valve state of NaN.
 from __future__ import annotations
 
 import reprlib
-import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -102,10 +101,11 @@ class SnakeState:
     def history(states: Sequence[SnakeState]) -> SnakeState:
         """Return the concatenation of histories; a single state counts as one sample."""
         return concatenate_records(
-            [state if np.ndim(state.time) else state._as_history() for state in states]
+            [state if np.ndim(state.time) else state.as_history() for state in states]
         )
 
-    def _as_history(self) -> SnakeState:
+    def as_history(self) -> SnakeState:
+        """Return the state as a history of one sample."""
         return type(self)(
             *(np.asarray(getattr(self, name))[None] for name in self._names())
         )
@@ -149,9 +149,6 @@ _FIELDS = tuple(
 _SPATIAL_FIELDS = tuple(field.name for field in fields(SpatialState))
 
 
-_STRETCH_DEPRECATED = "Plant.stretch is deprecated; use Plant.max_chunk_s"
-
-
 class Plant(Claimable, Stateful, ABC):
     """Abstract snake that follows valve commands.
 
@@ -187,17 +184,6 @@ class Plant(Claimable, Stateful, ABC):
         if type(self).advance is Plant.advance:
             return self.tick
         return None
-
-    @property
-    def stretch(self) -> float:
-        """Deprecated name of `max_chunk_s`."""
-        warnings.warn(_STRETCH_DEPRECATED, DeprecationWarning, stacklevel=2)
-        return self.max_chunk_s
-
-    @stretch.setter
-    def stretch(self, value: float) -> None:
-        warnings.warn(_STRETCH_DEPRECATED, DeprecationWarning, stacklevel=2)
-        self.max_chunk_s = value
 
     @abstractmethod
     def reset(self, *, pose: Pose = (0.0, 0.0, 0.0), seed: int = 0) -> SnakeState:
@@ -255,12 +241,6 @@ class Plant(Claimable, Stateful, ABC):
         super().__init_subclass__()
         if cls.step is Plant.step and cls.advance is Plant.advance:
             raise TypeError(f"{cls.__name__} must override step or advance")
-        if "stretch" in vars(
-            cls
-        ):  # a class attribute would hide the deprecated property
-            warnings.warn(_STRETCH_DEPRECATED, DeprecationWarning, stacklevel=2)
-            cls.max_chunk_s = vars(cls)["stretch"]
-            del cls.stretch
 
     def step(self, valves: np.ndarray) -> SnakeState:
         """Advance by one tick.

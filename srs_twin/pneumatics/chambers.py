@@ -32,6 +32,8 @@ bend follows x immediately; x follows the pressures with the mode time constant 
 from __future__ import annotations
 
 import math
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import brentq
@@ -71,19 +73,25 @@ NO_LIMIT_RAD = 1e3
 """Bend limit q_m above which φ has no saturation, rad."""
 
 
-BendLaw = tuple[float, float, float, float]
-"""Parameters q_m (rad), s (1), d (rad), w (rad) of φ; a plain tuple, because Warp makes it an array."""
+class BendLaw(NamedTuple):
+    """Parameters of φ.
+
+    Attributes:
+        bend_limit: q_m, rad.
+        onset_share: s, dimensionless.
+        onset: d, rad.
+        onset_width: w, rad.
+    """
+
+    bend_limit: float
+    onset_share: float
+    onset: float
+    onset_width: float
 
 
 def bend_law(spec: RobotSpec) -> BendLaw:
     """Return the parameters of φ of a robot."""
-    actuator = spec.actuator
-    return (
-        actuator.bend_limit,
-        actuator.onset_share,
-        actuator.onset,
-        actuator.onset_width,
-    )
+    return BendLaw(*(getattr(spec.actuator, name) for name in BendLaw._fields))
 
 
 @kernel_only
@@ -98,12 +106,12 @@ def apply_bend_law(x, law):  # type: ignore[no-untyped-def]
 
     Args:
         x: linear bend, rad.
-        law: a `BendLaw`.
+        law: a `BendLaw`, or another record with its fields.
     """
-    limit = law[0]
-    share = law[1]
-    onset = law[2]
-    width = law[3]
+    limit = law.bend_limit
+    share = law.onset_share
+    onset = law.onset
+    width = law.onset_width
     y = x
     rise = 1.0
     curve = 0.0
@@ -141,13 +149,17 @@ def invert_bend_law(bends: Array, law: BendLaw) -> Array:
         if not apply_bend_law(low, law)[0] <= bend <= apply_bend_law(high, law)[0]:
             raise InputError(
                 f"no pressure bends a segment by {bend:.4g} rad; its limit is"
-                f" {law[0]:.4g} rad"
+                f" {law.bend_limit:.4g} rad"
             )
-        error = lambda x, bend=bend: apply_bend_law(x, law)[0] - bend  # noqa: E731
-        linear.append(
-            low if low == high else brentq(error, low, high, xtol=1e-14, rtol=1e-14)
-        )
+        if low < high:
+            error = partial(_bend_error, bend=bend, law=law)
+            low = brentq(error, low, high, xtol=1e-14, rtol=1e-14)
+        linear.append(low)
     return np.array(linear).reshape(np.shape(bends))
+
+
+def _bend_error(x: float, bend: float, law: BendLaw) -> float:
+    return float(apply_bend_law(x, law)[0] - bend)
 
 
 def check_pressure(pressure: Array, largest: float) -> Array:

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 from srs_twin.compute.compiled import compiled
 from srs_twin.pneumatics.chambers import AMBIENT_PA
@@ -63,7 +64,21 @@ def flow(first, second, critical):  # type: ignore[no-untyped-def]
     return value, by_high, by_low
 
 
-def conductances(spec: RobotSpec, critical: float) -> tuple[float, float, float]:
+class Conductances(NamedTuple):
+    """Conductances of the valves of a chamber, and its capacity.
+
+    Attributes:
+        fill: C of the inlet, m³/(s Pa).
+        vent: C of the outlet, m³/(s Pa).
+        capacity: K at the working point of filling, J/Pa.
+    """
+
+    fill: float
+    vent: float
+    capacity: float
+
+
+def conductances(spec: RobotSpec, critical: float) -> Conductances:
     """Return the conductances of inlet and outlet for which the small-signal response has the robot's τ₁.
 
     One chamber fills or vents, the opposite one is vented, and the bend follows as q ≈
@@ -75,11 +90,7 @@ def conductances(spec: RobotSpec, critical: float) -> tuple[float, float, float]
 
     Args:
         spec: the robot.
-        critical: critical pressure ratio b, 1.
-
-    Returns:
-        C of the inlet and of the outlet (m³/(s Pa)), and K at the working point of
-        filling (J/Pa).
+        critical: critical pressure ratio b, dimensionless.
     """
     actuator = spec.actuator
     supply = spec.supply.nominal
@@ -96,7 +107,8 @@ def conductances(spec: RobotSpec, critical: float) -> tuple[float, float, float]
         2 * full + AMBIENT_PA
     )
     fill = _conductance(filling, full, actuator.tau_fill, spec)
-    return fill, _conductance(venting, empty, actuator.tau_vent, spec), capacity
+    vent = _conductance(venting, empty, actuator.tau_vent, spec)
+    return Conductances(fill, vent, capacity)
 
 
 def _conductance(

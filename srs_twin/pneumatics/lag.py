@@ -33,7 +33,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from srs_twin.compute.compiled import compiled, kernel_only
+from srs_twin.compute.compiled import compiled, inlined, kernel_only
 from srs_twin.pneumatics.base import (
     OptionalArray,
     Pneumatics,
@@ -43,7 +43,6 @@ from srs_twin.pneumatics.base import (
 )
 from srs_twin.pneumatics.chambers import (
     AMBIENT_PA,
-    BendLaw,
     apply_bend_law,
     bend_law,
     chamber_gains,
@@ -112,38 +111,67 @@ def followed(
 
 
 class Relaxation(NamedTuple):
-    """Exact propagation of the chambers over a time without valve events, for the device engine.
+    """Laws of the chambers, and their propagation over a time without valve events.
 
-    Kinds group chambers with equal time constants. Factors by kind and valve state have
-    the shape (kinds, 3), with the columns −1, 0, +1.
+    Kinds group chambers with equal time constants. Arrays by kind and valve state have
+    the shape (kinds, 3), with the columns −1, 0, +1. The device engine copies the
+    record.
 
     Attributes:
         kinds: kind of each chamber, shape (segments, 2).
+        rates: a by kind and valve state, 1/s.
         asymptotes: P by kind and valve state, Pa.
-        decay: factor e^{−at} of the deviation p − P, by kind and valve state, 1.
-        lag: response of x to this deviation, per gain, by kind and valve state, 1.
-        mode: factor e^{−t/τ₂} of x, 1.
+        decay: work array, factor e^{−at} of the deviation p − P, by kind and valve
+            state.
+        lag: work array, response of x to this deviation, per gain, by kind and valve
+            state.
+        mode: work array, factor e^{−t/τ₂} of x, shape (1,).
         tau: τ₂, s.
+        leak: λ, 1/s.
         damping_time: c/k of a segment, s.
         gain: gain of each chamber, shape (segments, 2), rad/Pa.
         bias: rest bends, shape (segments,), rad.
-        law: a `BendLaw`.
-        space: dead volume V₀ (m³) and A (m³/rad) of a chamber.
-        worth: pneumatic energy per amount of air drawn, 1.
+        bend_limit: see `BendLaw`, rad.
+        onset_share: see `BendLaw`.
+        onset: see `BendLaw`, rad.
+        onset_width: see `BendLaw`, rad.
+        dead_volume: V₀ of a chamber, m³.
+        displacement: A of a chamber, m³/rad.
+        worth: pneumatic energy per amount of air drawn, dimensionless.
     """
 
     kinds: np.ndarray
+    rates: np.ndarray
     asymptotes: np.ndarray
     decay: np.ndarray
     lag: np.ndarray
-    mode: float
+    mode: np.ndarray
     tau: float
+    leak: float
     damping_time: float
     gain: np.ndarray
     bias: np.ndarray
-    law: BendLaw
-    space: tuple[float, float]
-    worth: float
+    bend_limit: float
+    onset_share: float
+    onset: float
+    onset_width: float
+    dead_volume: float
+    displacement: float
+    worth: float = 0.0
+
+
+class _Chambers(NamedTuple):
+    """State of the chambers in a kernel.
+
+    Attributes:
+        pressure: gauge pressures, shape (segments, 2), Pa.
+        linear: linear bends x, shape (segments,), rad.
+        bend: free bends, shape (segments,), rad.
+    """
+
+    pressure: np.ndarray
+    linear: np.ndarray
+    bend: np.ndarray
 
 
 _SAME = 1e-6
@@ -208,26 +236,41 @@ class LagPneumatics(LagChambers):
     def _prepare(
         self, spec: RobotSpec, tau_fill: np.ndarray, tau_vent: np.ndarray
     ) -> None:
-        actuator = spec.actuator
-        chamber = spec.chamber
         # Chambers of one kind have the same time constants and share the evaluation of
         # exponentials.
         kinds, kind = np.unique(
             np.stack([tau_fill.ravel(), tau_vent.ravel()]), axis=1, return_inverse=True
         )
-        self._kind = kind.reshape(tau_fill.shape)
-        # Relaxation rate a and asymptote P, by kind and valve state + 1.
-        self._rate = (
+        rates = (
             np.stack([1 / kinds[1], np.zeros_like(kinds[0]), 1 / kinds[0]], axis=1)
             + self._leak
         )
-        self._asymptote = np.zeros_like(self._rate)
         self._tau_fill = kinds[0]
-        self._tau_mode = actuator.tau_mode
-        self._gain = chamber_gains(spec)
-        self._damping_time = spec.bending.damping_time
-        self._law = bend_law(spec)
-        self._volume_law = chamber.dead_volume, chamber.displacement
+        self._bend_law = bend_law(spec)
+        self._law = Relaxation(
+            kinds=kind.reshape(tau_fill.shape),
+            rates=rates,
+            asymptotes=np.zeros_like(rates),
+            decay=np.zeros_like(rates),
+            lag=np.zeros_like(rates),
+            mode=np.zeros(1),
+            tau=spec.actuator.tau_mode,
+            leak=self._leak,
+            damping_time=spec.bending.damping_time,
+            gain=chamber_gains(spec),
+            bias=spec.modules.array("bias"),
+            **self._bend_law._asdict(),
+            dead_volume=spec.chamber.dead_volume,
+            displacement=spec.chamber.displacement,
+        )
+
+    @property
+    def _asymptote(self) -> np.ndarray:
+        return self._law.asymptotes
+
+    @_asymptote.setter
+    def _asymptote(self, asymptotes: np.ndarray) -> None:
+        self._law.asymptotes[:] = asymptotes
 
     def reset(self) -> None:
         """See `Pneumatics.reset`."""
@@ -236,7 +279,7 @@ class LagPneumatics(LagChambers):
 
     def place(self, pressure: np.ndarray, bend: np.ndarray) -> None:
         """See `Pneumatics.place`."""
-        self._linear = invert_bend_law(bend - self.rest_bend, self._law)
+        self._linear = invert_bend_law(bend - self.rest_bend, self._bend_law)
         self.pressure = check_pressure(pressure, self._max_supply)
         self.bend = np.array(bend, dtype=float)
 
@@ -244,31 +287,25 @@ class LagPneumatics(LagChambers):
         """See `Pneumatics.set_supply_pressure`; the pressure changes immediately."""
         check_supply(supply_pa, self._max_supply)
         # A leak lowers the equilibrium pressure below that of the supply.
-        self._asymptote[:, 2] = supply_pa / self._tau_fill / self._rate[:, 2]
+        filling = supply_pa / self._tau_fill / self._law.rates[:, 2]
+        self._law.asymptotes[:, 2] = filling
         self._energy_per_amount = supply_pa / (supply_pa + AMBIENT_PA)
 
     def relaxation(self, time: float) -> Relaxation:
         """Return the propagation over a time (s), in which each chamber is a kind of its own."""
-        rate = self._rate[self._kind.ravel()]
-        asymptote = self._asymptote[self._kind.ravel()]
-        decay = np.empty_like(rate)
-        lag = np.empty_like(rate)
-        mode = _decay_factors(time, rate, self._tau_mode, decay, lag)
-        kinds = np.arange(self._kind.size).reshape(self._kind.shape)
-        return Relaxation(
-            kinds,
-            asymptote,
-            decay,
-            lag,
-            mode,
-            self._tau_mode,
-            self._damping_time,
-            self._gain,
-            self.rest_bend,
-            self._law,
-            self._volume_law,
-            self._energy_per_amount,
+        kinds = self._law.kinds
+        rates = self._law.rates[kinds.ravel()]
+        relaxation = self._law._replace(
+            kinds=np.arange(kinds.size).reshape(kinds.shape),
+            rates=rates,
+            asymptotes=self._law.asymptotes[kinds.ravel()],
+            decay=np.empty_like(rates),
+            lag=np.empty_like(rates),
+            mode=np.empty(1),
+            worth=self._energy_per_amount,
         )
+        _fill_decay(time, relaxation)
+        return relaxation
 
     def _simulate(
         self,
@@ -278,128 +315,70 @@ class LagPneumatics(LagChambers):
         bend_rate: OptionalArray,
     ) -> Trace:
         trace = self._empty_trace(len(times))
-        pressure = self.pressure.copy()
-        linear = self._linear.copy()
         free = np.empty(self._segments)
-        relaxation = self._kind, self._rate, self._asymptote, self._leak
-        bending = self._tau_mode, self._gain, self.rest_bend, self._law
-        start = (pressure, linear, free)
-        factors = (np.empty_like(self._rate), np.empty_like(self._rate))
-        drawn = _fill_trace(
-            start,
-            schedule,
-            times,
-            relaxation,
-            bending,
-            self._volume_law,
-            trace,
-            factors,
-        )
+        now = _Chambers(self.pressure.copy(), self._linear.copy(), free)
+        drawn = _fill_trace(now, schedule, times, self._law, trace)
         np.multiply(trace.air, self._energy_per_amount, out=trace.air)
         np.add(trace.air, self.air, out=trace.air)
-        self._linear = linear
-        self.pressure = pressure
-        self.bend = free
+        self.pressure, self._linear, self.bend = now
         self.air = self.air + self._energy_per_amount * drawn
         return trace
 
 
 @compiled
-def _fill_trace(start, schedule, times, relaxation, bending, space, trace, factors):  # type: ignore[no-untyped-def]
+def _fill_trace(now, schedule, times, law, trace):  # type: ignore[no-untyped-def]
     """Fill a trace at `times`, advance to the end of a schedule, and return the amount of air drawn (J).
 
     Args:
-        start: gauge pressure, shape (segments, 2), Pa, and linear bend x, shape
-            (segments,), rad, at the start, both in place; and, out, free bend at the
-            end, shape (segments,), rad.
+        now: state of the chambers, in place.
         schedule: effective valve states.
         times: ascending, shape (times,), s.
-        relaxation: kind of each chamber, shape (segments, 2); rates a (1/s) and
-            asymptotes P (Pa) by kind and valve state + 1, shape (kinds, 3); leak rate λ
-            (1/s).
-        bending: τ₂ (s); gain of each chamber, shape (segments, 2), rad/Pa; rest bends,
-            shape (segments,), rad; a `BendLaw`.
-        space: dead volume V₀ (m³) and A (m³/rad) of a chamber.
+        law: a `Relaxation`.
         trace: out; its air is the amount drawn since the start, J.
-        factors: work arrays, shape (kinds, 3) each.
     """
-    (pressure, linear, bend), (span, starts, states), (decay, lag) = (
-        start,
-        schedule,
-        factors,
-    )
-    kinds, rates, asymptotes, leak = relaxation
-    tau, gain, bias, law = bending
+    starts = schedule.starts
     row = 0
     drawn = 0.0
     for run in range(starts.shape[0]):
-        state = states[run]
+        state = schedule.states[run]
         begin = starts[run]
-        stop = starts[run + 1] if run + 1 < starts.shape[0] else span
+        is_last = run + 1 == starts.shape[0]
+        stop = schedule.span if is_last else starts[run + 1]
         # Filling chambers draw the increase of their content plus their leak; other
         # chambers draw nothing.
-        content_before = 0.0
-        leaked = 0.0
-        last = 0.0
-        for j in range(bend.shape[0]):
-            free = bias[j] + apply_bend_law(linear[j], law)[0]
-            content_before += filling_content(
-                state[j], pressure[j, 0], pressure[j, 1], free, space, AMBIENT_PA
-            )
+        content_before = _filling_content(state, now, law)
+        leaked = last = 0.0
         while True:
             # The rows of the trace within the run, then the end of the run, from which
             # the next one starts.
-            requested = row < times.shape[0] and (
-                times[row] <= stop or run + 1 == starts.shape[0]
-            )
+            requested = row < times.shape[0] and (times[row] <= stop or is_last)
             t = (times[row] if requested else stop) - begin
-            if leak > 0.0:
-                leaked += _leaked(
-                    last,
-                    t,
-                    state,
-                    (pressure, linear),
-                    relaxation,
-                    bending,
-                    space,
-                    (decay, lag),
-                )
+            if law.leak > 0.0:
+                leaked += _leaked(last, t, state, now, law)
                 last = t
-            mode = _decay_factors(t, rates, tau, decay, lag)
+            _fill_decay(t, law)
             content = 0.0
-            for j in range(bend.shape[0]):
+            for j in range(now.bend.shape[0]):
                 plus, minus, x = advance_segment(
-                    state[j],
-                    kinds[j],
-                    pressure[j],
-                    linear[j],
-                    asymptotes,
-                    gain[j],
-                    decay,
-                    lag,
-                    mode,
+                    state[j], j, now.pressure[j], now.linear[j], law
                 )
                 free, slope, curve = apply_bend_law(x, law)
-                free += bias[j]
-                content += filling_content(
-                    state[j], plus, minus, free, space, AMBIENT_PA
-                )
+                free += law.bias[j]
+                content += filling_content(state[j], plus, minus, free, law, AMBIENT_PA)
                 if not requested:
-                    pressure[j, 0] = plus
-                    pressure[j, 1] = minus
-                    linear[j] = x
-                    bend[j] = free
+                    now.pressure[j, 0] = plus
+                    now.pressure[j, 1] = minus
+                    now.linear[j] = x
+                    now.bend[j] = free
                     continue
-                rise = _drive_rate(
-                    state[j], kinds[j], plus, minus, rates, asymptotes, gain[j]
-                )
-                speed = (gain[j, 0] * plus - gain[j, 1] * minus - x) / tau
+                rise = _drive_rate(state[j], j, plus, minus, law)
+                speed = (law.gain[j, 0] * plus - law.gain[j, 1] * minus - x) / law.tau
                 trace.pressure[row, j, 0] = plus
                 trace.pressure[row, j, 1] = minus
                 trace.bend[row, j] = free
                 trace.bend_rate[row, j] = slope * speed
                 trace.bend_acceleration[row, j] = (
-                    slope * (rise - speed) / tau + curve * speed * speed
+                    slope * (rise - speed) / law.tau + curve * speed * speed
                 )
                 trace.valves[row, j, 0] = state[j, 0]
                 trace.valves[row, j, 1] = state[j, 1]
@@ -412,125 +391,117 @@ def _fill_trace(start, schedule, times, relaxation, bending, space, trace, facto
     return drawn
 
 
+@inlined
+def _filling_content(state, now, law):  # type: ignore[no-untyped-def]
+    """Return the amount of air in all chambers that fill, J."""
+    content = 0.0
+    for j in range(now.linear.shape[0]):
+        free = law.bias[j] + apply_bend_law(now.linear[j], law)[0]
+        content += filling_content(
+            state[j], now.pressure[j, 0], now.pressure[j, 1], free, law, AMBIENT_PA
+        )
+    return content
+
+
 @kernel_only
-def _drive_rate(state, kind, plus, minus, rates, asymptotes, gain):  # type: ignore[no-untyped-def]
+def _drive_rate(state, j, plus, minus, law):  # type: ignore[no-untyped-def]
     """Return the rate of G (g⁺p⁺ − g⁻p⁻) of a segment (rad/s); arguments as in `advance_segment`."""
-    first = kind[0]
-    second = kind[1]
+    first = law.kinds[j, 0]
+    second = law.kinds[j, 1]
     up = state[0] + 1
     down = state[1] + 1
-    rise = gain[0] * rates[first, up] * (asymptotes[first, up] - plus)
-    return rise - gain[1] * rates[second, down] * (asymptotes[second, down] - minus)
+    rise = law.gain[j, 0] * law.rates[first, up] * (law.asymptotes[first, up] - plus)
+    fall = law.rates[second, down] * (law.asymptotes[second, down] - minus)
+    return rise - law.gain[j, 1] * fall
 
 
 @kernel_only
-def _leaked(last, t, state, start, relaxation, bending, space, factors):  # type: ignore[no-untyped-def]  # noqa: D417
+def _leaked(last, t, state, now, law):  # type: ignore[no-untyped-def]
     """Return λ ∫ p V dt of the filling chambers from `last` to t (s) by Simpson's rule, J.
 
     Args:
-        start: pressures and linear bends at the start of the run.
-        factors: work arrays of `_decay_factors`.
+        last: begin, from the start of the run, s.
+        t: end, s.
+        state: valve states, shape (segments, 2).
+        now: chambers at the start of the run.
+        law: a `Relaxation`.
     """
-    (pressure, linear), (kinds, rates, asymptotes, leak), (tau, gain, bias, law) = (
-        start,
-        relaxation,
-        bending,
-    )
-    decay, lag = factors
     leaked = 0.0
     for at, weight in ((last, 1 / 6), (0.5 * (last + t), 4 / 6), (t, 1 / 6)):
-        mode = _decay_factors(at, rates, tau, decay, lag)
-        for j in range(linear.shape[0]):
+        _fill_decay(at, law)
+        for j in range(now.linear.shape[0]):
             plus, minus, x = advance_segment(
-                state[j],
-                kinds[j],
-                pressure[j],
-                linear[j],
-                asymptotes,
-                gain[j],
-                decay,
-                lag,
-                mode,
+                state[j], j, now.pressure[j], now.linear[j], law
             )
-            free = bias[j] + apply_bend_law(x, law)[0]
-            leaked += (
-                leak
-                * (t - last)
-                * weight
-                * filling_content(state[j], plus, minus, free, space, 0.0)
-            )
+            free = law.bias[j] + apply_bend_law(x, law)[0]
+            content = filling_content(state[j], plus, minus, free, law, 0.0)
+            leaked += law.leak * (t - last) * weight * content
     return leaked
 
 
 @compiled
-def _decay_factors(t, rates, tau, decay, lag):  # type: ignore[no-untyped-def]
-    """Fill the factors `decay` and `lag` of `Relaxation` after a time t (s); return its factor `mode`.
-
-    Args:
-        t: s.
-        rates: a by kind and valve state, shape (kinds, 3), 1/s.
-        tau: τ₂, s.
-        decay: out, shape (kinds, 3).
-        lag: out, shape (kinds, 3).
-    """
-    mode = math.exp(-t / tau)
-    for kind in range(rates.shape[0]):
+def _fill_decay(t, law):  # type: ignore[no-untyped-def]
+    """Fill the factors `decay`, `lag` and `mode` of a `Relaxation` after a time t (s)."""
+    mode = math.exp(-t / law.tau)
+    law.mode[0] = mode
+    for kind in range(law.rates.shape[0]):
         for s in range(3):
-            decay[kind, s] = math.exp(-rates[kind, s] * t)
-            lag[kind, s] = _exponential_response(
-                rates[kind, s], tau, t, decay[kind, s], mode
-            )
-    return mode
+            rate = law.rates[kind, s]
+            decay = math.exp(-rate * t)
+            law.decay[kind, s] = decay
+            law.lag[kind, s] = _exponential_response(rate, law.tau, t, decay, mode)
 
 
 @kernel_only
-def advance_segment(state, kind, pressure, linear, asymptotes, gain, decay, lag, mode):  # type: ignore[no-untyped-def]  # noqa: D417
+def advance_segment(state, j, pressure, linear, law):  # type: ignore[no-untyped-def]
     """Return the pressures (Pa) and the linear bend (rad) of a segment after a time without valve events.
 
     Args:
         state: valve states, shape (2,).
-        kind: kinds of the two chambers, shape (2,).
+        j: segment.
         pressure: gauge pressures before, shape (2,), Pa.
         linear: linear bend before, rad.
-        asymptotes: as in `Relaxation`.
-        gain: gains of the two chambers, shape (2,), rad/Pa.
-        decay, lag, mode: as in `Relaxation`.
+        law: a `Relaxation` with the factors of the time.
     """
-    first = kind[0]
-    second = kind[1]
+    first = law.kinds[j, 0]
+    second = law.kinds[j, 1]
     up = state[0] + 1
     down = state[1] + 1
-    target_plus = asymptotes[first, up]
-    target_minus = asymptotes[second, down]
+    mode = law.mode[0]
+    target_plus = law.asymptotes[first, up]
+    target_minus = law.asymptotes[second, down]
     deviation_plus = pressure[0] - target_plus
     deviation_minus = pressure[1] - target_minus
-    lagged = gain[0] * (target_plus * (1.0 - mode) + deviation_plus * lag[first, up])
-    lagged -= gain[1] * (
-        target_minus * (1.0 - mode) + deviation_minus * lag[second, down]
+    lagged = law.gain[j, 0] * (
+        target_plus * (1.0 - mode) + deviation_plus * law.lag[first, up]
+    )
+    lagged -= law.gain[j, 1] * (
+        target_minus * (1.0 - mode) + deviation_minus * law.lag[second, down]
     )
     return (
-        target_plus + deviation_plus * decay[first, up],
-        target_minus + deviation_minus * decay[second, down],
+        target_plus + deviation_plus * law.decay[first, up],
+        target_minus + deviation_minus * law.decay[second, down],
         linear * mode + lagged,
     )
 
 
 @kernel_only
-def filling_content(state, plus, minus, bend, space, ambient):  # type: ignore[no-untyped-def]  # noqa: D417
+def filling_content(state, plus, minus, bend, law, ambient):  # type: ignore[no-untyped-def]
     """Return the sum of (p + ambient) V over those chambers of a segment that fill, J.
 
     Args:
         state: valve states, shape (2,).
-        plus, minus: gauge pressures, Pa.
+        plus: gauge pressure of the + chamber, Pa.
+        minus: gauge pressure of the − chamber, Pa.
         bend: q, rad.
-        space: dead volume V₀ (m³) and A (m³/rad) of a chamber.
+        law: a `Relaxation`.
         ambient: ambient pressure, Pa; 0 for the content by gauge pressure.
     """
     total = float(0.0)
     pressure = float(plus)
     for side in range(2):
         if state[side] == 1:
-            size, _ = volume(space[0], space[1], bend, side)
+            size, _ = volume(law.dead_volume, law.displacement, bend, side)
             total += (pressure + ambient) * size
         pressure = float(minus)
     return total

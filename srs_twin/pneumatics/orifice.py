@@ -23,7 +23,8 @@ Hermite polynomials.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import TypedDict, Unpack
 
 import numpy as np
 
@@ -45,7 +46,15 @@ from srs_twin.pneumatics.chambers import (
     volume,
 )
 from srs_twin.pneumatics.flow import REFERENCE_PA, conductances
-from srs_twin.pneumatics.orifice_kernels import Plumbing, simulate
+from srs_twin.pneumatics.orifice_kernels import (
+    DRAWN,
+    LINE,
+    LOST,
+    ActualBends,
+    OrificeState,
+    Plumbing,
+    simulate,
+)
 from srs_twin.pneumatics.valves import Schedule
 from srs_twin.robot.spec import RobotSpec
 
@@ -64,12 +73,87 @@ A choked flow at a working point would not determine C.
 LINE_VOLUME = 50e-6
 """Volume between a limited supply and the inlets, m³. Estimate: compressor outlet, tubes and manifold."""
 
-_SUBSTEP_S = (
-    5e-4  # longest step of the integrator at a time unit of 1 (`robot.scale`), s
-)
+_SUBSTEP_S = 5e-4
+"""Longest step of the integrator at a time unit of 1 (`robot.scale`), s."""
 
 REGULATOR_BAND = 0.01
 """Fraction of the supply's gauge pressure over which its regulator closes, 1."""
+
+
+class OrificeKeywords(TypedDict, total=False):
+    """Keywords of `OrificePneumatics` that set the fields of its `OrificeOptions`."""
+
+    critical_ratio: float
+    flow_limit: float | None
+    line_volume: float
+    line_begins: float | None
+    leak_per_s: float
+    substep: float | None
+
+
+@dataclass(frozen=True)
+class OrificeOptions:
+    """Valves and supply line of orifice chambers.
+
+    Attributes:
+        critical_ratio: critical pressure ratio b of all valves, dimensionless.
+        flow_limit: largest flow of the supply, measured at ambient pressure, m³/s; None
+            for no limit.
+        line_volume: volume of the line between supply and inlets, m³; it has an effect
+            only with a flow limit.
+        line_begins: initial gauge pressure in the line, Pa; default that of the supply.
+        leak_per_s: relative rate at which a held pressure falls, 1/s.
+        substep: longest step of the integrator, s; default 0.5 ms times the time unit
+            of the robot (`robot.scale`).
+    """
+
+    critical_ratio: float = CRITICAL_RATIO
+    flow_limit: float | None = None
+    line_volume: float = LINE_VOLUME
+    line_begins: float | None = None
+    leak_per_s: float = 0.0
+    substep: float | None = None
+
+    def __post_init__(self) -> None:
+        check_not_negative(leak_per_s=self.leak_per_s)
+        for name in ("flow_limit", "line_volume", "substep"):
+            value = getattr(self, name)
+            if value is not None:
+                check_positive(name, value)
+        if not 0 <= self.critical_ratio <= MAX_CRITICAL_RATIO:
+            raise InputError(
+                f"critical_ratio {self.critical_ratio!r} is not allowed; it must be 0"
+                f" to {MAX_CRITICAL_RATIO}"
+            )
+
+    def line_pressure(self, supply_pa: float) -> float:
+        """Return the initial gauge pressure in the line, Pa.
+
+        Raises:
+            InputError: it is above that of the supply, or negative.
+        """
+        begins = supply_pa if self.line_begins is None else self.line_begins
+        if not 0 <= begins <= supply_pa:
+            raise InputError(
+                f"line_begins {begins!r} Pa is not allowed; it must be 0 to the"
+                f" supply's {supply_pa:g}"
+            )
+        return begins
+
+    def describe(self, line_begins: float) -> dict[str, object]:
+        """Return the settings for the provenance of a run, with the initial pressure of the line in Pa."""
+        settings: dict[str, object] = {
+            "critical_ratio": self.critical_ratio,
+            "flow_limit_l_per_min": None,
+            "line_volume_ml": None,
+            "line_begins_kpa": None,
+            "leak_per_s": self.leak_per_s,
+        }
+        if self.flow_limit is not None:
+            settings["flow_limit_l_per_min"] = self.flow_limit * 60_000
+            settings["line_volume_ml"] = self.line_volume * 1e6
+            settings["line_begins_kpa"] = line_begins / 1000
+        return settings
 
 
 class OrificePneumatics(Pneumatics):
@@ -81,10 +165,11 @@ class OrificePneumatics(Pneumatics):
         line_pressure: current gauge pressure between supply and inlets, Pa.
         drawn: amount of air drawn from the supply since `reset`, P V, J.
         lost: amount of air vented and leaked since `reset`, P V, J.
+        plumbing: parameters of the equations.
     """
 
     kind = "orifice"
-    state_attributes = ("_state", "_amounts", "_plumbing", "_energy_per_amount")
+    state_attributes = ("_state", "_amounts", "plumbing", "_energy_per_amount")
     depends_on_bend = True
     # A segment that bends away compresses the air in a closed chamber: gen 3 reaches a
     # ratio of 1.6.
@@ -96,13 +181,8 @@ class OrificePneumatics(Pneumatics):
         *,
         supply_pa: float,
         layout: str = "3/2",
-        critical_ratio: float = CRITICAL_RATIO,
-        flow_limit: float | None = None,
-        line_volume: float = LINE_VOLUME,
-        line_begins: float | None = None,
-        leak_per_s: float = 0.0,
         valve_delay_s: float = 0.0,
-        substep: float | None = None,
+        **options: Unpack[OrificeKeywords],
     ) -> None:
         """Construct the chambers.
 
@@ -110,80 +190,49 @@ class OrificePneumatics(Pneumatics):
             spec: the robot.
             supply_pa: supply pressure, gauge, Pa.
             layout: valve layout, one of `LAYOUTS`.
-            critical_ratio: critical pressure ratio b of all valves, 1.
-            flow_limit: largest flow of the supply, measured at ambient pressure, m³/s;
-                None for no limit.
-            line_volume: volume of the line between supply and inlets, m³; it has an
-                effect only with a flow limit.
-            line_begins: initial gauge pressure in the line, Pa; default that of the
-                supply.
-            leak_per_s: relative rate at which a held pressure falls, 1/s.
             valve_delay_s: time from a command until the valve switches, s.
-            substep: longest step of the integrator, s; default 0.5 ms times the time
-                unit of the robot (`robot.scale`).
+            **options: fields of `OrificeOptions`, such as flow_limit=2e-4.
 
         Raises:
             InputError: the layout is unknown, or a number is out of range.
         """
-        check_not_negative(leak_per_s=leak_per_s)
+        valves = OrificeOptions(**options)
+        critical = valves.critical_ratio
+        flow_limit = valves.flow_limit
         limited = flow_limit is not None
-        largest_flow = 1.0 if flow_limit is None else flow_limit
-        if substep is None:
-            self._substep = _SUBSTEP_S * spec.scale.time
-        else:
-            self._substep = substep
-        for name, value in (
-            ("flow_limit", largest_flow),
-            ("line_volume", line_volume),
-            ("substep", self._substep),
-        ):
-            check_positive(name, value)
-        if not 0 <= critical_ratio <= MAX_CRITICAL_RATIO:
-            raise InputError(
-                f"critical_ratio {critical_ratio!r} is not allowed; it must be 0 to"
-                f" {MAX_CRITICAL_RATIO}"
-            )
-        begins = supply_pa if line_begins is None else line_begins
-        if not 0 <= begins <= supply_pa:
-            raise InputError(
-                f"line_begins {begins!r} Pa is not allowed; it must be 0 to the"
-                f" supply's {supply_pa:g}"
-            )
+        begins = valves.line_pressure(supply_pa)
+        self._substep = valves.substep or _SUBSTEP_S * spec.scale.time
         # A closed chamber is a stiff spring. Without a flow limit the speed of gen 2
         # differs by 0.5 % between 1 ms and 0.25 ms, and 2 ms diverges. A flow limit
         # couples all chambers, and 1 ms oscillates.
         self.coupling_step_s = (0.00025 if limited else 0.001) * spec.scale.time
         self.stiffness = _closed_stiffness(spec, supply_pa)
-        *nominal, self._capacity = conductances(spec, critical_ratio)
+        nominal = conductances(spec, critical)
+        self._capacity = nominal.capacity
         self._max_supply = supply_pa
         self._line_begins = begins + AMBIENT_PA
-        fill, vent = self.conductances = _chamber_conductances(spec, critical_ratio)
-        self._plumbing = Plumbing(
+        fill, vent = self.conductances = _chamber_conductances(spec, critical)
+        self.plumbing = Plumbing(
             dead=spec.chamber.dead_volume,
             displacement=spec.chamber.displacement,
             gain=chamber_gains(spec),
             bias=spec.modules.array("bias"),
             law=bend_law(spec),
             tau=spec.actuator.tau_mode,
-            critical=critical_ratio,
+            critical=critical,
             fill=REFERENCE_PA * fill,
             vent=REFERENCE_PA * vent,
-            leak=np.full((spec.segments, 2), leak_per_s * self._capacity),
+            leak=np.full((spec.segments, 2), valves.leak_per_s * self._capacity),
             supply=supply_pa + AMBIENT_PA,
-            max_flow=AMBIENT_PA * largest_flow,
+            max_flow=AMBIENT_PA * (1.0 if flow_limit is None else flow_limit),
             band=REGULATOR_BAND * supply_pa,
-            line_volume=line_volume,
+            line_volume=valves.line_volume,
             limited=limited,
         )
         self._energy_per_amount = supply_pa / (supply_pa + AMBIENT_PA)
-        self._settings = {
-            "critical_ratio": critical_ratio,
-            "flow_limit_l_per_min": None if flow_limit is None else flow_limit * 60_000,
-            "line_volume_ml": line_volume * 1e6 if limited else None,
-            "line_begins_kpa": begins / 1000 if limited else None,
-            "leak_per_s": leak_per_s,
-            "conductance_fill_m3_per_s_pa": nominal[0],
-            "conductance_vent_m3_per_s_pa": nominal[1],
+        self._settings = valves.describe(begins) | {
+            "conductance_fill_m3_per_s_pa": nominal.fill,
+            "conductance_vent_m3_per_s_pa": nominal.vent,
         }
         super().__init__(spec, layout=layout, valve_delay_s=valve_delay_s)
 
@@ -191,22 +240,22 @@ class OrificePneumatics(Pneumatics):
         """Empty all chambers, close all inlets, and fill the line."""
         super().reset()
         self._state = np.zeros((self._segments, 3))
-        self._fill(self.pressure, self._plumbing.bias)
+        self._fill(self.pressure, self.plumbing.bias)
         # Amounts of air in the line, drawn from the supply, and lost.
         self._amounts = np.array(
-            [self._line_begins * self._plumbing.line_volume, 0.0, 0.0]
+            [self._line_begins * self.plumbing.line_volume, 0.0, 0.0]
         )
 
     def _fill(self, pressure: np.ndarray, bend: np.ndarray) -> None:
         """Set the amounts of air for gauge pressures (Pa) and bends (rad)."""
-        plumbing = self._plumbing
+        plumbing = self.plumbing
         for j, side in np.ndindex(pressure.shape):
             size, _ = volume(plumbing.dead, plumbing.displacement, bend[j], side)
             self._state[j, side] = (AMBIENT_PA + pressure[j, side]) * size
 
     def place(self, pressure: np.ndarray, bend: np.ndarray) -> None:
         """See `Pneumatics.place`; the actual bends are set to the free bends."""
-        plumbing = self._plumbing
+        plumbing = self.plumbing
         linear = invert_bend_law(bend - self.rest_bend, plumbing.law)
         self.pressure = check_pressure(
             pressure, self.max_pressure_ratio * (plumbing.supply - AMBIENT_PA)
@@ -219,9 +268,7 @@ class OrificePneumatics(Pneumatics):
         """See `Pneumatics.set_supply_pressure`."""
         check_supply(supply_pa, self._max_supply)
         band = REGULATOR_BAND * max(supply_pa, 1.0)
-        self._plumbing = self._plumbing._replace(
-            supply=supply_pa + AMBIENT_PA, band=band
-        )
+        self.plumbing = self.plumbing._replace(supply=supply_pa + AMBIENT_PA, band=band)
         self._energy_per_amount = supply_pa / (supply_pa + AMBIENT_PA)
 
     def leak(self, segment: int, side: int, per_s: float) -> None:
@@ -232,24 +279,24 @@ class OrificePneumatics(Pneumatics):
             side: 0 for the + chamber, 1 for the − chamber.
             per_s: relative rate at which its pressure falls while it is held, 1/s.
         """
-        leaks = self._plumbing.leak.copy()
+        leaks = self.plumbing.leak.copy()
         leaks[segment - 1, side] = per_s * self._capacity
-        self._plumbing = self._plumbing._replace(leak=leaks)
+        self.plumbing = self.plumbing._replace(leak=leaks)
 
     @property
     def line_pressure(self) -> float:
         """Current gauge pressure between supply and inlets, Pa."""
-        return float(self._amounts[0]) / self._plumbing.line_volume - AMBIENT_PA
+        return float(self._amounts[LINE]) / self.plumbing.line_volume - AMBIENT_PA
 
     @property
     def drawn(self) -> float:
         """Amount of air drawn from the supply since `reset`, P V, J."""
-        return float(self._amounts[1])
+        return float(self._amounts[DRAWN])
 
     @property
     def lost(self) -> float:
         """Amount of air vented and leaked since `reset`, P V, J."""
-        return float(self._amounts[2])
+        return float(self._amounts[LOST])
 
     def describe(self) -> dict[str, object]:
         """See `Pneumatics.describe`."""
@@ -263,23 +310,21 @@ class OrificePneumatics(Pneumatics):
         bend_rate: OptionalArray,
     ) -> Trace:
         trace = self._empty_trace(len(times))
-        state = self._state.copy()
-        amounts = self._amounts.copy()
-        actual = np.zeros((2, self._segments))
-        if bend is not None:
-            actual[0] = bend
-            actual[1] = 0.0 if bend_rate is None else bend_rate
-        end = np.empty((self._segments, 2)), np.empty(self._segments)
-        start = (state, amounts)
-        motion = (bend is not None, actual)
-        simulate(
-            start, schedule, times, self._substep, motion, self._plumbing, end, trace
+        segments = self._segments
+        now = OrificeState(
+            self._state.copy(),
+            self._amounts.copy(),
+            np.empty((segments, 2)),
+            np.empty(segments),
         )
+        actual = ActualBends(bend is not None, np.zeros(segments), np.zeros(segments))
+        if bend is not None:
+            actual.bend[:] = bend
+            actual.rate[:] = 0.0 if bend_rate is None else bend_rate
+        simulate(now, schedule, times, self._substep, actual, self.plumbing, trace)
         np.multiply(trace.air, self._energy_per_amount, out=trace.air)
-        self._state = state
-        self._amounts = amounts
-        self.pressure, self.bend = end
-        self.air = self._energy_per_amount * float(amounts[1])
+        self._state, self._amounts, self.pressure, self.bend = now
+        self.air = self._energy_per_amount * self.drawn
         return trace
 
 
@@ -308,15 +353,12 @@ def _chamber_conductances(
     kinds, kind = np.unique(rows, axis=0, return_inverse=True)
     pairs = []
     for gain, fill, vent in kinds:
-        parameters = {"gain": gain * actuator.gain}
-        parameters |= {
-            "tau_fill": fill * actuator.tau_fill,
-            "tau_vent": vent * actuator.tau_vent,
-        }
-        pairs.append(
-            conductances(
-                replace(spec, actuator=replace(actuator, **parameters)), critical
-            )[:2]
+        own = replace(
+            actuator,
+            gain=gain * actuator.gain,
+            tau_fill=fill * actuator.tau_fill,
+            tau_vent=vent * actuator.tau_vent,
         )
+        pairs.append(conductances(replace(spec, actuator=own), critical)[:2])
     fill, vent = np.array(pairs)[kind.ravel()].T.reshape(2, spec.segments, 2)
     return fill, vent

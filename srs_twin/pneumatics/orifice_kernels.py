@@ -1,12 +1,8 @@
 """Compiled equations of the orifice chambers and their integration (`orifice`).
 
 The state y of a segment is (n⁺, n⁻, x): amounts of air (J) and linear bend (rad). The
-`amounts` of the whole robot are (n_line, drawn, lost), J.
-
-`motion` is the pair (coupled, actual). If coupled is true, the volumes follow the
-actual bends, which are extrapolated from `actual`: the bends (rad) and their rates
-(rad/s) at the start of the schedule, shape (2, segments). Otherwise the volumes follow
-the free bends.
+volumes follow either the free bends, or the actual bends of a plant, which are
+extrapolated from the start of a schedule (`ActualBends`).
 """
 
 from __future__ import annotations
@@ -16,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from srs_twin.compute.compiled import allocating, compiled, kernel_only
+from srs_twin.compute.compiled import allocating, compiled, inlined, kernel_only
 from srs_twin.pneumatics.chambers import AMBIENT_PA, BendLaw, apply_bend_law, volume
 from srs_twin.pneumatics.flow import flow
 
@@ -24,9 +20,30 @@ GAMMA = 1 - math.sqrt(0.5)
 """Diagonal γ of SDIRK2, 1; its stages are at γ h and h."""
 
 _MAX_NEWTON = 40  # iterations of a stage
-_NEWTON_TOLERANCE = (
-    1e-12  # largest correction at which Newton's method stops, J and rad
-)
+_NEWTON_TOLERANCE = 1e-12
+"""Largest correction at which Newton's method stops, J and rad."""
+
+_X = 2  # column of y: linear bend
+
+# Entries of the amounts of air of the whole robot, J, and two flows, J/s.
+LINE = 0  # in the line
+DRAWN = 1  # drawn from the supply
+LOST = 2  # vented and leaked
+AMOUNTS = 3
+_SUPPLY_FLOW = 3
+_INFLOW = 4
+
+# Last axis of the corrections of a Newton step.
+_ALONE = 0  # without a change of the line
+_BY_LINE = 1  # slope by the pressure of the line
+
+# Quantities of a chamber for the back substitution.
+_COUPLING = 0
+_FLOW = 1
+_FLOW_BY_LINE = 2
+_FLOW_BY_AMOUNT = 3
+_FLOW_BY_BEND = 4
+_TERMS = 5
 
 
 class Plumbing(NamedTuple):
@@ -68,9 +85,81 @@ class Plumbing(NamedTuple):
     limited: bool
 
 
+class ActualBends(NamedTuple):
+    """Actual bends of a plant.
+
+    Attributes:
+        coupled: whether the volumes follow them, instead of the free bends.
+        bend: at the start of the schedule, shape (segments,), rad.
+        rate: shape (segments,), rad/s.
+    """
+
+    coupled: bool
+    bend: np.ndarray
+    rate: np.ndarray
+
+
+class OrificeState(NamedTuple):
+    """State of the chambers.
+
+    Attributes:
+        y: shape (segments, 3).
+        amounts: amounts of air of the whole robot, shape (AMOUNTS,), J.
+        pressure: gauge pressures, shape (segments, 2), Pa.
+        bend: free bends, shape (segments,), rad.
+    """
+
+    y: np.ndarray
+    amounts: np.ndarray
+    pressure: np.ndarray
+    bend: np.ndarray
+
+
+class _Work(NamedTuple):
+    """Work arrays of a step.
+
+    Attributes:
+        base: known part of y in a stage, shape (segments, 3).
+        rates: ẏ, shape (segments, 3).
+        bend: actual bends at a stage, shape (segments,), rad.
+        linear: corrections of y (`_ALONE`, `_BY_LINE`), shape (segments, 3, 2).
+        terms: quantities of the chambers, shape (segments, 2, _TERMS).
+    """
+
+    base: np.ndarray
+    rates: np.ndarray
+    bend: np.ndarray
+    linear: np.ndarray
+    terms: np.ndarray
+
+
+class ChamberFlow(NamedTuple):
+    """Pressure and flows of one chamber, with their derivatives.
+
+    Attributes:
+        pressure: absolute pressure P, Pa.
+        per_volume: 1/V, 1/m³.
+        squeeze: −∂P/∂q, Pa/rad.
+        inflow: from the line, J/s.
+        inflow_by_p: derivative by P, J/(s Pa).
+        inflow_by_line: derivative by the pressure of the line, J/(s Pa).
+        outflow: J/s.
+        outflow_by_p: derivative by P, J/(s Pa).
+    """
+
+    pressure: float
+    per_volume: float
+    squeeze: float
+    inflow: float
+    inflow_by_p: float
+    inflow_by_line: float
+    outflow: float
+    outflow_by_p: float
+
+
 @compiled
 def chamber(n, bend, j, side, state, line, air):  # type: ignore[no-untyped-def]
-    """Return pressure and flows of one chamber, with their derivatives.
+    """Return the `ChamberFlow` of one chamber.
 
     Args:
         n: amount of air, J.
@@ -80,11 +169,6 @@ def chamber(n, bend, j, side, state, line, air):  # type: ignore[no-untyped-def]
         state: valve state.
         line: absolute pressure before the inlets, Pa.
         air: the plumbing.
-
-    Returns:
-        Absolute pressure P (Pa); 1/V; −∂P/∂q; inflow from the line (J/s) and its
-        derivatives by P and by the line's pressure; outflow (J/s) and its derivative by
-        P.
     """
     size, growth = volume(air.dead, air.displacement, bend, side)
     pressure = n / size
@@ -94,9 +178,8 @@ def chamber(n, bend, j, side, state, line, air):  # type: ignore[no-untyped-def]
     outflow = air.leak[j, side] * (pressure - AMBIENT_PA)
     outflow_by_p = air.leak[j, side]
     if state != 0:
-        value, by_source, by_here = flow(
-            line if state == 1 else AMBIENT_PA, pressure, air.critical
-        )
+        source = line if state == 1 else AMBIENT_PA
+        value, by_source, by_here = flow(source, pressure, air.critical)
         if state == 1:
             conductance = air.fill[j, side]
             inflow = conductance * value
@@ -105,7 +188,7 @@ def chamber(n, bend, j, side, state, line, air):  # type: ignore[no-untyped-def]
         else:
             outflow = outflow - air.vent[j, side] * value
             outflow_by_p = outflow_by_p - air.vent[j, side] * by_here
-    return (
+    return ChamberFlow(
         pressure,
         1.0 / size,
         pressure * growth / size,
@@ -138,96 +221,97 @@ def _newton(y, amounts, line_base, weight, state, coupled, air, work):  # type: 
 
     Args:
         y: state, shape (segments, 3).
-        amounts: amounts of air of the whole robot, shape (3,).
+        amounts: amounts of air of the whole robot.
         line_base: known part of the amount of air in the line, J.
         weight: γ h, s.
         state: valve states, shape (segments, 2).
-        coupled: see module docstring.
+        coupled: whether the volumes follow the actual bends.
         air: the plumbing.
-        work: the known part `base` of y; ẏ; actual bends, shape (segments,), rad;
-            corrections without a change of the line and their slopes by its pressure,
-            shape (segments, 3, 2); and quantities of the chambers for the back
-            substitution, shape (segments, 2, 5).
+        work: with the known part of y.
     """
-    base, _, bend, linear, terms = work
+    base = work.base
+    linear = work.linear
+    terms = work.terms
     if air.limited:
-        line = amounts[0] / air.line_volume
+        line = amounts[LINE] / air.line_volume
     else:
         line = air.supply
     supply, closing = supply_flow(line, air)
-    line_residual = amounts[0] - line_base - weight * supply
+    line_residual = amounts[LINE] - line_base - weight * supply
     line_slope = air.line_volume - weight * closing
     for j in range(y.shape[0]):
         # Derivative of the bend with respect to x: 0 if the plant prescribes the bend.
-        q, bend_rate, _ = apply_bend_law(y[j, 2], air.law)
-        q, bend_rate = (bend[j], 0.0) if coupled else (air.bias[j] + q, bend_rate)
+        q, bend_rate, _ = apply_bend_law(y[j, _X], air.law)
+        q, bend_rate = (work.bend[j], 0.0) if coupled else (air.bias[j] + q, bend_rate)
         bend_slope = 1.0 + weight / air.tau
         bend_by_line = 0.0
-        bend_residual = y[j, 2] * bend_slope - base[j, 2]
+        bend_residual = y[j, _X] * bend_slope - base[j, _X]
         for side in range(2):
-            (
-                p,
-                inverse,
-                squeeze,
-                inflow,
-                inflow_by_p,
-                inflow_by_line,
-                outflow,
-                outflow_by_p,
-            ) = chamber(y[j, side], q, j, side, state[j, side], line, air)
+            c = chamber(y[j, side], q, j, side, state[j, side], line, air)
             # Eliminate the amount of air n of the chamber: Newton's row is linear in x
             # and the line.
-            squeeze *= bend_rate
-            rate_by_p = weight * (inflow_by_p - outflow_by_p)
-            pivot = 1.0 - rate_by_p * inverse
+            squeeze = c.squeeze * bend_rate
+            rate_by_p = weight * (c.inflow_by_p - c.outflow_by_p)
+            pivot = 1.0 - rate_by_p * c.per_volume
             coupling = rate_by_p * squeeze / pivot
             signed = weight * air.gain[j, side] / air.tau * (1.0 - 2.0 * side)
-            linear[j, side, 0] = (
-                base[j, side] + weight * (inflow - outflow) - y[j, side]
-            ) / pivot
-            linear[j, side, 1] = weight * inflow_by_line / pivot
-            bend_residual -= signed * (p - AMBIENT_PA + inverse * linear[j, side, 0])
-            bend_slope += signed * (squeeze + inverse * coupling)
-            bend_by_line += signed * inverse * linear[j, side, 1]
-            terms[j, side, 0] = coupling
-            terms[j, side, 1] = inflow
-            terms[j, side, 2] = inflow_by_line
-            terms[j, side, 3] = inflow_by_p * inverse
-            terms[j, side, 4] = inflow_by_p * squeeze
+            rest = base[j, side] + weight * (c.inflow - c.outflow) - y[j, side]
+            alone = rest / pivot
+            by_line = weight * c.inflow_by_line / pivot
+            bend_residual -= signed * (c.pressure - AMBIENT_PA + c.per_volume * alone)
+            bend_slope += signed * (squeeze + c.per_volume * coupling)
+            bend_by_line += signed * c.per_volume * by_line
+            linear[j, side, _ALONE] = alone
+            linear[j, side, _BY_LINE] = by_line
+            terms[j, side, _COUPLING] = coupling
+            terms[j, side, _FLOW] = c.inflow
+            terms[j, side, _FLOW_BY_LINE] = c.inflow_by_line
+            terms[j, side, _FLOW_BY_AMOUNT] = c.inflow_by_p * c.per_volume
+            terms[j, side, _FLOW_BY_BEND] = c.inflow_by_p * squeeze
         # With both chambers eliminated, the row of x depends on the line only.
-        linear[j, 2, 0] = -bend_residual / bend_slope
-        linear[j, 2, 1] = bend_by_line / bend_slope
-        for side in range(2):
-            coupling = terms[j, side, 0]
-            inflow = terms[j, side, 1]
-            inflow_by_line = terms[j, side, 2]
-            by_amount = terms[j, side, 3]
-            by_bend = terms[j, side, 4]
-            for k in range(2):
-                linear[j, side, k] -= coupling * linear[j, 2, k]
-            line_residual += weight * (
-                inflow + by_amount * linear[j, side, 0] - by_bend * linear[j, 2, 0]
-            )
-            line_slope += weight * (
-                inflow_by_line
-                + by_amount * linear[j, side, 1]
-                - by_bend * linear[j, 2, 1]
-            )
-    return _apply_correction(
-        y, amounts, linear, -line_residual / line_slope if air.limited else 0.0, air
-    )
+        linear[j, _X, _ALONE] = -bend_residual / bend_slope
+        linear[j, _X, _BY_LINE] = bend_by_line / bend_slope
+        line_residual, line_slope = _add_segment_to_line(
+            j, line_residual, line_slope, weight, linear, terms
+        )
+    line_change = -line_residual / line_slope if air.limited else 0.0
+    return _apply_correction(y, amounts, linear, line_change, air)
+
+
+@inlined
+def _add_segment_to_line(j, residual, slope, weight, linear, terms):  # type: ignore[no-untyped-def]
+    """Correct the chambers of a segment for its bend; return residual and slope of the line with its flow."""
+    for side in range(2):
+        coupling = terms[j, side, _COUPLING]
+        inflow = terms[j, side, _FLOW]
+        inflow_by_line = terms[j, side, _FLOW_BY_LINE]
+        by_amount = terms[j, side, _FLOW_BY_AMOUNT]
+        by_bend = terms[j, side, _FLOW_BY_BEND]
+        for k in range(2):
+            linear[j, side, k] -= coupling * linear[j, _X, k]
+        residual += weight * (
+            inflow
+            + by_amount * linear[j, side, _ALONE]
+            - by_bend * linear[j, _X, _ALONE]
+        )
+        slope += weight * (
+            inflow_by_line
+            + by_amount * linear[j, side, _BY_LINE]
+            - by_bend * linear[j, _X, _BY_LINE]
+        )
+    return residual, slope
 
 
 @kernel_only
 def _apply_correction(y, amounts, linear, change, air):  # type: ignore[no-untyped-def]
     """Add the corrections for a change of the line's pressure (Pa) in place; return the largest one."""
-    amounts[0] += change * air.line_volume
+    amounts[LINE] += change * air.line_volume
     largest = abs(change * air.line_volume)
     for j in range(y.shape[0]):
         for k in range(3):
-            step = linear[j, k, 0] + linear[j, k, 1] * change
+            step = linear[j, k, _ALONE] + linear[j, k, _BY_LINE] * change
             # Amounts of air remain positive, so limit their decrease.
-            if k == 2:
+            if k == _X:
                 y[j, k] = y[j, k] + step
             else:
                 y[j, k] = max(y[j, k] + step, 0.1 * y[j, k])
@@ -235,9 +319,17 @@ def _apply_correction(y, amounts, linear, change, air):  # type: ignore[no-untyp
     return largest
 
 
+class _Flows(NamedTuple):
+    """Flow from the supply, total inflow and total outflow of the chambers, J/s."""
+
+    supply: float
+    inflow: float
+    outflow: float
+
+
 @kernel_only
 def _rates(y, line_amount, state, coupled, bend, air, dy):  # type: ignore[no-untyped-def]
-    """Fill dy with ẏ; return the flow from the supply, the total inflow and the total outflow, J/s."""
+    """Fill dy with ẏ; return the `_Flows`."""
     if air.limited:
         line = line_amount / air.line_volume
     else:
@@ -245,60 +337,57 @@ def _rates(y, line_amount, state, coupled, bend, air, dy):  # type: ignore[no-un
     total_inflow = 0.0
     total_outflow = 0.0
     for j in range(y.shape[0]):
-        deviation = -y[j, 2]
+        deviation = -y[j, _X]
         if coupled:
             q = bend[j]
         else:
-            q = air.bias[j] + apply_bend_law(y[j, 2], air.law)[0]
+            q = air.bias[j] + apply_bend_law(y[j, _X], air.law)[0]
         for side in range(2):
-            p, _, _, inflow, _, _, outflow, _ = chamber(
-                y[j, side], q, j, side, state[j, side], line, air
-            )
-            dy[j, side] = inflow - outflow
+            c = chamber(y[j, side], q, j, side, state[j, side], line, air)
+            dy[j, side] = c.inflow - c.outflow
             # Gauge pressures: the two gains differ, so ambient pressure does not
             # cancel.
-            deviation += (1.0 - 2.0 * side) * air.gain[j, side] * (p - AMBIENT_PA)
-            total_inflow = total_inflow + inflow
-            total_outflow = total_outflow + outflow
-        dy[j, 2] = deviation / air.tau
-    return (
-        supply_flow(line, air)[0] if air.limited else total_inflow,
-        total_inflow,
-        total_outflow,
-    )
+            gauge = c.pressure - AMBIENT_PA
+            deviation += (1.0 - 2.0 * side) * air.gain[j, side] * gauge
+            total_inflow = total_inflow + c.inflow
+            total_outflow = total_outflow + c.outflow
+        dy[j, _X] = deviation / air.tau
+    supply = supply_flow(line, air)[0] if air.limited else total_inflow
+    return _Flows(supply, total_inflow, total_outflow)
 
 
 @kernel_only
 def _extrapolate_bends(bend, actual, time):  # type: ignore[no-untyped-def]
     """Fill the actual bends at a time after the start of the schedule (s)."""
     for j in range(bend.shape[0]):
-        bend[j] = actual[0, j] + actual[1, j] * time
+        bend[j] = actual.bend[j] + actual.rate[j] * time
 
 
 @kernel_only
-def _step(y, amounts, h, begun, state, motion, air, work):  # type: ignore[no-untyped-def]
+def _step(now, h, begun, state, actual, air, work):  # type: ignore[no-untyped-def]
     """Advance y and amounts in place by one step of SDIRK2.
 
     Args:
-        y: state, shape (segments, 3).
-        amounts: shape (3,).
+        now: an `OrificeState`.
         h: length of the step, s.
         begun: time at its beginning, s.
         state: valve states, shape (segments, 2).
-        motion: see module docstring.
+        actual: the actual bends.
         air: the plumbing.
-        work: arrays as in `_newton`; on return the second one holds ẏ at the end of the
-            step.
+        work: its `rates` hold ẏ at the beginning, then at the end of the step.
 
     Returns:
         Flow from the supply and total inflow at the end, J/s.
     """
-    base, dy, bend, _, _ = work
-    coupled, actual = motion
+    y = now.y
+    amounts = now.amounts
+    base = work.base
+    dy = work.rates
+    coupled = actual.coupled
     for j in range(y.shape[0]):
         for k in range(3):
             base[j, k] = y[j, k]
-    line_base = amounts[0]
+    line_base = amounts[LINE]
     drawn = 0.0
     inflow = 0.0
     for stage in range(2):
@@ -307,118 +396,174 @@ def _step(y, amounts, h, begun, state, motion, air, work):  # type: ignore[no-un
                 for k in range(3):
                     base[j, k] += (1 - GAMMA) * h * dy[j, k]
             line_base += (1 - GAMMA) * h * (drawn - inflow) if air.limited else 0.0
-        _extrapolate_bends(bend, actual, begun + (GAMMA if stage == 0 else 1.0) * h)
+        at = GAMMA if stage == 0 else 1.0
+        _extrapolate_bends(work.bend, actual, begun + at * h)
         for _ in range(_MAX_NEWTON):
-            if (
-                _newton(y, amounts, line_base, GAMMA * h, state, coupled, air, work)
-                < _NEWTON_TOLERANCE
-            ):
+            largest = _newton(
+                y, amounts, line_base, GAMMA * h, state, coupled, air, work
+            )
+            if largest < _NEWTON_TOLERANCE:
                 break
-        drawn, inflow, outflow = _rates(y, amounts[0], state, coupled, bend, air, dy)
+        flows = _rates(y, amounts[LINE], state, coupled, work.bend, air, dy)
+        drawn = flows.supply
+        inflow = flows.inflow
         share = h * (1 - GAMMA if stage == 0 else GAMMA)
-        amounts[1] += share * drawn
-        amounts[2] += share * outflow
+        amounts[DRAWN] += share * drawn
+        amounts[LOST] += share * flows.outflow
     return drawn, inflow
 
 
+class _End(NamedTuple):
+    """One end of a step.
+
+    Attributes:
+        y: state, shape (segments, 3).
+        rates: ẏ, shape (segments, 3).
+        air: amounts of air, flow from the supply and total inflow, shape (5,).
+    """
+
+    y: np.ndarray
+    rates: np.ndarray
+    air: np.ndarray
+
+
+class _StepRows(NamedTuple):
+    """Rows of a trace within a step.
+
+    Attributes:
+        first: first row.
+        until: row after the last one.
+        begun: beginning of the step, s.
+        length: length of the step, s.
+        begin: state at the beginning.
+        end: state at the end.
+    """
+
+    first: int
+    until: int
+    begun: float
+    length: float
+    begin: _End
+    end: _End
+
+
+@kernel_only
+def _copy_end(end, out):  # type: ignore[no-untyped-def]
+    for j in range(end.y.shape[0]):
+        for i in range(3):
+            out.y[j, i] = end.y[j, i]
+            out.rates[j, i] = end.rates[j, i]
+    for i in range(5):
+        out.air[i] = end.air[i]
+
+
+@kernel_only
+def _copy_amounts(now, out):  # type: ignore[no-untyped-def]
+    for i in range(AMOUNTS):
+        out[i] = now.amounts[i]
+
+
+@kernel_only
+def _rows_until(times, row, finish, is_last):  # type: ignore[no-untyped-def]
+    """Return the first row of a trace, from `row` on, after the end of a step; the last step has all rows."""
+    while row < times.shape[0] and (times[row] <= finish or is_last):
+        row += 1
+    return row
+
+
 @allocating
-def simulate(start, schedule, times, substep, motion, air, end, trace):  # type: ignore[no-untyped-def]
-    """Advance a state in place over a schedule; fill `end`, and a trace at `times`.
+def simulate(now, schedule, times, substep, actual, air, trace):  # type: ignore[no-untyped-def]
+    """Advance a state in place over a schedule; fill a trace at `times`.
 
     Args:
-        start: y, shape (segments, 3), and amounts, shape (3,).
+        now: an `OrificeState`; its pressures and free bends are set at the end.
         schedule: effective valve states.
         times: ascending, shape (times,), s.
         substep: longest step, s.
-        motion: see module docstring.
+        actual: the actual bends.
         air: the plumbing.
-        end: out, at the end: gauge pressures, shape (segments, 2), Pa, and free bends,
-            shape (segments,), rad.
         trace: out; its air is the amount drawn, J.
     """
-    (y, amounts), (span, starts, states) = start, schedule
+    y = now.y
+    starts = schedule.starts
     segments = y.shape[0]
-    pressure, free = end
-    coupled, actual = motion
-    base = np.empty_like(y)
-    dy = np.empty_like(y)
-    bend = np.empty(segments)
-    work = base, dy, bend, np.empty((segments, 3, 2)), np.empty((segments, 2, 5))
-    begin = np.empty_like(y)
-    slope = np.empty_like(y)
-    at_begin = np.empty(5)
-    at_end = np.empty(5)
+    work = _Work(
+        np.empty_like(y),
+        np.empty_like(y),
+        np.empty(segments),
+        np.empty((segments, 3, 2)),
+        np.empty((segments, 2, _TERMS)),
+    )
+    begin = _End(np.empty_like(y), np.empty_like(y), np.empty(5))
+    end = _End(y, work.rates, np.empty(5))
+    at_end = end.air
+    _copy_amounts(now, at_end)
     row = 0
     runs = starts.shape[0]
     for run in range(runs):
-        stop = starts[run + 1] if run + 1 < runs else span
+        state = schedule.states[run]
+        stop = starts[run + 1] if run + 1 < runs else schedule.span
         count = max(1, math.ceil((stop - starts[run]) / substep * (1 - 1e-12)))
         h = (stop - starts[run]) / count
-        _extrapolate_bends(bend, actual, starts[run])
-        at_end[3], at_end[4], _ = _rates(
-            y, amounts[0], states[run], coupled, bend, air, dy
+        _extrapolate_bends(work.bend, actual, starts[run])
+        flows = _rates(
+            y, now.amounts[LINE], state, actual.coupled, work.bend, air, work.rates
         )
+        at_end[_SUPPLY_FLOW] = flows.supply
+        at_end[_INFLOW] = flows.inflow
         for k in range(count):
             begun = starts[run] + k * h
-            finish = stop if k + 1 == count else begun + h
-            for j in range(segments):
-                for i in range(3):
-                    begin[j, i] = y[j, i]
-                    slope[j, i] = dy[j, i]
-            for i in range(3):
-                at_begin[i] = amounts[i]
-            at_begin[3] = at_end[3]
-            at_begin[4] = at_end[4]
-            at_end[3], at_end[4] = _step(
-                y, amounts, h, begun, states[run], motion, air, work
+            is_last = k + 1 == count
+            finish = stop if is_last else begun + h
+            _copy_end(end, begin)
+            at_end[_SUPPLY_FLOW], at_end[_INFLOW] = _step(
+                now, h, begun, state, actual, air, work
             )
-            for i in range(3):
-                at_end[i] = amounts[i]
-            until = row
-            while until < times.shape[0] and (
-                times[until] <= finish or (k + 1 == count and run + 1 == runs)
-            ):
-                until += 1
+            _copy_amounts(now, at_end)
+            until = _rows_until(times, row, finish, is_last and run + 1 == runs)
             if until > row:
-                ends = (begin, slope, at_begin), (y, dy, at_end)
-                _fill_rows(
-                    times,
-                    (row, until),
-                    (begun, h),
-                    ends,
-                    states[run],
-                    motion,
-                    air,
-                    trace,
-                )
+                step = _StepRows(row, until, begun, h, begin, end)
+                _fill_rows(times, step, state, actual, air, trace)
                 row = until
-    for j in range(segments):
-        free[j] = air.bias[j] + apply_bend_law(y[j, 2], air.law)[0]
-        q = actual[0, j] + actual[1, j] * span if coupled else free[j]
+    _fill_end(now, schedule.span, actual, air)
+
+
+@kernel_only
+def _fill_end(now, span, actual, air):  # type: ignore[no-untyped-def]
+    """Fill pressures and free bends at the end of a schedule of length `span` (s)."""
+    for j in range(now.y.shape[0]):
+        now.bend[j] = air.bias[j] + apply_bend_law(now.y[j, _X], air.law)[0]
+        q = now.bend[j]
+        if actual.coupled:
+            q = actual.bend[j] + actual.rate[j] * span
         for side in range(2):
             size = volume(air.dead, air.displacement, q, side)[0]
-            pressure[j, side] = y[j, side] / size - AMBIENT_PA
+            now.pressure[j, side] = now.y[j, side] / size - AMBIENT_PA
+
+
+class _Sample(NamedTuple):
+    """State within a step: y, ẏ, and the actual bends (rad)."""
+
+    y: np.ndarray
+    rates: np.ndarray
+    bend: np.ndarray
 
 
 @allocating
-def _fill_rows(times, rows, step, ends, state, motion, air, trace):  # type: ignore[no-untyped-def]
-    """Fill rows of a trace within a step from the cubic Hermite polynomials through both ends of the step.
-
-    The step is its beginning and its length, s. Each of `ends` has y, ẏ, and an array
-    (5,) of the amounts, the flow from the supply and the total inflow.
-    """
-    (begun, h), (coupled, actual), (y0, dy0, at0), (y1, dy1, at1) = (
-        step,
-        motion,
-        ends[0],
-        ends[1],
-    )
+def _fill_rows(times, step, state, actual, air, trace):  # type: ignore[no-untyped-def]
+    """Fill rows of a trace within a step from the cubic Hermite polynomials through both ends of the step."""
+    h = step.length
+    y0 = step.begin.y
+    y1 = step.end.y
+    dy0 = step.begin.rates
+    dy1 = step.end.rates
+    at0 = step.begin.air
+    at1 = step.end.air
     segments = y0.shape[0]
-    y = np.empty_like(y0)
-    dy = np.empty_like(y0)
-    bend = np.empty(segments)
-    for row in range(rows[0], rows[1]):
-        x = min(1.0, max(0.0, (times[row] - begun) / h))
+    sample = _Sample(np.empty_like(y0), np.empty_like(y0), np.empty(segments))
+    y = sample.y
+    for row in range(step.first, step.until):
+        x = min(1.0, max(0.0, (times[row] - step.begun) / h))
         first = x * (1 - x) ** 2 * h
         second = -(x * x) * (1 - x) * h
         blend = x * x * (3 - 2 * x)
@@ -430,28 +575,45 @@ def _fill_rows(times, rows, step, ends, state, motion, air, trace):  # type: ign
                     + first * dy0[j, k]
                     + second * dy1[j, k]
                 )
-        line = at0[0] + blend * (at1[0] - at0[0])
-        line += first * (at0[3] - at0[4]) + second * (at1[3] - at1[4])
+        line = at0[LINE] + blend * (at1[LINE] - at0[LINE])
+        flow_begin = at0[_SUPPLY_FLOW] - at0[_INFLOW]
+        flow_end = at1[_SUPPLY_FLOW] - at1[_INFLOW]
+        line += first * flow_begin + second * flow_end
         trace.air[row] = (
-            at0[1] + blend * (at1[1] - at0[1]) + first * at0[3] + second * at1[3]
+            at0[DRAWN]
+            + blend * (at1[DRAWN] - at0[DRAWN])
+            + first * at0[_SUPPLY_FLOW]
+            + second * at1[_SUPPLY_FLOW]
         )
-        _extrapolate_bends(bend, actual, begun + x * h)
-        _rates(y, line, state, coupled, bend, air, dy)
+        _extrapolate_bends(sample.bend, actual, step.begun + x * h)
+        _rates(y, line, state, actual.coupled, sample.bend, air, sample.rates)
         for j in range(segments):
-            free, slope, curve = apply_bend_law(y[j, 2], air.law)
-            free = free + air.bias[j]
-            speed = slope * dy[j, 2]
-            q, rate = (bend[j], actual[1, j]) if coupled else (free, speed)
-            rise = 0.0
-            for side in range(2):
-                size, growth = volume(air.dead, air.displacement, q, side)
-                pressure = y[j, side] / size
-                signed = (1.0 - 2.0 * side) * air.gain[j, side]
-                rise += signed * (dy[j, side] - pressure * growth * rate) / size
-                trace.pressure[row, j, side] = pressure - AMBIENT_PA
-                trace.valves[row, j, side] = state[j, side]
-            trace.bend[row, j] = free
-            trace.bend_rate[row, j] = speed
-            trace.bend_acceleration[row, j] = (
-                slope * (rise - dy[j, 2]) / air.tau + curve * dy[j, 2] * dy[j, 2]
-            )
+            _fill_segment(trace, row, j, sample, state, actual, air)
+
+
+@kernel_only
+def _fill_segment(trace, row, j, at, state, actual, air):  # type: ignore[no-untyped-def]
+    """Fill pressures, valves and free bend of a segment in a row of a trace; `at` is a `_Sample`."""
+    y = at.y
+    dy = at.rates
+    free, slope, curve = apply_bend_law(y[j, _X], air.law)
+    free = free + air.bias[j]
+    speed = slope * dy[j, _X]
+    q = free
+    rate = speed
+    if actual.coupled:
+        q = at.bend[j]
+        rate = actual.rate[j]
+    rise = 0.0
+    for side in range(2):
+        size, growth = volume(air.dead, air.displacement, q, side)
+        pressure = y[j, side] / size
+        signed = (1.0 - 2.0 * side) * air.gain[j, side]
+        rise += signed * (dy[j, side] - pressure * growth * rate) / size
+        trace.pressure[row, j, side] = pressure - AMBIENT_PA
+        trace.valves[row, j, side] = state[j, side]
+    trace.bend[row, j] = free
+    trace.bend_rate[row, j] = speed
+    trace.bend_acceleration[row, j] = (
+        slope * (rise - dy[j, _X]) / air.tau + curve * dy[j, _X] * dy[j, _X]
+    )

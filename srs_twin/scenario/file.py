@@ -12,7 +12,8 @@ from pydantic import Field, WithJsonSchema, create_model, model_validator
 
 from srs_twin.extensions import CONTROLLERS, SECTIONS, installed, load, objects
 from srs_twin.plants.base import TICK_S
-from srs_twin.pneumatics import OrificePneumatics, Pneumatics, make_pneumatics
+from srs_twin.pneumatics import Pneumatics, make_pneumatics
+from srs_twin.pneumatics.orifice import OrificeOptions, OrificePneumatics
 from srs_twin.pneumatics.valves import StuckValve
 from srs_twin.robot.file import RobotFile
 from srs_twin.robot.scale import Scale
@@ -162,7 +163,7 @@ class PneumaticsSection(Section):
 class PneumaticsFile(PneumaticsSection):
     """Valves and chambers."""
 
-    constructors = (make_pneumatics, OrificePneumatics)
+    constructors = (make_pneumatics, OrificePneumatics, OrificeOptions)
     only = {
         ("kind", "orifice"): (
             "critical_ratio",

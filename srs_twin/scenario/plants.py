@@ -7,10 +7,10 @@ from typing import Any, ClassVar, Literal, Self
 
 from pydantic import model_validator
 
-from srs_twin.plants.analytical import (
+from srs_twin.plants.analytical.options import (
     SLIP_SPEED_M_S,
     TIMESTEP_S,
-    AnalyticalSnake,
+    AnalyticalOptions,
     default_timestep,
 )
 from srs_twin.plants.twin.mjcf.numerics import (
@@ -70,7 +70,7 @@ class _PlantFile(Section):
 class AnalyticalFile(_PlantFile):
     """Planar model of the dissertation."""
 
-    constructors = (AnalyticalSnake,)
+    constructors = (AnalyticalOptions,)
     floor_keys = ("friction", "load", "friction_torque", "slip_speed_m_s")
     wheel_keys = ("friction",)
 

@@ -219,7 +219,7 @@ def _chamber_kernel(
         bend = air.bend[j] + law.bias[j]
         for s in range(SLOTS):
             bend = slot(law, air, valves[i, s, j], j, bend)
-        free, slope, _ = bend_law(air.linear[j], law.law)
+        free, slope, _ = bend_law(air.linear[j], law)
         pull = law.gain[j, 0] * pressure[0] - law.gain[j, 1] * pressure[1]
         air.bend[j] = free
         air.bend_rate[j] = slope * (pull - air.linear[j]) / law.tau
@@ -331,22 +331,12 @@ def advance_slot(law, air, state, j, before):  # type: ignore[no-untyped-def]
     """Advance the chambers of segment j over a valve slot; return its bend at the end, rad."""
     pressure = air.pressure[j]
     content_before = filling_content(
-        state, pressure[0], pressure[1], before, law.space, AMBIENT_PA
+        state, pressure[0], pressure[1], before, law, AMBIENT_PA
     )
-    plus, minus, x = advance_segment(
-        state,
-        law.kinds[j],
-        pressure,
-        air.linear[j],
-        law.asymptotes,
-        law.gain[j],
-        law.decay,
-        law.lag,
-        law.mode,
-    )
-    after, _, _ = apply_bend_law(x, law.law)
+    plus, minus, x = advance_segment(state, j, pressure, air.linear[j], law)
+    after, _, _ = apply_bend_law(x, law)
     after += law.bias[j]
-    content = filling_content(state, plus, minus, after, law.space, AMBIENT_PA)
+    content = filling_content(state, plus, minus, after, law, AMBIENT_PA)
     air.drawn[j] = air.drawn[j] + law.worth * (content - content_before)
     pressure[0] = plus
     pressure[1] = minus

@@ -43,11 +43,13 @@ def fill_rows(body, q, u, solid, rows, rates):  # type: ignore[no-untyped-def]
         j = i - 1
         spin = u[2] + 0.5 * (body[SPIN, j] + body[SPIN, i])
         # Direction of the chord: half a bend behind the heading of its front end.
-        half_c, half_s, span, slope, curvature = chord_terms(q[j], solid, j)
-        c = body[COS, j] * half_c + body[SIN, j] * half_s
-        s = body[SIN, j] * half_c - body[COS, j] * half_s
+        chord = chord_terms(q[j], solid, j)
+        span = chord.span
+        slope = chord.slope
+        c = body[COS, j] * chord.cos_half + body[SIN, j] * chord.sin_half
+        s = body[SIN, j] * chord.cos_half - body[COS, j] * chord.sin_half
         length_rate = slope * u[3 + j]
-        bulge = curvature * u[3 + j]
+        bulge = chord.curvature * u[3 + j]
         for k in range(n - 1):
             # Bend k turns all behind it by −1, and everything by this much, so that the
             # mean stays.
@@ -134,7 +136,5 @@ def newtons_matrix(
 
 def slopes(velocity: np.ndarray, mass: float, floor: FloorFriction) -> np.ndarray:
     """Return the slopes of a connector's friction by its velocities along, across, and about itself."""
-    tt, tn, tm, nn, nm, mm, nt, mn = connector_friction(
-        *velocity, mass * floor.gravity, floor
-    )[3:]
-    return np.array([[tt, tn, tm], [nt, nn, nm], [tm, mn, mm]])
+    f = connector_friction(*velocity, mass * floor.gravity, floor)
+    return np.array([[f.tt, f.tn, f.tm], [f.nt, f.nn, f.nm], [f.tm, f.mn, f.mm]])

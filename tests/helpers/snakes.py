@@ -78,12 +78,12 @@ def _throw_analytical(
     stations = -spec.geometry.pitch * np.arange(spec.geometry.connectors)
     mass = spec.mass.array()
     inertia = (mass * (stations - mass @ stations / mass.sum()) ** 2).sum()
-    inertia += plant._body.solid.inertia.sum()
-    plant._body.state[kernels.STATE_VX : kernels.STATE_VY + 1] = velocity
-    plant._body.state[kernels.MOMENT] = inertia * spin
+    inertia += plant.body.solid.inertia.sum()
+    plant.body.state[kernels.STATE_VX : kernels.STATE_VY + 1] = velocity
+    plant.body.state[kernels.MOMENT] = inertia * spin
     c = np.cos(heading)
     s = np.sin(heading)
-    plant._body.velocity[:3] = (
+    plant.body.velocity[:3] = (
         c * velocity[0] + s * velocity[1],
         c * velocity[1] - s * velocity[0],
         spin,

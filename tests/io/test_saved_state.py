@@ -394,7 +394,7 @@ def test_compliant_model_continues_from_a_physical_state():
     snake = MOVING["compliant"]()
     gait = Gait(2.0, 0.1)
     rollout(snake, gait, 1.38, pose=(0.1, 0.2, 0.4))
-    yaw = float(snake._body.velocity[2])
+    yaw = float(snake.body.velocity[2])
     other = MOVING["compliant"]()
     other.place(snake.state, yaw_rate=yaw)
     for _ in range(25):

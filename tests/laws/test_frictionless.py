@@ -44,13 +44,13 @@ def test_bending_analytical_snake_conserves_momentum(options, law):
     gait = Gait(2.0, 0.2)
     throw(plant, (0.3, -0.2), spin=2.0, heading=0.4)
     gait.reset(plant.spec, plant.tick)
-    begun = plant._body.state[kernels.MOMENT]
+    begun = plant.body.state[kernels.MOMENT]
     # `throw` leaves the plant at t = 0; the script bends it from there.
     h = plant.play(gait.script(2.0), 200)
     assert np.ptp(h.bend, axis=0).min() > 0.5
     assert h.com_velocity == pytest.approx(np.tile([0.3, -0.2], (200, 1)), abs=1e-13)
     assert h.com == pytest.approx(np.outer(h.time, [0.3, -0.2]), abs=1e-12)
-    assert plant._body.state[kernels.MOMENT] == pytest.approx(begun, rel=1e-12)
+    assert plant.body.state[kernels.MOMENT] == pytest.approx(begun, rel=1e-12)
 
 
 @pytest.mark.parametrize("name", ["complete", "simplified", "compliant"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import get_type_hints
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from snakes import chain, robot, throw, vented
 
 from srs_twin import AnalyticalSnake, Gait, InputError, rollout
 from srs_twin.plants.analytical import kernels
+from srs_twin.plants.analytical.options import AnalyticalOptions, OptionKeywords
 from srs_twin.pneumatics import Schedule
 
 SPEC = robot()
@@ -120,7 +122,7 @@ def test_coasting_snake_loses_energy_and_comes_to_rest(law, vx, vy, spin, headin
     last = np.inf
     for _ in range(75):
         state = plant.step(vented(plant.spec))
-        moment = plant._body.state[kernels.MOMENT]
+        moment = plant.body.state[kernels.MOMENT]
         now = (
             plant.spec.mass.total * (state.com_velocity @ state.com_velocity) / 2
             + moment**2 / inertia / 2
@@ -268,7 +270,7 @@ def test_steps_end_once_on_each_event_and_sample(places, samples, timestep):
     states = np.resize([[[1, -1]] * 4, [[-1, 1]] * 4], (len(starts), 4, 2)).astype(
         np.int8
     )
-    steps = plant._steps(Schedule(0.04, starts, states), samples)
+    steps = plant.steps(Schedule(0.04, starts, states), samples)
     ends = steps.ends
     marks = steps.sample_steps
     assert (np.diff(np.append(0.0, ends)) > 1e-12).all() and ends[-1] == pytest.approx(
@@ -279,3 +281,20 @@ def test_steps_end_once_on_each_event_and_sample(places, samples, timestep):
         0.04 * np.arange(1, samples + 1) / samples, abs=1e-12
     )
     assert all(np.abs(ends - event).min() < 1e-9 for event in starts[1:])
+
+
+def test_keywords_are_the_fields_of_the_options():
+    assert get_type_hints(OptionKeywords) == get_type_hints(AnalyticalOptions)
+
+
+def test_all_options_that_exclude_each_other_are_reported_at_once():
+    with pytest.raises(InputError) as error:
+        AnalyticalSnake(SPEC, friction_torque=False, touch=True, load="momentary")
+    assert str(error.value).split("; ") == [
+        "model 'complete' has a friction torque",
+        "use 'simplified' to leave it out",
+        "model 'complete' has prescribed bends and touches no obstacles",
+        "use 'compliant'",
+        "friction 'axis' has one contact per connector",
+        "momentary loads need two: use 'wheel' or 'ellipse'",
+    ]

@@ -82,7 +82,7 @@ class Body:
         tiny = 1e-30
         stages = np.stack([begin + kernels.GAMMA * step, begin + step], axis=1)
         times = np.append(0.0, stages.ravel())
-        free = bends(times), bends(times + 1j * tiny).imag / tiny
+        free = kernels.Bends(bends(times), bends(times + 1j * tiny).imag / tiny)
         first = compliant_kernels.BENDS
         state = np.zeros(first + 2 * segments)
         u = np.zeros(3 + segments)
@@ -96,10 +96,12 @@ class Body:
             state[first + segments :] = momentum[3:]
         states = np.empty((count, len(state)))
         marks = np.arange(1, count + 1)
-        seen = states, np.empty((count, len(u)))
+        seen = kernels.Samples(states, np.empty((count, len(u))))
         work = WorkArrays.of(len(self.mass), len(state))
+        now = compliant_kernels.CompliantState(state, u)
+        steps = np.full(count, step)
         done = compliant_kernels.advance(
-            (state, u), np.full(count, step), free, marks, self.model, seen, work
+            now, steps, free, marks, self.model, seen, work
         )
         assert done == count
         return states
@@ -375,7 +377,7 @@ def test_deviations_lose_energy_while_the_valves_hold():
     plant.play(
         plant.pneumatics.schedule(hold, 0.1), 5
     )  # the free bends come to rest within 40 τ₂
-    plant._body.velocity[3:] += 3.0
+    plant.body.velocity[3:] += 3.0
     states = plant.play(plant.pneumatics.schedule(hold, 0.2), 400)
     velocity = np.gradient(states.position, 5e-4, axis=0)
     kinetic = (spec.mass.array()[:, None] * velocity**2).sum(axis=(1, 2)) / 2

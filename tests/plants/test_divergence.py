@@ -61,14 +61,14 @@ def put(path: str, index: Any = None) -> Spoil:
 
 
 BODY = {
-    name: put("_body.state", getattr(kernels, name))
+    name: put("body.state", getattr(kernels, name))
     for name in ("X", "Y", "HEADING", "VX", "VY", "MOMENT", "ENERGY_LOSS")
 }
 YIELDING = {
-    "bend": put("_body.state", BENDS),
-    "last bend": put("_body.state", BENDS + 3),
-    "moment of a segment": put("_body.state", BENDS + 4),
-    "bend rate": put("_body.velocity", 3),
+    "bend": put("body.state", BENDS),
+    "last bend": put("body.state", BENDS + 3),
+    "moment of a segment": put("body.state", BENDS + 4),
+    "bend rate": put("body.velocity", 3),
 }
 TWIN = {
     "place": put("physics.data.qpos", 0),

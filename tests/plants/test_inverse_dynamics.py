@@ -8,7 +8,7 @@ from hypothesis import given, settings, strategies as st
 from rows import fill_rows
 
 from srs_twin.plants.analytical.floor import FloorFriction, fill_forces, floor_friction
-from srs_twin.plants.analytical.kernels import inverse_dynamics
+from srs_twin.plants.analytical.kernels import PrescribedModel, inverse_dynamics
 from srs_twin.plants.analytical.kinematics import ROWS, BodyParameters, pose_body
 from srs_twin.pneumatics import Trace
 from srs_twin.robot.friction import LAWS
@@ -78,7 +78,8 @@ def test_recursive_inverse_dynamics_equals_the_dense_sum(
     trace = Trace.empty(samples, segments)._replace(
         bend=bend, bend_rate=u[:, 3:].copy(), bend_acceleration=acceleration
     )
-    inverse_dynamics(u[:, :3].copy(), trace, (solid, floor, turning), result)
+    model = PrescribedModel(solid, floor, turning)
+    inverse_dynamics(u[:, :3].copy(), trace, model, result)
     expected = [
         by_rows(u[k], bend[k], acceleration[k], solid, floor, turning)
         for k in range(samples)

@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 
 from srs_twin.plants.analytical import kernels, kinematics
 from srs_twin.plants.analytical.floor import (
+    Twist,
     connector_friction,
     fill_forces,
     floor_friction,
@@ -28,7 +29,7 @@ from srs_twin.plants.analytical.kinematics import (
     Y,
     pose_body,
 )
-from srs_twin.plants.analytical.steps import advance, bend_within
+from srs_twin.plants.analytical.steps import PrescribedState, advance, bend_within
 from srs_twin.pneumatics import Trace
 from srs_twin.robot import friction
 from srs_twin.robot.friction import LAWS
@@ -90,13 +91,12 @@ def run(
     solid = BodyParameters.of(mass, np.zeros_like(mass), swim.length, swim.gap)
     floor = floor_friction(swim.law, swim.track, swim.mu_t, swim.mu_n, swim.slip)
     trace = Trace.empty(len(bends), len(mass) - 1)._replace(bend=bends, bend_rate=rates)
-    now = (state, slope, np.array([0.0, across, 0.0]))
-    seen = (np.empty((0, kernels.STATES)), np.empty((0, 3)))
+    now = PrescribedState(state, slope, np.array([0.0, across, 0.0]))
+    seen = kernels.Samples(np.empty((0, kernels.STATES)), np.empty((0, 3)))
     steps = np.full(count, step)
     marks = np.empty(0, dtype=int)
-    done, substeps = advance(
-        now, steps, trace, marks, (solid, floor, True), tolerance, seen
-    )
+    model = kernels.PrescribedModel(solid, floor, True)
+    done, substeps = advance(now, steps, trace, marks, model, tolerance, seen)
     assert done == count
     return state, substeps
 
@@ -270,13 +270,9 @@ def test_floor_force_slopes_match_finite_differences(law, track):
     floor = floor_friction(law, track, 0.1, 0.6, 0.05)
 
     def total(v: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-        net, slopes, power = forces_and_slopes(body, solid.mass, *v, floor)
-        xx, xy, xz, yy, yz, zz, yx, zx, zy = slopes
-        return (
-            np.array(net),
-            np.array([[xx, xy, xz], [yx, yy, yz], [zx, zy, zz]]),
-            power,
-        )
+        f = forces_and_slopes(body, solid.mass, Twist(*v), floor)
+        slopes = [[f.xx, f.xy, f.xz], [f.yx, f.yy, f.yz], [f.zx, f.zy, f.zz]]
+        return np.array([f.x, f.y, f.moment]), np.array(slopes), f.power
 
     net, slope, power = total(u)
     h = 1e-6 * np.eye(3)
@@ -353,7 +349,7 @@ def test_mean_heading_is_zero_for_a_coil_of_several_turns():
     assert body[COS] == pytest.approx(np.cos(phi), abs=1e-12)
     assert body[SIN] == pytest.approx(np.sin(phi), abs=1e-12)
     place = body_shape(bend, solid.mass, solid.length, solid.gap)
-    assert body[X : Y + 1].T == pytest.approx(place, abs=1e-12)
+    assert pytest.approx(place, abs=1e-12) == body[X : Y + 1].T
 
 
 def test_frozen_chords_have_the_straight_length():
@@ -428,7 +424,7 @@ def test_bends_between_stages_are_cubic_polynomials():
     bends = np.array([cubic(t) for t in at])
     rates = np.array([rate(t) for t in at])
     for share in (0.0, 0.1, kernels.GAMMA, 0.5, 0.9, 1.0):
-        q, r = np.empty((2, 2))
-        bend_within(share, h, bends, rates, q, r)
-        assert q == pytest.approx(cubic(share * h), abs=1e-14)
-        assert r == pytest.approx(rate(share * h), abs=1e-13)
+        out = kernels.Bends(np.empty((1, 2)), np.empty((1, 2)))
+        bend_within(share, h, kernels.Bends(bends, rates), out, 0)
+        assert out.bend[0] == pytest.approx(cubic(share * h), abs=1e-14)
+        assert out.rate[0] == pytest.approx(rate(share * h), abs=1e-13)

@@ -28,6 +28,7 @@ from srs_twin.plants.twin.mjcf.model import robot_mjcf
 from srs_twin.plants.twin.mjcf.numerics import ModelSettings
 from srs_twin.pneumatics import LagPneumatics, OrificePneumatics, make_pneumatics
 from srs_twin.pneumatics.chambers import (
+    BendLaw,
     air_bend,
     apply_bend_law,
     equivalent_linear_pressure,
@@ -92,7 +93,7 @@ def mirrored(spec: RobotSpec) -> RobotSpec:
 @settings(max_examples=100)
 @given(st.floats(-5, 5), st.floats(0.3, 3))
 def test_bend_law_saturates_at_its_limit(x, limit):
-    law = limit, 0.0, 1.0, 1.0
+    law = BendLaw(limit, 0.0, 1.0, 1.0)
     value, slope, curve = apply_bend_law(x, law)
     assert abs(value) < limit and np.sign(value) == np.sign(x) and 0 < slope <= 1
     assert value**4 * (limit**4 + x**4) == pytest.approx(
@@ -105,7 +106,7 @@ def test_bend_law_saturates_at_its_limit(x, limit):
     assert curve == pytest.approx(
         (ahead[1] - behind[1]) / (2 * step), abs=1e-5 / limit**2
     )
-    assert apply_bend_law(x, (np.inf, 0.0, 1.0, 1.0)) == (x, 1.0, 0.0)
+    assert apply_bend_law(x, BendLaw(np.inf, 0.0, 1.0, 1.0)) == (x, 1.0, 0.0)
 
 
 @pytest.mark.slow
@@ -120,7 +121,7 @@ def test_bend_law_saturates_at_its_limit(x, limit):
 def test_bend_law_with_dead_zone_is_odd_smooth_and_monotone(
     x, limit, share, onset, width
 ):
-    law = (limit, share, onset, width)
+    law = BendLaw(limit, share, onset, width)
     step = 1e-5
     value, slope, curve = apply_bend_law(x, law)
     y = x - share * width / 2 * np.log(
@@ -248,7 +249,7 @@ def test_unequal_orifice_chambers_conserve_air_and_reach_the_static_bend():
     spec = unlike()
     chambers = OrificePneumatics(spec, supply_pa=SUPPLY)
     assert not np.abs(chambers.pressure).any()
-    air = chambers._plumbing.dead
+    air = chambers.plumbing.dead
     displacement = spec.chamber.displacement
 
     def content() -> float:

@@ -95,7 +95,7 @@ def test_velocities_of_all_points_are_the_derivatives_of_their_positions():
             moved = state.copy()
             work.bend[:] = work.load[:] = 0.0
             kernels.pose(state, constants, work)
-            quasistatic_kernels._move_state(
+            quasistatic_kernels.move_state(
                 velocity, moved, constants, work, step, np.empty((3, 3)), np.empty(9)
             )
             kernels.pose(moved, constants, work)
@@ -169,13 +169,13 @@ def test_a_cantilever_sags_as_the_elastica():
 @pytest.mark.slow
 def test_loads_balance_the_weight_and_its_moment(sidewinder):
     snake, run = sidewinder
-    body = snake._body
+    body = snake.body
     state = body.state
-    points = len(body._constants.mass)
-    kernels.pose(state, body._constants, body._work)
+    points = len(body.constants.mass)
+    kernels.pose(state, body.constants, body.work)
     loads = state[-points:]
-    place = body._work.point
-    weight = body._constants.mass * GRAVITY
+    place = body.work.point
+    weight = body.constants.mass * GRAVITY
     assert 0.1 < (loads > 0.0).mean() < 0.9
     assert loads.sum() == pytest.approx(weight.sum(), rel=2e-3)
     radius = np.ptp(place[:, 0])
@@ -191,12 +191,12 @@ def test_loads_balance_the_weight_and_its_moment(sidewinder):
 @pytest.mark.slow
 def test_the_work_of_the_air_is_dissipated_or_stored(sidewinder):
     snake, run = sidewinder
-    body = snake._body
+    body = snake.body
     state = body.state
-    constants = body._constants
+    constants = body.constants
     twist = state[kernels.BENDS :][: 3 * SEGMENTS].reshape(-1, 3)[:, 2]
-    kernels.pose(state, constants, body._work)
-    height = body._work.point[:, 2] - constants.radius
+    kernels.pose(state, constants, body.work)
+    height = body.work.point[:, 2] - constants.radius
     stored = (
         GRAVITY * constants.mass @ height + constants.stiffness[2] / 2 * twist @ twist
     )
@@ -290,13 +290,13 @@ def test_a_heavy_snake_that_stands_on_its_bend_falls_over_and_the_jump_is_counte
 @pytest.mark.slow
 def test_a_step_that_cannot_be_made_short_enough_ends_the_run():
     snake = AnalyticalSnake(SPEC, model="quasistatic", timestep=0.01)
-    snake._body._constants = snake._body._constants._replace(longest_move=1e-12)
+    snake.body.constants = snake.body.constants._replace(longest_move=1e-12)
     up = np.full((SEGMENTS, 4), -1, dtype=np.int8)
     up[:, 2] = 1
-    before = snake._body.state.copy()
+    before = snake.body.state.copy()
     with pytest.raises(DivergedError, match="step 1 of"):
         snake.step(up)
-    assert (snake._body.state == before).all()
+    assert (snake.body.state == before).all()
 
 
 def test_robots_worlds_and_laws_that_have_no_solution_are_refused():

@@ -182,7 +182,7 @@ def slugs(page):
 def test_causes_name_existing_sections_and_switches():
     switches = {
         switch.name
-        for switch in PlantVariants(load_scenario("gen3_straight"))._all_switches()
+        for switch in PlantVariants(load_scenario("gen3_straight")).all_switches
     }
     causes = [cause for row in CLAIMS for cause in row.cause]
     # The supply flow is an assumption of both plants, so it is no switch between them.

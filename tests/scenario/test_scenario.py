@@ -322,8 +322,12 @@ def test_pneumatics_reach_both_plants(plant, given, described):
 
 def test_defaults_of_pneumatics_are_those_of_the_chambers():
     from srs_twin.pneumatics import KINDS
+    from srs_twin.pneumatics.orifice import OrificeOptions
 
-    parameters = inspect.signature(KINDS["orifice"]).parameters
+    parameters = {
+        **inspect.signature(KINDS["orifice"]).parameters,
+        **inspect.signature(OrificeOptions).parameters,
+    }
     for chambers in ({"kind": "lag"}, {"kind": "orifice", "flow_limit_l_per_min": 600}):
         settings = scenario(
             pneumatics=chambers, plants=plants()

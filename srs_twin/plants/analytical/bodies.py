@@ -23,13 +23,18 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from srs_twin.compute.compiled import allocating
+from srs_twin.compute.compiled import allocating, inlined
 from srs_twin.errors import InputError
 from srs_twin.io.saved_state import Stateful
 from srs_twin.plants.analytical import compliant_kernels, kernels
 from srs_twin.plants.analytical.cells import Undivided
 from srs_twin.plants.analytical.floor import FloorFriction
-from srs_twin.plants.analytical.kernels import inverse_dynamics
+from srs_twin.plants.analytical.kernels import (
+    Bends,
+    PrescribedModel,
+    Samples,
+    inverse_dynamics,
+)
 from srs_twin.plants.analytical.kinematics import (
     ROWS,
     BodyParameters,
@@ -37,7 +42,7 @@ from srs_twin.plants.analytical.kinematics import (
     pose_body,
 )
 from srs_twin.plants.analytical.obstacles import Obstacles
-from srs_twin.plants.analytical.steps import advance
+from srs_twin.plants.analytical.steps import PrescribedState, advance
 from srs_twin.plants.base import Pose
 from srs_twin.pneumatics import Trace
 from srs_twin.robot.spec import RobotSpec
@@ -131,8 +136,9 @@ class Body(Stateful, ABC):
         bend = self.cells.split(bend)
         rate = self.cells.split(rate)
         self.state[kernels.HEADING] += self.cells.lead(bend)
-        (x, y, yaw), heading = velocity, float(self.state[kernels.HEADING])
+        x, y, yaw = velocity
         yaw += self.cells.lead(rate)
+        heading = float(self.state[kernels.HEADING])
         c = math.cos(heading)
         s = math.sin(heading)
         self.state[kernels.STATE_VX] = x
@@ -143,10 +149,8 @@ class Body(Stateful, ABC):
         )
         self.state[kernels.MOMENT] = inertia * yaw + moment
 
-    def _allocate(self, samples: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return arrays for states and velocities of samples."""
-        states, velocities = (np.zeros((samples, count)) for count in self._shapes)
-        return states, velocities
+    def _allocate(self, samples: int) -> Samples:
+        return Samples(*(np.zeros((samples, count)) for count in self._shapes))
 
     def _split(self, trace: Trace) -> Trace:
         """Return a trace with the free bends of the cells."""
@@ -198,16 +202,10 @@ class PrescribedBends(Body):
     state_attributes = ("_state_rate",)
 
     def __init__(
-        self,
-        solid: BodyParameters,
-        floor: FloorFriction,
-        cells: Undivided,
-        *,
-        friction_torque: bool,
-        tolerance: float,
+        self, model: PrescribedModel, cells: Undivided, tolerance: float
     ) -> None:
-        super().__init__(solid, floor, cells)
-        self._model = (solid, floor, friction_torque)
+        super().__init__(model.solid, model.floor, cells)
+        self._model = model
         self._tolerance = tolerance
 
     def reset(self, pose: Pose) -> None:
@@ -219,7 +217,7 @@ class PrescribedBends(Body):
         self, steps: np.ndarray, trace: Trace, sample_steps: np.ndarray
     ) -> tuple[int, np.ndarray, np.ndarray]:
         """See `Body.move`."""
-        now = self.state, self._state_rate, self.velocity
+        now = PrescribedState(self.state, self._state_rate, self.velocity)
         samples = self._allocate(len(sample_steps))
         trace = self._split(trace)
         done, _ = advance(
@@ -255,7 +253,8 @@ class ClampedBends(Body):
     def reset(self, pose: Pose) -> None:
         """See `Body.reset`; the head stays at its initial pose."""
         super().reset(pose)
-        (x, y, heading), ahead = pose, self.cells.com_behind_head
+        x, y, heading = pose
+        ahead = self.cells.com_behind_head
         self._head_pose = np.array(
             [x + ahead * math.cos(heading), y + ahead * math.sin(heading), heading]
         )
@@ -282,6 +281,43 @@ class ClampedBends(Body):
         )
 
 
+class _Chain(NamedTuple):
+    """Chain of connectors in the world frame, relative to its head.
+
+    Attributes:
+        position: shape (N, 2), m.
+        acceleration: shape (N, 2), m/s².
+        alpha: angular accelerations, shape (N,), rad/s².
+        lever: velocity of all connectors behind a segment per bend rate, shape
+            (segments, 2), m.
+    """
+
+    position: np.ndarray
+    acceleration: np.ndarray
+    alpha: np.ndarray
+    lever: np.ndarray
+
+
+class _Centre(NamedTuple):
+    """Motion of the centre of mass relative to the head, and of the mean heading.
+
+    Attributes:
+        x: m.
+        y: m.
+        vx: m/s.
+        vy: m/s.
+        heading: rad.
+        spin: rad/s.
+    """
+
+    x: float
+    y: float
+    vx: float
+    vy: float
+    heading: float
+    spin: float
+
+
 @allocating
 def simulate_clamped(trace, solid, head, states, velocities, torque):  # type: ignore[no-untyped-def]
     """Fill states, velocities and moments of a chain that is held at its head.
@@ -297,78 +333,99 @@ def simulate_clamped(trace, solid, head, states, velocities, torque):  # type: i
         torque: out, net moments of the segments, shape (samples, segments), N·m.
     """
     n = solid.mass.shape[0]
+    chain = _Chain(
+        np.zeros((n, 2)), np.zeros((n, 2)), np.zeros(n), np.empty((n - 1, 2))
+    )
     total = solid.mass.sum()
-    position = np.empty((n, 2))
-    acceleration = np.empty((n, 2))
-    alpha = np.empty(n)
-    lever = np.empty((n - 1, 2))
     for k in range(trace.bend.shape[0]):
-        angle = head[2]
-        spin = 0.0
-        mean = head[2]
-        mean_spin = 0.0
-        alpha[0] = 0.0
-        position[0] = 0.0
-        acceleration[0] = 0.0
-        v_x = v_y = com_x = com_y = com_vx = com_vy = 0.0
-        for j in range(n - 1):
-            q = trace.bend[k, j]
-            dq = trace.bend_rate[k, j]
-            ddq = trace.bend_acceleration[k, j]
-            psi = angle - q / 2
-            chord_spin = spin - dq / 2
-            chord_alpha = alpha[j] - ddq / 2
-            angle = angle - q
-            spin = spin - dq
-            alpha[j + 1] = alpha[j] - ddq
-            _, _, span, slope, curvature = chord_terms(q, solid, j)
-            chord_rate = slope * dq
-            chord_acceleration = curvature * dq * dq + slope * ddq
-            inward = chord_acceleration - span * chord_spin * chord_spin
-            aside = span * chord_alpha + 2 * chord_rate * chord_spin
-            c = math.cos(psi)
-            s = math.sin(psi)
-            position[j + 1, 0], position[j + 1, 1] = (
-                position[j, 0] - span * c,
-                position[j, 1] - span * s,
-            )
-            v_x = v_x - chord_rate * c + span * chord_spin * s
-            v_y = v_y - chord_rate * s - span * chord_spin * c
-            acceleration[j + 1, 0] = acceleration[j, 0] - inward * c + aside * s
-            acceleration[j + 1, 1] = acceleration[j, 1] - inward * s - aside * c
-            # Velocity of all connectors behind segment j per bend rate: the chord
-            # shortens, and rotates by half of the bend.
-            lever[j, 0] = -slope * c - span / 2 * s
-            lever[j, 1] = -slope * s + span / 2 * c
-            share = solid.mass[j + 1] / total
-            com_x = com_x + share * position[j + 1, 0]
-            com_y = com_y + share * position[j + 1, 1]
-            com_vx = com_vx + share * v_x
-            com_vy = com_vy + share * v_y
-            mean = mean + (angle - head[2]) / n
-            mean_spin = mean_spin + spin / n
-        states[k, kernels.STATE_X] = head[0] + com_x
-        states[k, kernels.STATE_Y] = head[1] + com_y
-        states[k, kernels.HEADING] = mean
-        states[k, kernels.STATE_VX] = com_vx
-        states[k, kernels.STATE_VY] = com_vy
-        c = math.cos(mean)
-        s = math.sin(mean)
-        velocities[k, 0] = com_vx * c + com_vy * s
-        velocities[k, 1] = com_vy * c - com_vx * s
-        velocities[k, 2] = mean_spin
-        force_x = force_y = moment = 0.0
-        for j in range(n - 2, -1, -1):
-            # Net force on all connectors behind segment j, and its moment about the
-            # connector at the rear end.
-            if j < n - 2:
-                arm_x = position[j + 2, 0] - position[j + 1, 0]
-                arm_y = position[j + 2, 1] - position[j + 1, 1]
-                moment += arm_x * force_y - arm_y * force_x
-            force_x += solid.mass[j + 1] * acceleration[j + 1, 0]
-            force_y += solid.mass[j + 1] * acceleration[j + 1, 1]
-            moment += solid.inertia[j + 1] * alpha[j + 1]
-            torque[k, j] = lever[j, 0] * force_x + lever[j, 1] * force_y - moment
+        centre = _accelerate(trace, k, solid, total, head[2], chain)
+        states[k, kernels.STATE_X] = head[0] + centre.x
+        states[k, kernels.STATE_Y] = head[1] + centre.y
+        states[k, kernels.HEADING] = centre.heading
+        states[k, kernels.STATE_VX] = centre.vx
+        states[k, kernels.STATE_VY] = centre.vy
+        c = math.cos(centre.heading)
+        s = math.sin(centre.heading)
+        velocities[k, 0] = centre.vx * c + centre.vy * s
+        velocities[k, 1] = centre.vy * c - centre.vx * s
+        velocities[k, 2] = centre.spin
+        _fill_moments(solid, chain, torque[k])
+
+
+@inlined
+def _accelerate(trace, k, solid, total, heading, chain):  # type: ignore[no-untyped-def]
+    """Fill a chain from head to tail at row k of a trace; return the motion of its centre.
+
+    Args:
+        trace: trace of the chambers.
+        k: row.
+        solid: the chain.
+        total: its mass, kg.
+        heading: of the head, rad.
+        chain: out; the head stays at 0.
+    """
+    n = solid.mass.shape[0]
+    position = chain.position
+    acceleration = chain.acceleration
+    alpha = chain.alpha
+    angle = heading
+    spin = 0.0
+    mean = heading
+    mean_spin = 0.0
+    v_x = v_y = com_x = com_y = com_vx = com_vy = 0.0
+    for j in range(n - 1):
+        q = trace.bend[k, j]
+        dq = trace.bend_rate[k, j]
+        ddq = trace.bend_acceleration[k, j]
+        psi = angle - q / 2
+        chord_spin = spin - dq / 2
+        chord_alpha = alpha[j] - ddq / 2
+        angle = angle - q
+        spin = spin - dq
+        alpha[j + 1] = alpha[j] - ddq
+        chord = chord_terms(q, solid, j)
+        span = chord.span
+        chord_rate = chord.slope * dq
+        chord_acceleration = chord.curvature * dq * dq + chord.slope * ddq
+        inward = chord_acceleration - span * chord_spin * chord_spin
+        aside = span * chord_alpha + 2 * chord_rate * chord_spin
+        c = math.cos(psi)
+        s = math.sin(psi)
+        position[j + 1, 0] = position[j, 0] - span * c
+        position[j + 1, 1] = position[j, 1] - span * s
+        v_x = v_x - chord_rate * c + span * chord_spin * s
+        v_y = v_y - chord_rate * s - span * chord_spin * c
+        acceleration[j + 1, 0] = acceleration[j, 0] - inward * c + aside * s
+        acceleration[j + 1, 1] = acceleration[j, 1] - inward * s - aside * c
+        # The chord shortens, and rotates by half of the bend.
+        chain.lever[j, 0] = -chord.slope * c - span / 2 * s
+        chain.lever[j, 1] = -chord.slope * s + span / 2 * c
+        share = solid.mass[j + 1] / total
+        com_x = com_x + share * position[j + 1, 0]
+        com_y = com_y + share * position[j + 1, 1]
+        com_vx = com_vx + share * v_x
+        com_vy = com_vy + share * v_y
+        mean = mean + (angle - heading) / n
+        mean_spin = mean_spin + spin / n
+    return _Centre(com_x, com_y, com_vx, com_vy, mean, mean_spin)
+
+
+@inlined
+def _fill_moments(solid, chain, torque):  # type: ignore[no-untyped-def]
+    """Fill the moments of the segments from tail to head, from the forces on the connectors behind them."""
+    n = solid.mass.shape[0]
+    position = chain.position
+    force_x = force_y = moment = 0.0
+    for j in range(n - 2, -1, -1):
+        # The moment is about the connector at the rear end of segment j.
+        if j < n - 2:
+            arm_x = position[j + 2, 0] - position[j + 1, 0]
+            arm_y = position[j + 2, 1] - position[j + 1, 1]
+            moment += arm_x * force_y - arm_y * force_x
+        force_x += solid.mass[j + 1] * chain.acceleration[j + 1, 0]
+        force_y += solid.mass[j + 1] * chain.acceleration[j + 1, 1]
+        moment += solid.inertia[j + 1] * chain.alpha[j + 1]
+        torque[j] = chain.lever[j, 0] * force_x + chain.lever[j, 1] * force_y - moment
 
 
 class CompliantBends(Body):
@@ -455,14 +512,17 @@ class CompliantBends(Body):
         self, steps: np.ndarray, trace: Trace, sample_steps: np.ndarray
     ) -> tuple[int, np.ndarray, np.ndarray]:
         """See `Body.move`."""
-        now = (self.state, self.velocity)
+        now = compliant_kernels.CompliantState(self.state, self.velocity)
         samples = self._allocate(len(sample_steps))
-        free = self.cells.split(trace.bend), self.cells.split(trace.bend_rate)
+        split = self.cells.split
+        free = Bends(split(trace.bend), split(trace.bend_rate))
         done: int = compliant_kernels.advance(
             now, steps, free, sample_steps, self._model, samples, self._work
         )
         if self.obstacles is not None:
-            self._average_forces(samples[0][:, self._impulses], sample_steps <= done)
+            self._average_forces(
+                samples.states[:, self._impulses], sample_steps <= done
+            )
         return done, *samples
 
     def _average_forces(self, impulses: np.ndarray, reached: np.ndarray) -> None:

@@ -41,7 +41,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from srs_twin.compute.compiled import compiled, kernel_only
+from srs_twin.compute.compiled import compiled, inlined, kernel_only
 from srs_twin.plants.analytical.floor import (
     FloorFriction,
     connector_friction,
@@ -60,9 +60,29 @@ from srs_twin.plants.analytical.kernels import (
     STATE_Y,
     STATES,
     copy,
+    is_slow,
+    is_too_long,
+    record,
+    shorter_fraction,
 )
 from srs_twin.plants.analytical.kinematics import (
     COS,
+    FORCE_X,
+    FORCE_Y,
+    FORCE_YAW,
+    LOAD_COLUMNS,
+    MASS_MM,
+    MASS_MX,
+    MASS_MY,
+    MASS_XM,
+    MASS_XX,
+    MASS_XY,
+    MASS_YM,
+    MASS_YX,
+    MASS_YY,
+    MOMENTUM_X,
+    MOMENTUM_Y,
+    MOMENTUM_YAW,
     ROWS,
     SIN,
     SPIN,
@@ -87,17 +107,41 @@ from srs_twin.robot.spec import GRAVITY
 BENDS = STATES
 """Index of the first bend in the state: those of `kernels`, then the bends, then their momenta."""
 
-_NEWTON_STEPS = 1000  # largest number of iterations; many are needed at rest on a slope, at a kink of the law
-_NEWTON_TOLERANCE = 1e-9  # tolerance of the velocities at a time unit of 1, m/s
-_NEWTON_ARM = (
-    0.1  # lever arm that turns rates into velocities, at a length unit of 1, m
-)
-_MOST_PASSES = 10  # largest number of updates of the normal forces that friction of obstacles depends on
-_LOAD_TOLERANCE = 1e-4  # tolerance of these normal forces over the weight, 1
-_MARGIN = (
-    SPEED_LIMIT / 10
-)  # speed at which the search for near obstacles leaves room, m/s
-_OVERSHOOT = 0.1  # ratio of the slopes after and before a Newton step above which the step was too long, 1
+_NEWTON_STEPS = 1000
+"""Largest number of iterations; many are needed at rest on a slope, at a kink of the law."""
+_NEWTON_TOLERANCE = 1e-9
+"""Tolerance of the velocities at a time unit of 1, m/s."""
+_NEWTON_ARM = 0.1
+"""Lever arm that turns rates into velocities, at a length unit of 1, m."""
+_MOST_PASSES = 10
+"""Largest number of updates of the normal forces that friction of obstacles depends on."""
+_LOAD_TOLERANCE = 1e-4
+"""Tolerance of these normal forces over the weight, 1."""
+_MARGIN = SPEED_LIMIT / 10
+"""Speed at which the search for near obstacles leaves room, m/s."""
+
+# Columns of a link, the coefficients that propagate z over a segment: τ by the spin
+# (the spin itself has the coefficient 0), and t by the bend rate (the spin has −1).
+_SPIN_X = 0
+_SPIN_Y = 1
+_SPIN_X_RATE = 2
+_SPIN_Y_RATE = 3
+_BEND_X = 4
+_BEND_Y = 5
+_BEND_X_RATE = 6
+_BEND_Y_RATE = 7
+_LINK_COLUMNS = 8
+
+# Rows and columns of Newton's matrix.
+_X = 0  # velocity, m/s
+_Y = 1
+_M = 2  # spin, rad/s
+_X_RATE = 3  # rate of the velocity, m/s²
+_Y_RATE = 4
+_MULTIPLIER_X = 5
+_MULTIPLIER_Y = 6
+_UNKNOWNS = 7
+_RIGHT = 7  # column of the right side
 
 
 class CompliantModel(NamedTuple):
@@ -151,27 +195,28 @@ def _fill_propagation(body, q, u, solid, links):  # type: ignore[no-untyped-def]
         q: bends, shape (segments,), rad.
         u: velocities, shape (3 + segments,).
         solid: the body.
-        links: out, shape (segments, 8): τ for the velocity (2) and its rate (2), then t
-            for both. The spin has the coefficients 0 and −1.
+        links: out, shape (segments, _LINK_COLUMNS).
     """
     for j in range(q.shape[0]):
         spin = u[2] + 0.5 * (body[SPIN, j] + body[SPIN, j + 1])
         # The direction of a chord is half a bend behind the heading of its front end.
-        half_c, half_s, span, slope, curvature = chord_terms(q[j], solid, j)
-        c = body[COS, j] * half_c + body[SIN, j] * half_s
-        s = body[SIN, j] * half_c - body[COS, j] * half_s
+        chord = chord_terms(q[j], solid, j)
+        slope = chord.slope
+        span = chord.span
+        c = body[COS, j] * chord.cos_half + body[SIN, j] * chord.sin_half
+        s = body[SIN, j] * chord.cos_half - body[COS, j] * chord.sin_half
         chord_rate = slope * u[3 + j]
-        forth = curvature * u[3 + j] + 0.5 * span * spin
+        forth = chord.curvature * u[3 + j] + 0.5 * span * spin
         aside = slope * spin - 0.5 * chord_rate
         link = links[j]
-        link[0] = span * s
-        link[1] = -span * c
-        link[2] = span * spin * c + chord_rate * s
-        link[3] = span * spin * s - chord_rate * c
-        link[4] = -slope * c - 0.5 * span * s
-        link[5] = 0.5 * span * c - slope * s
-        link[6] = aside * s - forth * c
-        link[7] = -forth * s - aside * c
+        link[_SPIN_X] = span * s
+        link[_SPIN_Y] = -span * c
+        link[_SPIN_X_RATE] = span * spin * c + chord_rate * s
+        link[_SPIN_Y_RATE] = span * spin * s - chord_rate * c
+        link[_BEND_X] = -slope * c - 0.5 * span * s
+        link[_BEND_Y] = 0.5 * span * c - slope * s
+        link[_BEND_X_RATE] = aside * s - forth * c
+        link[_BEND_Y_RATE] = -forth * s - aside * c
 
 
 @compiled
@@ -184,9 +229,7 @@ def _fill_loads(body, u, a, solid, floor, loads):  # type: ignore[no-untyped-def
         a: γ h, s.
         solid: the body.
         floor: the floor.
-        loads: out, shape (N, 15): momentum relative to the centre of mass x, y and of
-            the spin; friction x, y and moment; mass minus a times the slope of
-            friction, xx, xy, xm, yy, ym, mm, yx, mx, my.
+        loads: out, shape (N, LOAD_COLUMNS), see `kinematics`.
 
     Returns:
         Force of the floor (x, y), its moment about the centre of mass, and the
@@ -203,31 +246,29 @@ def _fill_loads(body, u, a, solid, floor, loads):  # type: ignore[no-untyped-def
         vx = body[VX, i] - u[2] * y
         vy = body[VY, i] + u[2] * x
         spin = u[2] + body[SPIN, i]
-        load[0] = mass * vx
-        load[1] = mass * vy
-        load[2] = solid.inertia[i] * spin
+        load[MOMENTUM_X] = mass * vx
+        load[MOMENTUM_Y] = mass * vy
+        load[MOMENTUM_YAW] = solid.inertia[i] * spin
         along = (vx + u[0]) * c + (vy + u[1]) * s
         across = (vy + u[1]) * c - (vx + u[0]) * s
-        t, n, m, tt, tn, tm, nn, nm, mm, nt, mn = connector_friction(
-            along, across, spin, mass * floor.gravity, floor
-        )
-        load[3] = t * c - n * s
-        load[4] = t * s + n * c
-        load[5] = m
-        power -= t * along + n * across + m * spin
-        fx = fx + load[3]
-        fy = fy + load[4]
-        moment = moment + x * load[4] - y * load[3] + m
-        xx, xy, yx, yy = slopes_of_force(tt, tn, nt, nn, c, s)
-        load[6] = mass - a * xx
-        load[7] = -a * xy
-        load[12] = -a * yx
-        load[9] = mass - a * yy
-        load[8] = -a * (tm * c - nm * s)
-        load[10] = -a * (tm * s + nm * c)
-        load[11] = solid.inertia[i] - a * mm
-        load[13] = -a * (tm * c - mn * s)
-        load[14] = -a * (tm * s + mn * c)
+        f = connector_friction(along, across, spin, mass * floor.gravity, floor)
+        load[FORCE_X] = f.t * c - f.n * s
+        load[FORCE_Y] = f.t * s + f.n * c
+        load[FORCE_YAW] = f.m
+        power -= f.t * along + f.n * across + f.m * spin
+        fx = fx + load[FORCE_X]
+        fy = fy + load[FORCE_Y]
+        moment = moment + x * load[FORCE_Y] - y * load[FORCE_X] + f.m
+        xx, xy, yx, yy = slopes_of_force(f, c, s)
+        load[MASS_XX] = mass - a * xx
+        load[MASS_XY] = -a * xy
+        load[MASS_YX] = -a * yx
+        load[MASS_YY] = mass - a * yy
+        load[MASS_XM] = -a * (f.tm * c - f.nm * s)
+        load[MASS_YM] = -a * (f.tm * s + f.nm * c)
+        load[MASS_MM] = solid.inertia[i] - a * f.mm
+        load[MASS_MX] = -a * (f.tm * c - f.mn * s)
+        load[MASS_MY] = -a * (f.tm * s + f.mn * c)
     return fx, fy, moment, power
 
 
@@ -267,75 +308,115 @@ def balance(q, u, moment, a, model, floor, work):  # type: ignore[no-untyped-def
     """
     solid = model.solid
     body = work.body
-    links = work.links
     loads = work.loads
     momentum = work.momentum
     force = work.force
-    n = solid.mass.shape[0]
-    weight = solid.weight
     inertia, h = pose_body(q, u[3:], solid, body)
-    _fill_propagation(body, q, u, solid, links)
+    _fill_propagation(body, q, u, solid, work.links)
     fx, fy, floor_moment, power = _fill_loads(body, u, a, solid, floor, loads)
     x, y, m, loss = add_contacts(model.obstacles, body, u, a, loads)
     fx = fx + x
     fy = fy + y
     floor_moment = floor_moment + m
     power = power + loss
-    momentum[0] = weight * u[0]
-    momentum[1] = weight * u[1]
+    momentum[0] = solid.weight * u[0]
+    momentum[1] = solid.weight * u[1]
     momentum[2] = inertia * u[2] + h
     force[0] = fx
     force[1] = fy
     force[2] = floor_moment
+    _sum_behind(q, u, moment, model, work)
+    return power
+
+
+@inlined
+def _sum_behind(q, u, moment, model, work):  # type: ignore[no-untyped-def]
+    """Fill momenta and forces of the bends after their first three components; arguments as in `balance`."""
+    mass = model.solid.mass
+    n = mass.shape[0]
+    momentum = work.momentum
+    force = work.force
+    fx = force[0]
+    fy = force[1]
+    floor_moment = force[2]
     # Sums over all connectors behind a segment, about the connector at its front end.
     px = py = pm = x = y = m = 0.0
     for j in range(n - 2, -1, -1):
-        load = loads[j + 1]
-        link = links[j]
+        load = work.loads[j + 1]
+        link = work.links[j]
         share = (n - 1 - j) / n
-        mass_share = solid.mass[j + 1] / weight
-        px = px + load[0]
-        py = py + load[1]
-        pm = pm + load[2]
-        x = x + load[3] - mass_share * fx
-        y = y + load[4] - mass_share * fy
-        m = m + load[5]
-        momentum[3 + j] = link[4] * px + link[5] * py - pm + share * momentum[2]
+        mass_share = mass[j + 1] / model.solid.weight
+        px = px + load[MOMENTUM_X]
+        py = py + load[MOMENTUM_Y]
+        pm = pm + load[MOMENTUM_YAW]
+        x = x + load[FORCE_X] - mass_share * fx
+        y = y + load[FORCE_Y] - mass_share * fy
+        m = m + load[FORCE_YAW]
+        momentum[3 + j] = (
+            link[_BEND_X] * px + link[_BEND_Y] * py - pm + share * momentum[2]
+        )
         force[3 + j] = (
-            link[4] * x
-            + link[5] * y
+            link[_BEND_X] * x
+            + link[_BEND_Y] * y
             - m
-            + link[6] * px
-            + link[7] * py
+            + link[_BEND_X_RATE] * px
+            + link[_BEND_Y_RATE] * py
             + share * floor_moment
         )
         force[3 + j] += (
             moment[j] - model.stiffness[j] * q[j] - model.damping[j] * u[3 + j]
         )
-        pm += link[0] * px + link[1] * py
-        m += link[0] * x + link[1] * y + link[2] * px + link[3] * py
-    return power
+        pm += link[_SPIN_X] * px + link[_SPIN_Y] * py
+        m += (
+            link[_SPIN_X] * x
+            + link[_SPIN_Y] * y
+            + link[_SPIN_X_RATE] * px
+            + link[_SPIN_Y_RATE] * py
+        )
 
 
 @kernel_only
 def _add_connector(matrix, load, mass, weight, share, a, residual):  # type: ignore[no-untyped-def]
     """Add B of a connector, the multipliers, and its contribution to the momentum residual of the body."""
-    matrix[0, 0] += load[6]
-    matrix[0, 1] += load[7]
-    matrix[1, 0] += load[12]
-    matrix[0, 2] += load[8]
-    matrix[2, 0] += load[13]
-    matrix[1, 1] += load[9]
-    matrix[1, 2] += load[10]
-    matrix[2, 1] += load[14]
-    matrix[2, 2] += load[11]
-    matrix[2, 7] += residual[2] * share
+    matrix[_X, _X] += load[MASS_XX]
+    matrix[_X, _Y] += load[MASS_XY]
+    matrix[_Y, _X] += load[MASS_YX]
+    matrix[_X, _M] += load[MASS_XM]
+    matrix[_M, _X] += load[MASS_MX]
+    matrix[_Y, _Y] += load[MASS_YY]
+    matrix[_Y, _M] += load[MASS_YM]
+    matrix[_M, _Y] += load[MASS_MY]
+    matrix[_M, _M] += load[MASS_MM]
+    matrix[_M, _RIGHT] += residual[2] * share
     for i in range(2):
-        matrix[i, 3 + i] += a * mass
-        matrix[3 + i, i] -= a * mass
-        matrix[3 + i, 5 + i] += a * mass
-        matrix[5 + i, 3 + i] -= a * mass
-        matrix[i, 7] += mass / weight * residual[i]
+        matrix[_X + i, _X_RATE + i] += a * mass
+        matrix[_X_RATE + i, _X + i] -= a * mass
+        matrix[_X_RATE + i, _MULTIPLIER_X + i] += a * mass
+        matrix[_MULTIPLIER_X + i, _X_RATE + i] -= a * mass
+        matrix[_X + i, _RIGHT] += mass / weight * residual[i]
+
+
+@inlined
+def _by_bend(link, row):  # type: ignore[no-untyped-def]
+    """Return the derivative by the bend rate of a quantity with the given derivatives by z."""
+    return (
+        link[_BEND_X] * row[_X]
+        + link[_BEND_Y] * row[_Y]
+        - row[_M]
+        + link[_BEND_X_RATE] * row[_X_RATE]
+        + link[_BEND_Y_RATE] * row[_Y_RATE]
+    )
+
+
+@inlined
+def _by_spin(link, row):  # type: ignore[no-untyped-def]
+    """Return the derivative by the spin in front of a segment; arguments as in `_by_bend`."""
+    return (
+        link[_SPIN_X] * row[_X]
+        + link[_SPIN_Y] * row[_Y]
+        + link[_SPIN_X_RATE] * row[_X_RATE]
+        + link[_SPIN_Y_RATE] * row[_Y_RATE]
+    )
 
 
 @compiled
@@ -347,113 +428,127 @@ def solve(a, model, work):  # type: ignore[no-untyped-def]
         model: as in `balance`.
         work: as filled by `balance`, with the residual; its `step` is the solution.
     """
-    solid = model.solid
-    links = work.links
+    mass = model.solid.mass
     loads = work.loads
-    pivots = work.pivots
     matrix = work.matrix
     residual = work.residual
-    step = work.step
-    n = solid.mass.shape[0]
-    weight = solid.weight
-    for i in range(7):
-        for k in range(8):
+    n = mass.shape[0]
+    weight = model.solid.weight
+    for i in range(_UNKNOWNS):
+        for k in range(_UNKNOWNS + 1):
             matrix[i, k] = 0.0
     for j in range(n - 2, -1, -1):
-        link = links[j]
-        pivot = pivots[j]
-        _add_connector(
-            matrix, loads[j + 1], solid.mass[j + 1], weight, 1 / n, a, residual
+        _add_connector(matrix, loads[j + 1], mass[j + 1], weight, 1 / n, a, residual)
+        _eliminate_bend(j, a, model, work)
+    _add_connector(matrix, loads[0], mass[0], weight, 1 / n, a, residual)
+    _substitute_bends(_eliminate(matrix), work)
+
+
+@inlined
+def _eliminate_bend(j, a, model, work):  # type: ignore[no-untyped-def]
+    """Eliminate a bend from the matrix behind it, which then refers to the connector in front."""
+    link = work.links[j]
+    pivot = work.pivots[j]
+    matrix = work.matrix
+    for k in range(_UNKNOWNS + 1):
+        pivot[k] = (
+            link[_BEND_X] * matrix[_X, k]
+            + link[_BEND_Y] * matrix[_Y, k]
+            - matrix[_M, k]
         )
-        # Eliminate the bend from the matrix of the body part behind it, then transform
-        # this matrix to the connector in front.
-        for k in range(8):
-            pivot[k] = link[4] * matrix[0, k] + link[5] * matrix[1, k] - matrix[2, k]
-            pivot[k] += link[6] * matrix[3, k] + link[7] * matrix[4, k]
-        pivot[7] += residual[3 + j]
-        bend_stiffness = a * model.damping[j] + a * a * model.stiffness[j]
-        stiff = (
-            bend_stiffness
-            + link[4] * pivot[0]
-            + link[5] * pivot[1]
-            - pivot[2]
-            + link[6] * pivot[3]
-            + link[7] * pivot[4]
+        pivot[k] += (
+            link[_BEND_X_RATE] * matrix[_X_RATE, k]
+            + link[_BEND_Y_RATE] * matrix[_Y_RATE, k]
         )
-        for k in range(8):
-            pivot[k] /= stiff
-        for i in range(7):
-            row = matrix[i]
-            factor = (
-                link[4] * row[0]
-                + link[5] * row[1]
-                - row[2]
-                + link[6] * row[3]
-                + link[7] * row[4]
-            )
-            for k in range(8):
-                row[k] -= factor * pivot[k]
-            row[2] += (
-                link[0] * row[0]
-                + link[1] * row[1]
-                + link[2] * row[3]
-                + link[3] * row[4]
-            )
-        for k in range(8):
-            matrix[2, k] += link[0] * matrix[0, k] + link[1] * matrix[1, k]
-            matrix[2, k] += link[2] * matrix[3, k] + link[3] * matrix[4, k]
-        pivot[2] += (
-            link[0] * pivot[0]
-            + link[1] * pivot[1]
-            + link[2] * pivot[3]
-            + link[3] * pivot[4]
+    pivot[_RIGHT] += work.residual[3 + j]
+    bend_stiffness = a * model.damping[j] + a * a * model.stiffness[j]
+    stiff = bend_stiffness + _by_bend(link, pivot)
+    for k in range(_UNKNOWNS + 1):
+        pivot[k] /= stiff
+    for i in range(_UNKNOWNS):
+        row = matrix[i]
+        factor = _by_bend(link, row)
+        for k in range(_UNKNOWNS + 1):
+            row[k] -= factor * pivot[k]
+        row[_M] += _by_spin(link, row)
+    for k in range(_UNKNOWNS + 1):
+        matrix[_M, k] += link[_SPIN_X] * matrix[_X, k] + link[_SPIN_Y] * matrix[_Y, k]
+        matrix[_M, k] += (
+            link[_SPIN_X_RATE] * matrix[_X_RATE, k]
+            + link[_SPIN_Y_RATE] * matrix[_Y_RATE, k]
         )
-    _add_connector(matrix, loads[0], solid.mass[0], weight, 1 / n, a, residual)
-    x, y, m, ax, ay, vx, vy = _eliminate(matrix)
-    step[0] = vx
-    step[1] = vy
-    step[2] = m
+    pivot[_M] += _by_spin(link, pivot)
+
+
+class _HeadSolution(NamedTuple):
+    """Solution at the head: velocity, spin, rate of the velocity, and the multipliers."""
+
+    x: float
+    y: float
+    m: float
+    x_rate: float
+    y_rate: float
+    multiplier_x: float
+    multiplier_y: float
+
+
+@inlined
+def _substitute_bends(head, work):  # type: ignore[no-untyped-def]
+    """Fill the step from head to tail; the multipliers are the velocity of the centre of mass."""
+    step = work.step
+    n = work.loads.shape[0]
+    step[0] = head.multiplier_x
+    step[1] = head.multiplier_y
+    step[2] = head.m
+    x = head.x
+    y = head.y
+    m = head.m
+    x_rate = head.x_rate
+    y_rate = head.y_rate
     for j in range(n - 1):
-        link = links[j]
-        pivot = pivots[j]
+        link = work.links[j]
+        pivot = work.pivots[j]
         bend = (
-            pivot[7]
-            - pivot[0] * x
-            - pivot[1] * y
-            - pivot[2] * m
-            - pivot[3] * ax
-            - pivot[4] * ay
+            pivot[_RIGHT]
+            - pivot[_X] * x
+            - pivot[_Y] * y
+            - pivot[_M] * m
+            - pivot[_X_RATE] * x_rate
+            - pivot[_Y_RATE] * y_rate
         )
-        bend -= pivot[5] * vx + pivot[6] * vy
+        bend -= (
+            pivot[_MULTIPLIER_X] * head.multiplier_x
+            + pivot[_MULTIPLIER_Y] * head.multiplier_y
+        )
         step[3 + j] = bend
         step[2] -= (n - 1 - j) / n * bend
-        x = x + link[0] * m + link[4] * bend
-        y = y + link[1] * m + link[5] * bend
-        ax = ax + link[2] * m + link[6] * bend
-        ay = ay + link[3] * m + link[7] * bend
+        x = x + link[_SPIN_X] * m + link[_BEND_X] * bend
+        y = y + link[_SPIN_Y] * m + link[_BEND_Y] * bend
+        x_rate = x_rate + link[_SPIN_X_RATE] * m + link[_BEND_X_RATE] * bend
+        y_rate = y_rate + link[_SPIN_Y_RATE] * m + link[_BEND_Y_RATE] * bend
         m = m - bend
 
 
 @kernel_only
 def _eliminate(matrix):  # type: ignore[no-untyped-def]
     """Solve for the last column in place; no pivoting: the symmetric part is positive semidefinite."""
-    for j in range(7):
-        for i in range(j + 1, 7):
+    for j in range(_UNKNOWNS):
+        for i in range(j + 1, _UNKNOWNS):
             factor = matrix[i, j] / matrix[j, j]
-            for k in range(j + 1, 8):
+            for k in range(j + 1, _UNKNOWNS + 1):
                 matrix[i, k] -= factor * matrix[j, k]
-    for j in range(6, -1, -1):
-        for k in range(j + 1, 7):
-            matrix[j, 7] -= matrix[j, k] * matrix[k, 7]
-        matrix[j, 7] /= matrix[j, j]
-    return (
-        matrix[0, 7],
-        matrix[1, 7],
-        matrix[2, 7],
-        matrix[3, 7],
-        matrix[4, 7],
-        matrix[5, 7],
-        matrix[6, 7],
+    for j in range(_UNKNOWNS - 1, -1, -1):
+        for k in range(j + 1, _UNKNOWNS):
+            matrix[j, _RIGHT] -= matrix[j, k] * matrix[k, _RIGHT]
+        matrix[j, _RIGHT] /= matrix[j, j]
+    return _HeadSolution(
+        matrix[_X, _RIGHT],
+        matrix[_Y, _RIGHT],
+        matrix[_M, _RIGHT],
+        matrix[_X_RATE, _RIGHT],
+        matrix[_Y_RATE, _RIGHT],
+        matrix[_MULTIPLIER_X, _RIGHT],
+        matrix[_MULTIPLIER_Y, _RIGHT],
     )
 
 
@@ -463,14 +558,13 @@ class WorkArrays(NamedTuple):
     Attributes:
         body: posed body, shape (ROWS, N).
         links: coefficients of the propagation (`_fill_propagation`), shape (segments,
-            8).
+            _LINK_COLUMNS).
         loads: momenta, friction and mass matrices of the connectors (`_fill_loads`),
-            shape (N, 15).
+            shape (N, LOAD_COLUMNS).
         pivots: eliminated rows of the bends, with the right side last, shape (segments,
-            8).
-        matrix: Newton's matrix of the body part behind a connector, for velocity (2),
-            spin, rate of the velocity (2) and the multipliers (2), with the right side
-            last, shape (7, 8).
+            _UNKNOWNS + 1).
+        matrix: Newton's matrix of the body part behind a connector, with the right side
+            last, shape (_UNKNOWNS, _UNKNOWNS + 1).
         bend: bends at a stage, shape (segments,).
         moment: moments of the free bends at a stage, shape (segments,).
         momentum: p, shape (3 + segments,).
@@ -502,15 +596,17 @@ class WorkArrays(NamedTuple):
     @classmethod
     def of(cls, n: int, states: int = 0) -> WorkArrays:
         """Return arrays for n connectors and a number of states (0 for `balance`)."""
-        shapes: list[tuple[int, ...]] = [
+        shapes = [
             (ROWS, n),
-            (n - 1, 8),
-            (n, 15),
-            (n - 1, 8),
-            (7, 8),
+            (n - 1, _LINK_COLUMNS),
+            (n, LOAD_COLUMNS),
+            (n - 1, _UNKNOWNS + 1),
+            (_UNKNOWNS, _UNKNOWNS + 1),
+            *[(n - 1,)] * 2,
+            *[(n + 2,)] * 6,
+            *[(states,)] * 2,
         ]
-        shapes += [(n - 1,)] * 2
-        return cls(*map(np.zeros, [*shapes, *[(n + 2,)] * 6, (states,), (states,)]))
+        return cls(*map(np.zeros, shapes))
 
 
 @kernel_only
@@ -543,26 +639,49 @@ def _residual(known, a, u, weight, floor, work):  # type: ignore[no-untyped-def]
         out[j] -= known[BENDS + size - 6 + j]
 
 
+@inlined
+def _dot(a, b):  # type: ignore[no-untyped-def]
+    total = 0.0
+    for j in range(a.shape[0]):
+        total += a[j] * b[j]
+    return total
+
+
+@inlined
+def _begin_stage(bend, rate, model, work):  # type: ignore[no-untyped-def]
+    """Fill the moments of the free bends at a stage, and clear Newton's step."""
+    for j in range(bend.shape[0]):
+        work.moment[j] = model.stiffness[j] * bend[j] + model.damping[j] * rate[j]
+    for j in range(work.step.shape[0]):
+        work.step[j] = 0.0
+
+
 @kernel_only
-def _stage(known, a, free, free_rate, model, floor, u, k, work):  # type: ignore[no-untyped-def]
-    """Solve one implicit stage Y = known + a f(Y) from the guess `u`; fill k = f(Y); return the success.
+def _stage(a, free, row, model, floor, u, work):  # type: ignore[no-untyped-def]
+    """Solve one implicit stage Y = known + a f(Y); fill f(Y); return the success.
 
     In place of the bends, Y contains their deviations from the free bends, which are
     known exactly.
+
+    Args:
+        a: γ h, s.
+        free: free bends and their rates.
+        row: row of the stage in `free`.
+        model: a `CompliantModel`.
+        floor: the floor.
+        u: in place, velocities, of which a guess is given.
+        work: with the known part of Y; its `rate` is filled.
     """
-    force = work.force
+    known = work.known
     q = work.bend
-    moment = work.moment
     residual = work.residual
     step = work.step
-    segments = free.shape[0]
+    bend = free.bend[row]
+    bend_rate = free.rate[row]
+    segments = bend.shape[0]
     size = u.shape[0]
     weight = model.solid.weight
-    obstacles = model.obstacles
-    for j in range(segments):
-        moment[j] = model.stiffness[j] * free[j] + model.damping[j] * free_rate[j]
-    for j in range(size):
-        step[j] = 0.0
+    _begin_stage(bend, bend_rate, model, work)
     step_share = 0.0  # fraction of the latest Newton step that has been made
     slope_before = 0.0  # slope of the potential along that step at its start
     converged = False
@@ -572,22 +691,16 @@ def _stage(known, a, free, free_rate, model, floor, u, k, work):  # type: ignore
     arm = _NEWTON_ARM * floor.unit * floor.unit
     for _ in range(_NEWTON_STEPS):
         for j in range(segments):
-            q[j] = free[j] + known[BENDS + j] + a * (u[3 + j] - free_rate[j])
-        set_pose(obstacles, known, a, u)
-        power = balance(q, u, moment, a, model, floor, work)
+            q[j] = bend[j] + known[BENDS + j] + a * (u[3 + j] - bend_rate[j])
+        set_pose(model.obstacles, known, a, u)
+        power = balance(q, u, work.moment, a, model, floor, work)
         _residual(known, a, u, weight, floor, work)
-        slope_after = 0.0
-        for j in range(size):
-            slope_after += residual[j] * step[j]
-        if slope_after < -_OVERSHOOT * slope_before:
-            # The step overshot the minimum, across a kink of the friction law: shorten
-            # it.
-            back = step_share * min(
-                max(slope_before / (slope_before - slope_after), 0.1), 0.7
-            )
+        slope_after = _dot(residual, step)
+        if is_too_long(slope_before, slope_after):
+            share = step_share * shorter_fraction(slope_before, slope_after)
             for j in range(size):
-                u[j] += (step_share - back) * step[j]
-            step_share = back
+                u[j] += (step_share - share) * step[j]
+            step_share = share
             continue
         solve(a, model, work)
         slope_before = 0.0
@@ -598,16 +711,27 @@ def _stage(known, a, free, free_rate, model, floor, u, k, work):  # type: ignore
             slope_before += residual[j] * step[j]
             longest = max(longest, abs(step[j]) * (1.0 if j < 2 else arm))
         if longest < tolerance:
-            if passes < _MOST_PASSES and update_loads(
-                obstacles, _LOAD_TOLERANCE * weight * GRAVITY
-            ):
+            largest_change = _LOAD_TOLERANCE * weight * GRAVITY
+            if passes < _MOST_PASSES and update_loads(model.obstacles, largest_change):
                 passes += 1
-                for j in range(size):
-                    step[j] = 0.0
+                _begin_stage(bend, bend_rate, model, work)
                 slope_before = 0.0
                 continue
             converged = True
             break
+    _fill_rates(a, power, free, row, model, floor, u, work)
+    return converged
+
+
+@inlined
+def _fill_rates(a, power, free, row, model, floor, u, work):  # type: ignore[no-untyped-def]
+    """Fill the rates of the state at a stage; `power` is the power that floor and obstacles take, W."""
+    known = work.known
+    force = work.force
+    k = work.rate
+    bend_rate = free.rate[row]
+    segments = bend_rate.shape[0]
+    weight = model.solid.weight
     heading = known[HEADING] + a * u[2]
     c = math.cos(heading)
     s = math.sin(heading)
@@ -616,15 +740,37 @@ def _stage(known, a, free, free_rate, model, floor, u, k, work):  # type: ignore
     k[STATE_VX] = (force[0] * c - force[1] * s) / weight + floor.pull_x
     k[STATE_VY] = (force[0] * s + force[1] * c) / weight + floor.pull_y
     power -= weight * (floor.pull_x * k[STATE_X] + floor.pull_y * k[STATE_Y])
-    power += _damper_power(model, u[3:], free_rate)
+    power += _damper_power(model, u[3:], bend_rate)
     k[HEADING] = u[2]
     k[MOMENT] = force[2]
     k[ENERGY_LOSS] = power
     for j in range(segments):
-        k[BENDS + j] = u[3 + j] - free_rate[j]
+        k[BENDS + j] = u[3 + j] - bend_rate[j]
         k[BENDS + segments + j] = force[3 + j]
-    fill_rates(obstacles, model, (free, free_rate), q, u[3:], k)
-    return converged
+    fill_rates(model.obstacles, model, free.bend[row], bend_rate, u[3:], work)
+
+
+class CompliantState(NamedTuple):
+    """State of a body with compliant bends.
+
+    Attributes:
+        state: that of `kernels` followed by bends (rad), their momenta (kg·m²/s) and,
+            with obstacles, the impulses of the obstacles on each point (N·s) and the
+            time (s).
+        velocity: velocities as in `balance`, kept between calls as first guesses.
+    """
+
+    state: np.ndarray
+    velocity: np.ndarray
+
+
+@inlined
+def _fastest_point(u, reach):  # type: ignore[no-untyped-def]
+    """Return about the largest speed of a point, m/s."""
+    fastest = abs(u[0]) + abs(u[1])
+    for j in range(2, u.shape[0]):
+        fastest = max(fastest, reach * abs(u[j]))
+    return fastest
 
 
 @compiled
@@ -632,26 +778,23 @@ def advance(now, steps, free, marks, model, samples, work):  # type: ignore[no-u
     """Advance a body in place over given steps; return the number of completed steps.
 
     Args:
-        now: state, that of `kernels` followed by bends (rad), their momenta (kg·m²/s)
-            and, with obstacles, the impulses of the obstacles on each point (N·s) and
-            the time (s); and velocities as in `balance`, kept between calls as first
-            guesses.
+        now: a `CompliantState`.
         steps: lengths of the steps, shape (steps,), s.
-        free: free bends (rad) and their rates (rad/s) at the start and at the two
-            stages of each step, shapes (1 + 2 steps, segments).
+        free: free bends and their rates, `Bends`, at the start and at the two stages of
+            each step, shape (1 + 2 steps, segments).
         marks: number of steps before each sample, ascending, shape (samples,).
         model: a `CompliantModel`.
-        samples: out, states and velocities at the samples, shapes (samples, …).
+        samples: out, `Samples`.
         work: a `WorkArrays`.
     """
-    (state, u), (states, velocities), (bends, rates) = now, samples, free
-    solid = model.solid
+    state = now.state
+    u = now.velocity
     rate = work.rate
     known = work.known
     last = work.last
     drift = work.drift
-    reach = solid.pitch / 2
-    n = solid.mass.shape[0]
+    reach = model.solid.pitch / 2
+    n = model.solid.mass.shape[0]
     size = u.shape[0]
     for j in range(size):
         drift[j] = 0.0
@@ -659,42 +802,28 @@ def advance(now, steps, free, marks, model, samples, work):  # type: ignore[no-u
     for i in range(steps.shape[0]):
         h = steps[i]
         a = GAMMA * h
-        fastest = abs(u[0]) + abs(u[1])
-        fine = True
-        for j in range(2, size):
-            fastest = max(fastest, reach * abs(u[j]))
-        floor = with_reduced_slip_speed(model.floor, fastest)
+        solved = True
+        floor = with_reduced_slip_speed(model.floor, _fastest_point(u, reach))
         find_near(model.obstacles, state, 2 * reach * n + _MARGIN * h)
         copy(state, known)
         for j in range(size - 3):
-            known[BENDS + j] -= bends[2 * i, j]
+            known[BENDS + j] -= free.bend[2 * i, j]
         for stage in range(2):
-            row = 2 * i + 1 + stage
             # Linear extrapolation of the velocities between stages saves half of the
             # Newton iterations.
             lead, rest = (a, h - a) if stage == 0 else (h - a, a)
             for j in range(size):
                 last[j] = u[j]
                 u[j] += drift[j] * lead
-            fine &= _stage(
-                known, a, bends[row], rates[row], model, floor, u, rate, work
-            )
+            solved &= _stage(a, free, 2 * i + 1 + stage, model, floor, u, work)
             for j in range(state.shape[0]):
                 known[j] += rest * rate[j]
             for j in range(size):
                 drift[j] = (u[j] - last[j]) / lead
         copy(known, state)
         for j in range(size - 3):
-            state[BENDS + j] += bends[2 * i + 2, j]
-        # A NaN fails every comparison.
-        if not (
-            fine
-            and abs(state[STATE_VX]) < SPEED_LIMIT
-            and abs(state[STATE_VY]) < SPEED_LIMIT
-        ):
+            state[BENDS + j] += free.bend[2 * i + 2, j]
+        if not (solved and is_slow(state)):
             return i
-        while mark < marks.shape[0] and marks[mark] == i + 1:
-            copy(state, states[mark])
-            copy(u, velocities[mark])
-            mark += 1
+        mark = record(state, u, marks, i + 1, mark, samples)
     return steps.shape[0]

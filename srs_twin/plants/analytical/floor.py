@@ -32,7 +32,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from srs_twin.compute.compiled import compiled, kernel_only, overload_part
+from srs_twin.compute.compiled import compiled, inlined, kernel_only, overload_part
 from srs_twin.plants.analytical.kinematics import COS, SIN, SPIN, VX, VY, X, Y
 from srs_twin.robot import friction
 from srs_twin.robot.friction import LAWS
@@ -75,103 +75,133 @@ class FloorFriction(NamedTuple):
     unit: float
 
 
+class ContactTerms(NamedTuple):
+    """Force and moment of the contacts of a connector, and their slopes.
+
+    The slope `tn` is the derivative of t by the velocity across, `tm` by the spin, and
+    `mn` that of the moment by the velocity across; `mt` is always `tm`. Friction is the
+    gradient of a potential, so that the slopes are symmetric, except under the law
+    `cosine`.
+
+    Attributes:
+        t: force along the heading, N.
+        n: force across the heading, N.
+        m: moment, N·m.
+        tt: N·s/m.
+        tn: N·s/m.
+        tm: N·s.
+        nt: N·s/m.
+        nn: N·s/m.
+        nm: N·s.
+        mn: N·s.
+        mm: N·m·s.
+    """
+
+    t: float
+    n: float
+    m: float
+    tt: float
+    tn: float
+    tm: float
+    nt: float
+    nn: float
+    nm: float
+    mn: float
+    mm: float
+
+
 @compiled
 def _one_contact(law, along, across, spin, weight, floor):  # type: ignore[no-untyped-def]
     """Evaluate `connector_friction` for one contact; `law` is a compiled law of `robot.friction`."""
     t, n, tt, tn, _, nn = law(along, across, weight, floor.mu_t, floor.mu_n, floor.slip)
-    return t, n, 0.0, tt, tn, 0.0, nn, 0.0, 0.0, tn, 0.0
+    return ContactTerms(t, n, 0.0, tt, tn, 0.0, tn, nn, 0.0, 0.0, 0.0)
+
+
+@kernel_only
+def _sum_pair(left, right, a, b, arm):  # type: ignore[no-untyped-def]
+    """Return the terms of two contacts.
+
+    Args:
+        left: results of a law for the left contact.
+        right: results for the right contact.
+        a: factor on the results of the left contact, 1 or N.
+        b: factor on the results of the right contact, 1 or N.
+        arm: distance of the contacts from the centre line, m.
+    """
+    a_t, a_n, a_tt, a_tn, a_nt, a_nn = left
+    b_t, b_n, b_tt, b_tn, b_nt, b_nn = right
+    return ContactTerms(
+        t=a * a_t + b * b_t,
+        n=a * a_n + b * b_n,
+        m=arm * (b * b_t - a * a_t),
+        tt=a * a_tt + b * b_tt,
+        tn=a * a_tn + b * b_tn,
+        tm=arm * (b * b_tt - a * a_tt),
+        nt=a * a_nt + b * b_nt,
+        nn=a * a_nn + b * b_nn,
+        nm=arm * (b * b_nt - a * a_nt),
+        mn=arm * (b * b_tn - a * a_tn),
+        mm=arm * arm * (a * a_tt + b * b_tt),
+    )
 
 
 @compiled
 def _two_contacts(law, along, across, spin, weight, floor):  # type: ignore[no-untyped-def]
     """Evaluate `connector_friction` for two contacts at the track with static loads."""
-    mu_t = floor.mu_t
-    mu_n = floor.mu_n
-    slip = floor.slip
     arm = floor.track
-    a_t, a_n, a_tt, a_tn, _, a_nn = law(
-        along - spin * arm, across, weight / 2, mu_t, mu_n, slip
-    )
-    b_t, b_n, b_tt, b_tn, _, b_nn = law(
-        along + spin * arm, across, weight / 2, mu_t, mu_n, slip
-    )
-    return (
-        *(a_t + b_t, a_n + b_n, arm * (b_t - a_t)),
-        *(a_tt + b_tt, a_tn + b_tn, arm * (b_tt - a_tt)),
-        *(a_nn + b_nn, arm * (b_tn - a_tn), arm * arm * (a_tt + b_tt)),
-        *(a_tn + b_tn, arm * (b_tn - a_tn)),
-    )
+    half = weight / 2
+    left = law(along - spin * arm, across, half, floor.mu_t, floor.mu_n, floor.slip)
+    right = law(along + spin * arm, across, half, floor.mu_t, floor.mu_n, floor.slip)
+    return _sum_pair(left, right, 1.0, 1.0, arm)
+
+
+@inlined
+def _loaded_pair(law, v_a, v_b, mu_a, mu_b, across, weight, floor):  # type: ignore[no-untyped-def]
+    """Return the terms of two contacts with momentary loads.
+
+    Args:
+        law: a compiled law.
+        v_a: velocity of the left contact along the heading, m/s.
+        v_b: velocity of the right contact, m/s.
+        mu_a: friction coefficient of the left contact along the heading.
+        mu_b: friction coefficient of the right contact.
+        across: velocity across the heading, m/s.
+        weight: normal load of both contacts together, N.
+        floor: the floor.
+    """
+    left = law(v_a, across, 1.0, mu_a, floor.mu_n, floor.slip)
+    right = law(v_b, across, 1.0, mu_b, floor.mu_n, floor.slip)
+    a_n = left[1]
+    b_n = right[1]
+    lateral_force = weight / 2 * (a_n + b_n) / (1 - floor.load_transfer * (b_n - a_n))
+    # Loads of the left and the right wheel.
+    a = min(max(weight / 2 - floor.load_transfer * lateral_force, 0.0), weight)
+    return _sum_pair(left, right, a, weight - a, floor.track)
 
 
 @compiled
 def _two_loaded_contacts(law, along, across, spin, weight, floor):  # type: ignore[no-untyped-def]
     """Evaluate `connector_friction` for two contacts at the track with momentary loads."""
-    mu_t = floor.mu_t
-    mu_n = floor.mu_n
-    slip = floor.slip
-    arm = floor.track
-    a_t, a_n, a_tt, a_tn, _, a_nn = law(
-        along - spin * arm, across, 1.0, mu_t, mu_n, slip
-    )
-    b_t, b_n, b_tt, b_tn, _, b_nn = law(
-        along + spin * arm, across, 1.0, mu_t, mu_n, slip
-    )
-    lateral_force = weight / 2 * (a_n + b_n) / (1 - floor.load_transfer * (b_n - a_n))
-    # Loads of the left and the right wheel.
-    a = min(max(weight / 2 - floor.load_transfer * lateral_force, 0.0), weight)
-    b = weight - a
-    return (
-        *(a * a_t + b * b_t, a * a_n + b * b_n, arm * (b * b_t - a * a_t)),
-        *(a * a_tt + b * b_tt, a * a_tn + b * b_tn, arm * (b * b_tt - a * a_tt)),
-        *(
-            a * a_nn + b * b_nn,
-            arm * (b * b_tn - a * a_tn),
-            arm * arm * (a * a_tt + b * b_tt),
-        ),
-        *(a * a_tn + b * b_tn, arm * (b * b_tn - a * a_tn)),
-    )
+    v_a = along - spin * floor.track
+    v_b = along + spin * floor.track
+    mu = floor.mu_t
+    return _loaded_pair(law, v_a, v_b, mu, mu, across, weight, floor)
 
 
 @compiled
 def _skin(law, along, across, spin, weight, floor):  # type: ignore[no-untyped-def]
     """Evaluate `connector_friction` for two contact points of a skin; the track may be 0."""
-    mu_n = floor.mu_n
-    slip = floor.slip
-    arm = floor.track
-    v_a = along - spin * arm
-    v_b = along + spin * arm
+    v_a = along - spin * floor.track
+    v_b = along + spin * floor.track
     mu_a = floor.mu_t if v_a >= 0.0 else floor.mu_back
     mu_b = floor.mu_t if v_b >= 0.0 else floor.mu_back
-    a_t, a_n, a_tt, a_tn, a_nt, a_nn = law(v_a, across, 1.0, mu_a, mu_n, slip)
-    b_t, b_n, b_tt, b_tn, b_nt, b_nn = law(v_b, across, 1.0, mu_b, mu_n, slip)
-    lateral_force = weight / 2 * (a_n + b_n) / (1 - floor.load_transfer * (b_n - a_n))
-    # Loads of the left and the right point.
-    a = min(max(weight / 2 - floor.load_transfer * lateral_force, 0.0), weight)
-    b = weight - a
-    return (
-        *(a * a_t + b * b_t, a * a_n + b * b_n, arm * (b * b_t - a * a_t)),
-        *(a * a_tt + b * b_tt, a * a_tn + b * b_tn, arm * (b * b_tt - a * a_tt)),
-        *(
-            a * a_nn + b * b_nn,
-            arm * (b * b_nt - a * a_nt),
-            arm * arm * (a * a_tt + b * b_tt),
-        ),
-        *(a * a_nt + b * b_nt, arm * (b * b_tn - a * a_tn)),
-    )
+    return _loaded_pair(law, v_a, v_b, mu_a, mu_b, across, weight, floor)
 
 
 _LAWS = tuple(compiled(getattr(friction, name)) for name in LAWS)
-_CASES = tuple(
-    (contacts, law)
-    for contacts in (_one_contact, _two_contacts, _two_loaded_contacts, _skin)
-    for law in _LAWS
-)
-_COUNT = len(LAWS)
+_CONTACTS = (_one_contact, _two_contacts, _two_loaded_contacts, _skin)
+_CASES = tuple((contacts, law) for contacts in _CONTACTS for law in _LAWS)
 _COSINE = LAWS.index("cosine")
-_SKIN = 3  # index of `_skin` in the above
-
-
-_LEVEL = (0.0, 0.0, -GRAVITY)  # gravity on a level floor, m/s²
 
 
 def floor_friction(
@@ -180,13 +210,11 @@ def floor_friction(
     mu_t: float,
     mu_n: float,
     slip: float,
+    *,
     load_transfer: float = 0.0,
-    gravity: tuple[float, float, float] = _LEVEL,
-    drag: float = 0.0,
     mu_back: float | None = None,
-    unit: float = 1.0,
 ) -> FloorFriction:
-    """Return a floor; that of a skin with `mu_back`.
+    """Return a level floor without drag at a time unit of 1.
 
     Args:
         law: one of `robot.friction.LAWS`.
@@ -195,36 +223,30 @@ def floor_friction(
         mu_n: see `FloorFriction`.
         slip: see `FloorFriction`.
         load_transfer: see `FloorFriction`.
-        gravity: gravity in a frame with z normal to the floor, m/s².
-        drag: see `FloorFriction`.
         mu_back: see `FloorFriction`; None for wheels.
-        unit: see `FloorFriction`.
     """
-    if track == 0.0:
-        contacts = 0
-    elif load_transfer == 0.0:
-        contacts = 1
-    else:
-        contacts = 2
     if mu_back is not None or law == "cosine":
-        contacts = _SKIN
-        mu_back = mu_t if mu_back is None else mu_back
-    case = LAWS.index(law) + len(LAWS) * contacts
-    pull_x, pull_y, pull_z = gravity
-    back = mu_t if mu_back is None else mu_back
+        contacts = _skin
+    elif track != 0.0 and load_transfer != 0.0:
+        contacts = _two_loaded_contacts
+    elif track != 0.0:
+        contacts = _two_contacts
+    else:
+        contacts = _one_contact
+    case = LAWS.index(law) + len(LAWS) * _CONTACTS.index(contacts)
     return FloorFriction(
-        (None,) * case,
-        track,
-        mu_t,
-        mu_n,
-        slip,
-        drag,
-        load_transfer,
-        back,
-        -pull_z,
-        pull_x,
-        pull_y,
-        unit,
+        case=(None,) * case,
+        track=track,
+        mu_t=mu_t,
+        mu_n=mu_n,
+        slip=slip,
+        drag=0.0,
+        load_transfer=load_transfer,
+        mu_back=mu_t if mu_back is None else mu_back,
+        gravity=GRAVITY,
+        pull_x=0.0,
+        pull_y=0.0,
+        unit=1.0,
     )
 
 
@@ -259,10 +281,7 @@ def with_reduced_slip_speed(floor, speed):  # type: ignore[no-untyped-def]
 
 
 def connector_friction(along, across, spin, weight, floor) -> Any:  # type: ignore[no-untyped-def]
-    """Return force and moment of a connector's contacts, and their slopes.
-
-    Friction is the gradient of a potential, so that the slopes are symmetric, except
-    under the law `cosine`.
+    """Return the `ContactTerms` of a connector.
 
     Args:
         along: velocity of the connector along its heading, m/s.
@@ -270,41 +289,33 @@ def connector_friction(along, across, spin, weight, floor) -> Any:  # type: igno
         spin: yaw rate, rad/s.
         weight: normal load of all contacts together, N.
         floor: the floor.
-
-    Returns:
-        Force along t and across n (N), moment m (N·m), and the slopes tt, tn, tm, nn,
-        nm, mm, nt, mn: tn is the derivative of t by the velocity across. mt is always
-        tm.
     """
     contacts, law = _CASES[len(floor.case)]
     return _add_drag(contacts(law, along, across, spin, weight, floor), along, floor)
 
 
 @compiled
-def _add_drag(friction_terms, along, floor):  # type: ignore[no-untyped-def]
+def _add_drag(terms, along, floor):  # type: ignore[no-untyped-def]
     """Add the axial drag to the results of `connector_friction`."""
-    t, n, m, tt, tn, tm, nn, nm, mm, nt, mn = friction_terms
+    t = terms.t
+    tt = terms.tt
     if floor.drag > 0.0:
         r = 1 / np.sqrt(along * along + floor.slip * floor.slip)
         t -= floor.drag * along * r
         tt -= floor.drag * r * (floor.slip * r) ** 2
-    return t, n, m, tt, tn, tm, nn, nm, mm, nt, mn
-
-
-@compiled
-def has_no_potential(floor):  # type: ignore[no-untyped-def]
-    """Return whether the slopes of friction are not symmetric; known when a kernel is compiled."""
-    return len(floor.case) % _COUNT == _COSINE
-
-
-@kernel_only
-def slopes_of_force(tt, tn, nt, nn, c, s):  # type: ignore[no-untyped-def]
-    """Return the slopes xx, xy, yx, yy of the force at a heading with the cosine c and the sine s."""
-    t_x = tt * c - tn * s
-    n_x = nt * c - nn * s
-    t_y = tt * s + tn * c
-    n_y = nt * s + nn * c
-    return t_x * c - n_x * s, t_y * c - n_y * s, t_x * s + n_x * c, t_y * s + n_y * c
+    return ContactTerms(
+        t,
+        terms.n,
+        terms.m,
+        tt,
+        terms.tn,
+        terms.tm,
+        terms.nt,
+        terms.nn,
+        terms.nm,
+        terms.mn,
+        terms.mm,
+    )
 
 
 @overload_part(connector_friction)
@@ -317,23 +328,66 @@ def _compile_connector_friction(along, across, spin, weight, floor):  # type: ig
 
 
 @kernel_only
-def floor_forces(body, mass, forth, aside, yaw, floor):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Sum the friction on a body with prescribed bends, under a law with a potential.
+def slopes_of_force(terms, c, s):  # type: ignore[no-untyped-def]
+    """Return the slopes xx, xy, yx, yy of the force at a heading with the cosine c and the sine s."""
+    t_x = terms.tt * c - terms.tn * s
+    n_x = terms.nt * c - terms.nn * s
+    t_y = terms.tt * s + terms.tn * c
+    n_y = terms.nt * s + terms.nn * c
+    return t_x * c - n_x * s, t_y * c - n_y * s, t_x * s + n_x * c, t_y * s + n_y * c
 
-    Args:
-        body: posed body, shape (ROWS, N).
-        mass: shape (N,), kg; connector i carries the load m_i g, with gravity normal to
-            the floor.
-        forth, aside: velocity of the centre of mass in the body frame, m/s.
-        yaw: yaw rate, rad/s.
-        floor: the floor.
 
-    Returns:
-        Net force (x, y) and moment about the centre of mass (z) in the body frame;
-        their symmetric slopes
-        with respect to the three velocities: xx, xy, xz, yy, yz, zz; the dissipated
-            power, W.
+class Twist(NamedTuple):
+    """Vector of a planar body: two components in its frame, and one about the vertical.
+
+    As a velocity m/s and rad/s, as a momentum kg·m/s and kg·m²/s.
     """
+
+    x: float
+    y: float
+    yaw: float
+
+
+class BodyForces(NamedTuple):
+    """Net force and moment of the floor on a body in its frame, with their slopes.
+
+    The slope `xy` is the derivative of the force x by the velocity y, `xz` by the yaw
+    rate, and `zx` that of the moment by the velocity x.
+
+    Attributes:
+        x: force, N.
+        y: force, N.
+        moment: moment about the centre of mass, N·m.
+        power: dissipated power, W.
+        xx: N·s/m.
+        xy: N·s/m.
+        xz: N·s.
+        yx: N·s/m.
+        yy: N·s/m.
+        yz: N·s.
+        zx: N·s.
+        zy: N·s.
+        zz: N·m·s.
+    """
+
+    x: float
+    y: float
+    moment: float
+    power: float
+    xx: float
+    xy: float
+    xz: float
+    yx: float
+    yy: float
+    yz: float
+    zx: float
+    zy: float
+    zz: float
+
+
+@compiled
+def _symmetric_forces(body, mass, u, floor):  # type: ignore[no-untyped-def]
+    """Evaluate `forces_and_slopes` under a law with a potential."""
     cosine = body[COS]
     sine = body[SIN]
     spins = body[SPIN]
@@ -348,40 +402,38 @@ def floor_forces(body, mass, forth, aside, yaw, floor):  # type: ignore[no-untyp
         s = sine[i]
         px = place_x[i]
         py = place_y[i]
-        spin = yaw + spins[i]
-        vx = forth - yaw * py + rate_x[i]
-        vy = aside + yaw * px + rate_y[i]
+        spin = u.yaw + spins[i]
+        vx = u.x - u.yaw * py + rate_x[i]
+        vy = u.y + u.yaw * px + rate_y[i]
         along = vx * c + vy * s
         across = vy * c - vx * s
-        t, n, m, tt, tn, tm, nn, nm, mm, _, _ = connector_friction(
-            along, across, spin, mass[i] * floor.gravity, floor
-        )
+        f = connector_friction(along, across, spin, mass[i] * floor.gravity, floor)
         # Derivatives of the velocities along and across by the yaw rate: the lever arms
         # of the forces.
         t_arm = px * s - py * c
         n_arm = px * c + py * s
-        fx += t * c - n * s
-        fy += t * s + n * c
-        moment += t * t_arm + n * n_arm + m
-        power -= t * along + n * across + m * spin
-        on_x_t = tt * c - tn * s
-        on_x_n = tn * c - nn * s
-        on_y_t = tt * s + tn * c
-        on_y_n = tn * s + nn * c
-        on_z_t = tt * t_arm + tn * n_arm + tm
-        on_z_n = tn * t_arm + nn * n_arm + nm
-        on_z_m = tm * t_arm + nm * n_arm + mm
+        fx += f.t * c - f.n * s
+        fy += f.t * s + f.n * c
+        moment += f.t * t_arm + f.n * n_arm + f.m
+        power -= f.t * along + f.n * across + f.m * spin
+        on_x_t = f.tt * c - f.tn * s
+        on_x_n = f.tn * c - f.nn * s
+        on_y_t = f.tt * s + f.tn * c
+        on_y_n = f.tn * s + f.nn * c
+        on_z_t = f.tt * t_arm + f.tn * n_arm + f.tm
+        on_z_n = f.tn * t_arm + f.nn * n_arm + f.nm
+        on_z_m = f.tm * t_arm + f.nm * n_arm + f.mm
         xx += on_x_t * c - on_x_n * s
         xy += on_x_t * s + on_x_n * c
         yy += on_y_t * s + on_y_n * c
         xz += on_z_t * c - on_z_n * s
         yz += on_z_t * s + on_z_n * c
         zz += on_z_t * t_arm + on_z_n * n_arm + on_z_m
-    return (fx, fy, moment), (xx, xy, xz, yy, yz, zz), power
+    return BodyForces(fx, fy, moment, power, xx, xy, xz, xy, yy, yz, xz, yz, zz)
 
 
 @compiled
-def _unsymmetric_forces(body, mass, forth, aside, yaw, floor):  # type: ignore[no-untyped-def]
+def _unsymmetric_forces(body, mass, u, floor):  # type: ignore[no-untyped-def]
     """Evaluate `forces_and_slopes` under a law without a potential."""
     fx = fy = moment = power = 0.0
     xx = xy = xz = yx = yy = yz = zx = zy = zz = 0.0
@@ -390,26 +442,24 @@ def _unsymmetric_forces(body, mass, forth, aside, yaw, floor):  # type: ignore[n
         s = body[SIN, i]
         px = body[X, i]
         py = body[Y, i]
-        spin = yaw + body[SPIN, i]
-        vx = forth - yaw * py + body[VX, i]
-        vy = aside + yaw * px + body[VY, i]
+        spin = u.yaw + body[SPIN, i]
+        vx = u.x - u.yaw * py + body[VX, i]
+        vy = u.y + u.yaw * px + body[VY, i]
         along = vx * c + vy * s
         across = vy * c - vx * s
-        t, n, m, tt, tn, tm, nn, nm, mm, nt, mn = connector_friction(
-            along, across, spin, mass[i] * floor.gravity, floor
-        )
-        d_xx, d_xy, d_yx, d_yy = slopes_of_force(tt, tn, nt, nn, c, s)
+        f = connector_friction(along, across, spin, mass[i] * floor.gravity, floor)
+        d_xx, d_xy, d_yx, d_yy = slopes_of_force(f, c, s)
         # Derivatives by the spin alone, and of the moment by the velocity alone.
-        spin_x = tm * c - nm * s
-        spin_y = tm * s + nm * c
-        moment_x = tm * c - mn * s
-        moment_y = tm * s + mn * c
-        force_x = t * c - n * s
-        force_y = t * s + n * c
+        spin_x = f.tm * c - f.nm * s
+        spin_y = f.tm * s + f.nm * c
+        moment_x = f.tm * c - f.mn * s
+        moment_y = f.tm * s + f.mn * c
+        force_x = f.t * c - f.n * s
+        force_y = f.t * s + f.n * c
         fx = fx + force_x
         fy = fy + force_y
-        moment = moment + px * force_y - py * force_x + m
-        power -= t * along + n * across + m * spin
+        moment = moment + px * force_y - py * force_x + f.m
+        power -= f.t * along + f.n * across + f.m * spin
         xx = xx + d_xx
         xy = xy + d_xy
         yx = yx + d_yx
@@ -420,39 +470,34 @@ def _unsymmetric_forces(body, mass, forth, aside, yaw, floor):  # type: ignore[n
         yz = yz + by_yaw_y
         zx += px * d_yx - py * d_xx + moment_x
         zy += px * d_yy - py * d_xy + moment_y
-        zz += px * by_yaw_y - py * by_yaw_x + px * moment_y - py * moment_x + mm
-    return (fx, fy, moment), (xx, xy, xz, yy, yz, zz, yx, zx, zy), power
+        zz += px * by_yaw_y - py * by_yaw_x + px * moment_y - py * moment_x + f.mm
+    return BodyForces(fx, fy, moment, power, xx, xy, xz, yx, yy, yz, zx, zy, zz)
 
 
-@compiled
-def _symmetric_forces(body, mass, forth, aside, yaw, floor):  # type: ignore[no-untyped-def]
-    """Evaluate `forces_and_slopes` under a law with a potential."""
-    force, (xx, xy, xz, yy, yz, zz), power = floor_forces(
-        body, mass, forth, aside, yaw, floor
-    )
-    return force, (xx, xy, xz, yy, yz, zz, xy, xz, yz), power
+def _forces_of_case(case: int) -> Any:
+    if case % len(LAWS) == _COSINE:
+        return _unsymmetric_forces
+    return _symmetric_forces
 
 
-def forces_and_slopes(body, mass, forth, aside, yaw, floor) -> Any:  # type: ignore[no-untyped-def]
-    """Return the results of `floor_forces`, with the slopes yx, zx, zy of any law after the others."""
-    if has_no_potential(floor):
-        function = _unsymmetric_forces
-    else:
-        function = _symmetric_forces
-    return function(body, mass, forth, aside, yaw, floor)
+def forces_and_slopes(body, mass, u, floor) -> Any:  # type: ignore[no-untyped-def]
+    """Return the `BodyForces` of the floor on a body with prescribed bends.
+
+    Args:
+        body: posed body, shape (ROWS, N).
+        mass: shape (N,), kg; connector i carries the load m_i g, with gravity normal to
+            the floor.
+        u: velocity of the centre of mass in the body frame, and yaw rate.
+        floor: the floor.
+    """
+    return _forces_of_case(len(floor.case))(body, mass, u, floor)
 
 
 @overload_part(forces_and_slopes)
-def _compile_forces_and_slopes(body, mass, forth, aside, yaw, floor):  # type: ignore[no-untyped-def]
+def _compile_forces_and_slopes(body, mass, u, floor):  # type: ignore[no-untyped-def]
     """Compile `forces_and_slopes` for the case of a floor's type, without a branch."""
-    case = floor.types[floor.fields.index("case")].count
-    if case % _COUNT == _COSINE:
-        function = _unsymmetric_forces
-    else:
-        function = _symmetric_forces
-    return lambda body, mass, forth, aside, yaw, floor: function(
-        body, mass, forth, aside, yaw, floor
-    )
+    function = _forces_of_case(floor.types[floor.fields.index("case")].count)
+    return lambda body, mass, u, floor: function(body, mass, u, floor)  # noqa: PLW0108  # numba compiles the lambda
 
 
 @compiled
@@ -476,9 +521,9 @@ def fill_forces(body, mass, u, floor, force):  # type: ignore[no-untyped-def]
         across = vy * c - vx * s
         spin = u[2] + body[SPIN, i]
         terms = connector_friction(along, across, spin, mass[i] * floor.gravity, floor)
-        force[i, 0] = terms[0]
-        force[i, 1] = terms[1]
-        force[i, 2] = terms[2]
+        force[i, 0] = terms.t
+        force[i, 1] = terms.n
+        force[i, 2] = terms.m
 
 
 # Ratio of speed to slip speed at which a law has reached its full force within 1e-4,
@@ -557,8 +602,8 @@ def _fill_positions(along, across, times, floor, position):  # type: ignore[no-u
 @kernel_only
 def _deceleration(along, across, floor):  # type: ignore[no-untyped-def]
     """Return the accelerations along and across, m/s²."""
-    forces = connector_friction(along, across, 0.0, GRAVITY, floor)
-    return forces[0], forces[1]
+    terms = connector_friction(along, across, 0.0, GRAVITY, floor)
+    return terms.t, terms.n
 
 
 @kernel_only

@@ -44,9 +44,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from srs_twin.compute.compiled import compiled, kernel_only
+from srs_twin.compute.compiled import compiled, inlined, kernel_only
 from srs_twin.plants.analytical.floor import (
     FloorFriction,
+    Twist,
     fill_forces,
     forces_and_slopes,
 )
@@ -65,17 +66,61 @@ from srs_twin.plants.analytical.kinematics import (
 )
 from srs_twin.pneumatics import Trace
 
+
+class PrescribedModel(NamedTuple):
+    """Constants of the kernels.
+
+    Attributes:
+        solid: body.
+        floor: floor.
+        friction_moment: whether the moment of friction about the centre of mass acts.
+    """
+
+    solid: BodyParameters
+    floor: FloorFriction
+    friction_moment: bool
+
+
+class Bends(NamedTuple):
+    """Bends and their rates, shape (…, segments) each, rad and rad/s."""
+
+    bend: np.ndarray
+    rate: np.ndarray
+
+
+class Samples(NamedTuple):
+    """States and velocities at the samples, which a kernel fills, shape (samples, …) each."""
+
+    states: np.ndarray
+    velocities: np.ndarray
+
+
 # Columns of the array of chords.
-_SLOPE = 0  # L' e, two columns, m/rad
-_SPAN = 2  # L e, two columns, m
+_SLOPE_X = 0  # L' e, m/rad
+_SLOPE_Y = 1
+_SPAN_X = 2  # L e, m
+_SPAN_Y = 3
 _CHORD_COLUMNS = 4
 
 
+class _InverseArrays(NamedTuple):
+    """Work arrays of the inverse dynamics.
+
+    Attributes:
+        body: posed body, shape (ROWS, N).
+        friction: friction on the connectors (`fill_forces`), shape (N, 3).
+        chords: L' e (m/rad) and L e (m), shape (segments, _CHORD_COLUMNS).
+        load: accelerations of the connectors, then the loads on them, shape (N, 3).
+    """
+
+    body: np.ndarray
+    friction: np.ndarray
+    chords: np.ndarray
+    load: np.ndarray
+
+
 def inverse_dynamics(
-    velocities: np.ndarray,
-    trace: Trace,
-    model: tuple[BodyParameters, FloorFriction, bool],
-    torque: np.ndarray,
+    velocities: np.ndarray, trace: Trace, model: PrescribedModel, torque: np.ndarray
 ) -> None:
     """Fill the net moments of the segments for prescribed bends.
 
@@ -83,58 +128,46 @@ def inverse_dynamics(
         velocities: velocity of the centre of mass in the mean-heading frame (m/s) and
             yaw rate (rad/s), shape (samples, 3).
         trace: trace of the chambers, whose free bends are the bends.
-        model: body, floor, and whether the friction moment acts.
+        model: the constants.
         torque: out, shape (samples, segments), N·m.
     """
-    n = len(model[0].mass)
-    work = (
-        np.zeros((ROWS, n)),
-        np.zeros((n, 3)),
-        np.zeros((n - 1, _CHORD_COLUMNS)),
-        np.zeros((n, 3)),
-    )
-    bends = trace.bend, trace.bend_rate, trace.bend_acceleration
-    _inverse_dynamics(velocities, bends, model, torque, work)
+    n = len(model.solid.mass)
+    shapes = [(ROWS, n), (n, 3), (n - 1, _CHORD_COLUMNS), (n, 3)]
+    work = _InverseArrays(*map(np.zeros, shapes))
+    _inverse_dynamics(velocities, trace, model, torque, work)
 
 
 @compiled
-def _inverse_dynamics(velocities, bends, model, torque, work):  # type: ignore[no-untyped-def]
+def _inverse_dynamics(velocities, trace, model, torque, work):  # type: ignore[no-untyped-def]
     """Fill the moments, see `inverse_dynamics`."""
-    (q, rates, accelerations), (body, friction, chords, load) = bends, work
-    solid, floor, friction_moment = model
-    for k in range(q.shape[0]):
-        inertia, _ = pose_body(q[k], rates[k], solid, body)
-        fill_forces(body, solid.mass, velocities[k], floor, friction)
-        _fill_accelerations(
-            body,
-            q[k],
-            rates[k],
-            accelerations[k],
-            velocities[k, 2],
-            solid,
-            chords,
-            load,
-        )
-        remainder = _balance_loads(
-            body, inertia, solid, friction_moment, friction, load
-        )
-        _sum_moments(chords, load, remainder, torque[k])
+    solid = model.solid
+    for k in range(trace.bend.shape[0]):
+        inertia, _ = pose_body(trace.bend[k], trace.bend_rate[k], solid, work.body)
+        fill_forces(work.body, solid.mass, velocities[k], model.floor, work.friction)
+        _fill_accelerations(trace, k, velocities[k, 2], solid, work)
+        remainder = _balance_loads(inertia, model, work)
+        _sum_moments(work, remainder, torque[k])
 
 
 @kernel_only
-def _fill_accelerations(body, q, rate, acceleration, yaw, solid, chords, motion):  # type: ignore[no-untyped-def]  # noqa: D417
+def _fill_accelerations(trace, k, yaw, solid, work):  # type: ignore[no-untyped-def]
     """Fill the accelerations of the connectors, and the chords, from head to tail.
 
     Args:
-        body: posed body, shape (ROWS, N).
-        q, rate, acceleration: bends and their derivatives, shape (segments,), rad,
-            rad/s, rad/s².
+        trace: bends and their derivatives.
+        k: row of the trace.
         yaw: rate of the mean heading, rad/s.
         solid: the body.
-        chords: out, L' e (m/rad) and L e (m), shape (segments, _CHORD_COLUMNS).
-        motion: out, shape (N, 3): accelerations of the positions (m/s²), relative to
-            the head, and of the headings (rad/s²), with a constant rate of their mean.
+        work: with the posed body; its `load` gets the accelerations of the positions
+            (m/s²), relative to the head, and of the headings (rad/s²), with a constant
+            rate of their mean.
     """
+    q = trace.bend[k]
+    rate = trace.bend_rate[k]
+    acceleration = trace.bend_acceleration[k]
+    body = work.body
+    chords = work.chords
+    motion = work.load
     n = solid.mass.shape[0]
     alpha = 0.0
     for j in range(n - 1):
@@ -145,13 +178,15 @@ def _fill_accelerations(body, q, rate, acceleration, yaw, solid, chords, motion)
     motion[0, 2] = alpha
     for j in range(n - 1):
         # The direction of a chord is half a bend from the heading of either end.
-        half_c, half_s, span, slope, curvature = chord_terms(q[j], solid, j)
-        c = body[COS, j] * half_c + body[SIN, j] * half_s
-        s = body[SIN, j] * half_c - body[COS, j] * half_s
+        chord = chord_terms(q[j], solid, j)
+        slope = chord.slope
+        span = chord.span
+        c = body[COS, j] * chord.cos_half + body[SIN, j] * chord.sin_half
+        s = body[SIN, j] * chord.cos_half - body[COS, j] * chord.sin_half
         chord_spin = yaw + body[SPIN, j] - rate[j] / 2
         along = (
             slope * acceleration[j]
-            + curvature * rate[j] * rate[j]
+            + chord.curvature * rate[j] * rate[j]
             - span * chord_spin * chord_spin
         )
         across = span * (alpha - acceleration[j] / 2) + 2 * slope * rate[j] * chord_spin
@@ -161,31 +196,26 @@ def _fill_accelerations(body, q, rate, acceleration, yaw, solid, chords, motion)
         motion[j + 1, 0] = x
         motion[j + 1, 1] = y
         motion[j + 1, 2] = alpha
-        chords[j, _SLOPE] = slope * c
-        chords[j, _SLOPE + 1] = slope * s
-        chords[j, _SPAN] = span * c
-        chords[j, _SPAN + 1] = span * s
+        chords[j, _SLOPE_X] = slope * c
+        chords[j, _SLOPE_Y] = slope * s
+        chords[j, _SPAN_X] = span * c
+        chords[j, _SPAN_Y] = span * s
 
 
 @kernel_only
-def _balance_loads(body, inertia, solid, friction_moment, friction, load):  # type: ignore[no-untyped-def]
-    """Convert accelerations of the connectors to the loads on them, with those of the whole body.
-
-    Args:
-        body: posed body, shape (ROWS, N).
-        inertia: I, kg·m².
-        solid: the body.
-        friction_moment: whether the moment of friction about the centre of mass acts.
-        friction: friction on the connectors (`fill_forces`), shape (N, 3).
-        load: in place; on entry the accelerations, on return forces (N) and moments
-            (N·m), shape (N, 3).
+def _balance_loads(inertia, model, work):  # type: ignore[no-untyped-def]
+    """Convert the accelerations in `work.load` to forces (N) and moments (N·m), with those of the whole body.
 
     Returns:
         Moment of the loads about the centre of mass, N·m; 0 if the friction moment
         acts.
     """
+    solid = model.solid
+    body = work.body
+    friction = work.friction
+    load = work.load
     mass = solid.mass
-    n = solid.mass.shape[0]
+    n = mass.shape[0]
     weight = 0.0
     fx = 0.0
     fy = 0.0
@@ -206,7 +236,7 @@ def _balance_loads(body, inertia, solid, friction_moment, friction, load):  # ty
         fy = fy + load[i, 1]
         moment += x * load[i, 1] - y * load[i, 0] + load[i, 2]
         total_friction_moment += x * floor_y - y * floor_x + friction[i, 2]
-    remainder = 0.0 if friction_moment else -total_friction_moment
+    remainder = 0.0 if model.friction_moment else -total_friction_moment
     ax = -fx / weight
     ay = -fy / weight
     alpha = (remainder - moment) / inertia
@@ -218,24 +248,25 @@ def _balance_loads(body, inertia, solid, friction_moment, friction, load):  # ty
 
 
 @kernel_only
-def _sum_moments(chords, load, remainder, torque):  # type: ignore[no-untyped-def]
+def _sum_moments(work, remainder, torque):  # type: ignore[no-untyped-def]
     """Fill the moments of the segments from tail to head.
 
     Args:
-        chords: as filled by `_fill_accelerations`.
-        load: load on each connector, as filled by `_balance_loads`.
+        work: chords, and loads on the connectors.
         remainder: moment of the loads about the centre of mass, N·m. A bend rotates the
             head, and with it the whole body, so that the mean heading stays constant.
         torque: out, shape (segments,), N·m.
     """
+    chords = work.chords
+    load = work.load
     n = load.shape[0]
     fx = fy = moment = 0.0
     for j in range(n - 2, -1, -1):
         fx = fx + load[j + 1, 0]
         fy = fy + load[j + 1, 1]
         moment = moment + load[j + 1, 2]
-        arm = chords[j, _SPAN] * fy - chords[j, _SPAN + 1] * fx
-        lengthening = chords[j, _SLOPE] * fx + chords[j, _SLOPE + 1] * fy
+        arm = chords[j, _SPAN_X] * fy - chords[j, _SPAN_Y] * fx
+        lengthening = chords[j, _SLOPE_X] * fx + chords[j, _SLOPE_Y] * fy
         torque[j] = arm / 2 - lengthening - moment + (n - 1 - j) / n * remainder
         moment -= arm
 
@@ -258,26 +289,40 @@ SPEED_LIMIT = 100.0
 
 _NEWTON_STEPS = 100  # largest number of iterations of a stage
 _NEWTON_TOLERANCE = 1e-8  # tolerance of the velocities at a time unit of 1, m/s
-_NEWTON_ARM = (
-    0.1  # lever arm that turns the yaw rate into a velocity, at a length unit of 1, m
-)
-_OVERSHOOT = 0.1  # ratio of the slopes after and before a Newton step above which the step was too long, 1
+_NEWTON_ARM = 0.1
+"""Lever arm that turns the yaw rate into a velocity, at a length unit of 1, m."""
+_OVERSHOOT = 0.1
+"""Ratio of the slopes after and before a Newton step above which the step was too long, 1."""
+
+
+@inlined
+def is_too_long(slope_before, slope_after):  # type: ignore[no-untyped-def]
+    """Return whether a Newton step overshot the minimum, across a kink of the friction law."""
+    return slope_after < -_OVERSHOOT * slope_before
+
+
+@inlined
+def shorter_fraction(slope_before, slope_after):  # type: ignore[no-untyped-def]
+    """Return the fraction of a step that was too long at which the slope of the potential is about 0."""
+    return min(max(slope_before / (slope_before - slope_after), 0.1), 0.7)
 
 
 @kernel_only
-def _solve3(a, b, c, p, q, r):  # type: ignore[no-untyped-def]
-    """Solve the system with the rows a, b, c and the right side p, q, r by Cramer's rule."""
-    c0 = b[1] * c[2] - b[2] * c[1]
-    c1 = b[2] * c[0] - b[0] * c[2]
-    c2 = b[0] * c[1] - b[1] * c[0]
-    scale = 1 / (a[0] * c0 + a[1] * c1 + a[2] * c2)
-    return (
+def _solve3(a, b, c, right):  # type: ignore[no-untyped-def]
+    """Solve the system with the rows a, b, c and a right side by Cramer's rule."""
+    p = right.x
+    q = right.y
+    r = right.yaw
+    c0 = b.y * c.yaw - b.yaw * c.y
+    c1 = b.yaw * c.x - b.x * c.yaw
+    c2 = b.x * c.y - b.y * c.x
+    scale = 1 / (a.x * c0 + a.y * c1 + a.yaw * c2)
+    return Twist(
         scale
-        * (p * c0 + q * (a[2] * c[1] - a[1] * c[2]) + r * (a[1] * b[2] - a[2] * b[1])),
+        * (p * c0 + q * (a.yaw * c.y - a.y * c.yaw) + r * (a.y * b.yaw - a.yaw * b.y)),
         scale
-        * (p * c1 + q * (a[0] * c[2] - a[2] * c[0]) + r * (a[2] * b[0] - a[0] * b[2])),
-        scale
-        * (p * c2 + q * (a[1] * c[0] - a[0] * c[1]) + r * (a[0] * b[1] - a[1] * b[0])),
+        * (p * c1 + q * (a.x * c.yaw - a.yaw * c.x) + r * (a.yaw * b.x - a.x * b.yaw)),
+        scale * (p * c2 + q * (a.y * c.x - a.x * c.y) + r * (a.x * b.y - a.y * b.x)),
     )
 
 
@@ -304,119 +349,229 @@ def copy(values, out):  # type: ignore[no-untyped-def]
         out[j] = values[j]
 
 
-@kernel_only
-def _stage(known, a, q, rate, heading, model, u, k, body):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Solve one implicit stage Y = known + a f(Y) from the guess `u`; fill k = f(Y).
+@inlined
+def is_slow(state):  # type: ignore[no-untyped-def]
+    """Return whether the velocity of a state is plausible; a NaN fails every comparison."""
+    return abs(state[STATE_VX]) < SPEED_LIMIT and abs(state[STATE_VY]) < SPEED_LIMIT
+
+
+@inlined
+def record(state, velocity, marks, done, mark, samples):  # type: ignore[no-untyped-def]
+    """Copy state and velocity to all samples after `done` steps; return the number of the next sample.
 
     Args:
-        known: shape (STATES,).
+        state: state after `done` steps.
+        velocity: its velocity.
+        marks: number of steps before each sample, ascending.
+        done: number of completed steps.
+        mark: number of the next sample.
+        samples: a `Samples`.
+    """
+    while mark < marks.shape[0] and marks[mark] == done:
+        copy(state, samples.states[mark])
+        copy(velocity, samples.velocities[mark])
+        mark += 1
+    return mark
+
+
+class _StageEquation(NamedTuple):
+    """Equation of a stage: momentum = known momentum + a · force, for three velocities.
+
+    Attributes:
         a: γ h, s.
-        q, rate: bends (rad) and bend rates (rad/s) at the stage, shape (segments,).
-        heading: cosine and sine of a reference heading, and the heading of `known`
-            relative to it, rad.
-        model: body, floor, and whether the friction moment acts.
-        u: velocity in the body frame and yaw rate, in place, shape (3,).
-        k: out, shape (STATES,).
-        body: work array, shape (ROWS, N).
+        weight: M, kg.
+        inertia: I, kg·m².
+        moment: h, kg·m²/s.
+        known_x: known velocity of the centre of mass, with gravity, world frame, m/s.
+        known_y: its other component, m/s.
+        known_moment: known angular momentum, kg·m²/s.
+        acts: 1 if the friction moment acts, otherwise 0.
+    """
+
+    a: float
+    weight: float
+    inertia: float
+    moment: float
+    known_x: float
+    known_y: float
+    known_moment: float
+    acts: float
+
+
+@inlined
+def _residual(equation, u, c, s, force):  # type: ignore[no-untyped-def]
+    """Return the residual of a stage for velocities u at a heading with the cosine c and the sine s."""
+    a = equation.a
+    weight = equation.weight
+    bx = equation.known_x * c + equation.known_y * s
+    by = equation.known_y * c - equation.known_x * s
+    turning = equation.inertia * u.yaw + equation.moment
+    return Twist(
+        weight * (u.x - bx) - a * force.x,
+        weight * (u.y - by) - a * force.y,
+        turning - equation.known_moment - a * equation.acts * force.moment,
+    )
+
+
+@inlined
+def _newton_step(equation, residual, c, s, force):  # type: ignore[no-untyped-def]
+    """Return the change of the velocities that removes a residual; arguments as in `_residual`."""
+    a = equation.a
+    acts = equation.acts
+    weight = equation.weight
+    bx = equation.known_x * c + equation.known_y * s
+    by = equation.known_y * c - equation.known_x * s
+    return _solve3(
+        Twist(weight - a * force.xx, -a * force.xy, -a * (force.xz + weight * by)),
+        Twist(-a * force.yx, weight - a * force.yy, -a * (force.yz - weight * bx)),
+        Twist(
+            -a * acts * force.zx,
+            -a * acts * force.zy,
+            equation.inertia - a * acts * force.zz,
+        ),
+        residual,
+    )
+
+
+@inlined
+def _dot(a, b):  # type: ignore[no-untyped-def]
+    return a.x * b.x + a.y * b.y + a.yaw * b.yaw
+
+
+@inlined
+def _moved(u, share, step):  # type: ignore[no-untyped-def]
+    return Twist(u.x + share * step.x, u.y + share * step.y, u.yaw + share * step.yaw)
+
+
+class _Heading(NamedTuple):
+    """Cosine and sine of a reference heading, and a heading relative to it, rad."""
+
+    cos: float
+    sin: float
+    ahead: float
+
+
+@kernel_only
+def _stage(stage, a, bends, heading, model, work):  # type: ignore[no-untyped-def]
+    """Solve one implicit stage Y = known + a f(Y); fill f(Y).
+
+    Args:
+        stage: 0 or 1.
+        a: γ h, s.
+        bends: bends and rates at both stages.
+        heading: heading of `known`.
+        model: the constants.
+        work: with the known part of Y in `after`, and a guess of the velocities in
+            `guess`, which becomes the solution.
 
     Returns:
         Whether Newton's method converged.
     """
-    solid, floor, friction_moment = model
-    weight = solid.weight
-    acts = 1.0 if friction_moment else 0.0
-    inertia, moment = pose_body(q, rate, solid, body)
+    solid = model.solid
+    floor = model.floor
+    known = work.after
+    guess = work.guess
+    acts = 1.0 if model.friction_moment else 0.0
+    inertia, moment = pose_body(bends.bend[stage], bends.rate[stage], solid, work.body)
     known_x = known[STATE_VX] + a * floor.pull_x
     known_y = known[STATE_VY] + a * floor.pull_y
-    known_moment = known[MOMENT]
-    x = u[0]
-    y = u[1]
-    z = u[2]
-    step_x = step_y = step_z = 0.0
+    equation = _StageEquation(
+        a, solid.weight, inertia, moment, known_x, known_y, known[MOMENT], acts
+    )
+    u = Twist(guess[0], guess[1], guess[2])
+    step = Twist(0.0, 0.0, 0.0)
     step_share = 0.0  # fraction of the latest Newton step that has been made
     slope_before = 0.0  # slope of the potential along that step at its start
     converged = False
     power = 0.0
-    c, s = _rotate(heading[0], heading[1], heading[2] + a * z)
+    c, s = _rotate(heading.cos, heading.sin, heading.ahead + a * u.yaw)
     tolerance = _NEWTON_TOLERANCE * floor.unit
     arm = _NEWTON_ARM * floor.unit * floor.unit
     for _ in range(_NEWTON_STEPS):
-        bx = known_x * c + known_y * s
-        by = known_y * c - known_x * s
-        force, slope, power = forces_and_slopes(body, solid.mass, x, y, z, floor)
-        power += (1 - acts) * force[2] * z
-        residual_x = weight * (x - bx) - a * force[0]
-        residual_y = weight * (y - by) - a * force[1]
-        residual_z = inertia * z + moment - known_moment - a * acts * force[2]
-        slope_after = residual_x * step_x + residual_y * step_y + residual_z * step_z
-        if slope_after < -_OVERSHOOT * slope_before:
-            # The step overshot the minimum, across a kink of the friction law: shorten
-            # it.
-            back = step_share * min(
-                max(slope_before / (slope_before - slope_after), 0.1), 0.7
-            )
-            x = x + (step_share - back) * step_x
-            y = y + (step_share - back) * step_y
-            z = z + (step_share - back) * step_z
-            c, s = _rotate(c, s, a * (step_share - back) * step_z)
-            step_share = back
+        force = forces_and_slopes(work.body, solid.mass, u, floor)
+        power = force.power + (1 - acts) * force.moment * u.yaw
+        residual = _residual(equation, u, c, s, force)
+        slope_after = _dot(residual, step)
+        if is_too_long(slope_before, slope_after):
+            share = step_share * shorter_fraction(slope_before, slope_after)
+            undone = step_share - share
+            u = _moved(u, undone, step)
+            c, s = _rotate(c, s, a * undone * step.yaw)
+            step_share = share
             continue
-        xx, xy, xz, yy, yz, zz, yx, zx, zy = slope
-        step_x, step_y, step_z = _solve3(
-            (weight - a * xx, -a * xy, -a * (xz + weight * by)),
-            (-a * yx, weight - a * yy, -a * (yz - weight * bx)),
-            (-a * acts * zx, -a * acts * zy, inertia - a * acts * zz),
-            residual_x,
-            residual_y,
-            residual_z,
-        )
+        step = _newton_step(equation, residual, c, s, force)
         step_share = 1.0
-        slope_before = residual_x * step_x + residual_y * step_y + residual_z * step_z
-        x = x - step_x
-        y = y - step_y
-        z = z - step_z
-        c, s = _rotate(c, s, -a * step_z)
-        if abs(step_x) + abs(step_y) + arm * abs(step_z) < tolerance:
+        slope_before = _dot(residual, step)
+        u = _moved(u, -1.0, step)
+        c, s = _rotate(c, s, -a * step.yaw)
+        if abs(step.x) + abs(step.y) + arm * abs(step.yaw) < tolerance:
             converged = True
             break
-    u[0] = x
-    u[1] = y
-    u[2] = z
-    # The equation of the stage gives f(Y) without a further evaluation.
-    k[STATE_X] = x * c - y * s
-    k[STATE_Y] = x * s + y * c
-    k[HEADING] = z
-    k[STATE_VX], k[STATE_VY] = (
-        (k[STATE_X] - known[STATE_VX]) / a,
-        (k[STATE_Y] - known[STATE_VY]) / a,
-    )
-    k[MOMENT] = (inertia * z + moment - known_moment) / a
-    k[ENERGY_LOSS] = power - weight * (
-        floor.pull_x * k[STATE_X] + floor.pull_y * k[STATE_Y]
-    )
+    guess[0] = u.x
+    guess[1] = u.y
+    guess[2] = u.yaw
+    _fill_rates(equation, known, c, s, u, power, floor, work.rates[stage])
     return converged
 
 
+@inlined
+def _fill_rates(equation, known, c, s, u, power, floor, k):  # type: ignore[no-untyped-def]
+    """Fill k = f(Y), which the equation of the stage gives without a further evaluation."""
+    a = equation.a
+    k[STATE_X] = u.x * c - u.y * s
+    k[STATE_Y] = u.x * s + u.y * c
+    k[HEADING] = u.yaw
+    k[STATE_VX] = (k[STATE_X] - known[STATE_VX]) / a
+    k[STATE_VY] = (k[STATE_Y] - known[STATE_VY]) / a
+    turning = equation.inertia * u.yaw + equation.moment
+    k[MOMENT] = (turning - equation.known_moment) / a
+    pull = floor.pull_x * k[STATE_X] + floor.pull_y * k[STATE_Y]
+    k[ENERGY_LOSS] = power - equation.weight * pull
+
+
+class StepArrays(NamedTuple):
+    """Work arrays of `step` for N connectors.
+
+    Attributes:
+        body: posed body, shape (ROWS, N).
+        rates: rates of the state at the stages, shape (2, STATES).
+        after: state at the end of a step, shape (STATES,).
+        guess: velocity in the body frame (m/s) and yaw rate (rad/s) at the end of a
+            step, shape (3,).
+        pace: their rates of change for the first guesses of Newton's method, shape
+            (3,).
+    """
+
+    body: np.ndarray
+    rates: np.ndarray
+    after: np.ndarray
+    guess: np.ndarray
+    pace: np.ndarray
+
+    @classmethod
+    def of(cls, n: int) -> StepArrays:
+        """Return the arrays for n connectors."""
+        return cls(*map(np.zeros, [(ROWS, n), (2, STATES), (STATES,), (3,), (3,)]))
+
+
 @kernel_only
-def step(state, h, bends, rates, model, u, drift, k, after, body):  # type: ignore[no-untyped-def]
+def step(state, h, bends, model, work):  # type: ignore[no-untyped-def]
     """Make one step of SDIRK2.
 
     Args:
         state: at the start, shape (STATES,).
         h: length of the step, s.
-        bends: at the two stages, shape (2, segments), rad.
-        rates: bend rates at the two stages, shape (2, segments), rad/s.
-        model: body, floor, and whether the friction moment acts.
-        u: in place, velocity in the body frame (m/s) and yaw rate (rad/s), shape (3,).
-        drift: in place, rate of change of u for the first guesses of Newton's method,
-            shape (3,).
-        k: out, rates of the state at the stages, shape (2, STATES).
-        after: out, state at the end, shape (STATES,).
-        body: work array, shape (ROWS, N).
+        bends: bends and rates at the two stages, shape (2, segments).
+        model: the constants.
+        work: its `after` and `rates` get the state at the end and the rates at the
+            stages; its `guess` and `pace` are those of the start, then of the end.
 
     Returns:
         Whether both stages converged.
     """
+    u = work.guess
+    pace = work.pace
+    after = work.after
     a = GAMMA * h
     between = (1 - GAMMA) * h
     solved = True
@@ -432,16 +587,14 @@ def step(state, h, bends, rates, model, u, drift, k, after, body):  # type: igno
         y = u[1]
         z = u[2]
         for j in range(3):
-            u[j] += drift[j] * lead
-        rate = k[stage]
-        solved &= _stage(
-            after, a, bends[stage], rates[stage], (c, s, turned), model, u, rate, body
-        )
+            u[j] += pace[j] * lead
+        solved &= _stage(stage, a, bends, _Heading(c, s, turned), model, work)
+        rate = work.rates[stage]
         for j in range(STATES):
             after[j] += rest * rate[j]
-        drift[0] = (u[0] - x) / lead
-        drift[1] = (u[1] - y) / lead
-        drift[2] = (u[2] - z) / lead
+        pace[0] = (u[0] - x) / lead
+        pace[1] = (u[1] - y) / lead
+        pace[2] = (u[2] - z) / lead
         turned = between * rate[HEADING]
     return solved
 
@@ -465,7 +618,7 @@ class Observation(NamedTuple):
 def observe(
     states: np.ndarray,
     velocities: np.ndarray,
-    bends: tuple[np.ndarray, np.ndarray],
+    bends: Bends,
     solid: BodyParameters,
     floor: FloorFriction,
 ) -> Observation:
@@ -475,34 +628,28 @@ def observe(
         states: shape (samples, STATES or more).
         velocities: velocity of the centre of mass in the mean-heading frame (m/s) and
             yaw rate (rad/s), shape (samples, 3 or more).
-        bends: bends (rad) and bend rates (rad/s), shape (samples, segments).
+        bends: bends and rates, shape (samples, segments).
         solid: the body.
         floor: the floor.
     """
     count = len(states)
     n = len(solid.mass)
-    out = Observation(
-        *map(np.zeros, [(count, n, 2), (count, n), (count, n, 2), (count,)])
-    )
+    shapes = [(count, n, 2), (count, n), (count, n, 2), (count,)]
+    out = Observation(*map(np.zeros, shapes))
     # Contiguous arrays have one type, so that the kernel is compiled once for all
     # models.
-    angles, rates = map(np.ascontiguousarray, bends)
-    _observe(
-        states,
-        velocities,
-        (angles, rates),
-        solid,
-        floor,
-        out,
-        (np.zeros((ROWS, n)), np.zeros((n, 3))),
-    )
+    bends = Bends(*map(np.ascontiguousarray, bends))
+    body = np.zeros((ROWS, n))
+    _observe(states, velocities, bends, solid, floor, out, body, np.zeros((n, 3)))
     return out
 
 
 @compiled
-def _observe(states, velocities, bends, solid, floor, out, work):  # type: ignore[no-untyped-def]
+def _observe(states, velocities, bends, solid, floor, out, body, friction):  # type: ignore[no-untyped-def]
     """Fill the observable quantities, see `observe`."""
-    (angles, rates), (body, friction), n = bends, work, solid.mass.shape[0]
+    angles = bends.bend
+    rates = bends.rate
+    n = solid.mass.shape[0]
     position = out.position
     theta = out.theta
     force = out.force

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from srs_twin.compute.compiled import compiled, kernel_only
+from srs_twin.compute.compiled import compiled, inlined, kernel_only
 from srs_twin.robot import geometry
 
 # Rows of a posed body, an array of shape (ROWS, N) with one column per connector.
@@ -23,6 +23,26 @@ Y = 4
 VX = 5  # velocity, m/s
 VY = 6
 ROWS = 7
+
+# Columns of the load on a connector in the `compliant` model: momentum relative to the
+# centre of mass, force and moment, and Newton's matrix, which is the mass minus γ h
+# times the slope of the force. XM is the derivative of the force x by the spin.
+MOMENTUM_X = 0
+MOMENTUM_Y = 1
+MOMENTUM_YAW = 2
+FORCE_X = 3
+FORCE_Y = 4
+FORCE_YAW = 5
+MASS_XX = 6
+MASS_XY = 7
+MASS_XM = 8
+MASS_YY = 9
+MASS_YM = 10
+MASS_MM = 11
+MASS_YX = 12
+MASS_MX = 13
+MASS_MY = 14
+LOAD_COLUMNS = 15
 
 _half_turn = compiled(geometry.half_angle_terms)
 _spans = compiled(geometry.chord_from_half_angle)
@@ -73,26 +93,72 @@ class BodyParameters(NamedTuple):
         )
 
 
+class Chord(NamedTuple):
+    """Chord between the ends of a segment.
+
+    Attributes:
+        cos_half: cosine of half the bend, by which the chord turns from either end.
+        sin_half: sine of half the bend.
+        span: length L, m.
+        slope: dL/dq, m/rad.
+        curvature: d²L/dq², m/rad².
+    """
+
+    cos_half: float
+    sin_half: float
+    span: float
+    slope: float
+    curvature: float
+
+
 @kernel_only
 def chord_terms(q, solid, j):  # type: ignore[no-untyped-def]
-    """Return cos q/2, sin q/2, and the chord L, dL/dq, d²L/dq² of segment j with the bend q.
-
-    Args:
-        q: bend, rad.
-        solid: the body.
-        j: segment, from 0 at the head.
-    """
+    """Return the `Chord` of segment j (from 0 at the head) with the bend q (rad)."""
     half_turn = _half_turn(q)
     length = solid.length[j]
     span, slope, curvature = _spans(half_turn, length, solid.gap)
     varying = 1.0 - solid.frozen
-    return (
+    return Chord(
         half_turn[0],
         half_turn[1],
         varying * span + solid.frozen * (length + solid.gap),
         varying * slope,
         varying * curvature,
     )
+
+
+@inlined
+def _fill_chords(q, rate, solid, out):  # type: ignore[no-untyped-def]
+    """Fill terms of single segments, with `out` as a buffer, in a loop that can be vectorised.
+
+    Returns:
+        Heading of the head relative to the mean heading (rad), and its rate (rad/s).
+    """
+    cosine = out[COS]
+    sine = out[SIN]
+    span = out[X]
+    span_rate = out[VX]
+    n = solid.mass.shape[0]
+    lead = lead_rate = 0.0
+    for j in range(n - 1):
+        chord = chord_terms(q[j], solid, j)
+        cosine[j + 1] = chord.cos_half
+        sine[j + 1] = chord.sin_half
+        span[j + 1] = chord.span
+        span_rate[j + 1] = chord.slope * rate[j]
+        share = (n - 1 - j) / n
+        lead += share * q[j]
+        lead_rate += share * rate[j]
+    return lead, lead_rate
+
+
+class _Centre(NamedTuple):
+    """Position (m) and velocity (m/s) of the centre of mass in the frame of the head."""
+
+    x: float
+    y: float
+    vx: float
+    vy: float
 
 
 @compiled
@@ -106,36 +172,20 @@ def pose_body(q, rate, solid, out):  # type: ignore[no-untyped-def]
         out: posed body, shape (ROWS, N).
     """
     mass = solid.mass
-    n = mass.shape[0]
-    cosine = out[COS]
-    sine = out[SIN]
-    chord = out[X]
-    chord_rate = out[VX]
-    lead = lead_rate = 0.0  # heading of the head relative to the mean heading
-    for j in range(n - 1):
-        # Terms of single segments first, so that the loop can be vectorised; `out`
-        # serves as a buffer.
-        half_c, half_s, span, slope, _ = chord_terms(q[j], solid, j)
-        cosine[j + 1] = half_c
-        sine[j + 1] = half_s
-        chord[j + 1] = span
-        chord_rate[j + 1] = slope * rate[j]
-        share = (n - 1 - j) / n
-        lead += share * q[j]
-        lead_rate += share * rate[j]
+    lead, lead_rate = _fill_chords(q, rate, solid, out)
     # From the head to the tail, in the frame of the head.
     c = 1.0
     s = 0.0
     spin = 0.0
     x = y = vx = vy = 0.0
     total = cx = cy = cvx = cvy = 0.0
-    for i in range(n):
+    for i in range(mass.shape[0]):
         if i > 0:
             # The direction of a chord is half a bend from the heading of either end.
-            half_c = cosine[i]
-            half_s = sine[i]
-            span = chord[i]
-            span_rate = chord_rate[i]
+            half_c = out[COS, i]
+            half_s = out[SIN, i]
+            span = out[X, i]
+            span_rate = out[VX, i]
             chord_spin = spin - rate[i - 1] / 2
             c, s = c * half_c + s * half_s, s * half_c - c * half_s
             x = x - span * c
@@ -157,11 +207,8 @@ def pose_body(q, rate, solid, out):  # type: ignore[no-untyped-def]
         cy = cy + m * y
         cvx = cvx + m * vx
         cvy = cvy + m * vy
-    cx = cx / total
-    cy = cy / total
-    cvx = cvx / total
-    cvy = cvy / total
-    return _transform_to_mean(out, solid, (cx, cy, cvx, cvy), lead, lead_rate)
+    centre = _Centre(cx / total, cy / total, cvx / total, cvy / total)
+    return _transform_to_mean(out, solid, centre, lead, lead_rate)
 
 
 @kernel_only
@@ -171,8 +218,7 @@ def _transform_to_mean(out, solid, centre, lead, lead_rate):  # type: ignore[no-
     Args:
         out: posed body, in place, shape (ROWS, N).
         solid: the body.
-        centre: position (m) and velocity (m/s) of the centre of mass in the frame of
-            the head.
+        centre: the centre of mass.
         lead: heading of the head relative to the mean heading, rad.
         lead_rate: its rate, rad/s.
 
@@ -188,20 +234,18 @@ def _transform_to_mean(out, solid, centre, lead, lead_rate):  # type: ignore[no-
     place_y = out[Y]
     rate_x = out[VX]
     rate_y = out[VY]
-    cx, cy, cvx, cvy = centre
-    a, b = (
-        math.cos(lead),
-        math.sin(lead),
-    )  # may exceed a full turn in a long coil: no series expansion
+    # The lead may exceed a full turn in a long coil: no series expansion.
+    a = math.cos(lead)
+    b = math.sin(lead)
     inertia = moment = 0.0
     for i in range(mass.shape[0]):
         c = cosine[i]
         s = sine[i]
         spin = spinning[i] + lead_rate
-        x = place_x[i] - cx
-        y = place_y[i] - cy
-        vx = rate_x[i] - cvx - lead_rate * y
-        vy = rate_y[i] - cvy + lead_rate * x
+        x = place_x[i] - centre.x
+        y = place_y[i] - centre.y
+        vx = rate_x[i] - centre.vx - lead_rate * y
+        vy = rate_y[i] - centre.vy + lead_rate * x
         cosine[i] = a * c - b * s
         sine[i] = b * c + a * s
         spinning[i] = spin

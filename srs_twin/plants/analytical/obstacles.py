@@ -37,34 +37,68 @@ from typing import NamedTuple
 
 import numpy as np
 
-from srs_twin.compute.compiled import compiled_if, is_given, kernel_only
+from srs_twin.compute.compiled import compiled_if, inlined, is_given, kernel_only
 from srs_twin.plants.analytical.cells import Undivided
-from srs_twin.plants.analytical.kernels import ENERGY_LOSS
-from srs_twin.plants.analytical.kinematics import COS, SIN, SPIN, VX, VY, X, Y
+from srs_twin.plants.analytical.floor import Twist
+from srs_twin.plants.analytical.kernels import ENERGY_LOSS, HEADING, STATE_X, STATE_Y
+from srs_twin.plants.analytical.kinematics import (
+    COS,
+    FORCE_X,
+    FORCE_Y,
+    FORCE_YAW,
+    MASS_MM,
+    MASS_MX,
+    MASS_MY,
+    MASS_XM,
+    MASS_XX,
+    MASS_XY,
+    MASS_YM,
+    MASS_YX,
+    MASS_YY,
+    SIN,
+    SPIN,
+    VX,
+    VY,
+    X,
+    Y,
+)
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import WALL_M, World
 
 CONTACT_TIME_S = 0.001
 """T, time constant of a contact at a time unit of 1 (`robot.scale`), s; a numerical setting."""
 
-_LOSS_S_PER_M = (
-    20.0  # χ at a speed unit of 1, s/m: bodies leave an obstacle slower than 1/χ
-)
+_LOSS_S_PER_M = 20.0
+"""χ at a speed unit of 1, s/m: bodies leave an obstacle slower than 1/χ."""
+
+# Columns of `Obstacles.shape`, m.
+_BEGIN_X = 0
+_BEGIN_Y = 1
+_END_X = 2
+_END_Y = 3
+_RADIUS = 4
+_SHAPE_COLUMNS = 5
+
+# Entries of `Obstacles.pose`.
+_COM_X = 0  # centre of mass, m
+_COM_Y = 1
+_COS = 2  # of the mean heading
+_SIN = 3
 
 
 class Obstacles(NamedTuple):
     """Obstacles and the work arrays of their contacts, for the kernels.
 
     Attributes:
-        shape: ends x, y, x, y of a line segment and its radius, shape (obstacles, 5),
-            m; the ends of a circle are equal.
+        shape: ends of a line segment and its radius, shape (obstacles,
+            _SHAPE_COLUMNS), m; the ends of a circle are equal.
         stretch: reach of the body ahead of and behind each point, shape (points, 2), m.
         half_width: w, m.
         stiffness: k, N/m.
         loss: χ, s/m.
         friction: μ, 1.
         slip: ε, m/s.
-        pose: work array: centre of mass x, y (m), cosine and sine of the mean heading.
+        pose: work array, pose of the body at the end of a stage, shape (4,).
         near: work array: number of obstacles within reach of the body, and their
             indices.
         force: force of the obstacles on each point at the latest evaluation, world
@@ -98,7 +132,7 @@ def make_obstacles(
         cells: division of its segments.
         slip: slip speed, m/s.
     """
-    shapes = np.array(list(_shapes(world)), dtype=float).reshape(-1, 5)
+    shapes = np.array(list(_shapes(world)), dtype=float).reshape(-1, _SHAPE_COLUMNS)
     half = np.broadcast_to(
         (np.asarray(cells.length) + cells.gap) / 2, len(cells.mass) - 1
     )
@@ -132,22 +166,21 @@ def _shapes(world: World) -> Iterator[tuple[float, ...]]:
 @compiled_if(is_given)
 def find_near(obstacles, state, reach):  # type: ignore[no-untyped-def]
     """List the obstacles within `reach` (m) of the centre of mass, before a step."""
-    shape = obstacles.shape
     near = obstacles.near
     near[0] = 0
-    for k in range(shape.shape[0]):
-        ax = shape[k, 0] - state[0]
-        ay = shape[k, 1] - state[1]
-        bx = shape[k, 2] - shape[k, 0]
-        by = shape[k, 3] - shape[k, 1]
+    for k in range(obstacles.shape.shape[0]):
+        shape = obstacles.shape[k]
+        ax = shape[_BEGIN_X] - state[STATE_X]
+        ay = shape[_BEGIN_Y] - state[STATE_Y]
+        bx = shape[_END_X] - shape[_BEGIN_X]
+        by = shape[_END_Y] - shape[_BEGIN_Y]
         size = bx * bx + by * by
+        along = 0.0
         if size > 0.0:
             along = min(max(-(ax * bx + ay * by) / size, 0.0), 1.0)
-        else:
-            along = 0.0
         x = ax + along * bx
         y = ay + along * by
-        limit = reach + shape[k, 4] + obstacles.half_width
+        limit = reach + shape[_RADIUS] + obstacles.half_width
         if x * x + y * y < limit * limit:
             near[0] += 1
             near[near[0]] = k
@@ -156,33 +189,100 @@ def find_near(obstacles, state, reach):  # type: ignore[no-untyped-def]
 @compiled_if(is_given)
 def set_pose(obstacles, known, a, u):  # type: ignore[no-untyped-def]
     """Store the pose at the end of a stage with the known part `known` and the velocities u."""
-    heading = known[2] + a * u[2]
+    heading = known[HEADING] + a * u[2]
     c = math.cos(heading)
     s = math.sin(heading)
     pose = obstacles.pose
-    pose[0] = known[0] + a * (u[0] * c - u[1] * s)
-    pose[1] = known[1] + a * (u[0] * s + u[1] * c)
-    pose[2] = c
-    pose[3] = s
+    pose[_COM_X] = known[STATE_X] + a * (u[0] * c - u[1] * s)
+    pose[_COM_Y] = known[STATE_Y] + a * (u[0] * s + u[1] * c)
+    pose[_COS] = c
+    pose[_SIN] = s
+
+
+class _Line(NamedTuple):
+    """Axis of an obstacle in the frame of the mean heading: one end, and the vector to the other, m."""
+
+    x: float
+    y: float
+    to_x: float
+    to_y: float
+
+
+@inlined
+def _axis(shape, pose):  # type: ignore[no-untyped-def]
+    cos = pose[_COS]
+    sin = pose[_SIN]
+    x = shape[_BEGIN_X] - pose[_COM_X]
+    y = shape[_BEGIN_Y] - pose[_COM_Y]
+    to_x = shape[_END_X] - shape[_BEGIN_X]
+    to_y = shape[_END_Y] - shape[_BEGIN_Y]
+    return _Line(
+        x * cos + y * sin,
+        y * cos - x * sin,
+        to_x * cos + to_y * sin,
+        to_y * cos - to_x * sin,
+    )
+
+
+class _Stretch(NamedTuple):
+    """Straight stretch of the body around a point, in the frame of the mean heading.
+
+    Attributes:
+        x: the point, m.
+        y: its other coordinate, m.
+        cos: cosine of the heading.
+        sin: sine of the heading.
+        ahead: end of the stretch ahead of the point, m.
+        behind: its other end, negative, m.
+    """
+
+    x: float
+    y: float
+    cos: float
+    sin: float
+    ahead: float
+    behind: float
+
+
+class _Gap(NamedTuple):
+    """Closest points of the axes of body and obstacle.
+
+    Attributes:
+        place: place on the body, along its heading from the point, m.
+        x: vector from the obstacle to the body, m.
+        y: its other component, m.
+    """
+
+    place: float
+    x: float
+    y: float
+
+
+@inlined
+def _gap(stretch, line):  # type: ignore[no-untyped-def]
+    place, along = _closest(stretch, line)
+    return _Gap(
+        place,
+        stretch.x + place * stretch.cos - line.x - along * line.to_x,
+        stretch.y + place * stretch.sin - line.y - along * line.to_y,
+    )
 
 
 @kernel_only
-def _closest(px, py, ux, uy, lowest, highest, ax, ay, bx, by):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return the places of the closest points of two line segments.
-
-    Args:
-        px, py: point of the body, m.
-        ux, uy: its heading, 1.
-        lowest, highest: ends of its stretch along the heading, m.
-        ax, ay, bx, by: one end of the obstacle, and the vector to the other, m.
-
-    Returns:
-        Place along the heading (m), and along the obstacle from 0 to 1.
-    """
+def _closest(stretch, line):  # type: ignore[no-untyped-def]
+    """Return the closest points: along the heading (m), and along the line from 0 to 1."""
+    px = stretch.x
+    py = stretch.y
+    ux = stretch.cos
+    uy = stretch.sin
+    lowest = stretch.behind
+    highest = stretch.ahead
+    bx = line.to_x
+    by = line.to_y
     size = bx * bx + by * by
     mixed = ux * bx + uy * by
-    dx = ax - px
-    dy = ay - py
+    dx = line.x - px
+    dy = line.y - py
     if size == 0.0:
         return min(max(dx * ux + dy * uy, lowest), highest), 0.0
     # Perpendicular distance between the lines squared, which is 0 for parallel ones.
@@ -191,10 +291,80 @@ def _closest(px, py, ux, uy, lowest, highest, ax, ay, bx, by):  # type: ignore[n
     if angle > 1e-12 * size:
         place = (size * (dx * ux + dy * uy) - mixed * (dx * bx + dy * by)) / angle
     place = min(max(place, lowest), highest)
-    along = ((px + place * ux - ax) * bx + (py + place * uy - ay) * by) / size
+    along = ((px + place * ux - line.x) * bx + (py + place * uy - line.y) * by) / size
     along = min(max(along, 0.0), 1.0)
-    place = (ax + along * bx - px) * ux + (ay + along * by - py) * uy
+    place = (line.x + along * bx - px) * ux + (line.y + along * by - py) * uy
     return min(max(place, lowest), highest), along
+
+
+class _Contact(NamedTuple):
+    """Contact of a point of the body with an obstacle, in the frame of the mean heading.
+
+    Attributes:
+        n_x: normal away from the obstacle, dimensionless.
+        n_y: its other component.
+        arm_x: lever arm of the contact on the surface of the body about the point, m.
+        arm_y: its other component, m.
+        normal: normal force N, N.
+        tangential: friction f_t, N.
+        normal_slope: derivative of N by the normal velocity, N·s/m.
+        tangential_slope: derivative of f_t by the tangential velocity, N·s/m.
+        power: power that the contact takes from the body, W.
+    """
+
+    n_x: float
+    n_y: float
+    arm_x: float
+    arm_y: float
+    normal: float
+    tangential: float
+    normal_slope: float
+    tangential_slope: float
+    power: float
+
+
+@inlined
+def _contact(o, a, load, reach, stretch, gap, velocity):  # type: ignore[no-untyped-def]
+    """Return the contact of a point with an obstacle (module docstring).
+
+    Args:
+        o: an `Obstacles`.
+        a: γ h, s.
+        load: normal force that friction is proportional to, N.
+        reach: distance of the axes at which body and obstacle touch, m.
+        stretch: the body around the point.
+        gap: its distance from the obstacle.
+        velocity: velocity of the point and of the heading, a `Twist`.
+    """
+    distance = math.sqrt(gap.x * gap.x + gap.y * gap.y)
+    n_x = gap.x / distance
+    n_y = gap.y / distance
+    overlap = max(reach - distance, 0.0)
+    arm_x = gap.place * stretch.cos - o.half_width * n_x
+    arm_y = gap.place * stretch.sin - o.half_width * n_y
+    v_x = velocity.x - velocity.yaw * arm_y
+    v_y = velocity.y + velocity.yaw * arm_x
+    v_n = v_x * n_x + v_y * n_y
+    v_t = v_y * n_x - v_x * n_y
+    soft = max(1 - o.loss * v_n, 0.0)
+    normal = o.stiffness * overlap * soft
+    normal_slope = 0.0
+    if normal > 0.0:
+        normal_slope = -o.stiffness * (a * soft + o.loss * overlap)
+    r = 1 / math.sqrt(v_t * v_t + o.slip * o.slip)
+    grip = o.friction * load
+    tangential = -grip * v_t * r
+    return _Contact(
+        n_x,
+        n_y,
+        arm_x,
+        arm_y,
+        normal,
+        tangential,
+        normal_slope,
+        tangential_slope=-grip * r * (o.slip * r) ** 2,
+        power=-(normal * v_n + tangential * v_t),
+    )
 
 
 @compiled_if(is_given, otherwise=(0.0, 0.0, 0.0, 0.0))
@@ -213,99 +383,75 @@ def add_contacts(obstacles, body, u, a, loads):  # type: ignore[no-untyped-def]
         heading, and the power that the contacts take from the body, W.
     """
     o = obstacles
-    cos = o.pose[2]
-    sin = o.pose[3]
+    cos = o.pose[_COS]
+    sin = o.pose[_SIN]
     fx = fy = moment = power = 0.0
     for i in range(o.force.shape[0]):
         o.force[i, 0] = o.force[i, 1] = 0.0
     for index in range(1, o.near[0] + 1):
-        shape = o.shape[o.near[index]]
-        ax = shape[0] - o.pose[0]
-        ay = shape[1] - o.pose[1]
-        bx = shape[2] - shape[0]
-        by = shape[3] - shape[1]
-        ax, ay, bx, by = (
-            ax * cos + ay * sin,
-            ay * cos - ax * sin,
-            bx * cos + by * sin,
-            by * cos - bx * sin,
-        )
-        contact_distance = shape[4] + o.half_width
+        k = o.near[index]
+        line = _axis(o.shape[k], o.pose)
+        reach = o.shape[k, _RADIUS] + o.half_width
         for i in range(o.force.shape[0]):
-            o.normal[o.near[index], i] = 0.0
             x = body[X, i]
             y = body[Y, i]
-            c = body[COS, i]
-            s = body[SIN, i]
-            place, along = _closest(
-                x, y, c, s, -o.stretch[i, 1], o.stretch[i, 0], ax, ay, bx, by
-            )
-            nx = x + place * c - ax - along * bx
-            ny = y + place * s - ay - along * by
-            square = nx * nx + ny * ny
-            load = o.load[o.near[index], i]
-            if square == 0.0 or (
-                square >= contact_distance * contact_distance and load == 0.0
-            ):
+            ahead = o.stretch[i, 0]
+            behind = -o.stretch[i, 1]
+            stretch = _Stretch(x, y, body[COS, i], body[SIN, i], ahead, behind)
+            gap = _gap(stretch, line)
+            square = gap.x * gap.x + gap.y * gap.y
+            o.normal[k, i] = 0.0
+            load = o.load[k, i]
+            if square == 0.0 or (square >= reach * reach and load == 0.0):
                 continue
-            distance = math.sqrt(square)
-            nx = nx / distance
-            ny = ny / distance
-            overlap = max(contact_distance - distance, 0.0)
-            # Lever arm of the contact on the surface of the body about the point.
-            lx = place * c - o.half_width * nx
-            ly = place * s - o.half_width * ny
-            spin = u[2] + body[SPIN, i]
-            vx = u[0] + body[VX, i] - u[2] * y - spin * ly
-            vy = u[1] + body[VY, i] + u[2] * x + spin * lx
-            v_n = vx * nx + vy * ny
-            v_t = vy * nx - vx * ny
-            soft = max(1 - o.loss * v_n, 0.0)
-            normal = o.stiffness * overlap * soft
-            n_n = 0.0
-            if normal > 0.0:
-                n_n = -o.stiffness * (a * soft + o.loss * overlap)
-            r = 1 / math.sqrt(v_t * v_t + o.slip * o.slip)
-            grip = o.friction * load
-            tangential = -grip * v_t * r
-            t_t = -grip * r * (o.slip * r) ** 2
-            o.normal[o.near[index], i] = normal
-            _add_load(loads[i], nx, ny, lx, ly, a, normal, tangential, n_n, t_t)
-            force_x = normal * nx - tangential * ny
-            force_y = normal * ny + tangential * nx
+            velocity = Twist(
+                u[0] + body[VX, i] - u[2] * y,
+                u[1] + body[VY, i] + u[2] * x,
+                u[2] + body[SPIN, i],
+            )
+            contact = _contact(o, a, load, reach, stretch, gap, velocity)
+            o.normal[k, i] = contact.normal
+            _add_load(loads[i], contact, a)
+            force_x = contact.normal * contact.n_x - contact.tangential * contact.n_y
+            force_y = contact.normal * contact.n_y + contact.tangential * contact.n_x
             o.force[i, 0] += force_x * cos - force_y * sin
             o.force[i, 1] += force_x * sin + force_y * cos
             fx = fx + force_x
             fy = fy + force_y
-            moment += (x + lx) * force_y - (y + ly) * force_x
-            power -= normal * v_n + tangential * v_t
+            moment += (x + contact.arm_x) * force_y - (y + contact.arm_y) * force_x
+            power += contact.power
     return fx, fy, moment, power
 
 
 @kernel_only
-def _add_load(load, nx, ny, lx, ly, a, normal, tangential, n_n, t_t):  # type: ignore[no-untyped-def]
-    """Add a contact with the normal (nx, ny) and the lever arm (lx, ly) to the load of a point."""
-    n_m = lx * ny - ly * nx
-    t_m = lx * nx + ly * ny
-    load[3] += normal * nx - tangential * ny
-    load[4] += normal * ny + tangential * nx
-    load[5] += normal * n_m + tangential * t_m
+def _add_load(load, contact, a):  # type: ignore[no-untyped-def]
+    """Add a contact to the load of a point."""
+    nx = contact.n_x
+    ny = contact.n_y
+    n_m = contact.arm_x * ny - contact.arm_y * nx
+    t_m = contact.arm_x * nx + contact.arm_y * ny
+    load[FORCE_X] += contact.normal * nx - contact.tangential * ny
+    load[FORCE_Y] += contact.normal * ny + contact.tangential * nx
+    load[FORCE_YAW] += contact.normal * n_m + contact.tangential * t_m
     # Derivatives of normal and tangential force by the velocity (x, y) and the spin.
-    n_x = n_n * nx
-    n_y = n_n * ny
-    n_s = n_n * n_m
-    t_x = -t_t * ny
-    t_y = t_t * nx
-    t_s = t_t * t_m
+    n_x = contact.normal_slope * nx
+    n_y = contact.normal_slope * ny
+    n_s = contact.normal_slope * n_m
+    t_x = -contact.tangential_slope * ny
+    t_y = contact.tangential_slope * nx
+    t_s = contact.tangential_slope * t_m
     xy = a * (n_y * nx - t_y * ny)
     xm = a * (n_s * nx - t_s * ny)
     ym = a * (n_s * ny + t_s * nx)
-    load[6] -= a * (n_x * nx - t_x * ny)
-    load[9] -= a * (n_y * ny + t_y * nx)
-    load[11] -= a * (n_s * n_m + t_s * t_m)
-    load[7], load[12] = load[7] - xy, load[12] - xy
-    load[8], load[13] = load[8] - xm, load[13] - xm
-    load[10], load[14] = load[10] - ym, load[14] - ym
+    load[MASS_XX] -= a * (n_x * nx - t_x * ny)
+    load[MASS_YY] -= a * (n_y * ny + t_y * nx)
+    load[MASS_MM] -= a * (n_s * n_m + t_s * t_m)
+    load[MASS_XY] -= xy
+    load[MASS_YX] -= xy
+    load[MASS_XM] -= xm
+    load[MASS_MX] -= xm
+    load[MASS_YM] -= ym
+    load[MASS_MY] -= ym
 
 
 @compiled_if(is_given, otherwise=False)
@@ -322,7 +468,7 @@ def update_loads(obstacles, scale):  # type: ignore[no-untyped-def]
 
 
 @compiled_if(is_given)
-def fill_rates(obstacles, model, free, q, rates, k):  # type: ignore[no-untyped-def]
+def fill_rates(obstacles, model, free, free_rates, rates, work):  # type: ignore[no-untyped-def]
     r"""Fill the rates of the impulses on each point and of the time, and replace that of the energy column.
 
     The work of the torques is the energy of the body plus the integral of the losses.
@@ -334,11 +480,13 @@ def fill_rates(obstacles, model, free, q, rates, k):  # type: ignore[no-untyped-
     Args:
         obstacles: with the forces of the stage.
         model: a `compliant_kernels.CompliantModel`.
-        free: free bends of the cells (rad) and their rates (rad/s), shapes (cells,).
-        q: bends of the cells, shape (cells,), rad.
-        rates: their rates, shape (cells,), rad/s.
-        k: out, rates of the state.
+        free: free bends of the cells, shape (cells,), rad.
+        free_rates: their rates, shape (cells,), rad/s.
+        rates: rates of the bends, shape (cells,), rad/s.
+        work: with the bends; its `rate`, the rates of the state, is filled.
     """
+    k = work.rate
+    q = work.bend
     count = obstacles.force.shape[0]
     first = k.shape[0] - 1 - 2 * count
     for i in range(count):
@@ -350,9 +498,9 @@ def fill_rates(obstacles, model, free, q, rates, k):  # type: ignore[no-untyped-
     for j in range(model.segments):
         bend = rate = free_rate = flexibility = fluidity = 0.0
         for c in range(j * cells, (j + 1) * cells):
-            bend += free[0][c] - q[c]
-            rate += free[1][c] - rates[c]
-            free_rate += free[1][c]
+            bend += free[c] - q[c]
+            rate += free_rates[c] - rates[c]
+            free_rate += free_rates[c]
             flexibility += 1 / model.stiffness[c]
             fluidity += 1 / model.damping[c]
         power += (bend / flexibility + rate / fluidity) * free_rate

@@ -112,7 +112,7 @@ def make_constants(
         damping=stiffness * times,
         radius=radius,
         depth=radius * _DEPTH_RATIO,
-        friction=(mu.mu_t, mu.backward, mu.mu_n, slip_speed),
+        friction=kinematics.SkinFriction(mu.mu_t, mu.backward, mu.mu_n, slip_speed),
         drag_time=_DRAG_TIME_S * spec.scale.time,
         longest_move=radius * _MOVE_RATIO,
         jump_speed=_JUMP_RATIO * math.sqrt(GRAVITY * radius),
@@ -121,16 +121,21 @@ def make_constants(
 
 
 class QuasistaticArcs(Body):
-    """Body of `quasistatic` (module docstring); indices of its state as in `spatial_kinematics`."""
+    """Body of `quasistatic` (module docstring); indices of its state as in `spatial_kinematics`.
+
+    Attributes:
+        constants: constants of the body and of the floor.
+        work: arrays of a step.
+    """
 
     state_attributes: ClassVar[tuple[str, ...]] = ("_sampled", "_theta")
 
     def __init__(self, spec: RobotSpec, slip_speed: float, base: str) -> None:
         """Set the constants; arguments and errors as in `make_constants`."""
         self._spec = spec
-        self._constants = make_constants(spec, slip_speed, base)
-        points = len(self._constants.mass)
-        self._work = kinematics.work_arrays(spec.segments, points // spec.segments)
+        self.constants = make_constants(spec, slip_speed, base)
+        points = len(self.constants.mass)
+        self.work = kinematics.work_arrays(spec.segments, points // spec.segments)
         self._impulses = slice(
             kinematics.BENDS + 3 * spec.segments,
             kinematics.BENDS + 3 * (spec.segments + points),
@@ -147,7 +152,7 @@ class QuasistaticArcs(Body):
     def reset(self, pose: Pose) -> None:
         """See `Body.reset`; with the rest bends of the modules."""
         self.state, self.velocity = map(np.zeros, self._shapes)
-        constants = self._constants
+        constants = self.constants
         segments = self._spec.segments
         bends = self.state[kinematics.BENDS :][: 3 * segments].reshape(segments, 3)
         bends[:, 0] = self._spec.modules.array("bias")
@@ -171,10 +176,10 @@ class QuasistaticArcs(Body):
     ) -> tuple[int, np.ndarray, np.ndarray]:
         """See `Body.move`."""
         samples = self._allocate(len(sample_steps))
-        now = (self.state, self.velocity)
+        now = kinematics.QuasistaticState(self.state, self.velocity)
         free = np.ascontiguousarray(trace.bend[::2])
         done: int = advance(
-            now, steps, free, sample_steps, self._constants, self._work, samples
+            now, steps, free, sample_steps, self.constants, self.work, samples
         )
         return done, *samples
 
@@ -187,8 +192,8 @@ class QuasistaticArcs(Body):
             ..., :2
         ]
         rate = velocities[:, 6:].reshape(shape)[..., :2]
-        stiffness = self._constants.stiffness[:2]
-        damping = self._constants.damping[:2]
+        stiffness = self.constants.stiffness[:2]
+        damping = self.constants.damping[:2]
         torque = stiffness * (trace.bend - bend) + damping * (trace.bend_rate - rate)
         return Motion(states, velocities, bend, rate, torque)
 
@@ -212,18 +217,18 @@ class QuasistaticArcs(Body):
         theta = np.empty((count, n))
         for k, state in enumerate(motion.states):
             self._pose(state)
-            position[k] = self._work.position
-            frame[k] = self._work.frame
+            position[k] = self.work.position
+            frame[k] = self.work.frame
             theta[k] = self._headings()
             com[k] = self._com()
-            velocity[k] = self._mean(self._work.motion[:, :3] @ motion.velocities[k])
+            velocity[k] = self._mean(self.work.motion[:, :3] @ motion.velocities[k])
         theta = np.unwrap(np.concatenate([self._theta[None], theta]), axis=0)[1:]
         exchanged = self._exchanged(motion.states)
         interval = np.diff(exchanged, axis=0, prepend=self._sampled[None])
         if count:
             self._theta = theta[-1].copy()
             self._sampled = exchanged[-1]
-        impulse = interval[:, :-1].reshape(count, len(self._constants.mass), 3)
+        impulse = interval[:, :-1].reshape(count, len(self.constants.mass), 3)
         impulse /= np.maximum(interval[:, -1:, None], 1e-12)
         force = np.einsum("ik,skc->sic", self._weights, impulse)
         return SpatialState(
@@ -251,7 +256,7 @@ class QuasistaticArcs(Body):
         )
 
     def _pose(self, state: np.ndarray) -> None:
-        kinematics.pose(state, self._constants, self._work)
+        kinematics.pose(state, self.constants, self.work)
 
     def _turn_head(self, heading: float) -> None:
         c = math.cos(heading)
@@ -259,16 +264,16 @@ class QuasistaticArcs(Body):
         self.state[kinematics.ROTATION :][:9] = c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0
 
     def _headings(self) -> np.ndarray:
-        frame: np.ndarray = self._work.frame
+        frame: np.ndarray = self.work.frame
         headings: np.ndarray = np.arctan2(frame[:, 1, 0], frame[:, 0, 0])
         return headings
 
     def _com(self) -> np.ndarray:
-        return self._mean(self._work.point)
+        return self._mean(self.work.point)
 
     def _mean(self, values: np.ndarray) -> np.ndarray:
         """Return the mean over the mass of values at the points, shape (points, 3)."""
-        mass = self._constants.mass
+        mass = self.constants.mass
         mean: np.ndarray = mass @ values / mass.sum()
         return mean
 

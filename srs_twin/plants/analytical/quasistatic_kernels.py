@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from srs_twin.compute.compiled import allocating, compiled
-from srs_twin.plants.analytical.kernels import copy
+from srs_twin.compute.compiled import allocating, compiled, inlined
+from srs_twin.plants.analytical.kernels import copy, record
 from srs_twin.plants.analytical.spatial_kinematics import (
     ACROSS,
     ALONG,
@@ -76,22 +76,27 @@ def _begin_step(state, body, work, h):  # type: ignore[no-untyped-def]
             linear[row, row] += h * stiffness + body.damping[i]
 
 
+@inlined
+def _fill_linear(velocity, work, out, with_matrix):  # type: ignore[no-untyped-def]
+    """Fill the part of the residual that is linear in the velocities and, if asked, its matrix."""
+    size = velocity.shape[0]
+    for i in range(size):
+        total = work.at_rest[i]
+        for k in range(size):
+            total += work.linear[i, k] * velocity[k]
+        out[i] = total
+        if with_matrix:
+            for k in range(i + 1):
+                work.matrix[i, k] = work.linear[i, k]
+
+
 @compiled
 def _residual(velocity, body, work, h, slip, out, with_matrix):  # type: ignore[no-untyped-def]
     """Fill the residual of a step of length h (s) and, if asked, Newton's matrix; `slip` in m/s."""
     count = body.share.shape[0]
-    size = velocity.shape[0]
-    mu_ahead, mu_back, mu_n, _ = body.friction
+    mu = body.friction
     matrix = work.matrix
-    linear = work.linear
-    for i in range(size):
-        total = work.at_rest[i]
-        for k in range(size):
-            total += linear[i, k] * velocity[k]
-        out[i] = total
-        if with_matrix:
-            for k in range(i + 1):
-                matrix[i, k] = linear[i, k]
+    _fill_linear(velocity, work, out, with_matrix)
     for p in range(work.point.shape[0]):
         used = 9 + 3 * (p // count)
         rows = work.rows[p]
@@ -109,9 +114,9 @@ def _residual(velocity, body, work, h, slip, out, with_matrix):  # type: ignore[
         for i in range(used):
             along += rows[ALONG, i] * velocity[i]
             across += rows[ACROSS, i] * velocity[i]
-        mu = mu_ahead if along >= 0.0 else mu_back
+        mu_t = mu.ahead if along >= 0.0 else mu.back
         f_t, f_n, tt, tn, _, nn = _ellipse(
-            along, across, work.law_load[p], mu, mu_n, slip
+            along, across, work.law_load[p], mu_t, mu.across, slip
         )
         work.force[p, 0] = f_t
         work.force[p, 1] = f_n
@@ -223,7 +228,7 @@ def _minimise(velocity, body, work, h, slip, tolerance):  # type: ignore[no-unty
 @compiled
 def _solve_step(velocity, state, body, work, h, weight):  # type: ignore[no-untyped-def]
     """Solve for velocities and loads of a step of length h; return whether it converged."""
-    slip = body.friction[3]
+    slip = body.friction.slip
     _begin_step(state, body, work, h)
     converged = True
     for _ in range(_MAX_SWEEPS):
@@ -249,7 +254,7 @@ def _solve_step(velocity, state, body, work, h, weight):  # type: ignore[no-unty
 
 
 @compiled
-def _move_state(velocity, state, body, work, h, turn, old):  # type: ignore[no-untyped-def]
+def move_state(velocity, state, body, work, h, turn, old):  # type: ignore[no-untyped-def]
     """Advance a state by a solved step of length h."""
     segments = work.bend.shape[0]
     for j in range(segments):
@@ -334,30 +339,21 @@ def _count_jump(state, fastest, body):  # type: ignore[no-untyped-def]
     state[IS_JUMPING] = jumping
 
 
-@compiled
-def _record(now, sample_steps, step, sample, samples):  # type: ignore[no-untyped-def]
-    """Copy state and velocity to all samples after a number of steps; return the next sample."""
-    while sample < sample_steps.shape[0] and sample_steps[sample] == step:
-        copy(now[0], samples[0][sample])
-        copy(now[1], samples[1][sample])
-        sample += 1
-    return sample
-
-
 @allocating
 def advance(now, steps, free, sample_steps, body, work, samples):  # type: ignore[no-untyped-def]
     """Advance by several steps; return the number of completed steps.
 
     Args:
-        now: state and velocity, in place.
+        now: a `QuasistaticState`, in place.
         steps: lengths of the steps, shape (steps,), s.
         free: free bends at the start and after each step, shape (steps + 1, S, 2), rad.
         sample_steps: number of steps before each sample.
         body: constants.
         work: workspace.
-        samples: out, states and velocities at the samples.
+        samples: out, `Samples`.
     """
-    state, velocity = now
+    state = now.state
+    velocity = now.velocity
     turn = np.empty((3, 3))
     old = np.empty(9)
     start = np.empty_like(velocity)
@@ -366,7 +362,7 @@ def advance(now, steps, free, sample_steps, body, work, samples):  # type: ignor
     loads = BENDS + 3 * work.bend.shape[0] + 3 * points
     for p in range(points):
         work.law_load[p] = state[loads + p]
-    sample = _record(now, sample_steps, 0, 0, samples)
+    sample = record(state, velocity, sample_steps, 0, 0, samples)
     for step in range(steps.shape[0]):
         done = 0.0
         h = steps[step]
@@ -375,14 +371,11 @@ def advance(now, steps, free, sample_steps, body, work, samples):  # type: ignor
             copy(velocity, start)
             fastest = np.inf
             for _ in range(_MAX_HALVINGS):
-                _set_bends(
-                    free, step, min(1.0, (done + h) / steps[step]), steps[step], work
-                )
-                converged = _solve_step(velocity, state, body, work, h, weight)
-                if converged:
+                share = min(1.0, (done + h) / steps[step])
+                _set_bends(free, step, share, steps[step], work)
+                fastest = np.inf
+                if _solve_step(velocity, state, body, work, h, weight):
                     fastest = _fastest_point(velocity, work, body.share.shape[0])
-                else:
-                    fastest = np.inf
                 if h * fastest <= body.longest_move:
                     break
                 # Rejected: solve a shorter step from the same velocity.
@@ -391,9 +384,9 @@ def advance(now, steps, free, sample_steps, body, work, samples):  # type: ignor
                 copy(start, velocity)
             if not np.isfinite(fastest):
                 return step
-            _move_state(velocity, state, body, work, h, turn, old)
+            move_state(velocity, state, body, work, h, turn, old)
             _count_jump(state, fastest, body)
             done += h
             h = min(2 * h, steps[step] - done)
-        sample = _record(now, sample_steps, step + 1, sample, samples)
+        sample = record(state, velocity, sample_steps, step + 1, sample, samples)
     return steps.shape[0]

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from srs_twin.compute.compiled import allocating, compiled
+from srs_twin.compute.compiled import allocating, compiled, inlined
 
 # Layout of a state: position and rotation matrix (by rows) of the head connector,
 # accumulated quantities, then the bends. The impulses of the floor on all points, shape
@@ -31,6 +31,29 @@ ROWS = 4  # of `Work.rows`: velocity of a contact along and across the body, and
 ALONG, ACROSS, UP, ROLL = range(ROWS)
 
 
+class SkinFriction(NamedTuple):
+    """Friction coefficients of a skin, and the slip speed of its law.
+
+    Attributes:
+        ahead: coefficient for slip towards the head, dimensionless.
+        back: coefficient for slip towards the tail.
+        across: coefficient across the heading.
+        slip: slip speed ε, m/s.
+    """
+
+    ahead: float
+    back: float
+    across: float
+    slip: float
+
+
+class QuasistaticState(NamedTuple):
+    """State of a spatial body, see the layout above, and velocities of all coordinates."""
+
+    state: np.ndarray
+    velocity: np.ndarray
+
+
 class QuasistaticBody(NamedTuple):
     """Constants of the body and of the floor. P points per segment, S segments.
 
@@ -45,8 +68,7 @@ class QuasistaticBody(NamedTuple):
         damping: same order, shape (3,), N·m·s/rad.
         radius: m.
         depth: depth of the resting points in the floor, m.
-        friction: coefficients forwards, backwards and across, 1, and the slip speed,
-            m/s.
+        friction: friction of the skin.
         drag_time: mass over the drag of vertical and rolling motion, s.
         longest_move: longest motion of a point in a substep, m.
         jump_speed: speed of a point in a jump, m/s.
@@ -63,7 +85,7 @@ class QuasistaticBody(NamedTuple):
     damping: np.ndarray
     radius: float
     depth: float
-    friction: tuple[float, float, float, float]
+    friction: SkinFriction
     drag_time: float
     longest_move: float
     jump_speed: float
@@ -122,6 +144,8 @@ def work_arrays(segments: int, points: int) -> Work:
     n = segments + 1
     count = segments * points
     velocities = 6 + 3 * segments
+    square = (velocities, velocities)
+    vector = (velocities,)
     shapes = [
         (n, 3),
         (n, 3, 3),
@@ -129,10 +153,6 @@ def work_arrays(segments: int, points: int) -> Work:
         (count, 2),
         (count, 6, velocities),
         (count, ROWS, velocities),
-    ]
-    square = (velocities, velocities)
-    vector = (velocities,)
-    shapes += [
         (count,),
         (count,),
         (count, 2),
@@ -142,8 +162,10 @@ def work_arrays(segments: int, points: int) -> Work:
         vector,
         vector,
         vector,
+        (segments, 3),
+        (segments, 3),
+        (segments, 6, 3),
     ]
-    shapes += [(segments, 3), (segments, 3), (segments, 6, 3)]
     return Work(*map(np.zeros, shapes))
 
 
@@ -329,68 +351,85 @@ def _turn_slopes(slopes, frame, out, column):  # type: ignore[no-untyped-def]
             out[3 + row, column + i] = sign * s[row]
 
 
+class _Place(NamedTuple):
+    """Work arrays of a place behind a connector, see `_arc`."""
+
+    offset: np.ndarray
+    turn: np.ndarray
+    slopes: np.ndarray
+
+
 @allocating
 def pose(state, body, work):  # type: ignore[no-untyped-def]
     """Fill positions, frames, points and their motions in the workspace for a state."""
-    segments = work.bend.shape[0]
+    place = _Place(np.empty(3), np.empty((3, 3)), np.empty((6, 3)))
     count = body.share.shape[0]
-    offset = np.empty(3)
-    turn = np.empty((3, 3))
-    slopes = np.empty((6, 3))
     for i in range(3):
         work.position[0, i] = state[i]
         for k in range(3):
             work.frame[0, i, k] = state[ROTATION + 3 * i + k]
-    for j in range(segments):
-        frame = work.frame[j]
-        here = work.position[j]
-        w = (state[BENDS + 3 * j + 2], -state[BENDS + 3 * j + 1], state[BENDS + 3 * j])
+    for j in range(work.bend.shape[0]):
+        row = BENDS + 3 * j
+        w = (state[row + 2], -state[row + 1], state[row])
         for m in range(count):
-            p = j * count + m
-            _arc(
-                w,
-                body.share[m],
-                (body.front[m], body.length, body.rear[m]),
-                offset,
-                turn,
-                slopes,
+            lengths = (body.front[m], body.length, body.rear[m])
+            _arc(w, body.share[m], lengths, place.offset, place.turn, place.slopes)
+            _fill_point(j, j * count + m, body.radius, place, work)
+        lengths = (body.gap, body.length, body.gap)
+        _arc(w, 1.0, lengths, place.offset, place.turn, place.slopes)
+        _fill_connector(j, place, work)
+
+
+@inlined
+def _fill_point(j, p, radius, place, work):  # type: ignore[no-untyped-def]
+    """Fill point p of segment j, its heading and its motion."""
+    frame = work.frame[j]
+    here = work.position[j]
+    offset = place.offset
+    turn = place.turn
+    x, y, z = _turned(frame, offset[0], offset[1], offset[2])
+    work.point[p, 0] = here[0] + x
+    work.point[p, 1] = here[1] + y
+    work.point[p, 2] = here[2] + z
+    t_x, t_y, t_z = _turned(frame, turn[0, 0], turn[1, 0], turn[2, 0])
+    flat = max(math.sqrt(t_x * t_x + t_y * t_y), 1e-12)
+    c = t_x / flat
+    s = t_y / flat
+    work.heading[p, 0] = c
+    work.heading[p, 1] = s
+    motion = work.motion[p]
+    rows = work.rows[p]
+    _fill_motion(motion, work.point[p], j, work, place.slopes)
+    for i in range(9 + 3 * j):
+        # Velocity of the material vertically below the axis, and rolling velocity of
+        # the surface.
+        v_x = motion[0, i] - radius * motion[4, i]
+        v_y = motion[1, i] + radius * motion[3, i]
+        rows[ALONG, i] = c * v_x + s * v_y
+        rows[ACROSS, i] = c * v_y - s * v_x
+        rows[UP, i] = motion[2, i]
+        rows[ROLL, i] = radius * (
+            t_x * motion[3, i] + t_y * motion[4, i] + t_z * motion[5, i]
+        )
+
+
+@inlined
+def _fill_connector(j, place, work):  # type: ignore[no-untyped-def]
+    """Fill position and frame of the connector behind segment j, and the velocity of that connector."""
+    frame = work.frame[j]
+    here = work.position[j]
+    there = work.position[j + 1]
+    offset = place.offset
+    turn = place.turn
+    x, y, z = _turned(frame, offset[0], offset[1], offset[2])
+    there[0] = here[0] + x
+    there[1] = here[1] + y
+    there[2] = here[2] + z
+    _turn_slopes(place.slopes, frame, work.base[j], 0)
+    for i in range(3):
+        for row in range(3):
+            work.frame[j + 1, row, i] = (
+                frame[row, 0] * turn[0, i]
+                + frame[row, 1] * turn[1, i]
+                + frame[row, 2] * turn[2, i]
             )
-            x, y, z = _turned(frame, offset[0], offset[1], offset[2])
-            work.point[p, 0] = here[0] + x
-            work.point[p, 1] = here[1] + y
-            work.point[p, 2] = here[2] + z
-            t_x, t_y, t_z = _turned(frame, turn[0, 0], turn[1, 0], turn[2, 0])
-            flat = max(math.sqrt(t_x * t_x + t_y * t_y), 1e-12)
-            c = t_x / flat
-            s = t_y / flat
-            work.heading[p, 0] = c
-            work.heading[p, 1] = s
-            motion = work.motion[p]
-            rows = work.rows[p]
-            _fill_motion(motion, work.point[p], j, work, slopes)
-            for i in range(9 + 3 * j):
-                # Velocity of the material vertically below the axis, and rolling
-                # velocity of the surface.
-                v_x = motion[0, i] - body.radius * motion[4, i]
-                v_y = motion[1, i] + body.radius * motion[3, i]
-                rows[ALONG, i] = c * v_x + s * v_y
-                rows[ACROSS, i] = c * v_y - s * v_x
-                rows[UP, i] = motion[2, i]
-                rows[ROLL, i] = body.radius * (
-                    t_x * motion[3, i] + t_y * motion[4, i] + t_z * motion[5, i]
-                )
-        _arc(w, 1.0, (body.gap, body.length, body.gap), offset, turn, slopes)
-        x, y, z = _turned(frame, offset[0], offset[1], offset[2])
-        there = work.position[j + 1]
-        base = work.base[j]
-        there[0] = here[0] + x
-        there[1] = here[1] + y
-        there[2] = here[2] + z
-        _turn_slopes(slopes, frame, base, 0)
-        for i in range(3):
-            for row in range(3):
-                work.frame[j + 1, row, i] = (
-                    frame[row, 0] * turn[0, i]
-                    + frame[row, 1] * turn[1, i]
-                    + frame[row, 2] * turn[2, i]
-                )

@@ -30,19 +30,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from srs_twin.compute.compiled import compiled, kernel_only
-from srs_twin.plants.analytical.floor import FloorFriction, with_reduced_slip_speed
+from srs_twin.compute.compiled import compiled, inlined, kernel_only
+from srs_twin.plants.analytical.floor import with_reduced_slip_speed
 from srs_twin.plants.analytical.kernels import (
     GAMMA,
     MOMENT,
-    SPEED_LIMIT,
     STATE_VX,
     STATE_VY,
-    STATES,
+    Bends,
+    PrescribedModel,
+    Samples,
+    StepArrays,
     copy,
+    is_slow,
+    record,
     step,
 )
-from srs_twin.plants.analytical.kinematics import ROWS, BodyParameters
 from srs_twin.pneumatics import Trace
 
 
@@ -149,17 +152,23 @@ _DOUBLE_BELOW = 0.5
 
 
 @kernel_only
-def _cubic(at, span, q0, q1, r0, r1, q, r):  # type: ignore[no-untyped-def]  # noqa: D417
+def _cubic(at, span, bends, first, out, row):  # type: ignore[no-untyped-def]
     """Fill bends and rates at a fraction of an interval from those at its ends (cubic Hermite polynomial).
 
     Args:
         at: fraction of the interval, 0 to 1.
         span: length of the interval, s.
-        q0, q1: bends at its ends, shape (segments,), rad.
-        r0, r1: bend rates at its ends, shape (segments,), rad/s.
-        q: out, bends.
-        r: out, bend rates.
+        bends: bends and rates; those at the ends are in two consecutive rows.
+        first: the first of these rows.
+        out: bends and rates to fill.
+        row: row of `out`.
     """
+    q0 = bends.bend[first]
+    q1 = bends.bend[first + 1]
+    r0 = bends.rate[first]
+    r1 = bends.rate[first + 1]
+    q = out.bend[row]
+    r = out.rate[row]
     rest = 1 - at
     rise = at * at * (3 - 2 * at)
     begins = at * rest * rest * span
@@ -174,30 +183,22 @@ def _cubic(at, span, q0, q1, r0, r1, q, r):  # type: ignore[no-untyped-def]  # n
 
 
 @compiled
-def bend_within(at, h, bends, rates, q, r):  # type: ignore[no-untyped-def]
+def bend_within(at, h, bends, out, row):  # type: ignore[no-untyped-def]
     """Fill bends and rates at the fraction `at` of a step of length h (s).
 
     Args:
         at: fraction of the step, 0 to 1.
         h: length of the step, s.
-        bends: at the start, first stage and end of the step, shape (3, segments), rad.
-        rates: bend rates there, shape (3, segments), rad/s.
-        q: out, bends.
-        r: out, bend rates.
+        bends: bends and rates at the start, first stage and end of the step, shape (3,
+            segments).
+        out: bends and rates to fill, shape (rows, segments).
+        row: row of `out`.
     """
     if at < GAMMA:
-        _cubic(at / GAMMA, GAMMA * h, bends[0], bends[1], rates[0], rates[1], q, r)
+        _cubic(at / GAMMA, GAMMA * h, bends, 0, out, row)
     else:
-        _cubic(
-            (at - GAMMA) / (1 - GAMMA),
-            (1 - GAMMA) * h,
-            bends[1],
-            bends[2],
-            rates[1],
-            rates[2],
-            q,
-            r,
-        )
+        rest = 1 - GAMMA
+        _cubic((at - GAMMA) / rest, rest * h, bends, 1, out, row)
 
 
 @kernel_only
@@ -211,53 +212,53 @@ def _step_error(h, k0, k1, k2, weight, arm):  # type: ignore[no-untyped-def]
     return h * math.sqrt(x * x + y * y + moment * moment)
 
 
-class StepArrays(NamedTuple):
-    """Work arrays of `advance` for N connectors.
+class PrescribedState(NamedTuple):
+    """State of a body with prescribed bends.
 
     Attributes:
-        body: posed body, shape (ROWS, N).
-        rates: rates of the state at the stages, shape (2, STATES).
-        after: state after a substep, shape (STATES,).
-        drift: rates of change of the velocities, and those after a substep, shape (2,
-            3).
-        guess: velocities after a substep, shape (3,).
-        bends: bends and bend rates at the stages of a substep, shape (2, 2, segments).
+        state: indices in `kernels`, shape (STATES,).
+        rate: its rates, kept between calls for the error estimate, shape (STATES,).
+        velocity: velocity in the body frame (m/s) and yaw rate (rad/s), kept between
+            calls as first guesses, shape (3,).
     """
 
-    body: np.ndarray
-    rates: np.ndarray
-    after: np.ndarray
-    drift: np.ndarray
-    guess: np.ndarray
-    bends: np.ndarray
+    state: np.ndarray
+    rate: np.ndarray
+    velocity: np.ndarray
 
-    @classmethod
-    def of(cls, n: int) -> StepArrays:
-        """Return the arrays for n connectors."""
-        shapes = [(ROWS, n), (2, STATES), (STATES,), (2, 3), (3,), (2, 2, n - 1)]
-        return cls(*map(np.zeros, shapes))
+
+class _AdvanceArrays(NamedTuple):
+    """Work arrays of `advance`.
+
+    Attributes:
+        step: work arrays of a substep.
+        drift: rates of change of the velocities before a substep, shape (3,).
+        stages: bends and rates at the stages of a substep, shape (2, segments).
+    """
+
+    step: StepArrays
+    drift: np.ndarray
+    stages: Bends
 
 
 def advance(
-    now: tuple[np.ndarray, ...],
+    now: PrescribedState,
     steps: np.ndarray,
     trace: Trace,
     marks: np.ndarray,
-    model: tuple[BodyParameters, FloorFriction, bool],
+    model: PrescribedModel,
     tolerance: float,
-    samples: tuple[np.ndarray, np.ndarray],
+    samples: Samples,
 ) -> tuple[int, int]:
     """Advance a body in place over given steps.
 
     Args:
-        now: state (indices in `kernels`) and its rates, shape (STATES,) each; velocity
-            in the body frame and yaw rate, shape (3,). The latter two are kept between
-            calls as first guesses.
+        now: state of the body.
         steps: lengths of the steps, shape (steps,), s.
         trace: trace of the chambers at the start and the two stages of each step, 1 + 2
             steps rows.
         marks: number of steps before each sample, ascending, shape (samples,).
-        model: body, floor, and whether the friction moment acts.
+        model: the constants.
         tolerance: largest allowed η, m/s.
         samples: out, states and velocities at the samples, shapes (samples, STATES) and
             (samples, 3).
@@ -266,86 +267,73 @@ def advance(
         The number of completed steps, which is smaller than requested after a failure,
         and the number of substeps including repeated ones.
     """
-    bends = (trace.bend, trace.bend_rate)
-    work = StepArrays.of(len(model[0].mass))
-    done, substeps = _advance(now, steps, bends, marks, model, tolerance, samples, work)
+    n = len(model.solid.mass)
+    stages = Bends(np.zeros((2, n - 1)), np.zeros((2, n - 1)))
+    work = _AdvanceArrays(StepArrays.of(n), np.zeros(3), stages)
+    free = Bends(trace.bend, trace.bend_rate)
+    done, substeps = _advance(now, steps, free, marks, model, tolerance, samples, work)
     return done, substeps
+
+
+@inlined
+def _fastest_point(u, rates, reach):  # type: ignore[no-untyped-def]
+    """Return about the largest speed of a point, m/s."""
+    fastest = max(abs(u[0]) + abs(u[1]), reach * abs(u[2]))
+    for j in range(rates.shape[1]):
+        fastest = max(fastest, reach * abs(rates[0, j]))
+    return fastest
+
+
+@inlined
+def _fill_stages(done, size, length, bends, stages):  # type: ignore[no-untyped-def]
+    """Fill the bends at the stages of a substep; `done` and `size` in parts of a step."""
+    for stage in range(2):
+        at = (done + (GAMMA if stage == 0 else 1.0) * size) / MAX_SUBSTEPS
+        bend_within(at, length, bends, stages, stage)
 
 
 @compiled
 def _advance(now, steps, free, marks, model, tolerance, samples, work):  # type: ignore[no-untyped-def]
     """Advance a body, see `advance`; `free` are the bends and bend rates of the trace."""
-    (state, slope, u), (states, velocities) = now, samples
-    (solid, floor, friction_moment), (bends, rates) = model, free
-    body = work.body
-    k = work.rates
-    after = work.after
-    guess = work.guess
-    drift = work.drift[0]
-    pace = work.drift[1]
-    mid_bends = work.bends[0]
-    mid_rates = work.bends[1]
+    u = now.velocity
+    solid = model.solid
+    drift = work.drift
+    arrays = work.step
+    k = arrays.rates
     reach = solid.pitch / 2
     n = solid.mass.shape[0]
     arm = solid.pitch * math.sqrt((n * n - 1) / 12)
     mark = substeps = 0
     for i in range(steps.shape[0]):
-        step_bends = bends[2 * i : 2 * i + 3]
-        step_rates = rates[2 * i : 2 * i + 3]
+        bends = Bends(free.bend[2 * i : 2 * i + 3], free.rate[2 * i : 2 * i + 3])
+        fastest = _fastest_point(u, bends.rate, reach)
+        floor = with_reduced_slip_speed(model.floor, fastest)
+        reduced = PrescribedModel(solid, floor, model.friction_moment)
         done = 0
         size = MAX_SUBSTEPS
-        fastest = max(abs(u[0]) + abs(u[1]), reach * abs(u[2]))
-        for j in range(n - 1):
-            fastest = max(fastest, reach * abs(step_rates[0, j]))
-        model = solid, with_reduced_slip_speed(floor, fastest), friction_moment
         while done < MAX_SUBSTEPS:
             h = steps[i] * size / MAX_SUBSTEPS
-            copy(u, guess)
-            copy(drift, pace)
-            if size == MAX_SUBSTEPS:
-                stage_bends = step_bends[1:]
-                stage_rates = step_rates[1:]
-            else:
-                for stage in range(2):
-                    at = (done + (GAMMA if stage == 0 else 1.0) * size) / MAX_SUBSTEPS
-                    bend_within(
-                        at,
-                        steps[i],
-                        step_bends,
-                        step_rates,
-                        mid_bends[stage],
-                        mid_rates[stage],
-                    )
-                stage_bends = mid_bends
-                stage_rates = mid_rates
-            solved = step(
-                state, h, stage_bends, stage_rates, model, guess, pace, k, after, body
-            )
+            copy(u, arrays.guess)
+            copy(drift, arrays.pace)
+            stages = Bends(bends.bend[1:], bends.rate[1:])
+            if size < MAX_SUBSTEPS:
+                stages = work.stages
+                _fill_stages(done, size, steps[i], bends, stages)
+            solved = step(now.state, h, stages, reduced, arrays)
             substeps += 1
-            eta = _step_error(h, slope, k[0], k[1], solid.weight, arm)
+            eta = _step_error(h, now.rate, k[0], k[1], solid.weight, arm)
             if size > 1 and not (solved and eta < tolerance):
                 size = max(size // (2 if eta < _QUARTER_ABOVE * tolerance else 4), 1)
                 continue
-            # A NaN fails every comparison.
-            if not (
-                solved
-                and abs(after[STATE_VX]) < SPEED_LIMIT
-                and abs(after[STATE_VY]) < SPEED_LIMIT
-            ):
+            if not (solved and is_slow(arrays.after)):
                 return i, substeps
-            copy(after, state)
-            copy(k[1], slope)
-            copy(guess, u)
-            copy(pace, drift)
+            copy(arrays.after, now.state)
+            copy(k[1], now.rate)
+            copy(arrays.guess, u)
+            copy(arrays.pace, drift)
             done += size
-            if (
-                size < MAX_SUBSTEPS
-                and eta < _DOUBLE_BELOW * tolerance
-                and done % (2 * size) == 0
-            ):
+            fits_twice = size < MAX_SUBSTEPS and done % (2 * size) == 0
+            if fits_twice and eta < _DOUBLE_BELOW * tolerance:
                 size *= 2
-        while mark < marks.shape[0] and marks[mark] == i + 1:
-            copy(state, states[mark])
-            copy(u, velocities[mark])
-            mark += 1
+        mark = record(now.state, u, marks, i + 1, mark, samples)
     return steps.shape[0], substeps

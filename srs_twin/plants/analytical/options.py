@@ -1,0 +1,209 @@
+"""Options of the analytical models: their assumptions about robot and floor, and their numerical settings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TypedDict
+
+from srs_twin.compute.arrays import check_positive
+from srs_twin.errors import InputError, check_choice
+from srs_twin.io.arguments import check_types
+from srs_twin.plants.base import BASES
+from srs_twin.robot.friction import LAWS, TWO_POINT_LAWS
+from srs_twin.robot.scale import SHIPPED, Scale, divide
+from srs_twin.robot.spec import RobotSpec
+from srs_twin.robot.world import World
+
+MODELS = ("complete", "simplified", "compliant", "quasistatic")
+LOADS = ("static", "momentary")
+INERTIAS = ("point", "connector", "lumped")
+
+TIMESTEP_S = 0.002
+"""Default longest time step at a time unit of 1 (`robot.scale`), s."""
+TOLERANCE_M_S = 0.0002
+"""Default tolerance of a step at a time unit of 1, m/s."""
+SLIP_SPEED_M_S = 0.00025
+"""Default slip speed at a time unit of 1, m/s."""
+
+
+def default_timestep(tick: float, scale: Scale) -> float:
+    """Return the default longest time step, s.
+
+    Args:
+        tick: control tick, s.
+        scale: units of the robot. For those of the shipped robots the step does not
+            depend on the tick.
+    """
+    if scale == SHIPPED:
+        return TIMESTEP_S
+    return divide(tick, TIMESTEP_S * scale.time)
+
+
+class OptionKeywords(TypedDict, total=False):
+    """Keywords of `AnalyticalSnake` that set the fields of its `AnalyticalOptions`."""
+
+    model: str
+    friction: str
+    load: str
+    friction_torque: bool
+    inertia: str
+    base: str
+    track: float | None
+    touch: bool
+    cells: int
+    timestep: float | None
+    tolerance: float | None
+    slip_speed: float | None
+
+
+@dataclass(frozen=True)
+class AnalyticalOptions:
+    """Assumptions and numerical settings of an analytical model.
+
+    Attributes:
+        model: "complete" (prescribed bends), "simplified" (prescribed bends, chords
+            frozen at l + L_o) or "compliant" (bends deflected by load and inertia);
+            "quasistatic" (`quasistatic`) for a robot whose segments bend in two
+            directions, and only for it. A body with skin is not "simplified".
+        friction: law of a robot on wheels, "axis" (one contact per connector, the law
+            of the dissertation), "wheel" (two wheels at the track), "ellipse" or
+            "cosine" (two skids at the track) or "viscous" (for tests); a skin has its
+            own law, along the whole body.
+        load: load of a wheel or skid, "static" (half of its connector's weight) or
+            "momentary" (with the load transfer by the lateral force, see `floor`).
+        friction_torque: whether the moment of friction about the centre of mass acts;
+            False gives the first model of the dissertation, with "simplified" only.
+        inertia: moment of inertia of each connector: "point" for none, "connector" for
+            a compact body with two wheels as in the twin, "lumped" for the
+            dissertation's j(i) = Σ m L²/3, which counts the masses of the segments
+            twice (E19).
+        base: "free", or "clamped": held at the head, in the air (not with "compliant").
+        track: distance of the two contacts of a connector from the centre line, m;
+            default the robot's half track for a law at the wheels, and 0, one contact,
+            for other laws.
+        touch: whether the body touches obstacles (`obstacles`), with "compliant" only;
+            otherwise it passes through them.
+        cells: approximate number of cells per segment of a robot on wheels that can
+            touch obstacles.
+        timestep: longest time step, s; default `TIMESTEP_S` times the time unit of the
+            robot (`robot.scale`), or a near part of the tick (`robot.scale.divide`).
+        tolerance: largest error of a step where friction reverses, as a velocity, m/s;
+            with prescribed bends, steps are divided until they meet it, see `steps`;
+            default `TOLERANCE_M_S` times the time unit.
+        slip_speed: slip speed ε of the friction law, m/s; default `SLIP_SPEED_M_S`
+            times the time unit.
+    """
+
+    model: str = "complete"
+    friction: str = "axis"
+    load: str = "static"
+    friction_torque: bool = True
+    inertia: str = "point"
+    base: str = "free"
+    track: float | None = None
+    touch: bool = False
+    cells: int = 8
+    timestep: float | None = None
+    tolerance: float | None = None
+    slip_speed: float | None = None
+
+    def __post_init__(self) -> None:
+        check_types("AnalyticalSnake", AnalyticalOptions, vars(self))
+        check_choice("model", self.model, MODELS)
+        check_choice("friction law", self.friction, LAWS)
+        check_choice("load", self.load, LOADS)
+        check_choice("inertia", self.inertia, INERTIAS)
+        check_choice("base", self.base, BASES)
+        for name, value, unit in (
+            ("time step", self.timestep, "s"),
+            ("tolerance", self.tolerance, "m/s"),
+        ):
+            if value is not None:
+                check_positive(name, value, unit)
+        if self.cells < 1:
+            raise InputError(
+                f"cells {self.cells} is not allowed; a segment has 1 or more"
+            )
+
+    def law_on(self, spec: RobotSpec) -> str:
+        """Return the friction law of a robot, which is that of its skin if it has one."""
+        return self.friction if spec.skin is None else spec.skin.law
+
+    def track_of(self, spec: RobotSpec) -> float:
+        """Return the distance of the contacts of a robot from its centre line, m."""
+        if self.track is not None:
+            return self.track
+        if self.law_on(spec) in TWO_POINT_LAWS:
+            return spec.geometry.half_track
+        return 0.0
+
+    def check(self, spec: RobotSpec, world: World) -> None:
+        """Check that a robot in a world can be simulated with these options.
+
+        Raises:
+            InputError: it cannot; the message contains all reasons.
+        """
+        if self.model != "quasistatic":
+            spec.require_planar(f"the analytical model {self.model!r}")
+        violations = (
+            *self._violations_of_model(),
+            *self._violations_of_robot(spec),
+            *self._violations_of_world(world),
+        )
+        if violations:
+            raise InputError("; ".join(violations))
+
+    def _violations_of_model(self) -> Iterator[str]:
+        if not self.friction_torque and self.model != "simplified":
+            yield (
+                f"model '{self.model}' has a friction torque; use 'simplified' to leave"
+                " it out"
+            )
+        if self.base == "clamped" and self.model == "compliant":
+            yield (
+                "model 'compliant' needs base 'free'; use 'complete' or the twin when"
+                " clamped"
+            )
+        if self.touch and self.model != "compliant":
+            yield (
+                f"model '{self.model}' has prescribed bends and touches no obstacles;"
+                " use 'compliant'"
+            )
+
+    def _violations_of_robot(self, spec: RobotSpec) -> Iterator[str]:
+        if self.model == "quasistatic" and not spec.is_spatial:
+            yield (
+                "model 'quasistatic' needs a spatial robot;"
+                f" {spec.name} bends in one plane"
+            )
+        if spec.skin is not None and (
+            self.model == "simplified" or self.inertia == "lumped"
+        ):
+            yield "a body with skin has neither model 'simplified' nor inertia 'lumped'"
+        law = self.law_on(spec)
+        if self.load == "momentary" and law not in TWO_POINT_LAWS:
+            yield (
+                f"friction '{law}' has one contact per connector; momentary loads need"
+                " two: use 'wheel' or 'ellipse'"
+            )
+        elif self.load == "momentary" and self.track_of(spec) == 0.0:
+            yield "momentary loads need two contacts side by side; track must be above 0"
+        if spec.tail is not None:
+            yield (
+                "the analytical model has one axle per connector; use the twin for a"
+                " tail on two axles"
+            )
+
+    def _violations_of_world(self, world: World) -> Iterator[str]:
+        if self.model == "quasistatic" and (world.uneven or world.is_solid):
+            yield (
+                "model 'quasistatic' needs a level floor without obstacles; use the"
+                " twin"
+            )
+        if world.steps:
+            yield (
+                "the floor of the analytical model is a plane; use the twin for steps"
+            )
+        if world.objects:
+            yield "the analytical model has no movable objects; use the twin"
