@@ -67,6 +67,7 @@ class KeyTables:
         return "\n\n".join(self.section(name, "", self.root))
 
     def section(self, name: str, path: str, block: Schema) -> Iterator[str]:
+        """Yield the table of a block of the schema, then the tables of its subblocks."""
         title = f"## {path}" if path else "## At the top level"
         rows: list[str] = []
         inner: list[tuple[str, Schema]] = []

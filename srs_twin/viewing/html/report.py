@@ -195,7 +195,7 @@ def _expectations(
                 row["of"],
                 cell(tidy(row["metric"], row.get("value"))),
                 allowed_text(row),
-                *(row.get(key) or "" for key in keys),
+                *(str(row.get(key) or "") for key in keys),
             ]
         )
     headings = ["", "metric", "of", "value", "allowed", *keys]
