@@ -16,12 +16,11 @@ from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import AfterValidator, Field, model_validator
 
-import srs_twin.reproduction.computations as computations
-import srs_twin.reproduction.traces as traces
 from srs_twin.errors import UnknownNameError
 from srs_twin.io.documents import Document, Loc, load_yaml
 from srs_twin.io.files import data_root, shipped_names
 from srs_twin.io.validation import Model, validate
+from srs_twin.reproduction import computations, traces
 from srs_twin.scenario.fields import Section, quantity
 
 

@@ -438,10 +438,21 @@ def write_json(path: Path, rows: Sequence[JudgedClaim], changes: Sequence[str]) 
 
 def _row(row: JudgedClaim, outcomes: object) -> dict[str, object]:
     claim = row.claim
-    names = (
-        "id source robot says use group could_fail tolerance fitted rule value unit"
-        " allowed".split()
-    )
+    names = [
+        "id",
+        "source",
+        "robot",
+        "says",
+        "use",
+        "group",
+        "could_fail",
+        "tolerance",
+        "fitted",
+        "rule",
+        "value",
+        "unit",
+        "allowed",
+    ]
     return {name: getattr(claim, name) for name in names} | {"outcomes": outcomes}
 
 

@@ -223,7 +223,9 @@ def _colours(path: Path) -> np.ndarray:
             is_clear = picture.has_transparency_data
             if is_deep or is_clear or picture.mode not in _MODES:
                 raise InputError(f"{name}: {_ALLOWED}")
-            return np.asarray(picture.convert("RGB")).sum(axis=2, dtype=np.uint32)
+            colours = np.asarray(picture.convert("RGB"))
+            total: np.ndarray = colours.sum(axis=2, dtype=np.uint32)
+            return total
     except InputError:
         raise
     except UnidentifiedImageError:
