@@ -194,13 +194,23 @@ def find_passages(world: World, body: Footprint) -> np.ndarray:
         x, y (m), heading (rad) of the entry pose and length of the straight path
         through (m), shape (n, 4).
     """
-    import shapely
-
     straight = body.at(0.0)
     width = straight.left + straight.right
+    return _entry_poses(_gap_centres(world, width), body, _MIN_SPACING * width)
+
+
+def _gap_centres(world: World, width: float) -> list[tuple[list[float], list[float]]]:
+    """Return centre and direction across of each narrow gap, the narrowest first.
+
+    Args:
+        world: obstacles and bounds.
+        width: width of the straight body, m.
+    """
+    import shapely
+
     ends, radii = _thick_lines(world)
     if len(ends) < 2:
-        return NO_PASSAGES
+        return []
     circles = len(
         world.obstacles
     )  # as points: shapely has no distance from a line without length
@@ -247,11 +257,7 @@ def find_passages(world: World, body: Footprint) -> np.ndarray:
             strict=True,
         )
     )
-    return _entry_poses(
-        [(point, direction) for _, point, direction in ordered],
-        body,
-        _MIN_SPACING * width,
-    )
+    return [(point, direction) for _, point, direction in ordered]
 
 
 def _thick_lines(world: World) -> tuple[np.ndarray, np.ndarray]:

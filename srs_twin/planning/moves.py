@@ -82,7 +82,7 @@ class ArcState(NamedTuple):
     x: float
     y: float
     heading: float
-    move: int
+    move: int | np.int64
     left: float
     right: float
     lasting: float

@@ -336,12 +336,7 @@ def expand(frontier, spec, best, count):  # type: ignore[no-untyped-def]
         for move in moves.primitives:
             _try_arc(frontier, node, move, spec, best)
         if frontier.counts[EXPANDED] % _PASSAGE_INTERVAL == 1:
-            passages = spec.passages.shape[0]
-        else:
-            passages = 0
-        for passage in range(passages):
-            for factor in range(moves.dubins_moves.shape[0]):
-                _try_passage(frontier, node, passage, factor, spec, best)
+            _try_passages(frontier, node, spec, best)
     return EXHAUSTED, -1
 
 
@@ -364,6 +359,14 @@ def _try_arc(frontier, node, move, spec, best):  # type: ignore[no-untyped-def]
         return
     child = Node(x, y, heading, cost, bound, state.left, state.right, state.lasting)
     _open_node(frontier, slot, node, move, child, spec)
+
+
+@kernel_only
+def _try_passages(frontier, node, spec, best):  # type: ignore[no-untyped-def]
+    """Try every narrow passage with every turning radius, see `_try_passage`."""
+    for passage in range(len(spec.passages)):
+        for factor in range(len(spec.moves.radius_factors)):
+            _try_passage(frontier, node, passage, factor, spec, best)
 
 
 @kernel_only

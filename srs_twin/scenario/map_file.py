@@ -223,7 +223,7 @@ def _colours(path: Path) -> np.ndarray:
             is_clear = picture.has_transparency_data
             if is_deep or is_clear or picture.mode not in _MODES:
                 raise InputError(f"{name}: {_ALLOWED}")
-            colours: np.ndarray = np.asarray(picture.convert("RGB"))
+            colours = np.asarray(picture.convert("RGB"))
             total: np.ndarray = colours.sum(axis=2, dtype=np.uint32)
             return total
     except InputError:

@@ -289,13 +289,13 @@ FOLLOWING_MALFORMED = edited(
         (
             "kind: best_first",
             "kind: best",
-            "planner.kind: must be best_first or given",
+            "planner.kind: must be one of best_first, given",
         ),
         (
             "kind: best_first",
             "kind: ompl",
             (
-                "planner.kind: must be best_first or given, not text"
+                "planner.kind: must be one of best_first, given, not text"
                 " 'ompl': it was retired"
             ),
         ),
@@ -303,7 +303,7 @@ FOLLOWING_MALFORMED = edited(
             "kind: best_first",
             "kind: greedy",
             (
-                "planner.kind: must be best_first or given, not text"
+                "planner.kind: must be one of best_first, given, not text"
                 " 'greedy': it was retired"
             ),
         ),
