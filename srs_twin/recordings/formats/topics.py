@@ -375,18 +375,22 @@ class _Topics:
         rotated = _has_rotation(poses)
         quaternions = np.where(rotated[..., None], poses[..., 3:], np.nan)
         # Stamps of a simulated clock begin anywhere.
-        other_clock = abs(frames.time[0]) > _OTHER_CLOCK_S
-        since_1970 = self.origin > _MIN_EPOCH_NS and not other_clock
+        time = frames.time
+        other_clock = abs(time[0]) > _OTHER_CLOCK_S
+        if other_clock:
+            time = time - time[0]
         table = marker_table(
             self.file,
             self.kind,
-            frames.time - (frames.time[0] if other_clock else 0.0),
+            time,
             poses[..., :3],
             names,
             notes,
             rotations=quaternions if rotated.any() else None,
         )
-        return replace(table, epoch_ns=self.origin if since_1970 else None)
+        if self.origin > _MIN_EPOCH_NS and not other_clock:
+            return replace(table, epoch_ns=self.origin)
+        return table
 
 
 class _Frames(NamedTuple):
