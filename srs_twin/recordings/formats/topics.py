@@ -358,11 +358,7 @@ class _Topics:
             near = np.abs(rows[nearest, 0] - frames.time) <= frames.half_period
             near |= topic.endswith("tf_static")
             poses[near, k] = rows[nearest[near], 1:]
-        counts = Counter(label for _, label in series)
-        names = [
-            label if counts[label] == 1 else f"{topic}:{label}"
-            for topic, label in series
-        ]
+        names = _unique_names(series)
         notes = [*self.notes]
         if composed := _compose(poses, names, self.parents):
             notes.append(
@@ -391,6 +387,15 @@ class _Topics:
         if self.origin > _MIN_EPOCH_NS and not other_clock:
             return replace(table, epoch_ns=self.origin)
         return table
+
+
+def _unique_names(bodies: Iterable[tuple[str, str]]) -> list[str]:
+    """Return the labels of bodies, preceded by their topics where several have the same label."""
+    bodies = list(bodies)
+    counts = Counter(label for _, label in bodies)
+    return [
+        label if counts[label] == 1 else f"{topic}:{label}" for topic, label in bodies
+    ]
 
 
 class _Frames(NamedTuple):
