@@ -350,12 +350,7 @@ def _format_number(value: float) -> str:
 
 def _describe_option(schema: Schema, root: Schema, brief: bool) -> str:
     if choices := _choices(schema, root):
-        names = [c if isinstance(c, str) else json.dumps(c) for c in choices]
-        if len(names) == 1:
-            return names[0]
-        if brief:
-            return f"one of {format_names(names, _LIST_HINT)}"
-        return f"one of {', '.join(names)}"
+        return _describe_choices(choices, brief)
     match schema.get("type"):
         case "number":
             return f"a number{_describe_range(schema)}"
@@ -374,6 +369,15 @@ def _describe_option(schema: Schema, root: Schema, brief: bool) -> str:
         case "boolean":
             return "true or false"
     return ""
+
+
+def _describe_choices(choices: list[Any], brief: bool) -> str:
+    names = [c if isinstance(c, str) else json.dumps(c) for c in choices]
+    if len(names) == 1:
+        return names[0]
+    if brief:
+        return f"one of {format_names(names, _LIST_HINT)}"
+    return f"one of {', '.join(names)}"
 
 
 def _describe_list(schema: Schema, root: Schema, brief: bool) -> str:

@@ -192,10 +192,10 @@ class CsvTable:
 
 def not_used(names: Sequence[str]) -> list[str]:
     """Return a note on the columns that were not used; empty if all were."""
-    listed = ", ".join(names[:_LISTED]) + (", …" if len(names) > _LISTED else "")
-    if names:
-        return [f"{len(names)} columns not used: {listed}"]
-    return []
+    if not names:
+        return []
+    listed = [*names[:_LISTED], *["…"] * (len(names) > _LISTED)]
+    return [f"{len(names)} columns not used: {', '.join(listed)}"]
 
 
 def read_table(
@@ -228,7 +228,8 @@ def read_table(
         try:
             if meaning := mapped.get(text):
                 column, note = _mapped_column(place, text, known, meaning)
-                notes += [note] if note else []
+                if note:
+                    notes.append(note)
             elif bracketed(text)[0] in taken:  # the map gives this quantity
                 column = None
             else:

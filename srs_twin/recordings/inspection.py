@@ -318,7 +318,9 @@ def _body_facts(
 def _neighbour_distance(points: np.ndarray) -> float:
     """Return the median distance of a marker from the nearest one, m; NaN if no frame has two."""
     nearest = np.fmin.reduce(pairwise_distances(points, _DISTANCE_FRAMES), axis=2)
-    return float("nan") if np.isnan(nearest).all() else float(np.nanmedian(nearest))
+    if np.isnan(nearest).all():
+        return float("nan")
+    return float(np.nanmedian(nearest))
 
 
 def _possible_layouts(markers: int, *, bodies: bool) -> dict[str, int]:
@@ -382,7 +384,9 @@ def _heads(
             yield end, "the only end with a second marker on a rigid part"
     crawled = forward_distance(period, points[:, list(order)])
     if abs(crawled) > _MIN_CRAWLED * near:
-        end = order[0] if crawled > 0 else order[-1]
+        end = order[-1]
+        if crawled > 0:
+            end = order[0]
         yield end, f"the body crawled {abs(crawled):.3g} m towards this end"
 
 
@@ -508,7 +512,9 @@ def _stated_quantity(name: str, values: np.ndarray, meaning: Meaning | None) -> 
         return f"pressure, {unit}: {low:g} to {high:g} kPa"
     if unit := unit_in(ANGLES):
         return f"angle, {unit}"
-    return _QUANTITY_TEXTS[meaning.kind] if meaning else "unknown"
+    if meaning is None:
+        return "unknown"
+    return _QUANTITY_TEXTS[meaning.kind]
 
 
 def markers_view(scene: Scene) -> Figure:

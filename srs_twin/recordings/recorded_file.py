@@ -145,7 +145,9 @@ class RecordedFile:
             return self.body
         text = self.data.removeprefix(b"\xef\xbb\xbf")
         # Files of old Macintosh programs end lines with a carriage return only.
-        return text if b"\n" in text else text.replace(b"\r", b"\n")
+        if b"\n" in text:
+            return text
+        return text.replace(b"\r", b"\n")
 
     @cached_property
     def first_line(self) -> str:
@@ -569,7 +571,9 @@ def _decimal(file: RecordedFile, separator: str, header_lines: int) -> str:
     start = file.offset_of(header_lines)
     if separator == "," or file.raw.find(b",", start) < 0:
         return "."
-    return "," if _DECIMAL_COMMA.search(file.raw, start) else ""
+    if _DECIMAL_COMMA.search(file.raw, start):
+        return ","
+    return ""
 
 
 def _cells(line: str, separator: str) -> list[str]:

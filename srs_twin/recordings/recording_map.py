@@ -109,13 +109,17 @@ class RecordingMap(StrictModel):
     def carrier_hz(self) -> float | None:
         """Carrier frequency of duties, Hz."""
         value = self.log.get("carrier_hz")
-        return value if isinstance(value, float) else None
+        if isinstance(value, float):
+            return value
+        return None
 
     @property
     def ambient(self) -> float:
         """Pressure to subtract from absolute pressures, Pa; 0 for gauge pressures."""
         value = self.log.get("ambient_kpa")
-        return 1e3 * value if isinstance(value, float) else 0.0
+        if isinstance(value, float):
+            return 1e3 * value
+        return 0.0
 
     @property
     def dialect(self) -> Dialect:
@@ -170,7 +174,9 @@ class RecordingMap(StrictModel):
         rotations = None if table.rotations is None else table.rotations[:, chosen]
         labels = tuple(table.labels[k] for k in chosen)
         ignored = len(table.labels) - len(chosen)
-        notes = (f"{ignored} markers ignored according to the map",) if ignored else ()
+        notes = [*table.corrections]
+        if ignored:
+            notes.append(f"{ignored} markers ignored according to the map")
         places = tuple(placed[label] for label in labels) if placed else ()
         return replace(
             table,
@@ -178,7 +184,7 @@ class RecordingMap(StrictModel):
             labels=labels,
             places=places,
             rotations=rotations,
-            corrections=(*table.corrections, *notes),
+            corrections=tuple(notes),
         )
 
 
@@ -279,4 +285,6 @@ def read_map(data: Mapping[str, object]) -> RecordingMap:
 def canonical_key(name: str) -> str:
     """Return the key of a map for a column name: pressure_plus_1 for pressure_plus_1_kpa."""
     match = re.fullmatch(r"(.+_\d{1,3})(?:[_ ]+[a-z]+)?", bracketed(name)[0].lower())
-    return match[1] if match else name.lower()
+    if match:
+        return match[1]
+    return name.lower()

@@ -109,7 +109,9 @@ class RecordingReader:
         )
 
     def _frequency_or(self, other: float | None) -> float | None:
-        return other if self.gait_frequency_hz is None else self.gait_frequency_hz
+        if self.gait_frequency_hz is None:
+            return other
+        return self.gait_frequency_hz
 
     def joined(
         self, body: Recording, log: ValveLog, spec: RobotSpec, *, one_file: bool

@@ -135,6 +135,6 @@ def test_markers_in_a_map_belong_to_the_robot(tmp_path):
     points = raised((0.03, 0.03, 0.25, 0.03, 0.03))
     points[250:, [1, 2]] = points[250:, [2, 1]]
     path = written(tmp_path / "x.csv", points)
-    map = RecordingMap(markers={f"c{k}": {"connector": k} for k in range(1, 6)})
-    found = read_motion(path, SPEC, map=map)
+    places = RecordingMap(markers={f"c{k}": {"connector": k} for k in range(1, 6)})
+    found = read_motion(path, SPEC, map=places)
     assert found.summary.markers.moves == 2 and bend_error(found) < 0.04

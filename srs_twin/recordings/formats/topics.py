@@ -358,11 +358,7 @@ class _Topics:
             near = np.abs(rows[nearest, 0] - frames.time) <= frames.half_period
             near |= topic.endswith("tf_static")
             poses[near, k] = rows[nearest[near], 1:]
-        counts = Counter(label for _, label in series)
-        names = [
-            label if counts[label] == 1 else f"{topic}:{label}"
-            for topic, label in series
-        ]
+        names = _unique_names(series)
         notes = [*self.notes]
         if composed := _compose(poses, names, self.parents):
             notes.append(
@@ -375,18 +371,31 @@ class _Topics:
         rotated = _has_rotation(poses)
         quaternions = np.where(rotated[..., None], poses[..., 3:], np.nan)
         # Stamps of a simulated clock begin anywhere.
-        other_clock = abs(frames.time[0]) > _OTHER_CLOCK_S
-        since_1970 = self.origin > _MIN_EPOCH_NS and not other_clock
+        time = frames.time
+        other_clock = abs(time[0]) > _OTHER_CLOCK_S
+        if other_clock:
+            time = time - time[0]
         table = marker_table(
             self.file,
             self.kind,
-            frames.time - (frames.time[0] if other_clock else 0.0),
+            time,
             poses[..., :3],
             names,
             notes,
             rotations=quaternions if rotated.any() else None,
         )
-        return replace(table, epoch_ns=self.origin if since_1970 else None)
+        if self.origin > _MIN_EPOCH_NS and not other_clock:
+            return replace(table, epoch_ns=self.origin)
+        return table
+
+
+def _unique_names(bodies: Iterable[tuple[str, str]]) -> list[str]:
+    """Return the labels of bodies, preceded by their topics where several have the same label."""
+    bodies = list(bodies)
+    counts = Counter(label for _, label in bodies)
+    return [
+        label if counts[label] == 1 else f"{topic}:{label}" for topic, label in bodies
+    ]
 
 
 class _Frames(NamedTuple):
