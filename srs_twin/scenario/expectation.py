@@ -366,19 +366,8 @@ class Expectation(Section):
         if verdict is IntervalVerdict.UNDECIDED:
             position = "near an end of"
             reason = self._undecided_reason((low, high), errors)
-        u_d = self.scatter
-        if u_d is None:
-            u_d = _PUBLISHED_STD * abs(published)
-        terms = {
-            "u_num": spread["u_num"] or 0.0,
-            "u_input": spread["u_input"],
-            "u_d": u_d,
-        }
-        largest = max(terms, key=lambda name: terms[name])
-        parameter = None
-        if largest == "u_input":
-            parameter = largest_parameter(spread.get("sensitivity") or {})
-        cause = _CAUSES.get(largest, _parameter(parameter))
+        terms = self._uncertainties(spread)
+        cause = _CAUSES.get(terms["largest"], _parameter(terms["largest_parameter"]))
         distance = max(low - published, published - high, 0.0)
         return {
             "allowed": (
@@ -390,15 +379,33 @@ class Expectation(Section):
             "reason": reason,
             "verdict": verdict.value,
             "error": value - published,
+            **terms,
+            "width": high - low,
+            "score": high - low + 2 / _OUTSIDE_PROBABILITY[self.within] * distance,
+            "interval": [low, high],
+            "interval_error": errors,
+        }
+
+    def _uncertainties(self, spread: Mapping[str, Any]) -> ExpectationRow:
+        """Return the standard uncertainties of ASME V&V 20, and the largest of them."""
+        u_d = self.scatter
+        if u_d is None:
+            u_d = _PUBLISHED_STD * abs(self.published or 0.0)
+        terms = {
+            "u_num": spread["u_num"] or 0.0,
+            "u_input": spread["u_input"],
+            "u_d": u_d,
+        }
+        largest = max(terms, key=lambda name: terms[name])
+        parameter = None
+        if largest == "u_input":
+            parameter = largest_parameter(spread.get("sensitivity") or {})
+        return {
             "u_num": terms["u_num"],
             "u_input": terms["u_input"],
             "u_d": u_d,
             "largest": largest,
             "largest_parameter": parameter,
-            "width": high - low,
-            "score": high - low + 2 / _OUTSIDE_PROBABILITY[self.within] * distance,
-            "interval": [low, high],
-            "interval_error": errors,
         }
 
     def _mismatch(
