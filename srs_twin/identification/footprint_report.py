@@ -150,22 +150,21 @@ def calibrate_footprint(
     spec = load_robot(robot)
     if frequency_hz is None:
         frequency_hz = FREQUENCY_HZ.get(controller, 1.0)
+    supply = spec.supply.nominal if supply_pa is None else supply_pa
     setup = GaitSetup(
         spec,
         frequency_hz,
-        spec.supply.nominal if supply_pa is None else supply_pa,
+        supply,
         controller,
         target_rad,
         plant,
         chambers=chambers,
         contact=contact,
     )
+    rows = setup.offsets if offsets is None else sorted(offsets)
+    changes = None if transients else ()
     study = footprint_study(
-        setup,
-        offsets=offsets and sorted(offsets),
-        changes=None if transients else (),
-        periods=periods,
-        phases=phases,
+        setup, offsets=rows, changes=changes, periods=periods, phases=phases
     )
     file_name = check_file_name(name or f"{spec.name}_{controller}", "--name")
     robot_name = spec.name if isinstance(robot, RobotSpec) else os.fspath(robot)

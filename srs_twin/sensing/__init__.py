@@ -75,13 +75,10 @@ def _hall_sensor(spec: RobotSpec, span: float, options: dict[str, Any]) -> Senso
         raise UnknownNameError(
             "option of sensor 'hall'", name, _STRIP_OPTIONS | _HALL_OPTIONS
         )
-    strip = Strip(
-        spec.geometry.segment_length,
-        **{k: v for k, v in options.items() if k in _STRIP_OPTIONS},
-    )
-    electronics = {k: v for k, v in options.items() if k in _HALL_OPTIONS}
-    if "gain" in electronics:
-        hall = HallSensor(strip, **electronics)
+    geometry = {name: options.pop(name) for name in _STRIP_OPTIONS & options.keys()}
+    strip = Strip(spec.geometry.segment_length, **geometry)
+    if "gain" in options:
+        hall = HallSensor(strip, **options)
     else:
-        hall = HallSensor.trimmed(strip, span=span, **electronics)
+        hall = HallSensor.trimmed(strip, span=span, **options)
     return CurvatureSensor.calibrated(hall, span)

@@ -61,7 +61,7 @@ from functools import cached_property
 
 import numpy as np
 
-from srs_twin.compute.arrays import Array
+from srs_twin.compute.arrays import Array, check_positive
 from srs_twin.errors import InputError, UnknownNameError
 
 STRIP_PRESSURE_FACTOR = {"semicircular": 0.0, "rectangular": 2.0}
@@ -279,7 +279,7 @@ class HallSensor:
         _check("gain_error", self.gain_error, self.gain_error > -1, "above -1")
         for name in ("rails", "converter_range"):
             low, high = getattr(self, name)
-            if not (math.isfinite(low) and math.isfinite(high) and low < high):
+            if not -math.inf < low < high < math.inf:
                 raise InputError(
                     f"{name} {low!r} to {high!r} V is not allowed; it must be a finite"
                     " range"
@@ -348,9 +348,8 @@ class HallSensor:
                 become a plausible voltage.
             noise: standard normal numbers that broadcast with the bends.
         """
-        element = self.sensitivity * self.field_change(bend) + self.noise * np.asarray(
-            noise
-        )
+        random = self.noise * np.asarray(noise)
+        element = self.sensitivity * self.field_change(bend) + random
         output = self.offset + self.bias + self.gain * (1 + self.gain_error) * element
         output = _within(output, *self.rails)
         low, high = self.converter_range
@@ -463,11 +462,7 @@ def calibrate(sensor: HallSensor, span: float = SPAN) -> Calibration:
         InputError: the span is not a positive angle, or the readings do not follow a
             line.
     """
-    if not (math.isfinite(span) and span > 0):
-        raise InputError(
-            f"calibration span {span!r} rad is not allowed; it must be finite and"
-            " above 0"
-        )
+    check_positive("calibration span", span, "rad")
     angle = np.linspace(-span, span, ANGLES)
     line = fit_line(replace(sensor, bias=0.0, gain_error=0.0).voltage(angle), angle)
     if line.r_squared < LEAST_R_SQUARED:

@@ -174,9 +174,9 @@ class CurvatureSensor(Sensor):
     def read(self, bend: np.ndarray, time: np.ndarray | float, seed: int) -> np.ndarray:
         """See `Sensor.read`."""
         bend = np.asarray(bend, dtype=float)
-        noise = (
-            standard_normal(seed, time, bend.shape[-1]) if self.hall.noise > 0 else 0.0
-        )
+        noise = np.zeros(())
+        if self.hall.noise > 0:
+            noise = standard_normal(seed, time, bend.shape[-1])
         return self.calibration.angle(self.hall.voltage(bend, noise))
 
     def describe(self) -> dict[str, object]:
@@ -225,13 +225,11 @@ class TwoAxisSensor(_AlteredSensor):
     def read(self, bend: np.ndarray, time: np.ndarray | float, seed: int) -> np.ndarray:
         """See `Sensor.read`."""
         bend = np.asarray(bend, dtype=float)
-        return np.stack(
-            [
-                self.sensor.read(bend[..., axis], time, seed + axis * _SEED_STEP)
-                for axis in range(2)
-            ],
-            axis=-1,
-        )
+        readings = [
+            self.sensor.read(bend[..., axis], time, seed + axis * _SEED_STEP)
+            for axis in range(2)
+        ]
+        return np.stack(readings, axis=-1)
 
     def describe(self) -> dict[str, object]:
         """See `Sensor.describe`."""
@@ -298,10 +296,9 @@ class FaultySensor(_AlteredSensor):
         for fault in self.dead:
             # The start of a tick and the sum of its steps may differ by rounding.
             failed = np.asarray(time) >= fault.since - 1e-9
-            segment = sensed if self.axes == 1 else np.moveaxis(sensed, -1, 0)  # a view
-            segment[..., fault.segment - 1] = np.where(
-                failed, fault.reading, segment[..., fault.segment - 1]
-            )
+            segments = sensed if self.axes == 1 else np.moveaxis(sensed, -1, 0)
+            reading = segments[..., fault.segment - 1]  # a view
+            reading[...] = np.where(failed, fault.reading, reading)
         return sensed
 
     def describe(self) -> dict[str, object]:
