@@ -18,6 +18,7 @@ import warp as wp
 from srs_twin.compute.claims import Claimable
 from srs_twin.errors import DivergedError, EngineWarning, InputError, count_steps
 from srs_twin.plants.base import Pose, SnakeState
+from srs_twin.plants.twin.batch import check_one_per_run
 from srs_twin.plants.twin.mjcf.numerics import LoadedContact
 from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.pneumatics import Schedule
@@ -153,10 +154,7 @@ class WarpBatch(Claimable):
         Raises:
             InputError: the number of gaits differs from the number of runs.
         """
-        if len(gaits) != len(self):
-            raise InputError(
-                f"gaits: {len(gaits)} were given for {len(self)} runs; give one per run"
-            )
+        check_one_per_run("gaits", gaits, len(self))
         for gait, twin in zip(gaits, self.twins, strict=True):
             gait.reset(twin.spec, self.tick)
         waves = [
@@ -189,11 +187,7 @@ class WarpBatch(Claimable):
             places = np.zeros((len(chosen), 3))
         else:
             places = np.array(poses, dtype=float).reshape(-1, 3)
-        if len(places) != len(chosen):
-            raise InputError(
-                f"poses: {len(places)} were given for {len(chosen)} runs; give one"
-                " per run"
-            )
+        check_one_per_run("poses", places, len(chosen))
         origins = self._origins_of(places, chosen)
         for k in np.unique(self._robot_of_run[chosen]):
             self._robots[k].reset(seed=seed)
@@ -306,11 +300,7 @@ class WarpBatch(Claimable):
         self, schedules: Sequence[Schedule | None], samples: int
     ) -> list[SnakeState | None]:
         """Follow schedules without feedback; see `TwinBatch.play`."""
-        if len(schedules) != len(self):
-            raise InputError(
-                f"schedules: {len(schedules)} were given for {len(self)} runs; give one"
-                " per run"
-            )
+        check_one_per_run("schedules", schedules, len(self))
         if not any(schedules):
             return [None] * len(self)
         span = max(schedule.span for schedule in schedules if schedule is not None)

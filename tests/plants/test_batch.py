@@ -596,7 +596,7 @@ def test_batch_rejects_wrong_numbers_of_arguments():
     ):
         batch.reset(poses=POSES[:1])
     with pytest.raises(
-        InputError, match="valves: 3 were given for 2 runs; give one array per run"
+        InputError, match="valves: 3 were given for 2 runs; give one per run"
     ):
         batch.step(np.stack([vented(SPEC)] * 3))
     with pytest.raises(

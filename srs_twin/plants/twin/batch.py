@@ -27,7 +27,7 @@ releases the global interpreter lock. Alternatives that were considered:
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Sized
 from typing import Any
 
 import numpy as np
@@ -143,11 +143,7 @@ class TwinBatch(Claimable):
             places = [(0.0, 0.0, 0.0)] * len(self)
         else:
             places = list(poses)
-        if len(places) != len(self):
-            raise InputError(
-                f"poses: {len(places)} were given for {len(self)} runs; give one"
-                " per run"
-            )
+        check_one_per_run("poses", places, len(self))
         self.errors = [None] * len(self)
         resting = self._workers.run(
             len(self), lambda k, _: self.twins[k].reset(pose=places[k], seed=seed)
@@ -183,11 +179,7 @@ class TwinBatch(Claimable):
         Raises:
             InputError: as in `step`.
         """
-        if len(valves) != len(self):
-            raise InputError(
-                f"valves: {len(valves)} were given for {len(self)} runs; give one array"
-                " per run"
-            )
+        check_one_per_run("valves", valves, len(self))
         errors = [
             self.errors[k] or self._command_error(k, commands)
             for k, commands in enumerate(valves)
@@ -218,11 +210,7 @@ class TwinBatch(Claimable):
             InputError: the number of schedules differs from the number of runs, or as
                 in `Plant.play`.
         """
-        if len(schedules) != len(self):
-            raise InputError(
-                f"schedules: {len(schedules)} were given for {len(self)} runs; give one"
-                " per run"
-            )
+        check_one_per_run("schedules", schedules, len(self))
         histories = self._workers.run(
             len(self), lambda k, _: self._play(k, schedules[k], samples)
         )
@@ -262,6 +250,18 @@ class TwinBatch(Claimable):
             )  # its frames would keep the engine's records alive
             history: SnakeState | None = error.history
             return history
+
+
+def check_one_per_run(name: str, given: Sized, runs: int) -> None:
+    """Check that there is one item per run.
+
+    Raises:
+        InputError: their number differs.
+    """
+    if len(given) != runs:
+        raise InputError(
+            f"{name}: {len(given)} were given for {runs} runs; give one per run"
+        )
 
 
 def on_warp(

@@ -47,39 +47,34 @@ class InternalJoints:
             spec: the robot.
             settings: discretisation and contact of the scene.
         """
-        hinges = [
+        hinges = np.array(
             [
-                model.joint(f"{kind}_{j + 1}_{k + 1}").id
-                for k in range(settings.hinges_per_segment)
+                [
+                    model.joint(f"{kind}_{j + 1}_{k + 1}").id
+                    for k in range(settings.hinges_per_segment)
+                ]
+                for kind in bend_joints(spec)
+                for j in range(spec.segments)
             ]
-            for kind in bend_joints(spec)
-            for j in range(spec.segments)
-        ]
-        kinds = ("pitch_", "roll_") if settings.loaded else ()
-        out_of_plane = [
-            j for j in range(model.njnt) if model.joint(j).name.startswith(kinds)
-        ]
-        joints = np.array([*np.ravel(hinges), *out_of_plane], dtype=int)
-        self._spatial = spec.is_spatial
-        self.hinges = model.jnt_dofadr[np.array(hinges)].astype(int)
-        self.out_of_plane = model.jnt_dofadr[np.array(out_of_plane, dtype=int)].astype(
-            int
         )
+        kinds = ("pitch_", "roll_") if settings.loaded else ()
+        others = [j for j in range(model.njnt) if model.joint(j).name.startswith(kinds)]
+        out_of_plane = np.array(others, dtype=int)
+        joints = np.append(hinges, out_of_plane)
+        self._spatial = spec.is_spatial
+        self.hinges = model.jnt_dofadr[hinges].astype(int)
+        self.out_of_plane = model.jnt_dofadr[out_of_plane].astype(int)
         stiffness = model.jnt_stiffness.reshape(model.njnt, -1)[:, 0]
         # The integrator evaluates springs at the end of a step, which adds the damping
         # h k; the damping in the model is smaller by that much (`mjcf.classes`).
         added = model.opt.timestep * stiffness[joints]
+        dofs = model.jnt_dofadr[joints]
+        self._joint_damping = model.dof_damping[dofs] + added
         self.damping = np.zeros(model.nv)
-        self.damping[model.jnt_dofadr[joints]] = (
-            model.dof_damping[model.jnt_dofadr[joints]] + added
-        )
-        self._hinge_positions = model.jnt_qposadr[np.array(hinges)]
-        self._out_of_plane_positions = model.jnt_qposadr[
-            np.array(out_of_plane, dtype=int)
-        ]
+        self.damping[dofs] = self._joint_damping
+        self._hinge_positions = model.jnt_qposadr[hinges]
+        self._out_of_plane_positions = model.jnt_qposadr[out_of_plane]
         self._stiffness = stiffness[joints]
-        dofs = np.array([*self.hinges.ravel(), *self.out_of_plane], dtype=int)
-        self._joint_damping = self.damping[dofs]
 
     def stored(self, qpos: np.ndarray, free_bend: np.ndarray) -> np.ndarray:
         """Return the elastic energy of the segments, J.

@@ -384,10 +384,9 @@ def couple_objects(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
     coupling = o.coupling.ctypes.data
     solved = o.solved.ctypes.data
     mj_solveM(engine.model, engine.data, solved, coupling, np.int32(count))
+    clear(o.matrix)
     for i in range(count):
         row = sparsity.row_start[first + i]
-        for k in range(count + 1):
-            o.matrix[i, k] = 0.0
         for k in range(row, row + sparsity.row_length[first + i]):
             o.matrix[i, sparsity.column[k] - first] = work.newton_matrix[k]
     for i in range(count):

@@ -135,7 +135,8 @@ def skin_friction(v_t, v_n, load, law, p_t, p_n, is_cosine):  # type: ignore[no-
     mu_back = law.backward
     mu_n = law.across
     slip = law.slip_speed
-    greatest = max(max(mu_ahead, mu_back), mu_n)  # Warp's max takes two numbers
+    along = max(mu_ahead, mu_back)  # Warp's max takes two numbers
+    greatest = max(along, mu_n)
     if not greatest * load > 0.0:
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     # Friction opposes the slip: the force of slip towards the head points to the tail.
