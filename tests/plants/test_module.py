@@ -136,19 +136,15 @@ def test_reference_beyond_the_range_is_rejected_or_clipped_with_a_warning():
 
 
 def test_invalid_sensor_settings_raise():
-    for words, sensor in (
-        ("heights|within", {"kind": "hall", "distance_mm": 1.0}),
-        ("segment is 0.075 m long", {"kind": "hall", "distance_mm": 50.0}),
+    usual = {"base": "gen4_module"}
+    short = usual | {"geometry": {"segment_length_m": 0.04}}
+    at_most = "it must be at most the segment's length, 0.04 m"
+    for words, robot, sensor in (
+        ("heights|within", usual, {"kind": "hall", "distance_mm": 1.0}),
+        (at_most, short, {"kind": "hall", "distance_mm": 50.0}),
     ):
-        changed = {"robot": {"base": "gen4_module"}, "sensor": sensor}
-        if words.startswith("segment"):
-            changed["robot"] = {
-                "base": "gen4_module",
-                "geometry": {"segment_length_m": 0.04},
-            }
-            words = "it must be at most the segment's length, 0.04 m"
         with pytest.raises(InputFileError, match=words):
-            module(**changed)
+            module(robot=robot, sensor=sensor)
 
 
 def test_pulses_shorter_than_a_tick_raise_before_the_run():

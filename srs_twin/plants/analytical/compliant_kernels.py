@@ -329,7 +329,7 @@ def balance(q, u, moment, a, model, floor, work):  # type: ignore[no-untyped-def
     return power
 
 
-@inlined
+@kernel_only
 def _sum_behind(q, u, moment, model, work):  # type: ignore[no-untyped-def]
     """Fill momenta and forces of the bends after their first three components; arguments as in `balance`."""
     mass = model.solid.mass
@@ -396,7 +396,7 @@ def _add_connector(matrix, load, mass, weight, share, a, residual):  # type: ign
         matrix[_X + i, _RIGHT] += mass / weight * residual[i]
 
 
-@inlined
+@kernel_only
 def _by_bend(link, row):  # type: ignore[no-untyped-def]
     """Return the derivative by the bend rate of a quantity with the given derivatives by z."""
     return (
@@ -408,7 +408,7 @@ def _by_bend(link, row):  # type: ignore[no-untyped-def]
     )
 
 
-@inlined
+@kernel_only
 def _by_spin(link, row):  # type: ignore[no-untyped-def]
     """Return the derivative by the spin in front of a segment; arguments as in `_by_bend`."""
     return (
@@ -444,7 +444,7 @@ def solve(a, model, work):  # type: ignore[no-untyped-def]
     _substitute_bends(_eliminate(matrix), work)
 
 
-@inlined
+@kernel_only
 def _eliminate_bend(j, a, model, work):  # type: ignore[no-untyped-def]
     """Eliminate a bend from the matrix behind it, which then refers to the connector in front."""
     link = work.links[j]
@@ -492,7 +492,7 @@ class _HeadSolution(NamedTuple):
     multiplier_y: float
 
 
-@inlined
+@kernel_only
 def _substitute_bends(head, work):  # type: ignore[no-untyped-def]
     """Fill the step from head to tail; the multipliers are the velocity of the centre of mass."""
     step = work.step
@@ -639,7 +639,7 @@ def _residual(known, a, u, weight, floor, work):  # type: ignore[no-untyped-def]
         out[j] -= known[BENDS + size - 6 + j]
 
 
-@inlined
+@kernel_only
 def _dot(a, b):  # type: ignore[no-untyped-def]
     total = 0.0
     for j in range(a.shape[0]):
@@ -647,7 +647,7 @@ def _dot(a, b):  # type: ignore[no-untyped-def]
     return total
 
 
-@inlined
+@kernel_only
 def _begin_stage(bend, rate, model, work):  # type: ignore[no-untyped-def]
     """Fill the moments of the free bends at a stage, and clear Newton's step."""
     for j in range(bend.shape[0]):
