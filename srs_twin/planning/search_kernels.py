@@ -465,7 +465,7 @@ def _arc_state(frontier, node, moves):  # type: ignore[no-untyped-def]
         # A passage ends straight.
         move = np.int64(moves.dubins_moves[0, 1])
     return (
-        ArcState(at.x, at.y, at.heading, move, at.left, at.right, at.lasting),  # type: ignore[arg-type]
+        ArcState(at.x, at.y, at.heading, move, at.left, at.right, at.lasting),
         at.cost,
     )
 
