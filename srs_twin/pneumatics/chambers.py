@@ -95,8 +95,8 @@ def bend_law(spec: RobotSpec) -> BendLaw:
 
 
 @kernel_only
-def _log_cosh(z):  # type: ignore[no-untyped-def]
-    # Omit the constant −ln 2, which cancels in the difference of two such terms.
+def log_cosh(z):  # type: ignore[no-untyped-def]
+    """Return ln cosh z + ln 2; the constant cancels in the difference of two such terms."""
     return abs(z) + np.log(1.0 + np.exp(-2.0 * abs(z)))
 
 
@@ -120,7 +120,7 @@ def apply_bend_law(x, law):  # type: ignore[no-untyped-def]
         below = (onset - x) / width
         up = math.tanh(above)
         down = math.tanh(below)
-        y = x - 0.5 * share * width * (_log_cosh(above) - _log_cosh(below))
+        y = x - 0.5 * share * width * (log_cosh(above) - log_cosh(below))
         rise = 1.0 - 0.5 * share * (up + down)
         curve = 0.5 * share * (up * up - down * down) / width
     if limit > NO_LIMIT_RAD:

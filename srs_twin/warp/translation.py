@@ -115,7 +115,7 @@ def warp_functions() -> dict[str, Any]:
             stick_slip.rolling_friction,
             stick_slip.axis_friction,
             chambers.volume,
-            chambers._log_cosh,
+            chambers.log_cosh,
             chambers.apply_bend_law,
             lag.advance_segment,
             lag.filling_content,

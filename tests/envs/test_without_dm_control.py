@@ -26,7 +26,11 @@ except InputError as error:
 @pytest.mark.fast
 def test_only_the_dm_env_interface_needs_dm_control():
     done = subprocess.run(
-        [sys.executable, "-c", WITHOUT], capture_output=True, text=True, timeout=300
+        [sys.executable, "-c", WITHOUT],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
     )
     assert done.returncode == 0, done.stderr
     for words in (

@@ -194,7 +194,7 @@ def test_shipped_model_gets_the_supply_of_every_shipped_scenario(root):
 def complete_robot() -> RobotFile:
     """Return a robot on wheels with every optional number that such a robot may have."""
     rows = [[1.0, 1.1]] * 2
-    robot = changed(
+    return changed(
         "gen4",
         geometry={"connectors": 3},
         mass={"connector_gyration_m": 0.02},
@@ -214,7 +214,6 @@ def complete_robot() -> RobotFile:
             "sensor_bias_spread_rad": 0.1,
         },
     )
-    return robot
 
 
 def larger(value):

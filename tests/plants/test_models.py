@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import subprocess
 import sys
-import xml.etree.ElementTree as ElementTree
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -141,7 +141,7 @@ def test_exported_model_is_stable_under_random_control(root, tmp_path, name):
         fill_time,
     ]
     done = subprocess.run(
-        command, cwd=tmp_path, capture_output=True, text=True, timeout=300
+        command, cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False
     )
     assert done.returncode == 0, done.stderr
     assert float(done.stdout) > 0.1  # rad: it did bend

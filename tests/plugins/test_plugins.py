@@ -246,9 +246,11 @@ def test_a_sweep_with_two_workers_knows_the_plugin(plugin, tmp_path):
     assert len(set(rows["analytical.path_length_m"])) == 3
     # Another version of the plug-in is noticed when the sweep resumes.
     path.write_text(path.read_text() + "\nCHANGED = 1\n")
-    with pytest.raises(InputError, match=f"the program has changed: {path.stem}"):
-        with open_sweep(load_sweep(tmp_path / "sweep.yaml"), tmp_path / "out"):
-            pass
+    with (
+        pytest.raises(InputError, match=f"the program has changed: {path.stem}"),
+        open_sweep(load_sweep(tmp_path / "sweep.yaml"), tmp_path / "out"),
+    ):
+        pass
     (tmp_path / "sweep.yaml").write_text(
         f"scenario: {tmp_path}/mine.yaml\nvary: {{controller.gian: [0.0, 0.2]}}\n"
     )
@@ -432,7 +434,11 @@ def test_popen_is_not_imported_by_the_command_line(tmp_path):
         " main(['run', 's.yaml'])"
     )
     done = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == 2, done.stderr
     assert done.stderr.startswith(

@@ -78,6 +78,15 @@ def by_c3d(path, points, *, first=1, step=None, analog=0):
     path.write_bytes(stream.getvalue())
 
 
+def in_file(point, step, number, word):
+    """Return a point and its residual in the number format of a file; hidden points have the residual −1."""
+    seen = np.isfinite(point).all()
+    row = [*(point if seen else (0.0, 0.0, 0.0)), 0.0 if seen else -1.0]
+    if step:
+        return [*(word(round(each / step)) for each in row[:3]), word(int(row[3]))]
+    return [number(each) for each in row]
+
+
 def by_hand(
     points,
     processor,
@@ -143,19 +152,9 @@ def by_hand(
     head += scale + word(2 + blocks) + word(1) + number(RATE)
     data = []
     for frame in points:
-        for point in frame:
-            seen = np.isfinite(point).all()
-            row = [*(point if seen else (0.0, 0.0, 0.0)), 0.0 if seen else -1.0]
-            steps = (
-                [round(each / step) for each in row[:3]] + [int(row[3])]
-                if step
-                else row
-            )
-            data += (
-                [word(each) for each in steps]
-                if step
-                else [number(each) for each in steps]
-            )
+        data += [
+            value for point in frame for value in in_file(point, step, number, word)
+        ]
         data += [word(7) if step else number(7.0)] * analog
     parameters = (bytes([0, 0, blocks, processor]) + said).ljust(512 * blocks, b"\0")
     return head.ljust(512, b"\0") + parameters + b"".join(data)

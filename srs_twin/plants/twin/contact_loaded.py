@@ -184,7 +184,10 @@ class LoadedStepper(Stateful):
         )
         views = (getattr(data, name) for name in EngineData._fields[3:])
         pairs = self._objects if objects else None
-        self._engine = EngineData(model._address, data._address, pairs, *views)
+        # MuJoCo gives the addresses of its C structures by these names only.
+        model_address = model._address  # noqa: SLF001
+        data_address = data._address  # noqa: SLF001
+        self._engine = EngineData(model_address, data_address, pairs, *views)
         self._inputs = StepInputs(data.ctrl, data.qacc_warmstart)
         # Keep references: the kernels hold only addresses.
         self._model = model
