@@ -25,10 +25,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 
 from srs_twin.io.saved_state import Stateful
+from srs_twin.live.fault_hypotheses import Inflow
+from srs_twin.live.uncertain import Uncertain
 from srs_twin.pneumatics.chambers import AMBIENT_PA, volume
 from srs_twin.pneumatics.flow import REFERENCE_PA, conductances, flow
 from srs_twin.pneumatics.orifice import CRITICAL_RATIO
@@ -115,26 +119,22 @@ class SupplyFilter(Stateful):
             return
         residual = residual[there]
         response = response[there]
+        weight = weight[there]
         variance = sd[there] ** 2
         # If most chambers agree on a change, outliers are those that differ from it.
         change = 0.0
         if len(residual) >= _AGREE:
             change = float(np.median(residual / response))
-            chance = (
-                np.pi / 2 / len(residual) * float(np.median(variance / response**2))
-            )
+            scatter = float(np.median(variance / response**2))
+            chance = np.pi / 2 / len(residual) * scatter
             if change**2 > _SURPRISE**2 * (self.variance + chance):
                 self.variance += change**2
-                repeats = (
-                    1.0  # earlier messages of the strokes did not contain the change
-                )
+                # Earlier messages of the strokes did not contain the change.
+                repeats = 1.0
         expected = variance + response**2 * self.variance
-        robust = (_SUPPLY_TAILS + 1) / (
-            _SUPPLY_TAILS + (residual - response * change) ** 2 / expected
-        )
-        information = (
-            weight[there] * np.minimum(robust, 1.0) * response / variance / repeats
-        )
+        square = (residual - response * change) ** 2 / expected
+        robust = np.minimum((_SUPPLY_TAILS + 1) / (_SUPPLY_TAILS + square), 1.0)
+        information = weight * robust * response / variance / repeats
         self.variance = 1 / (1 / self.variance + float(information @ response))
         self._set(self.pressure + self.variance * float(information @ residual))
 
@@ -215,6 +215,61 @@ _volume = np.vectorize(volume, otypes=[float, float])
 _flow = np.vectorize(
     lambda first, second: flow(first, second, CRITICAL_RATIO)[0], otypes=[float]
 )
+# Integrals over a stroke: gauge pressure, inflow of each variant, and derivative of the
+# inflow by the supply pressure. The first variant is sound.
+_OUTFLOW = 0
+_SOUND_INFLOW = 1
+_INFLOWS = slice(1, -1)
+_SLOPE = -1
+# Supply pressures of a stroke: at its start, and at its last pressure.
+_FIRST = 0
+_LAST = 1
+
+
+class SupplyResidual(NamedTuple):
+    """Air taken in by filling chambers, compared with the estimated supply pressure.
+
+    Attributes:
+        residual: excess over the expected amount; NaN where it is unknown, shape
+            (segments, 2).
+        slope: derivative of the amount by the supply pressure, 1/Pa, same shape.
+        sd: standard deviation of the residual, same shape.
+    """
+
+    residual: np.ndarray
+    slope: np.ndarray
+    sd: np.ndarray
+
+
+class _Residual(NamedTuple):
+    """Residuals of the balances, shape (segments, 2, variants).
+
+    Attributes:
+        value: residuals.
+        variance: their variances.
+        fit_variance: parts of the variances due to the fit.
+    """
+
+    value: np.ndarray
+    variance: np.ndarray
+    fit_variance: np.ndarray
+
+    def sound(self) -> _Residual:
+        """Return the residuals of sound chambers, shape (segments, 2)."""
+        return _Residual(*(values[..., 0] for values in self))
+
+
+class _Message(IntEnum):
+    """Column of `LeakDetector._pending`: the most informative message of a stroke.
+
+    The last column is the contribution of the stroke to the scatter.
+    """
+
+    INFLOW = 0
+    OUTFLOW = 1
+    RESIDUAL = 2
+    WEIGHT = 3
+    EXCESS = 4
 
 
 class LeakDetector(Stateful):
@@ -248,15 +303,14 @@ class LeakDetector(Stateful):
         spec: RobotSpec,
         *,
         supply_pa: float,
-        variants: Sequence[tuple[float, float]],
+        variants: Sequence[Inflow],
     ) -> None:
         """Begin with the values of the robot file.
 
         Args:
             spec: the robot.
             supply_pa: gauge, Pa.
-            variants: possible faults of a chamber as leak (1/s) and share of the supply
-                pressure, 0 without any inflow; the first variant has no fault.
+            variants: possible inflows of a chamber; the first one has no fault.
         """
         conductance, _, capacity = conductances(spec, CRITICAL_RATIO)
         self._chamber = spec.chamber
@@ -272,23 +326,23 @@ class LeakDetector(Stateful):
         # Inverse covariance of the fit.
         self._prior = np.diag([1 / FLOW_SD**2, 1 / LOSS_SD**2])
         self._information = np.tile(self._prior, (*shape, 1, 1))
-        # Most informative message of the stroke: integrals of inflow and outflow,
-        # residual and weight; and the contribution of the stroke to the scatter.
-        self._pending = np.zeros((*shape, 5))
+        self._pending = np.zeros((*shape, len(_Message)))
         # Time of the last pressure of the stroke; NaN without one.
         self._time = np.full(shape, np.nan)
         # Amount and its standard deviation, at the start of the stroke and at the last
         # pressure.
         self._begun = np.zeros((*shape, 2))
         self._reached = np.zeros((*shape, 2))
-        # Gauge pressure, inflow of each variant, derivative of the inflow by the supply
-        # pressure; integrals.
+        # Columns from `_OUTFLOW` to `_SLOPE`, and their integrals.
         self._rates = np.zeros((*shape, count + 2))
         self._sums = np.zeros((*shape, count + 2))
-        # Supply pressure at the start of the stroke and at the last pressure.
         self._supply = np.zeros((*shape, 2))
         self._supply_sd = 0.0
         self._log_likelihood = np.zeros((*shape, count))
+
+    def drop_all(self) -> None:
+        """End the strokes of all chambers."""
+        self.drop(np.ones(self.learnt.shape, dtype=bool))
 
     def drop(self, chambers: np.ndarray) -> None:
         """End the strokes of some chambers (shape (segments, 2)), whose valves may have switched unseen."""
@@ -298,38 +352,30 @@ class LeakDetector(Stateful):
 
     def residuals(
         self, time: float, pressure: np.ndarray, filled: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    ) -> SupplyResidual:
         """Return the residuals of current strokes, for the supply pressure.
 
         Args:
             time: s.
             pressure: as in `update`.
             filled: as in `update`.
-
-        Returns:
-            Excess of air over the expected amount (NaN where it is unknown), its
-            derivative by the supply pressure (1/Pa) and its variance, shape (segments,
-            2).
         """
-        used = self._continues(time, pressure, filled) & (
-            self._sums[..., 1] > LEAST_INFLOW
-        )
-        residual, variance, _ = (values[..., 0] for values in self._residual())
-        return (
-            np.where(used, residual, np.nan),
-            self.fit[..., 0] * self._sums[..., -1],
-            variance,
+        used = self._continues(time, pressure, filled) & self._is_informative()
+        residual = self._residual().sound()
+        return SupplyResidual(
+            np.where(used, residual.value, np.nan),
+            self.fit[..., 0] * self._sums[..., _SLOPE],
+            np.sqrt(residual.variance),
         )
 
     def update(
         self,
         time: float,
         pressure: np.ndarray,
-        bend: np.ndarray,
-        bend_sd: np.ndarray,
+        bend: Uncertain,
         filled: np.ndarray,
         sound: np.ndarray,
-        supply: tuple[float, float],
+        supply: SupplyFilter,
     ) -> np.ndarray:
         """Update with measured pressures.
 
@@ -337,11 +383,10 @@ class LeakDetector(Stateful):
             time: s.
             pressure: gauge, shape (segments, 2), Pa, NaN where they are missing.
             bend: of each segment, rad.
-            bend_sd: standard deviation of the bend, rad.
             filled: time for which each chamber has been filled, shape (segments, 2), s;
                 0 while it vents.
             sound: probability of no fault of each segment.
-            supply: supply pressure (gauge, Pa) and its standard deviation.
+            supply: estimated supply pressure.
 
         Returns:
             Changes of the log-likelihoods of the variants, shape (segments, 2,
@@ -349,26 +394,30 @@ class LeakDetector(Stateful):
         """
         seen = ~np.isnan(pressure)
         continues = self._continues(time, pressure, filled)
-        change = np.where(continues, supply[0] - self._supply[..., 1], 0.0)
+        change = np.where(continues, supply.pressure - self._supply[..., _LAST], 0.0)
         # Correct the inflow of the stroke for the change of the estimated supply
         # pressure.
-        self._sums[..., 1:-1] += np.where(
-            self._shares == 1.0, (self._sums[..., -1] * change)[..., None], 0.0
-        )
-        self._supply[seen, 1], self._supply_sd = supply
+        missed = (self._sums[..., _SLOPE] * change)[..., None]
+        self._sums[..., _INFLOWS] += np.where(self._shares == 1.0, missed, 0.0)
+        self._supply[seen, _LAST] = supply.pressure
+        self._supply_sd = supply.sd
         # A lost command may have closed the valve before the last message. Therefore a
         # message is used only after the next one confirms that the valve is open.
-        used = continues & (self._sums[..., 1] > LEAST_INFLOW)
+        used = continues & self._is_informative()
         self._accumulate(used)
-        added = np.where(
-            used[..., None], self._log_likelihoods() - self._log_likelihood, 0.0
-        )
+        added = self._log_likelihoods() - self._log_likelihood
+        added = np.where(used[..., None], added, 0.0)
         self._log_likelihood += added
         ended = seen & ~continues
-        self._learn(ended & (self._pending[..., 3] > 0.0) & (sound > SOUND)[:, None])
+        has_message = self._pending[..., _Message.WEIGHT] > 0.0
+        self._learn(ended & has_message & (sound > SOUND)[:, None])
         self.drop(ended)
-        self._advance(time, seen & (filled > 0.0), pressure, bend, bend_sd, supply)
+        self._advance(time, seen & (filled > 0.0), pressure, bend, supply)
         return added
+
+    def _is_informative(self) -> np.ndarray:
+        """Return whether the strokes of the chambers are long enough to be used."""
+        return np.asarray(self._sums[..., _SOUND_INFLOW] > LEAST_INFLOW)
 
     def _continues(
         self, time: float, pressure: np.ndarray, filled: np.ndarray
@@ -385,23 +434,21 @@ class LeakDetector(Stateful):
         time: float,
         filling: np.ndarray,
         pressure: np.ndarray,
-        bend: np.ndarray,
-        bend_sd: np.ndarray,
-        supply: tuple[float, float],
+        bend: Uncertain,
+        supply: SupplyFilter,
     ) -> None:
         """Integrate to the pressures of filling chambers."""
         chamber = self._chamber
         inside = np.nan_to_num(pressure) + AMBIENT_PA
         size, growth = _volume(
-            chamber.dead_volume, chamber.displacement, bend[:, None], [0, 1]
+            chamber.dead_volume, chamber.displacement, bend.value[:, None], [0, 1]
         )
         held = inside / self._unit
-        reached = np.stack(
-            [held * size, held * np.abs(growth) * bend_sd[:, None]], axis=-1
-        )
+        held_sd = held * np.abs(growth) * bend.sd[:, None]
+        reached = np.stack([held * size, held_sd], axis=-1)
         self._reached[filling] = reached[filling]
-        line = supply[0]
-        sd = max(supply[1], 1.0)
+        line = supply.pressure
+        sd = max(supply.sd, 1.0)
         lines = np.append(self._shares * line, [line + sd, line - sd])
         flows = self._conductance * _flow(lines + AMBIENT_PA, inside[..., None])
         flows[..., :-2] *= self._shares > 0.0
@@ -415,38 +462,31 @@ class LeakDetector(Stateful):
         self._rates[filling] = rates[filling]
         begins &= filling
         self._begun[begins] = self._reached[begins]
-        self._supply[begins, 0] = line
+        self._supply[begins, _FIRST] = line
         self._time[filling] = time
 
-    def _residual(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return residuals, their variances, and the parts of these due to the fit.
-
-        Returns:
-            Of each variant, shape (segments, 2, variants).
-        """
-        inflow = self._sums[..., 1:-1]
-        outflow = self._sums[..., :1]
+    def _residual(self) -> _Residual:
+        inflow = self._sums[..., _INFLOWS]
+        outflow = self._sums[..., [_OUTFLOW]]
         row = np.stack([inflow, np.broadcast_to(-outflow, inflow.shape)], axis=-1)
         gain = (self._reached - self._begun)[..., :1]
         residual = gain - (row @ self.fit[..., None])[..., 0] + self._leaks * outflow
         learnt = ((row @ np.linalg.inv(self._information)) * row).sum(axis=-1)
         read = self._reached[..., 1] ** 2 + self._begun[..., 1] ** 2 + AMOUNT_SD**2
         # The time at which the supply pressure changed within the stroke is unknown.
-        changed = (
-            self._supply[..., 1] - self._supply[..., 0]
-        ) ** 2 + self._supply_sd**2
-        read += changed * (self.fit[..., 0] * self._sums[..., -1]) ** 2
-        return (
-            residual,
-            learnt + read[..., None] + self.scatter[..., None] * inflow**2,
-            learnt,
-        )
+        change = self._supply[..., _LAST] - self._supply[..., _FIRST]
+        slope = self.fit[..., 0] * self._sums[..., _SLOPE]
+        read += (change**2 + self._supply_sd**2) * slope**2
+        variance = learnt + read[..., None] + self.scatter[..., None] * inflow**2
+        return _Residual(residual, variance, learnt)
 
     def _log_likelihoods(self) -> np.ndarray:
         """Return the log-likelihoods of the variants, shape (segments, 2, variants)."""
         residual, variance, _ = self._residual()
-        variance += (LEAK_RATE_SD * self._leaks * self._sums[..., :1]) ** 2
-        variance += (self._shares < 1.0) * (WEAK_INFLOW_SD * self._sums[..., 1:-1]) ** 2
+        outflow = self._sums[..., [_OUTFLOW]]
+        weak_sd = WEAK_INFLOW_SD * self._sums[..., _INFLOWS]
+        variance += (LEAK_RATE_SD * self._leaks * outflow) ** 2
+        variance += (self._shares < 1.0) * weak_sd**2
         return np.asarray(
             -np.log1p(residual**2 / variance / TAILS) * (TAILS + 1) / 2
             - np.log(variance) / 2
@@ -454,37 +494,36 @@ class LeakDetector(Stateful):
 
     def _accumulate(self, used: np.ndarray) -> None:
         """Note the most informative message of each stroke; it is learnt from if the stroke is sound."""
-        inflow = self._sums[..., 1]
+        inflow = self._sums[..., _SOUND_INFLOW]
         pending = self._pending
-        residual, variance, learnt = (values[..., 0] for values in self._residual())
+        residual, variance, fit_variance = self._residual().sound()
         # Errors are common to the messages of a stroke, so only one message counts.
-        weight = 1 / (variance - learnt)
-        better = used & (weight * inflow**2 > pending[..., 3] * pending[..., 0] ** 2)
-        pending[better, :4] = np.stack(
-            [inflow, -self._sums[..., 0], residual, weight], axis=-1
-        )[better]
+        weight = 1 / (variance - fit_variance)
+        known = pending[..., _Message.WEIGHT] * pending[..., _Message.INFLOW] ** 2
+        better = used & (weight * inflow**2 > known)
+        message = [inflow, -self._sums[..., _OUTFLOW], residual, weight]
+        pending[better, : _Message.EXCESS] = np.stack(message, axis=-1)[better]
         # A single outlier must not increase the scatter by more than a residual at the
         # limit.
         excess = np.minimum(residual**2, LIMIT**2 * variance) - variance
-        pending[used, 4] = excess[used] / inflow[used] ** 2
+        pending[used, _Message.EXCESS] = excess[used] / inflow[used] ** 2
 
     def _learn(self, chambers: np.ndarray) -> None:
         """Update c, λ₀ and the scatter of some chambers with a stroke without a fault."""
-        row, residual, weight, excess = np.split(
-            self._pending[chambers], [2, 3, 4], axis=-1
-        )
+        pending = self._pending[chambers]
+        row = pending[:, [_Message.INFLOW, _Message.OUTFLOW]]
+        residual = pending[:, [_Message.RESIDUAL]]
+        weight = pending[:, [_Message.WEIGHT]]
+        excess = pending[:, _Message.EXCESS]
         learnt = np.minimum(self.learnt[chambers] + 1, MOST_STROKES)
         # Residuals of the first strokes include the error of the initial supply
         # pressure.
         share = np.where(learnt > SCATTER_STROKES, 1 / learnt, 0.0)
-        scatter = np.maximum(
-            self.scatter[chambers] + share * excess[:, 0], LEAST_SCATTER**2
-        )
+        scatter = self.scatter[chambers] + share * excess
         self.learnt[chambers] = learnt
-        self.scatter[chambers] = scatter
-        information = (
-            FORGETTING * self._information[chambers] + (1 - FORGETTING) * self._prior
-        )
+        self.scatter[chambers] = np.maximum(scatter, LEAST_SCATTER**2)
+        information = FORGETTING * self._information[chambers]
+        information += (1 - FORGETTING) * self._prior
         information += weight[..., None] * row[:, :, None] * row[:, None, :]
         self._information[chambers] = information
         self.fit[chambers] += np.linalg.solve(

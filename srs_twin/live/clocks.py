@@ -12,6 +12,7 @@ import heapq
 import itertools
 import math
 from collections import Counter, deque
+from typing import NamedTuple
 
 import numpy as np
 
@@ -41,6 +42,13 @@ _RANKS = {COMMAND: 0, VALVES: 0, BENDS: 1}
 """Processing order of messages with equal times: commands, bends, then measurements that depend on bends."""
 
 
+class _Arrival(NamedTuple):
+    """Arrival of a message on our clock, and the difference from its sending time, s."""
+
+    time: float
+    delay: float
+
+
 class SenderClock:
     """The clock of one sender.
 
@@ -62,13 +70,12 @@ class SenderClock:
         self.jumps = 0
         self.uncertainty = 0.0
         self._agreed = -math.inf
-        self._seen: deque[tuple[float, float]] = deque(maxlen=KEPT)
+        self._seen: deque[_Arrival] = deque(maxlen=KEPT)
         # Candidates for the minimum in the window, the smallest first.
-        self._least: deque[tuple[float, float]] = deque()
-        # Arrivals and delays of successive messages that are earlier, or later, than
-        # the offset allows.
-        self._early: deque[tuple[float, float]] = deque(maxlen=CONFIRMING)
-        self._late: deque[tuple[float, float]] = deque(maxlen=KEPT)
+        self._least: deque[_Arrival] = deque()
+        # Successive messages that are earlier, or later, than the offset allows.
+        self._early: deque[_Arrival] = deque(maxlen=CONFIRMING)
+        self._late: deque[_Arrival] = deque(maxlen=KEPT)
 
     def update(self, sent: float, arrived: float) -> float | None:
         """Add the times of a message (s).
@@ -78,11 +85,12 @@ class SenderClock:
             `STEP_S` and no other messages confirm it.
         """
         delay = arrived - sent
+        arrival = _Arrival(arrived, delay)
         excess = delay - self.offset
         if math.isnan(excess):
-            self._accept(arrived, delay)
+            self._accept(arrival)
         elif excess < -AGREEMENT_S:
-            self._early.append((arrived, delay))
+            self._early.append(arrival)
             self._follow(self._early, confirmed=len(self._early) == CONFIRMING)
         else:
             self._early.clear()
@@ -90,21 +98,21 @@ class SenderClock:
                 self._late.clear()
                 self._agreed = arrived
             else:
-                self._late.append((arrived, delay))
+                self._late.append(arrival)
                 silent = arrived - self._agreed >= CONFIRMING_S
                 self._follow(
                     self._late, confirmed=silent and len(self._late) >= CONFIRMING
                 )
             if excess <= STEP_S:
-                self._accept(arrived, delay)
+                self._accept(arrival)
         if abs(delay - self.offset) > STEP_S:
             return None
         # A stamp ahead of its clock cannot make the message newer than its arrival.
         return min(sent + self.offset, arrived)
 
-    def _follow(self, messages: deque[tuple[float, float]], *, confirmed: bool) -> None:
+    def _follow(self, arrivals: deque[_Arrival], *, confirmed: bool) -> None:
         """Restart with the offset that successive messages agree on, if they confirm it."""
-        delays = [delay for _, delay in messages]
+        delays = [arrival.delay for arrival in arrivals]
         lowest = min(delays)
         agreeing = [delay for delay in delays if delay - lowest <= STEP_S]
         if not confirmed or len(agreeing) < CONFIRMING:
@@ -115,25 +123,25 @@ class SenderClock:
         self.jumps += 1
         self._seen.clear()
         self._least.clear()
-        for arrived, delay in list(messages):
-            self._accept(arrived, delay)
+        for arrival in arrivals:
+            self._accept(arrival)
         self._early.clear()
         self._late.clear()
-        self._agreed = self._seen[-1][0]
+        self._agreed = self._seen[-1].time
 
-    def _accept(self, arrived: float, delay: float) -> None:
+    def _accept(self, arrival: _Arrival) -> None:
         """Add a delay to the window and update the offset."""
-        self._seen.append((arrived, delay))
-        while self._seen[0][0] < arrived - WINDOW_S:
+        self._seen.append(arrival)
+        while self._seen[0].time < arrival.time - WINDOW_S:
             self._seen.popleft()
-        while self._least and self._least[-1][1] >= delay:
+        while self._least and self._least[-1].delay >= arrival.delay:
             self._least.pop()
-        self._least.append((arrived, delay))
-        while self._least[0][0] < self._seen[0][0]:
+        self._least.append(arrival)
+        while self._least[0].time < self._seen[0].time:
             self._least.popleft()
         # The smallest delay in the window is closest to the true offset, as transport
         # only adds delay.
-        self.offset = self._least[0][1]
+        self.offset = self._least[0].delay
 
     def delay_quantile(self, share: float) -> float:
         """Return a quantile of the jitter, s."""
@@ -149,7 +157,23 @@ class SenderClock:
         return math.nan
 
     def _excess(self) -> np.ndarray:
-        return np.array([delay for _, delay in self._seen]) - self.offset
+        return np.array([arrival.delay for arrival in self._seen]) - self.offset
+
+
+class TimedMessage(NamedTuple):
+    """Message with its sending time on our clock, s."""
+
+    time: float
+    message: Message
+
+
+class _Held(NamedTuple):
+    """Message that is held, in processing order: time, s; rank of its kind; and number."""
+
+    time: float
+    rank: int
+    number: int
+    message: Message
 
 
 class ReorderBuffer:
@@ -173,16 +197,15 @@ class ReorderBuffer:
         self._least = hold_s
         self._handed = -math.inf
         self._calls = 0
-        self._waiting: list[tuple[float, int, int, Message]] = []
+        self._waiting: list[_Held] = []
         self._number = itertools.count()
         self._known: dict[tuple[str, str], deque[float]] = {}
 
     def push(self, message: Message) -> None:
         """Add a message."""
+        sender = message.source
         if message.kind == COMMAND:
             sender = f"{message.source}, {message.kind}"
-        else:
-            sender = message.source
         clock = self.clocks.setdefault(sender, SenderClock())
         jumps = clock.jumps
         time = clock.update(message.sent, message.arrived)
@@ -193,41 +216,37 @@ class ReorderBuffer:
                 for key, sent in self._known.items()
                 if key[0] != message.source
             }
-        known = self._known.setdefault(
-            (message.source, message.kind), deque(maxlen=200)
-        )
-        if message.sent in known:
-            self.counts[message.source, message.kind, "duplicate"] += 1
+        key = message.source, message.kind
+        known = self._known.setdefault(key, deque(maxlen=200))
+        if message.sent in known:  # a broker may deliver a message more than once
+            self.counts[*key, "duplicate"] += 1
             return
-        # A broker may deliver a message more than once.
         known.append(message.sent)
         if time is None:
-            self.counts[message.source, message.kind, "off its clock"] += 1
+            self.counts[*key, "off its clock"] += 1
             return
         if time < self._handed:
-            self.counts[message.source, message.kind, "late"] += 1
+            self.counts[*key, "late"] += 1
             return
-        self.counts[message.source, message.kind, "taken"] += 1
-        heapq.heappush(
-            self._waiting,
-            (time, _RANKS.get(message.kind, 2), next(self._number), message),
-        )
+        self.counts[*key, "taken"] += 1
+        rank = _RANKS.get(message.kind, 2)
+        heapq.heappush(self._waiting, _Held(time, rank, next(self._number), message))
 
     @property
     def waits(self) -> bool:
         """Whether messages are held."""
         return bool(self._waiting)
 
-    def waiting(self, kind: str) -> list[tuple[float, Message]]:
-        """Return the held messages of a kind with their times on our clock (s), unordered."""
+    def waiting(self, kind: str) -> list[TimedMessage]:
+        """Return the held messages of a kind, unordered."""
         return [
-            (time, message)
-            for time, _, _, message in self._waiting
-            if message.kind == kind
+            TimedMessage(held.time, held.message)
+            for held in self._waiting
+            if held.message.kind == kind
         ]
 
-    def pop_until(self, now: float) -> list[tuple[float, Message]]:
-        """Return the messages that are due at `now` (our clock, s), with their times on our clock."""
+    def pop_until(self, now: float) -> list[TimedMessage]:
+        """Return the messages that are due at `now` (our clock, s)."""
         self._calls += 1
         if self._calls % _HOLD_UPDATES == 0 and self.clocks:
             longest = max(
@@ -236,8 +255,8 @@ class ReorderBuffer:
             self.hold = min(max(self._least, longest), max(self._least, MOST_HOLD_S))
         until = now - self.hold
         due = []
-        while self._waiting and self._waiting[0][0] <= until:
-            time, _, _, message = heapq.heappop(self._waiting)
-            due.append((time, message))
+        while self._waiting and self._waiting[0].time <= until:
+            held = heapq.heappop(self._waiting)
+            due.append(TimedMessage(held.time, held.message))
         self._handed = max(self._handed, until)
         return due

@@ -6,10 +6,11 @@ import bisect
 import math
 from collections import deque
 from collections.abc import Iterable
+from typing import NamedTuple
 
 import numpy as np
 
-from srs_twin.live.messages import COMMAND, VALVES, Message
+from srs_twin.live.messages import COMMAND, Message
 
 DELAY_S = 0.01
 """Delay from sending a command to its effect: half a tick of the robot."""
@@ -32,11 +33,21 @@ def are_states(values: np.ndarray) -> bool:
 
 def duty(values: np.ndarray) -> np.ndarray:
     """Return the fraction of time in which each valve fills, from valve states or duties."""
-    return (
-        np.asarray((values + 1) / 2)
-        if are_states(values)
-        else np.clip(values, 0.0, 1.0)
-    )
+    if are_states(values):
+        return np.asarray((values + 1) / 2)
+    return np.asarray(np.clip(values, 0.0, 1.0))
+
+
+class LostCommands(NamedTuple):
+    """Effect of commands that were lost.
+
+    Attributes:
+        change: change of the duty, shape (segments, 2).
+        interval: interval in which the duty changed, s.
+    """
+
+    change: np.ndarray
+    interval: float
 
 
 class CommandHistory:
@@ -50,36 +61,34 @@ class CommandHistory:
         self._reported = -math.inf
         self._report_s = REPORTED_S
 
-    def add(self, time: float, message: Message) -> tuple[np.ndarray, float] | None:
-        """Add a command, or the valve states that the robot reports; either message may be lost.
+    def add(self, time: float, message: Message) -> LostCommands | None:
+        """Add a command, or the valve states that the robot reports; return whether others were lost.
 
-        Returns:
-            Change of the duty, shape (segments, 2), and the interval in which it
-            happened (s), if commands before this one were lost; otherwise None.
+        Either message may be lost.
         """
         if message.kind == COMMAND:
             self._carrier = not are_states(message.values)
-        elif (
-            self._carrier
-        ):  # the states at one time do not determine the duty of a carrier
+            start = time + DELAY_S
+        elif self._carrier:
+            # The states at one time do not determine the duty of a carrier.
             return None
-        if message.kind == VALVES:
+        else:
             # The shortest interval between reports is the robot's tick; longer ones are
             # due to losses.
             if _LEAST_INTERVAL_S < message.sent - self._reported < self._report_s:
                 self._report_s = message.sent - self._reported
             self._reported = message.sent
-        start = time + DELAY_S if message.kind == COMMAND else time - self._report_s
+            start = time - self._report_s
         new = duty(message.values)
         k = bisect.bisect(self._times, start)
         gap = start - self._times[k - 1]
         change = np.abs(new - self._duties[k - 1])
-        lost = len(self._times) > 2 and gap > _GAP_FACTOR * np.median(
-            np.diff(self._times)
-        )
+        usual = np.median(np.diff(self._times)) if len(self._times) > 2 else math.inf
         self._times.insert(k, start)
         self._duties.insert(k, new)
-        return (change, gap) if lost else None
+        if gap > _GAP_FACTOR * usual:
+            return LostCommands(change, gap)
+        return None
 
     def forget(self, before: float) -> None:
         """Remove duties that ended before a time (s)."""
@@ -107,7 +116,7 @@ class CommandHistory:
             duties.insert(k, duty(message.values))
         rows = np.searchsorted(starts, times, side="right") - 1
         silent = times - np.asarray(starts)[rows] > SILENT_S
-        return np.where(silent[:, None, None], 0.0, np.array([duties[k] for k in rows]))
+        return np.where(silent[:, None, None], 0.0, np.array(duties)[rows])
 
 
 SLOT_S = 0.02
@@ -141,11 +150,9 @@ class CommandPeriod:
         """Return the duties of the next slots, repeated or constant, shape (slots, segments, 2)."""
         past = np.array(self._duties)
         lag = self.period()
-        return (
-            past[-lag:][np.arange(slots) % lag]
-            if lag
-            else np.repeat(past[-1:], slots, axis=0)
-        )
+        if lag:
+            return past[-lag:][np.arange(slots) % lag]
+        return np.repeat(past[-1:], slots, axis=0)
 
     def period(self) -> int:
         """Return the period of the commands in slots, 0 without one."""
@@ -153,10 +160,16 @@ class CommandPeriod:
             return 0
         past = np.array(self._duties)
         recent = past[-_LAGS[-1] // 2 :]
-        best = _SAME, 0
+        if not np.ptp(recent, axis=0).any():  # constant commands have no period
+            return 0
+        least = _SAME
+        period = 0
         for lag in _LAGS:
             before = past[-len(recent) - lag : -lag]
-            if len(before) == len(recent):
-                best = min(best, (float(np.abs(recent - before).mean()), lag))
-        # Constant commands have no period.
-        return best[1] if np.ptp(recent, axis=0).any() else 0
+            if len(before) < len(recent):
+                break
+            difference = float(np.abs(recent - before).mean())
+            if difference < least:
+                least = difference
+                period = lag
+        return period

@@ -34,6 +34,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -55,27 +56,37 @@ THRESHOLD = 6.0
 """Score above which a contact is detected; benchmarks/contact_estimate.py, robots with seeds from 1000."""
 COVERAGE = 0.9
 """Nominal probability of the intervals of force and place."""
-_LEARNING_SCORE = (
-    4.0  # score above which the means are kept and hypotheses are compared
-)
-_MEMORY = 20  # periods over which the means are taken
-_RESOLUTION = (
-    1e-12  # smallest variance of a deviation, for readings without noise, rad²
-)
-_SAME_COMMAND = 0.1  # largest change of a duty within the same gait
+_LEARNING_SCORE = 4.0
+"""Score above which the means are kept and hypotheses are compared."""
+_MEMORY = 20
+"""Number of periods over which the means are taken."""
+_RESOLUTION = 1e-12
+"""Smallest variance of a deviation, for readings without noise, rad²."""
+_SAME_COMMAND = 0.1
+"""Largest change of a duty within the same gait."""
 _STATIONS_PER_SEGMENT = 8
-_FILTER_S = 0.09  # time constant that removes the oscillation of the segments from deviations and predictions
-_ONSET_S = 0.3  # longest time from the first touch to the start of the comparison
-_ONSET_STEP_S = 0.06  # between neighbouring hypotheses
-_LEAST_FORCE = (
-    0.25  # smallest force of a hypothesis, multiple of the largest floor friction
-)
-_FORCE_RATIO = 1.3  # between neighbouring forces
+_FILTER_S = 0.09
+"""Time constant that removes the oscillation of the segments from deviations and predictions."""
+_ONSET_S = 0.3
+"""Longest time from the first touch to the start of the comparison."""
+_ONSET_STEP_S = 0.06
+"""Time between neighbouring hypotheses."""
+_LEAST_FORCE = 0.25
+"""Smallest force of a hypothesis as a multiple of the largest floor friction."""
+_FORCE_RATIO = 1.3
+"""Ratio of neighbouring forces."""
 _POWERS = np.arange(12)
-_PRUNED = 25.0  # cost over the smallest one, in variances, above which a hypothesis is dropped
-_CORRELATION = (
-    2.0  # factor on the variance of the model error for its correlation in time
-)
+_PRUNED = 25.0
+"""Cost over the smallest one, in variances, above which a hypothesis is dropped."""
+_CORRELATION = 2.0
+"""Factor on the variance of the model error for its correlation in time."""
+
+
+class Interval(NamedTuple):
+    """Interval with the probability `COVERAGE`; NaN without a contact."""
+
+    low: float = math.nan
+    high: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -86,18 +97,18 @@ class ContactEstimate:
         touched: whether a contact is detected.
         score: largest force of a window over its standard deviation by sensor noise.
         force: normal force, positive to the left of the body, N; NaN without a contact.
-        force_interval: interval of the force with the probability `COVERAGE`, N.
+        force_interval: interval of the force, N.
         place: distance behind the first connector along the body, m; NaN without a
             contact.
-        place_interval: interval of the place with the same probability, m.
+        place_interval: interval of the place, m.
     """
 
     touched: bool
     score: float
     force: float = math.nan
-    force_interval: tuple[float, float] = (math.nan, math.nan)
+    force_interval: Interval = Interval()
     place: float = math.nan
-    place_interval: tuple[float, float] = (math.nan, math.nan)
+    place_interval: Interval = Interval()
 
 
 @dataclass(frozen=True)
@@ -134,10 +145,9 @@ class Hypotheses:
 
     def joined(self, other: Hypotheses) -> Hypotheses:
         """Return these hypotheses and other ones."""
-        names = "station", "force", "velocity", "bend", "cost"
         arrays = {
             name: np.concatenate([getattr(self, name), getattr(other, name)])
-            for name in names
+            for name in _OF_EACH
         }
         return Hypotheses(**arrays, compared=self.compared)
 
@@ -152,14 +162,48 @@ class Hypotheses:
     def pruned(self, limit: float) -> Hypotheses:
         """Return the hypotheses whose cost exceeds the smallest one by at most `limit`."""
         kept = self.cost <= self.cost.min() + limit
-        return Hypotheses(
-            self.station[kept],
-            self.force[kept],
-            self.velocity[kept],
-            self.bend[kept],
-            self.cost[kept],
-            self.compared,
-        )
+        arrays = {name: getattr(self, name)[kept] for name in _OF_EACH}
+        return Hypotheses(**arrays, compared=self.compared)
+
+
+_OF_EACH = ("station", "force", "velocity", "bend", "cost")
+"""Attributes of `Hypotheses` with one row per hypothesis."""
+
+# Rows of a sample and of its learnt means.
+_BEND = 0
+_FREE = 1
+_COMMANDS = slice(2, None)
+
+
+def _deviation(sample: np.ndarray, mean: np.ndarray) -> np.ndarray:
+    """Return e of the module docstring, rad."""
+    return np.asarray(sample[_BEND] - mean[_BEND] - sample[_FREE] + mean[_FREE])
+
+
+class _Fit(NamedTuple):
+    """Terms of the fit of F to one sample, for each station.
+
+    Attributes:
+        moment: product of the deviation and the bends per force, over the variance.
+        information: square of the bends per force over the variance.
+    """
+
+    moment: np.ndarray
+    information: np.ndarray
+
+
+class _Gait(NamedTuple):
+    """Model of the learnt gait.
+
+    Attributes:
+        shape: mean bends at the samples of the period, rad.
+        body: motion of the body.
+        patterns: bends per force, shape (period, stations, segments), rad/N.
+    """
+
+    shape: np.ndarray
+    body: PushedBody
+    patterns: np.ndarray
 
 
 class ContactObserver(Stateful):
@@ -225,17 +269,15 @@ class ContactObserver(Stateful):
         self._count = 0
         self._changed = 0
         self._bins = np.zeros(max(period, 1), dtype=int)
-        self._sums = np.zeros(
-            (max(period, 1), 4, n)
-        )  # means of bend, free bend and both commands
+        # Means of bend, free bend and both commands.
+        self._sums = np.zeros((max(period, 1), 4, n))
         self._variance = np.zeros(n)
         self._filtered = np.zeros(n)
-        self._window: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=self._length)
-        self._recent: deque[np.ndarray | None] = deque(
-            maxlen=self._past + 1
-        )  # filtered deviations
+        self._window: deque[_Fit] = deque(maxlen=self._length)
+        # Filtered deviations.
+        self._recent: deque[np.ndarray | None] = deque(maxlen=self._past + 1)
         self._shape = np.zeros((0, n))  # mean bends when learning ended
-        self._body: tuple[np.ndarray, PushedBody, np.ndarray] | None = None
+        self._gait: _Gait | None = None
         self._hypotheses: Hypotheses | None = None
 
     def skip(self, samples: int) -> None:
@@ -264,7 +306,8 @@ class ContactObserver(Stateful):
         free = air_bend(self._spec, np.asarray(pressure, dtype=float))
         mean = self._sums[k]
         known = self._bins[k]
-        if known and np.abs(np.asarray(command).T - mean[2:]).max() > _SAME_COMMAND:
+        change = np.abs(np.asarray(command).T - mean[_COMMANDS]).max()
+        if known and change > _SAME_COMMAND:
             self._changed += 1
             if self._changed > self.period // 2:
                 self.set_period(self.period)  # another gait, not a lost command
@@ -277,10 +320,9 @@ class ContactObserver(Stateful):
         sample = np.stack([sensed, free, *np.asarray(command, dtype=float).T])
         # Samples may be missing, but the scatter of those that are there must be known.
         learnt = self._bins.all() and self._count >= (self._learnt - self._settled) / 2
+        estimate = None
         if learnt and self._samples >= self._learnt:
             estimate = self._estimate(sample, k)
-        else:
-            estimate = None
         if estimate is None or estimate.score < _LEARNING_SCORE:
             self._learn(sample, k)
         if len(self._window) == self._length:
@@ -293,92 +335,78 @@ class ContactObserver(Stateful):
         known = self._bins[k]
         if known:
             # The mean of few samples is uncertain, too.
-            error = (sample[0] - mean[0] - sample[1] + mean[1]) * math.sqrt(
-                known / (known + 1)
-            )
+            error = _deviation(sample, mean) * math.sqrt(known / (known + 1))
             self._count += 1
             weight = 1 / min(self._count, self._learnt - self._settled)
-            self._variance = (
-                self._variance + (error**2 + _RESOLUTION - self._variance) * weight
-            )
+            excess = error**2 + _RESOLUTION - self._variance
+            self._variance = self._variance + excess * weight
         self._bins[k] = min(known + 1, _MEMORY)
         mean += (sample - mean) / self._bins[k]
 
-    def _pushed_body(self) -> tuple[PushedBody, np.ndarray]:
-        """Return the model of the gait, and bends per force (rad/N), shape (period, stations, segments)."""
+    def _learnt_gait(self) -> _Gait:
         if not len(self._shape):
-            self._shape = self._sums[:, 0].copy()
-        if self._body is None or self._body[0] is not self._shape:
+            self._shape = self._sums[:, _BEND].copy()
+        if self._gait is None or self._gait.shape is not self._shape:
             body = PushedBody(self._spec, self._shape, self._sample, self.stations)
-            station = np.tile(np.arange(len(self.stations)), 2)
-            patterns = []
-            force = np.repeat([self._friction, -self._friction], len(self.stations))
-            for k in range(self.period):
-                moment = body.step(
-                    k,
-                    np.tile(body.free_velocity[k - 1], (len(force), 1)),
-                    force,
-                    station,
-                )[1]
-                per_force = (moment - body.free_moment[k]) / (
-                    force[:, None] * self._spec.bending.stiffness
-                )
-                patterns.append(
-                    per_force.reshape(2, len(self.stations), -1).mean(axis=0)
-                )
-            self._body = self._shape, body, np.array(patterns)
-        return self._body[1:]
+            self._gait = _Gait(self._shape, body, self._patterns(body))
+        return self._gait
+
+    def _patterns(self, body: PushedBody) -> np.ndarray:
+        """Return the bends per force, means of a force from either side."""
+        count = len(self.stations)
+        station = np.tile(np.arange(count), 2)
+        force = np.repeat([self._friction, -self._friction], count)
+        torque = force[:, None] * self._spec.bending.stiffness
+        patterns = []
+        for k in range(self.period):
+            velocity = np.tile(body.free_velocity[k - 1], (2 * count, 1))
+            _, moment = body.step(k, velocity, force, station)
+            per_force = (moment - body.free_moment[k]) / torque
+            patterns.append(per_force.reshape(2, count, -1).mean(axis=0))
+        return np.array(patterns)
 
     def _estimate(self, sample: np.ndarray, k: int) -> ContactEstimate:
         mean = self._sums[k]
         share = math.sqrt(self._bins[k] / (self._bins[k] + 1))
-        error = sample[0] - mean[0] - sample[1] + mean[1]
-        pattern = self._pushed_body()[1][k]
+        error = _deviation(sample, mean)
+        pattern = self._learnt_gait().patterns[k]
         weighted = pattern * share**2 / self._variance
-        self._window.append((weighted @ error, (weighted * pattern).sum(axis=1)))
-        moment, information = (
-            np.sum(values, axis=0) for values in zip(*self._window, strict=True)
-        )
+        self._window.append(_Fit(weighted @ error, (weighted * pattern).sum(axis=1)))
+        moment = np.sum([fit.moment for fit in self._window], axis=0)
+        information = np.sum([fit.information for fit in self._window], axis=0)
         score = float(np.abs(moment / np.sqrt(information)).max())
         self._filtered = self._filtered + self._gain * (error - self._filtered)
-        if score < _LEARNING_SCORE:
+        suspect = score >= _LEARNING_SCORE
+        if not suspect:
             self._hypotheses = None
         self._compare(self._filtered)
-        if (
-            score >= _LEARNING_SCORE
-            and self._hypotheses is None
-            and len(self._recent) > self._past
-        ):
+        if suspect and self._hypotheses is None and len(self._recent) > self._past:
             self._start()
-        touched = score > THRESHOLD and self._hypotheses is not None
-        if touched:
-            return self._contact(score)
+        if score > THRESHOLD and self._hypotheses is not None:
+            return self._contact(score, self._hypotheses)
         return ContactEstimate(touched=False, score=score)
 
     def _compare(self, filtered: np.ndarray | None) -> None:
         """Compare the hypotheses with the filtered deviation of a sample, None if it is missing."""
         self._recent.append(filtered)
         if self._hypotheses is not None:
-            self._hypotheses = self._compared(
-                self._hypotheses, self._samples - 1, filtered
-            )
+            last = self._samples - 1
+            self._hypotheses = self._compared(self._hypotheses, last, filtered)
 
     def _start(self) -> None:
         """Compare hypotheses with contact from each possible onset on with the recent samples."""
         first = self._samples - len(self._recent)
         size = self._friction * _LEAST_FORCE * _FORCE_RATIO**_POWERS
-        grid = np.meshgrid(
-            np.arange(len(self.stations)), np.concatenate([size, -size]), indexing="ij"
-        )
-        station, force = (values.ravel() for values in grid)
+        sizes = np.concatenate([size, -size])
+        station = np.repeat(np.arange(len(self.stations)), len(sizes))
+        force = np.tile(sizes, len(self.stations))
         nothing = np.zeros((len(force), self._spec.segments))
         now = Hypotheses.none(self._spec.segments)
         cost_before = 0.0
         for i, filtered in enumerate(self._recent):
             if i % self._onset_step == 0:
-                start = self._pushed_body()[0].free_velocity[
-                    (first + i - 1) % self.period
-                ]
+                free = self._learnt_gait().body.free_velocity
+                start = free[(first + i - 1) % self.period]
                 velocity = np.tile(start, (len(force), 1))
                 cost = np.full(len(force), cost_before)
                 now = now.joined(Hypotheses(station, force, velocity, nothing, cost))
@@ -391,13 +419,12 @@ class ContactObserver(Stateful):
         self, now: Hypotheses, i: int, filtered: np.ndarray | None
     ) -> Hypotheses:
         """Return the hypotheses after sample i."""
-        body = self._pushed_body()[0]
+        body = self._learnt_gait().body
         velocity, moment = body.step(i, now.velocity, now.force, now.station)
         if filtered is None:
             return replace(now, velocity=velocity)
-        bend = (
-            moment - body.free_moment[i % self.period]
-        ) / self._spec.bending.stiffness
+        excess = moment - body.free_moment[i % self.period]
+        bend = excess / self._spec.bending.stiffness
         bend = now.bend + self._gain * (bend - now.bend)
         cost = now.cost + ((filtered - bend) ** 2 / self._variance).sum(axis=1)
         later = replace(
@@ -405,35 +432,34 @@ class ContactObserver(Stateful):
         )
         return later.pruned(_PRUNED * later.inflation(self._independent))
 
-    def _contact(self, score: float) -> ContactEstimate:
+    def _contact(self, score: float, now: Hypotheses) -> ContactEstimate:
         """Return the estimate from the remaining hypotheses."""
-        now = self._hypotheses
-        assert now is not None
         variance = 2 * now.inflation(self._independent)
         weight = np.exp((now.cost.min() - now.cost) / variance)
         best = int(now.cost.argmin())
         same = (now.station == now.station[best]) & (now.force * now.force[best] > 0)
         wide = np.exp((now.cost.min() - now.cost) / (_CORRELATION * variance))
+        # The hypotheses have a resolution.
         step = self._spec.geometry.pitch / _STATIONS_PER_SEGMENT
         places = _interval(self.stations[now.station], wide)
-        forces = _interval(now.force, wide)
         ratio = math.sqrt(_FORCE_RATIO)
+        low, high = _interval(now.force, wide)
+        low *= ratio if low < 0 else 1 / ratio
+        high *= ratio if high > 0 else 1 / ratio
         return ContactEstimate(
             touched=True,
             score=score,
             force=float((weight * now.force)[same].sum() / weight[same].sum()),
-            force_interval=(
-                forces[0] * (ratio if forces[0] < 0 else 1 / ratio),
-                forces[1] * (ratio if forces[1] > 0 else 1 / ratio),
-            ),
+            force_interval=Interval(low, high),
             place=float(self.stations[now.station[best]]),
-            place_interval=(places[0] - step, places[1] + step),
+            place_interval=Interval(places.low - step, places.high + step),
         )
 
 
-def _interval(values: np.ndarray, weight: np.ndarray) -> tuple[float, float]:
+def _interval(values: np.ndarray, weight: np.ndarray) -> Interval:
     """Return the central interval of weighted values with the probability `COVERAGE`."""
     order = np.argsort(values)
     share = np.cumsum(weight[order]) / weight.sum()
     low, high = np.searchsorted(share, [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2])
-    return float(values[order[low]]), float(values[order[min(high, len(values) - 1)]])
+    last = min(high, len(values) - 1)
+    return Interval(float(values[order[low]]), float(values[order[last]]))

@@ -6,6 +6,8 @@ import math
 import os
 import signal
 import threading
+from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -21,6 +23,7 @@ from srs_twin.cli.options import (
 from srs_twin.errors import InputError
 
 if TYPE_CHECKING:
+    from srs_twin.live.emulator import EmulatedRobot
     from srs_twin.live.links import MqttLink
     from srs_twin.live.optitrack import NatNetServer
 
@@ -59,8 +62,8 @@ def broker_link(
             f" more than {_LONGEST_NAME} characters"
         )
     host, port = links.address(address, links.PORT)
-    login = links.Login(user, os.environ.get(PASSWORD), ca)
-    return links.MqttLink(robot, segments, host, port, login=login, **settings)
+    broker = links.BrokerAccess(host, port, user, os.environ.get(PASSWORD), ca)
+    return links.MqttLink(robot, segments, broker, **settings)
 
 
 def interruption() -> threading.Event:
@@ -70,24 +73,79 @@ def interruption() -> threading.Event:
     return over
 
 
+@dataclass(frozen=True)
+class RobotOptions:
+    """Options of the simulated robot.
+
+    Options:
+        seed: Random seed of modules, noise, and loss and delay of messages.
+        fault: Fault and its time, e.g. stuck_valve:2+@5, dead_sensor:1@8,
+            leak:3-=fast@2; repeatable.
+        spread: Standard deviation of the modules' gains.
+        noise: Standard deviation of bend readings, rad.
+        chambers: orifice (compressible flow) or lag (first order). [default: orifice;
+            spatial robots: lag]
+        start: Initial pose, m and rad, e.g. --start=0.2,-0.1,0.5.
+    """
+
+    seed: Annotated[int, option("--seed N", min=0)] = 0
+    fault: Annotated[list[str] | None, option("--fault FAULT")] = None
+    spread: Annotated[float, option("--gain-spread S", min=0.0, max=0.5)] = 0.1
+    noise: Annotated[float, option("--noise-rad S", min=0.0, max=1.0)] = 0.02
+    chambers: Annotated[str | None, option("--chambers NAME")] = None
+    pressure: PressureOption = None
+    start: Annotated[str, option("--start X,Y,HEADING")] = "0,0,0"
+
+    def emulated(self, robot: str) -> EmulatedRobot:
+        """Return the simulation of a robot, given its name or the path of its file.
+
+        Raises:
+            InputError: the robot does not exist, or an option is invalid.
+        """
+        from srs_twin.live.emulator import EmulatedRobot, Simulation
+
+        return EmulatedRobot(
+            robot,
+            Simulation(
+                gain_spread=self.spread,
+                pneumatics=self.chambers,
+                supply_kpa=self.pressure,
+            ),
+            seed=self.seed,
+            faults=self.fault or (),
+            noise_rad=self.noise,
+            start=_pose(self.start),
+        )
+
+
+@dataclass(frozen=True)
+class MessageOptions:
+    """Options of the messages of an emulated robot.
+
+    Options:
+        loss: Fraction of messages that are lost.
+        jitter: Largest delay of a message, s.
+        tell_supply: Publish the supply pressure.
+        duration: Stop after S seconds. [default: run until Ctrl-C]
+        user: MQTT user name.
+        ca: CA certificate file (PEM); enables TLS.
+    """
+
+    loss: Annotated[float, option("--loss SHARE", min=0.0, max=0.99)] = 0.0
+    jitter: Annotated[float, option("--jitter-s S", min=0.0, max=5.0)] = 0.0
+    tell_supply: Annotated[bool, option("--tell-supply")] = False
+    duration: Annotated[float | None, option("--duration-s S", min=0.02)] = None
+    user: Annotated[str | None, option("--user NAME")] = None
+    ca: Annotated[Path | None, option("--ca FILE")] = None
+
+
 def emulate(
     robot: RobotArgument,
     mqtt: Annotated[str, option("--mqtt HOST:PORT")] = "127.0.0.1:1883",
     natnet: Annotated[str | None, option("--natnet HOST:PORT")] = None,
     name: Annotated[str | None, option("--name NAME")] = None,
-    seed: Annotated[int, option("--seed N", min=0)] = 0,
-    fault: Annotated[list[str] | None, option("--fault FAULT")] = None,
-    spread: Annotated[float, option("--gain-spread S", min=0.0, max=0.5)] = 0.1,
-    noise: Annotated[float, option("--noise-rad S", min=0.0, max=1.0)] = 0.02,
-    chambers: Annotated[str | None, option("--chambers NAME")] = None,
-    pressure: PressureOption = None,
-    start: Annotated[str, option("--start X,Y,HEADING")] = "0,0,0",
-    loss: Annotated[float, option("--loss SHARE", min=0.0, max=0.99)] = 0.0,
-    jitter: Annotated[float, option("--jitter-s S", min=0.0, max=5.0)] = 0.0,
-    tell_supply: Annotated[bool, option("--tell-supply")] = False,
-    duration: Annotated[float | None, option("--duration-s S", min=0.02)] = None,
-    user: Annotated[str | None, option("--user NAME")] = None,
-    ca: Annotated[Path | None, option("--ca FILE")] = None,
+    simulated: RobotOptions = RobotOptions(),
+    messages: MessageOptions = MessageOptions(),
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -103,67 +161,48 @@ def emulate(
         natnet: Local address on which NatNet frames are served. [default: no motion
             capture]
         name: Robot's name in topics. [default: ROBOT]
-        seed: Random seed of modules, noise, and loss and delay of messages.
-        fault: Fault and its time, e.g. stuck_valve:2+@5, dead_sensor:1@8,
-            leak:3-=fast@2; repeatable.
-        spread: Standard deviation of the modules' gains.
-        noise: Standard deviation of bend readings, rad.
-        chambers: orifice (compressible flow) or lag (first order). [default: orifice;
-            spatial robots: lag]
-        start: Initial pose, m and rad, e.g. --start=0.2,-0.1,0.5.
-        loss: Fraction of messages that are lost.
-        jitter: Largest delay of a message, s.
-        tell_supply: Publish the supply pressure.
-        duration: Stop after S seconds. [default: run until Ctrl-C]
-        user: MQTT user name.
-        ca: CA certificate file (PEM); enables TLS.
     """
-    from srs_twin.live.emulator import EmulatedRobot, Transport, emulate as run
+    from srs_twin.live.emulator import Transport, emulate as run
     from srs_twin.live.messages import COMMAND
 
-    emulated = EmulatedRobot(
-        robot,
-        seed=seed,
-        faults=fault or (),
-        gain_spread=spread,
-        noise_rad=noise,
-        pneumatics=chambers,
-        supply_kpa=pressure,
-        start=_pose(start),
-    )
+    emulated = simulated.emulated(robot)
     known = name or Path(robot).stem
     over = interruption()
-    settings = {
-        "speaks": known,
-        "kinds": (COMMAND,),
-        "chambers": emulated.spatial_chambers,
-    }
-    with broker_link(known, emulated.segments, mqtt, user, ca, **settings) as link:
-        if natnet is None:
-            capture = None
-        else:
-            capture = _motion_capture(natnet, emulated.segments + 1)
+    with ExitStack() as stack:
+        link = stack.enter_context(
+            broker_link(
+                known,
+                emulated.segments,
+                mqtt,
+                messages.user,
+                messages.ca,
+                speaks=known,
+                kinds=(COMMAND,),
+                chambers=emulated.spatial_chambers,
+            )
+        )
+        capture = None
+        seen = ""
+        if natnet is not None:
+            server = _motion_capture(natnet, emulated.segments + 1)
+            capture = stack.enter_context(server)
+            seen = f", seen at {natnet}"
         if not quiet:
-            seen = f", seen at {natnet}" if natnet else ""
             say(f"{known} is on the air at {mqtt}{seen}; Ctrl-C ends it")
         result = run(
             emulated,
             link,
             capture,
-            transport=Transport(loss, jitter, seed),
+            transport=Transport(messages.loss, messages.jitter, simulated.seed),
             stop=over.is_set,
-            duration=math.inf if duration is None else duration,
-            tells_supply=tell_supply,
+            duration=messages.duration or math.inf,
+            tells_supply=messages.tell_supply,
         )
-        if capture is not None:
-            capture.close()
     if as_json:
         print_json(result)
     elif not quiet:
-        say(
-            f"{result['ticks']:.0f} ticks of {emulated.tick:g} s, {result['late']:.0f}"
-            " of them late"
-        )
+        ticks = f"{result['ticks']:.0f} ticks of {emulated.tick:g} s"
+        say(f"{ticks}, {result['late']:.0f} of them late")
 
 
 def _motion_capture(given: str, connectors: int) -> NatNetServer:

@@ -15,9 +15,9 @@ import math
 import re
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -34,6 +34,7 @@ from srs_twin.pneumatics.orifice import OrificePneumatics
 from srs_twin.pneumatics.valves import StuckValve
 from srs_twin.robot.file import load_robot_file
 from srs_twin.scenario.loading import parse_scenario
+from srs_twin.scenario.scenario import Scenario
 
 CARRIER_HZ = 60.0
 """Carrier frequency of duties, Hz."""
@@ -42,16 +43,30 @@ _LATE_S = 1.0
 _SIDES = {"+": 0, "-": 1}
 _FAULT = re.compile(r"(\w+)(?::(\d+)([+-])?)?(?:=(\w+))?@([\d.]+)")
 _FORM = "KIND[:NUMBER[+|-]][=HOW]@SECONDS, such as stuck_valve:2+=closed@5"
-# Affected part and variants of each kind.
-KINDS: dict[str, tuple[str, dict[str, float]]] = {
-    "stuck_valve": ("chamber", {"open": 1, "closed": -1}),
-    "leak": ("chamber", {"slow": 2, "fast": 8}),
-    "dead_sensor": ("segment", {"silent": 1, "frozen": 0}),
-    "drifting_sensor": ("segment", {"up": 1, "down": -1}),
-    "starved": ("", {"half": 0.5, "empty": 0.1}),
-    "lost_marker": ("connector", {"gone": 1}),
+
+
+class FaultKind(NamedTuple):
+    """Kind of fault.
+
+    Attributes:
+        part: affected part; empty for the whole robot.
+        variants: name → value of each variant, the first by default; leaks in 1/s.
+    """
+
+    part: str
+    variants: dict[str, float]
+
+
+KINDS = {
+    "stuck_valve": FaultKind("chamber", {"open": 1, "closed": -1}),
+    "leak": FaultKind("chamber", {"slow": 2, "fast": 8}),
+    "dead_sensor": FaultKind("segment", {"silent": 1, "frozen": 0}),
+    "drifting_sensor": FaultKind("segment", {"up": 1, "down": -1}),
+    "starved": FaultKind("", {"half": 0.5, "empty": 0.1}),
+    "lost_marker": FaultKind("connector", {"gone": 1}),
 }
-"""Kinds of faults: affected part and variants, the first by default; leaks in 1/s."""
+_EXAMPLES = {"chamber": ":2+@5", "segment": ":2@5", "connector": ":2@5", "": "@5"}
+"""Affected part → text of a fault after its kind."""
 
 _DRIFT_RAD_PER_S = 0.1
 """Rate of a drifting sensor, rad/s."""
@@ -95,30 +110,75 @@ class Fault:
         kind, number, side, how, since = match.groups()
         if kind not in KINDS:
             raise UnknownNameError("fault", kind, KINDS)
-        of, ways = KINDS[kind]
-        if how is not None and how not in ways:
-            raise UnknownNameError(f"way of {kind}", how, ways)
-        if (side is not None) != (of == "chamber") or (number is not None) != bool(of):
-            needed = f"is of one {of}" if of else "is of the whole robot"
-            if of == "chamber":
-                example = f"{kind}:2+@5"
-            elif of:
-                example = f"{kind}:2@5"
-            else:
-                example = f"{kind}@5"
-            raise InputError(f"{text!r}: {kind} {needed}; {example} would be one")
-        most = segments + (of == "connector")
-        if number is not None and not 1 <= int(number) <= most:
+        part, variants = KINDS[kind]
+        how = how or next(iter(variants))
+        if how not in variants:
+            raise UnknownNameError(f"way of {kind}", how, variants)
+        is_complete = bool(number) == bool(part)
+        if not is_complete or bool(side) != (part == "chamber"):
+            needed = f"is of one {part}" if part else "is of the whole robot"
             raise InputError(
-                f"{text!r}: there is no {of} {number}; the robot has {most}"
+                f"{text!r}: {kind} {needed}; {kind}{_EXAMPLES[part]} would be one"
             )
-        if how is not None:
-            variant = ways[how]
-        else:
-            variant = next(iter(ways.values()))
+        most = segments + (part == "connector")
+        if number and not 1 <= int(number) <= most:
+            raise InputError(
+                f"{text!r}: there is no {part} {number}; the robot has {most}"
+            )
         return cls(
-            kind, int(number or 0), _SIDES.get(side or "", 0), variant, float(since)
+            kind,
+            number=int(number or 0),
+            side=_SIDES.get(side, 0),
+            how=variants[how],
+            since=float(since),
         )
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """Settings of the simulation of a robot.
+
+    Attributes:
+        gain_spread: standard deviation of the modules' gains.
+        tick: s.
+        pneumatics: model of the chambers, "orifice" or "lag"; None: "orifice", or "lag"
+            for a spatial robot, which has no other.
+        supply_kpa: supply pressure, gauge; None: the nominal one.
+        changes: changed fields of the robot file, as in `robot` of a scenario.
+    """
+
+    gain_spread: float = 0.1
+    tick: float = 0.02
+    pneumatics: str | None = None
+    supply_kpa: float | None = None
+    changes: Mapping[str, Any] = field(default_factory=dict)
+
+    def scenario(self, robot: str, seed: int) -> Scenario:
+        """Return a scenario whose twin simulates a robot.
+
+        Args:
+            robot: name or path of its file.
+            seed: random seed of its modules.
+
+        Raises:
+            InputError: the robot does not exist, or a setting is invalid.
+        """
+        pneumatics = self.pneumatics
+        if pneumatics is None:
+            is_spatial = load_robot_file(robot).is_spatial
+            pneumatics = "lag" if is_spatial else "orifice"
+        modules = {"gain_spread": self.gain_spread} | self.changes.get("modules", {})
+        document: dict[str, Any] = {
+            "robot": {"base": robot, **self.changes, "modules": modules},
+            "duration_s": 1.0,
+            "seed": seed,
+            "controller": {"kind": "gait", "frequency_hz": 1.0},
+            "pneumatics": {"kind": pneumatics},
+            "plants": {"twin": {"tick_s": self.tick}},
+        }
+        if self.supply_kpa is not None:
+            document["supply"] = {"pressure_kpa": self.supply_kpa}
+        return parse_scenario(document, name="emulate")
 
 
 class EmulatedRobot:
@@ -138,90 +198,43 @@ class EmulatedRobot:
     def __init__(
         self,
         robot: str,
+        simulation: Simulation = Simulation(),
         *,
         seed: int = 0,
         faults: Sequence[str] = (),
-        gain_spread: float = 0.1,
         noise_rad: float = 0.02,
-        tick: float = 0.02,
-        pneumatics: str | None = None,
-        supply_kpa: float | None = None,
         start: tuple[float, float, float] = (0.0, 0.0, 0.0),
-        changes: Mapping[str, Any] | None = None,
     ) -> None:
         """Build the simulation.
 
         Args:
             robot: name or path of its file.
+            simulation: settings of the simulation.
             seed: random seed of modules and noise.
             faults: texts in the format of `Fault.parse`.
-            gain_spread: standard deviation of the modules' gains.
             noise_rad: standard deviation of bend readings, rad.
-            tick: s.
-            pneumatics: model of the chambers, "orifice" or "lag"; None: "orifice", or
-                "lag" for a spatial robot, which has no other.
-            supply_kpa: supply pressure, gauge; None: the nominal one.
             start: initial pose: x, y (m), heading (rad).
-            changes: changed fields of the robot file, as in `robot` of a scenario.
 
         Raises:
             InputError: the robot does not exist, or a fault is invalid.
         """
-        if pneumatics is None:
-            if load_robot_file(robot).is_spatial:
-                pneumatics = "lag"
-            else:
-                pneumatics = "orifice"
-        changes = dict(changes or {})
-        modules = {"gain_spread": gain_spread} | changes.pop("modules", {})
-        asked = parse_scenario(
-            {
-                "robot": {"base": robot, "modules": modules, **changes},
-                "duration_s": 1.0,
-                "seed": seed,
-                "controller": {"kind": "gait", "frequency_hz": 1.0},
-                **(
-                    {}
-                    if supply_kpa is None
-                    else {"supply": {"pressure_kpa": supply_kpa}}
-                ),
-                "pneumatics": {"kind": pneumatics},
-                "plants": {"twin": {"tick_s": tick}},
-            },
-            name="emulate",
-        )
-        self.twin = asked.build_plant("twin")
+        scenario = simulation.scenario(robot, seed)
+        self.twin = scenario.build_plant("twin")
         assert isinstance(self.twin, TwinSnake)
         self._air = self.twin.pneumatics
         spec = self.twin.spec
         self.segments = spec.segments
-        self.tick = tick
+        self.tick = simulation.tick
         self.spatial_chambers = spec.chambers if spec.is_spatial else 0
-        self.faults = tuple(Fault.parse(fault, spec.segments) for fault in faults)
-        if any(fault.kind == "stuck_valve" for fault in self.faults):
-            spec.require_planar("fault stuck_valve, which names a + or − chamber,")
         self._rng = np.random.default_rng((seed, 0xE0))
         self._noise = noise_rad
-        self.supply_pa = self.supply_now_pa = asked.supply_pa
+        self.supply_pa = self.supply_now_pa = scenario.supply_pa
         self._share = self._left = 1.0
-        self._air.stuck = tuple(
-            StuckValve(fault.number, fault.side, int(fault.how), fault.since)
-            for fault in self.faults
-            if fault.kind == "stuck_valve"
-        )
-        if not isinstance(self._air, OrificePneumatics) and any(
-            e.kind == "leak" for e in self.faults
-        ):
-            raise InputError(
-                f"chambers of pneumatics {pneumatics!r} do not begin to leak; 'orifice'"
-                " ones do"
-            )
-        self._pending = [
-            fault for fault in self.faults if fault.kind in ("leak", "starved")
-        ]
+        self.faults = tuple(Fault.parse(fault, spec.segments) for fault in faults)
+        self._inject_faults()
         self._pulses = PulseWidthModulator(
             CARRIER_HZ,
-            tick,
+            self.tick,
             spec.segments,
             aligned=True,
             allow_long_ticks=True,
@@ -231,6 +244,26 @@ class EmulatedRobot:
         self.valves = np.full((spec.segments, spec.chambers), -1, dtype=np.int8)
         self.state = self.twin.reset(pose=start, seed=seed)
         self._frozen = np.full(self.state.bend.shape, np.nan)
+
+    def _inject_faults(self) -> None:
+        """Prepare the faults of the chambers, which begin later."""
+        stuck = [fault for fault in self.faults if fault.kind == "stuck_valve"]
+        leaks = [fault for fault in self.faults if fault.kind == "leak"]
+        starved = [fault for fault in self.faults if fault.kind == "starved"]
+        if stuck:
+            self.twin.spec.require_planar(
+                "fault stuck_valve, which names a + or − chamber,"
+            )
+        if leaks and not isinstance(self._air, OrificePneumatics):
+            raise InputError(
+                "chambers without compressible flow do not begin to leak; those of"
+                " pneumatics 'orifice' do"
+            )
+        self._air.stuck = tuple(
+            StuckValve(fault.number, fault.side, int(fault.how), fault.since)
+            for fault in stuck
+        )
+        self._pending = [*leaks, *starved]
 
     def step(self, command: np.ndarray | None) -> SnakeState:
         """Advance by one tick under a command, valve states or duties; None vents all chambers."""
@@ -242,15 +275,13 @@ class EmulatedRobot:
             else:
                 self._left = fault.how
                 self.regulate(self._share)
-        if command is None:
-            wanted = np.full(self.valves.shape, -1.0)
-        else:
+        wanted = np.full(self.valves.shape, -1.0)
+        if command is not None:
             wanted = np.asarray(command, dtype=float)
-        pulses = self._pulses.step(duty(wanted))
+        # The carrier also runs while the command is valve states.
+        obeyed = self._pulses.step(duty(wanted))
         if are_states(wanted):
             obeyed = wanted.astype(np.int8)
-        else:
-            obeyed = pulses
         self.valves = obeyed[-1] if obeyed.ndim == 3 else obeyed
         self.state = self.twin.step(obeyed)
         return self.state
@@ -285,7 +316,9 @@ class EmulatedRobot:
         time = float(self.state.time)
         bodies = {}
         lost = {
-            e.number for e in self.faults if e.kind == "lost_marker" and e.since <= time
+            fault.number
+            for fault in self.faults
+            if fault.kind == "lost_marker" and fault.since <= time
         }
         noise = _CAMERA_NOISE_M * self._rng.normal(size=(len(self.state.position), 3))
         for i, (x, y) in enumerate(self.state.position):
@@ -294,12 +327,12 @@ class EmulatedRobot:
             if isinstance(self.state, SpatialState):
                 height = float(self.state.height[i]) + dz
                 w, a, b, c = map(float, self.state.orientation[i])
-                turn = a, c, -b, w
+                turn = (a, c, -b, w)
             else:
                 height = _HEIGHT_M
                 half = (float(self.state.theta[i]) + dz / _MARKER_DISTANCE_M) / 2
-                turn = 0.0, math.sin(half), 0.0, math.cos(half)
-            place = float(x) + dx, height, -(float(y) + dy)
+                turn = (0.0, math.sin(half), 0.0, math.cos(half))
+            place = (float(x) + dx, height, -(float(y) + dy))
             bodies[i + 1] = RigidBody(place, turn, tracked=i + 1 not in lost)
         return bodies
 
@@ -311,6 +344,14 @@ _LETS_GO_S = 0.001
 lock."""
 _POLL_S = 0.002
 """Longest pause while messages wait, s."""
+
+
+class _DelayedCall(NamedTuple):
+    """Call that is due at a time of our clock (s), with a number that keeps the order."""
+
+    due: float
+    number: int
+    call: partial[None]
 
 
 class Transport:
@@ -327,7 +368,7 @@ class Transport:
         self._loss = loss
         self._jitter = jitter
         self._rng = np.random.default_rng((seed, 0xA1))
-        self._waiting: list[tuple[float, int, partial[None]]] = []
+        self._waiting: list[_DelayedCall] = []
         self._number = itertools.count()
 
     def add(
@@ -337,16 +378,20 @@ class Transport:
         if self._rng.random() >= self._loss:
             delayed = due + self._rng.random() * self._jitter
             call = partial(send, *values, **named)
-            heapq.heappush(self._waiting, (delayed, next(self._number), call))
+            entry = _DelayedCall(delayed, next(self._number), call)
+            heapq.heappush(self._waiting, entry)
 
     def send_until(self, due: float) -> None:
         """Send the messages that are due, and wait until a time of our clock (s)."""
         while True:
-            while self._waiting and self._waiting[0][0] <= clock():
-                heapq.heappop(self._waiting)[2]()
-            if (left := due - clock()) <= 0:
+            while self._waiting and self._waiting[0].due <= clock():
+                heapq.heappop(self._waiting).call()
+            left = due - clock()
+            if left <= 0:
                 return
-            time.sleep(min(left, _POLL_S) if self._waiting else left)
+            if self._waiting:
+                left = min(left, _POLL_S)
+            time.sleep(left)
 
 
 def emulate(

@@ -23,13 +23,15 @@ import copy
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from srs_twin.compute.compiled import allocating
-from srs_twin.live.member_dynamics import STEP_S, MemberDynamics, ValveInput
+from srs_twin.compute.compiled import allocating, compiled
+from srs_twin.live.member_dynamics import STEP_S, Air, MemberDynamics, ValveInput
 from srs_twin.live.odometry import LocalConnection, Odometry
 from srs_twin.live.pressure_table import PressureRates
+from srs_twin.live.uncertain import Uncertain
 from srs_twin.pneumatics.chambers import AMBIENT_PA
 from srs_twin.robot.geometry import body_shape, measured_bend, relative_headings
 from srs_twin.robot.spec import RobotSpec
@@ -150,7 +152,7 @@ class EnsembleFilter:
         self._dynamics = MemberDynamics(spec)
         self.members = np.zeros((members, int(ends[-1])))
         self._draws = {name: self._random(name) for name in ("gain", "bias")}
-        self._modules = np.tile([1.0, 1.0, 0.0], (n, 1)), np.zeros((n, 3))
+        self._modules = Uncertain(np.tile([1.0, 1.0, 0.0], (n, 1)), np.zeros((n, 3)))
         self._masks = self._localisation()
         self.rates = PressureRates(n, spec.supply.nominal, error.pressure)
         self._frame_noise: dict[str, float] = {
@@ -166,17 +168,16 @@ class EnsembleFilter:
         """Ratio of the estimated heading noise of motion capture to the assumed one."""
         return self._frame_noise["heading"] / self.noise.heading
 
-    def set_modules(self, mean: np.ndarray, sd: np.ndarray) -> None:
+    def set_modules(self, modules: Uncertain) -> None:
         """Set gains and biases from an estimate; each member keeps its normalised deviations.
 
         Args:
-            mean: g⁺, g⁻ and bias (rad), shape (segments, 3).
-            sd: standard deviations, same shape.
+            modules: g⁺, g⁻ and bias (rad), shape (segments, 3).
         """
-        self._modules = mean, sd
-        self._of("gain")[:] = (
-            mean[:, :2].ravel() + sd[:, :2].ravel() * self._draws["gain"]
-        )
+        self._modules = modules
+        mean, sd = modules
+        gain_sd = sd[:, :2].ravel()
+        self._of("gain")[:] = mean[:, :2].ravel() + gain_sd * self._draws["gain"]
         self._of("bias")[:] = mean[:, 2] + sd[:, 2] * self._draws["bias"]
 
     def predict(self, valves: ValveInput, dt: float, step: float = STEP_S) -> None:
@@ -190,10 +191,9 @@ class EnsembleFilter:
         error = self.error
         disturbance = self._of("disturbance")
         decay = math.exp(-dt / error.disturbance_s)
+        sd = error.disturbance * math.sqrt(1 - decay**2)
         disturbance *= decay
-        disturbance += (
-            error.disturbance * math.sqrt(1 - decay**2) * self._random("disturbance")
-        )
+        disturbance += sd * self._random("disturbance")
         self._run(valves, dt, step)
         self.odometry.advance(dt)
         half = self.spec.geometry.body_length / 2
@@ -208,22 +208,19 @@ class EnsembleFilter:
             Innovations over their standard deviations, NaN where readings are missing.
         """
         variances = np.full(self._segments, self.noise.bend**2)
-        return self._correct(
-            self._of("bend").copy(), readings, variances, self._masks["bend"]
-        )
+        predicted = self._of("bend").copy()
+        return self._correct(predicted, readings, variances, self._masks["bend"])
 
     def update_pressures(self, pressure: np.ndarray) -> np.ndarray:
         """Correct by gauge pressures, shape (segments, 2), Pa; return innovations like `update_bends`."""
         predicted = self._of("pressure").copy()
+        innovation = pressure - predicted.mean(axis=0).reshape(-1, 2)
         # Learn before the correction, which would hide the error of the predicted
         # rates.
-        self.rates.update(
-            pressure - predicted.mean(axis=0).reshape(-1, 2), self.noise.pressure
-        )
-        variances = np.full(predicted.shape[1], self.noise.pressure**2)
-        return self._correct(
-            predicted, pressure.ravel(), variances, self._masks["pressure"]
-        )
+        self.rates.update(innovation, self.noise.pressure)
+        variances = np.full(pressure.size, self.noise.pressure**2)
+        measured = pressure.ravel()
+        return self._correct(predicted, measured, variances, self._masks["pressure"])
 
     def update_poses(self, poses: np.ndarray) -> np.ndarray:
         """Correct by poses of connectors: x, y (m), heading (rad), shape (connectors, 3), NaN if unseen.
@@ -243,17 +240,17 @@ class EnsembleFilter:
         predicted = self.poses()
         turn = poses[:, 2] - predicted[:, :, 2].mean(axis=0)
         # Measured headings may differ from the estimate by whole turns.
-        poses = np.column_stack(
-            [poses[:, :2], poses[:, 2] - 2 * np.pi * np.round(turn / (2 * np.pi))]
-        )
+        poses = poses.copy()
+        poses[:, 2] -= 2 * np.pi * np.round(turn / (2 * np.pi))
         before = poses - predicted.mean(axis=0)
-        noise = self._frame_noise
-        variances = np.tile(
-            np.square([noise["place"], noise["place"], noise["heading"]]), len(poses)
-        )
-        predicted = predicted.reshape(len(self.members), -1)
+        place = self._frame_noise["place"]
+        noise = np.square([place, place, self._frame_noise["heading"]])
         innovation = self._correct(
-            predicted, poses.ravel(), variances, self._masks["pose"], correlated=True
+            predicted.reshape(len(self.members), -1),
+            poses.ravel(),
+            np.tile(noise, len(poses)),
+            self._masks["pose"],
+            correlated=True,
         )
         moved = False
         if not np.isnan(innovation).all():
@@ -302,21 +299,22 @@ class EnsembleFilter:
 
     def copy(self, members: int | None = None) -> EnsembleFilter:
         """Return a filter with the first or all members, for predictions on any thread."""
-        other = copy.copy(self)
         kept = self.members[:members]
-        other.members = kept.copy()
-        if len(kept) < len(
-            self.members
-        ):  # a small sample: restore mean and standard deviation of all
+        copied = kept.copy()
+        if len(kept) < len(self.members):
+            # The mean and standard deviation of a small sample are those of all.
             scale = self.members.std(axis=0) / np.maximum(kept.std(axis=0), 1e-300)
-            other.members[:] = self.members.mean(axis=0) + scale * (
-                kept - kept.mean(axis=0)
-            )
-        other._draws = {name: draws[:members] for name, draws in self._draws.items()}
-        other.rates = copy.deepcopy(self.rates)
+            deviation = kept - kept.mean(axis=0)
+            copied = self.members.mean(axis=0) + scale * deviation
         bend = self.columns["bend"]
-        other.odometry = self.odometry.forecaster(kept[:, bend], other.members[:, bend])
-        other._rng = np.random.default_rng(0)
+        other = copy.copy(self)
+        vars(other).update(
+            members=copied,
+            rates=copy.deepcopy(self.rates),
+            odometry=self.odometry.forecaster(kept[:, bend], copied[:, bend]),
+            _draws={name: draws[:members] for name, draws in self._draws.items()},
+            _rng=np.random.default_rng(0),
+        )
         return other
 
     def forecast(self, inputs: Iterable[ValveInput], dt: float) -> np.ndarray:
@@ -352,14 +350,14 @@ class EnsembleFilter:
         bend = np.zeros((n, width))
         pressure = np.zeros((2 * n, width))
         first = {name: columns.start for name, columns in self.columns.items()}
-        for j in range(n):
+        for k in range(2 * n):
+            j = k // 2
             # A pressure error since the last message has also changed the bend, so both
             # are corrected.
             own = [first["bend"] + j, first["disturbance"] + j, first["motion"] + 3 + j]
-            bend[j, own] = pressure[np.ix_([2 * j, 2 * j + 1], own)] = 1.0
-            for k in (2 * j, 2 * j + 1):
-                for name in ("pressure", "lagged"):
-                    bend[j, first[name] + k] = pressure[k, first[name] + k] = 1.0
+            own += [first["pressure"] + k, first["lagged"] + k]
+            bend[j, own] = 1.0
+            pressure[k, own] = 1.0
         pose = np.zeros(width)
         for name in ("x", "y", "heading", "bend", "disturbance"):
             pose[self.columns[name]] = 1.0
@@ -411,39 +409,32 @@ class EnsembleFilter:
         turn = measured_bend(poses[seen, 2], self.poses()[:, seen, 2])
         # All members turn to the same side, even if the angles are close to ±π.
         heading += turn[0, 0] + measured_bend(turn, turn[0, 0]).mean(axis=1)
-        self.members[:, :2] += (poses[seen, :2] - self.poses()[:, seen, :2]).mean(
-            axis=1
-        )
+        shift = poses[seen, :2] - self.poses()[:, seen, :2]
+        self.members[:, :2] += shift.mean(axis=1)
         draws = self._rng.normal(size=(len(self.members), 3))
-        place = _PLACE_FACTOR * noise.place
-        self.members[:, _POSE] += draws * [
-            place,
-            place,
-            _HEADING_FACTOR * noise.heading,
-        ]
+        place_sd = _PLACE_FACTOR * noise.place
+        heading_sd = _HEADING_FACTOR * noise.heading
+        self.members[:, _POSE] += draws * [place_sd, place_sd, heading_sd]
         self.placed = True
 
     def _run(self, valves: ValveInput, dt: float, step: float) -> None:
         """Advance chambers and bodies."""
         shape = len(self.members), self._segments, 2
-        pressure, lagged, gain = (
-            self._of(name).reshape(shape).copy()
-            for name in ("pressure", "lagged", "gain")
+        air = Air(
+            **{
+                name: self._of(name).reshape(shape).copy()
+                for name in ("pressure", "lagged", "gain")
+            },
+            noise=self._random("pressure").reshape(shape),
         )
-        noise = self._random("pressure").reshape(shape)
-        air = pressure, lagged
-        linear, speed, h = self._dynamics.drive(
-            valves, dt, step, air, gain, self.rates, noise
-        )
-        for name, values in (("pressure", pressure), ("lagged", lagged)):
-            self._of(name)[:] = values.reshape(len(self.members), -1)
+        drive = self._dynamics.drive(valves, dt, step, air, self.rates)
+        self._of("pressure")[:] = air.pressure.reshape(len(self.members), -1)
+        self._of("lagged")[:] = air.lagged.reshape(len(self.members), -1)
         bias = self._of("bias") + self._of("disturbance")
         velocity = self._of("motion").copy()
         pose = self.members[:, _POSE]
         bend = self._of("bend")
-        bend[:], valid = self._dynamics.bend(
-            pose, bend, velocity, (linear, speed), bias, h
-        )
+        bend[:], valid = self._dynamics.bend(pose, bend, velocity, drive, bias)
         self._of("motion")[:] = velocity
         if not valid.any():
             self._restart()
@@ -459,9 +450,28 @@ class EnsembleFilter:
         self._of("disturbance")[:] = self.error.disturbance * self._random(
             "disturbance"
         )
-        self.set_modules(*self._modules)
+        self.set_modules(self._modules)
         self._of("bend")[:] = self._of("bias")
         self.placed = False
+
+
+class _Innovation(NamedTuple):
+    """Innovation of one measurement.
+
+    Attributes:
+        value: measurement less the mean of the predictions.
+        mean: mean of the predictions.
+        spread: variance of the predictions.
+        total: variance of the predictions and of the noise.
+        reduction: share of the gain that reduces the deviations of the members (square
+            root filter).
+    """
+
+    value: float
+    mean: float
+    spread: float
+    total: float
+    reduction: float
 
 
 @allocating
@@ -477,59 +487,86 @@ def correct(members, predicted, measured, variances, masks, correlated):  # type
         masks: localisation of each measurement, 0 to 1, shape (measurements, columns).
         correlated: whether a measurement also corrects the predictions of later ones.
     """
-    count, width = members.shape
     normalised = np.full(measured.shape[0], np.nan)
     for k in range(measured.shape[0]):
-        if np.isnan(measured[k]):
-            continue
-        mean = 0.0
-        for m in range(count):
-            mean += predicted[m, k] / count
-        spread = 0.0
-        for m in range(count):
-            spread += (predicted[m, k] - mean) ** 2 / (count - 1)
-        innovation = measured[k] - mean
-        normalised[k] = innovation / math.sqrt(spread + variances[k])
-        noise = max(variances[k], (innovation / _OUTLIER) ** 2 - spread)
-        total = spread + noise
-        # Share of the gain that reduces the deviations of the members (square root
-        # filter).
-        reduction = 1 / (1 + math.sqrt(noise / total))
-        for column in range(width):
-            if masks[k, column] == 0.0:
-                continue
-            middle = 0.0
-            for m in range(count):
-                middle += members[m, column] / count
-            covariance = own = 0.0
-            for m in range(count):
-                covariance += (
-                    (predicted[m, k] - mean)
-                    * (members[m, column] - middle)
-                    / (count - 1)
-                )
-                own += (members[m, column] - middle) ** 2 / (count - 1)
-            # Squared sample correlations are too large on average; this is the part
-            # beyond chance.
-            square = covariance**2 / max(own * spread, 1e-300)
-            significant = max(
-                1 - (1 - square) / ((count - 2) * max(square, 1e-12)), 0.0
-            )
-            gain = masks[k, column] * significant * covariance / total
-            for m in range(count):
-                members[m, column] += gain * (
-                    innovation - reduction * (predicted[m, k] - mean)
-                )
-        if correlated:
-            for later in range(k + 1, measured.shape[0]):
-                covariance = 0.0
-                for m in range(count):
-                    covariance += (
-                        (predicted[m, k] - mean) * predicted[m, later] / (count - 1)
-                    )
-                gain = covariance / total
-                for m in range(count):
-                    predicted[m, later] += gain * (
-                        innovation - reduction * (predicted[m, k] - mean)
-                    )
+        if not np.isnan(measured[k]):
+            own = predicted[:, k]
+            innovation = _innovation(own, measured[k], variances[k])
+            scale = math.sqrt(innovation.spread + variances[k])
+            normalised[k] = innovation.value / scale
+            _correct_members(members, masks[k], own, innovation)
+            if correlated:
+                _correct_predictions(predicted[:, k + 1 :], own, innovation)
     return normalised
+
+
+@compiled
+def _innovation(predicted, measured, variance):  # type: ignore[no-untyped-def]
+    mean = _mean(predicted)
+    spread = _covariance(predicted, mean, predicted, mean)
+    value = measured - mean
+    noise = max(variance, (value / _OUTLIER) ** 2 - spread)
+    total = spread + noise
+    reduction = 1 / (1 + math.sqrt(noise / total))
+    return _Innovation(value, mean, spread, total, reduction)
+
+
+@compiled
+def _correct_members(members, mask, predicted, innovation):  # type: ignore[no-untyped-def]
+    for column in range(members.shape[1]):
+        if mask[column] > 0.0:
+            values = members[:, column]
+            covariance = _significant_covariance(values, predicted, innovation)
+            gain = mask[column] * covariance / innovation.total
+            _shift(values, gain, predicted, innovation)
+
+
+@compiled
+def _correct_predictions(others, predicted, innovation):  # type: ignore[no-untyped-def]
+    for later in range(others.shape[1]):
+        values = others[:, later]
+        covariance = _covariance(predicted, innovation.mean, values, 0.0)
+        _shift(values, covariance / innovation.total, predicted, innovation)
+
+
+@compiled
+def _mean(values):  # type: ignore[no-untyped-def]
+    mean = 0.0
+    count = values.shape[0]
+    for m in range(count):
+        mean += values[m] / count
+    return mean
+
+
+@compiled
+def _covariance(first, first_mean, second, second_mean):  # type: ignore[no-untyped-def]
+    covariance = 0.0
+    count = first.shape[0]
+    for m in range(count):
+        covariance += (first[m] - first_mean) * (second[m] - second_mean) / (count - 1)
+    return covariance
+
+
+@compiled
+def _significant_covariance(values, predicted, innovation):  # type: ignore[no-untyped-def]
+    """Return the covariance of values and predictions of the members, less the part due to chance."""
+    middle = _mean(values)
+    covariance = 0.0
+    own = 0.0
+    count = values.shape[0]
+    for m in range(count):
+        deviation = values[m] - middle
+        covariance += (predicted[m] - innovation.mean) * deviation / (count - 1)
+        own += deviation**2 / (count - 1)
+    # Squared sample correlations are too large on average.
+    square = covariance**2 / max(own * innovation.spread, 1e-300)
+    significant = max(1 - (1 - square) / ((count - 2) * max(square, 1e-12)), 0.0)
+    return significant * covariance
+
+
+@compiled
+def _shift(values, gain, predicted, innovation):  # type: ignore[no-untyped-def]
+    """Correct values of the members, and reduce their deviations from the mean."""
+    for m in range(values.shape[0]):
+        deviation = predicted[m] - innovation.mean
+        values[m] += gain * (innovation.value - innovation.reduction * deviation)

@@ -6,14 +6,30 @@ import math
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from srs_twin.live.commands import SLOT_S, CommandPeriod
 from srs_twin.live.contact_observer import ContactEstimate, ContactObserver
 from srs_twin.live.messages import BENDS, PRESSURES, VALVES, Message
+from srs_twin.live.uncertain import Uncertain
 from srs_twin.plants.base import SnakeState
 from srs_twin.robot.spec import RobotSpec
+
+
+class DetectedFault(NamedTuple):
+    """Detected fault.
+
+    Attributes:
+        part: segment, "supply" or connector.
+        name: name of the fault.
+        probability: probability of a fault of this part.
+    """
+
+    part: str
+    name: str
+    probability: float
 
 
 @dataclass(frozen=True)
@@ -33,8 +49,7 @@ class Estimate:
         parameters: values and standard deviations of "gain", of each chamber as a
             multiple of that in the robot file, and "bias_rad", the bend of each module
             without pressure.
-        faults: detected faults as (part, fault, probability); part is a segment,
-            "supply" or a connector.
+        faults: detected faults.
         off: RMS innovation of the last measurements of each kind, in standard
             deviations.
         lost: reason why the position is unknown; empty if it is known.
@@ -47,8 +62,8 @@ class Estimate:
     pose_sd: np.ndarray
     velocity: np.ndarray
     connectors: np.ndarray
-    parameters: Mapping[str, tuple[np.ndarray, np.ndarray]]
-    faults: tuple[tuple[str, str, float], ...]
+    parameters: Mapping[str, Uncertain]
+    faults: tuple[DetectedFault, ...]
     off: Mapping[str, float]
     lost: str
 
@@ -118,11 +133,9 @@ class Prediction:
 
     def error(self, poses: np.ndarray) -> np.ndarray:
         """Return poses less the predicted ones, along and across the initial heading, shape (times, 3)."""
-        c, s, (x, y, turn) = (
-            math.cos(self.heading),
-            math.sin(self.heading),
-            (poses - self.pose).T,
-        )
+        c = math.cos(self.heading)
+        s = math.sin(self.heading)
+        x, y, turn = (poses - self.pose).T
         return np.column_stack([c * x + s * y, c * y - s * x, turn])
 
     def contains(self, poses: np.ndarray) -> np.ndarray:
@@ -136,45 +149,46 @@ class PredictionCalibration:
     def __init__(self) -> None:
         """Begin without predictions."""
         # Mean squares of the errors, and of the stated standard deviations.
-        self._error = self._stated = np.zeros((0, 3))
+        self._error = self._stated = np.zeros(3)
         self._count = 0
         self._open: deque[Prediction] = deque(maxlen=20)
-        self._path: deque[tuple[float, np.ndarray]] = deque(maxlen=200)
+        # Time, x, y and heading of each pose.
+        self._path: deque[np.ndarray] = deque(maxlen=200)
 
     def observe(self, time: float, pose: np.ndarray) -> None:
         """Add a pose (x, y, heading) at a time (s); learn from the predictions that ended."""
-        self._path.append((time, pose))
+        self._path.append(np.append(time, pose))
         while self._open and self._open[0].time[-1] <= time:
             past = self._open.popleft()
-            times, poses = (
-                np.array(values) for values in zip(*self._path, strict=True)
-            )
-            if times[0] > past.begun:
-                continue
-            error = past.error(
-                np.column_stack(
-                    [np.interp(past.time, times, column) for column in poses.T]
-                )
-            )
-            if len(self._error) != len(error):
-                self._error = np.zeros_like(error)
-                self._stated = np.zeros_like(error)
-                self._count = 0
-            self._count += 1
-            weight = max(1 / _MEMORY, 1 / self._count)
-            self._error = self._error + weight * (error**2 - self._error)
-            self._stated = self._stated + weight * (past.pose_sd**2 - self._stated)
+            times, *columns = np.array(self._path).T
+            if times[0] <= past.begun:
+                poses = [np.interp(past.time, times, column) for column in columns]
+                self._learn(past, past.error(np.column_stack(poses)))
+
+    def _learn(self, past: Prediction, error: np.ndarray) -> None:
+        self._count += 1
+        weight = max(1 / _MEMORY, 1 / self._count)
+        self._error = self._error + weight * (error**2 - self._error)
+        self._stated = self._stated + weight * (past.pose_sd**2 - self._stated)
 
     def widened(self, raw: Prediction) -> Prediction:
         """Return a prediction with widened intervals; its own error is learnt when it has ended."""
         self._open.append(raw)
-        if len(self._error) != len(raw.time):
+        if not self._count:
             return raw
         # The interval of a mean square of few errors is wider.
         count = min(self._count, _MEMORY)
         factor = (count + 1) / max(count - 1, 1)
         excess = np.maximum(factor * self._error - self._stated, 0.0)
         return replace(raw, pose_sd=np.sqrt(raw.pose_sd**2 + excess))
+
+
+class _PredictedState(NamedTuple):
+    """State that was predicted for a time of our clock (s), and its standard deviation."""
+
+    time: float
+    value: np.ndarray
+    sd: np.ndarray
 
 
 class IntervalCalibration:
@@ -198,40 +212,37 @@ class IntervalCalibration:
         self._counts = np.array(groups)
         self._square = np.ones(len(groups))
         self._compared = np.full(len(groups), -np.inf)
-        self._open: deque[tuple[float, np.ndarray, np.ndarray]] = deque(maxlen=200)
+        self._open: deque[_PredictedState] = deque(maxlen=200)
 
     @property
     def scale(self) -> np.ndarray:
         """Factor of each value's standard deviation."""
         return np.repeat(np.sqrt(self._square), self._counts)
 
-    def predict(self, time: float, value: np.ndarray, sd: np.ndarray) -> None:
+    def predict(self, time: float, state: Uncertain) -> None:
         """Add a prediction for a time (s), with standard deviations before scaling."""
-        self._open.append((time, value, sd))
+        self._open.append(_PredictedState(time, *state))
 
     def update(
-        self, time: float, value: np.ndarray, sd: np.ndarray, measured: Sequence[bool]
+        self, time: float, estimate: Uncertain, measured: Sequence[bool]
     ) -> None:
         """Compare the predictions for a time (s) with the estimate after its measurements.
 
         Args:
             time: of the measurements, s.
-            value: estimate.
-            sd: of the estimate.
+            estimate: estimate.
             measured: whether the measurements corrected a group.
         """
-        while len(self._open) > 1 and self._open[1][0] < time:
+        while len(self._open) > 1 and self._open[1].time < time:
             self._open.popleft()
-        if len(self._open) < 2 or not self._open[0][0] <= time:
+        if len(self._open) < 2 or not self._open[0].time <= time:
             return
-        (begun, first, first_sd), (ended, second, second_sd) = (
-            self._open[0],
-            self._open[1],
-        )
-        weight = (time - begun) / (ended - begun)
-        predicted = first + weight * (second - first)
-        limit = 1.96 * self.scale * (first_sd + weight * (second_sd - first_sd))
-        outside = (predicted - value) ** 2 + sd**2 > limit**2
+        before = self._open[0]
+        after = self._open[1]
+        weight = (time - before.time) / (after.time - before.time)
+        predicted = before.value + weight * (after.value - before.value)
+        limit = 1.96 * self.scale * (before.sd + weight * (after.sd - before.sd))
+        outside = (predicted - estimate.value) ** 2 + estimate.sd**2 > limit**2
         share = np.add.reduceat(outside.astype(float), self._starts) / self._counts
         dt = np.where(
             measured, np.minimum(time - self._compared, _LONGEST_COMPARED_S), 0.0
@@ -298,10 +309,7 @@ class LiveContact:
         """
         if not period:
             return
-        if period == self._period:
-            self._repeated = self._repeated + 1
-        else:
-            self._repeated = 0
+        self._repeated = self._repeated + 1 if period == self._period else 0
         self._period = period
         if self._repeated * SLOT_S >= _STEADY_S and period != self._observer.period:
             self._observer.set_period(period)

@@ -52,6 +52,7 @@ from srs_twin.live.fault_hypotheses import (
     valve_duty,
 )
 from srs_twin.live.pressure_table import PressureLevels
+from srs_twin.live.uncertain import Uncertain
 from srs_twin.pneumatics.chambers import chamber_gains, free_bends, largest_bend
 from srs_twin.pneumatics.lag import followed, relaxation_of, relaxed
 from srs_twin.robot.spec import RobotSpec
@@ -172,16 +173,12 @@ class FaultDetector(Stateful):
         self._largest = largest_bend(spec, supply_pa)
         self._load = _LOAD_SD * self._largest
         self._obeys = np.isin(CHAMBERS, (Chamber.OBEYS, Chamber.LEAKS))
-        inflows = [(h.inflow(h.plus), h.inflow(h.minus)) for h in HYPOTHESES]
-        variants = list(dict.fromkeys(inflow for pair in inflows for inflow in pair))
-        self._variant = np.array(
-            [[variants.index(inflow) for inflow in pair] for pair in inflows]
-        )
+        inflows = [h.inflow(chamber) for h in HYPOTHESES for chamber in h.chambers]
+        variants = list(dict.fromkeys(inflows))
+        self._variant = np.reshape(list(map(variants.index, inflows)), (kinds, 2))
         self.leaks = LeakDetector(spec, supply_pa=supply_pa, variants=variants)
-        sd = np.array(
-            [_BIAS_SD_RAD, _GAIN_SD, _GAIN_SD, self._load, _OFFSET_SD_RAD, _SCALE_SD]
-        )
-        self._covariance = np.tile(np.diag(sd**2), (count, kinds, 1, 1))
+        sd = _BIAS_SD_RAD, _GAIN_SD, _GAIN_SD, self._load, _OFFSET_SD_RAD, _SCALE_SD
+        self._covariance = np.tile(np.diag(np.square(sd)), (count, kinds, 1, 1))
         self.probability = np.zeros((count, kinds))
         self.probability[:, 0] = 1.0
         # Median ratio of measured to expected pressures of filling chambers; NaN
@@ -209,7 +206,7 @@ class FaultDetector(Stateful):
         """Begin again with unknown pressures, as after a restart of the robot; keep all that was learnt."""
         self.time = 0.0
         self._level = math.nan
-        self.leaks.drop(np.ones(self.leaks.learnt.shape, dtype=bool))
+        self.leaks.drop_all()
 
     def inflate(self, switched: np.ndarray, dt: float) -> None:
         """Inflate the variance for unknown switching times of valves.
@@ -219,25 +216,25 @@ class FaultDetector(Stateful):
             dt: interval in which the valves switched, s.
         """
         self.leaks.drop(switched > 0)
-        change = (
-            self._largest * switched.sum(axis=1) / 2 * (1 - math.exp(-dt / self._fill))
-        )
+        reached = 1 - math.exp(-dt / self._fill)
+        change = self._largest * switched.sum(axis=1) / 2 * reached
         self._covariance[..., _State.LOAD, _State.LOAD] += change[:, None] ** 2
 
     def most_likely(self) -> np.ndarray:
         """Return the most likely hypothesis of each segment that agrees with its detected fault."""
         return self.naming.most_likely(self.probability)
 
-    def modules(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return mean and standard deviation of g⁺, g⁻ and b (rad), shape (segments, 3)."""
+    def modules(self) -> Uncertain:
+        """Return g⁺, g⁻ and b (rad), shape (segments, 3)."""
         values = self.mean[..., _MODULE]
         variances = np.einsum("smii->smi", self._covariance)[..., _MODULE]
         mean = np.einsum("sm,smi->si", self.probability, values)
         square = variances + (values - mean[:, None]) ** 2
-        return mean, np.sqrt(np.einsum("sm,smi->si", self.probability, square))
+        variance = np.einsum("sm,smi->si", self.probability, square)
+        return Uncertain(mean, np.sqrt(variance))
 
-    def corrected(self, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return readings (rad) without the errors of their sensors, and standard deviations of these."""
+    def corrected(self, readings: np.ndarray) -> Uncertain:
+        """Return readings (rad) without the errors of their sensors."""
         mean = np.einsum("sm,smk->sk", self.probability, self.mean)
         bends = (readings - mean[:, _State.OFFSET]) / (1 + mean[:, _State.SCALE])
         rows = np.zeros_like(mean)
@@ -246,12 +243,15 @@ class FaultDetector(Stateful):
         variance = np.einsum(
             "sm,sk,smkl,sl->s", self.probability, rows, self._covariance, rows
         )
-        return bends, np.sqrt(variance)
+        return Uncertain(bends, np.sqrt(variance))
 
-    def parameters(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Return values and standard deviations of gains and biases (rad) by name."""
+    def parameters(self) -> dict[str, Uncertain]:
+        """Return gains and biases (rad) by name."""
         mean, sd = self.modules()
-        return {"gain": (mean[:, :2], sd[:, :2]), "bias_rad": (mean[:, 2], sd[:, 2])}
+        return {
+            "gain": Uncertain(mean[:, :2], sd[:, :2]),
+            "bias_rad": Uncertain(mean[:, 2], sd[:, 2]),
+        }
 
     def predict(self, duty: np.ndarray, dt: float) -> None:
         """Advance by a step.
@@ -292,37 +292,23 @@ class FaultDetector(Stateful):
         """
         if self.time < self._settling_s:
             return
-        drive = self._gain[:, None] * self._delayed
-        drive = drive * self._bend_share(drive)
-        rows = np.ones((*self.probability.shape, 6))
-        rows[..., _State.PLUS] = drive[..., 0]
-        rows[..., _State.MINUS] = -drive[..., 1]
-        rows[..., [_State.OFFSET, _State.SCALE]] = 0.0
+        rows = self._bend_rows()
         log_likelihood = np.zeros(self.probability.shape)
         if readings is not None:
             readings = np.asarray(readings, dtype=float)
-            reads = np.isin(SENSORS, (Sensor.READS, Sensor.DRIFTS))
             log_likelihood += self._sensor_log_likelihood(readings)
-            bends = np.einsum("smk,smk->sm", rows, self.mean)
-            sensed = rows.copy()
-            sensed[..., _State.OFFSET] = 1.0
-            sensed[..., _State.SCALE] = bends
-            log_likelihood += self._correct(sensed, readings, _NOISE_RAD, reads)
-            self._last = np.where(np.isnan(readings), self._last, readings)
+            log_likelihood += self._correct_by_readings(rows, readings)
         if markers is not None:
             noise = heading_noise_scale * _MARKER_NOISE_RAD
-            every = np.ones(len(HYPOTHESES), dtype=bool)
-            log_likelihood += self._correct(rows, np.asarray(markers), noise, every)
+            log_likelihood += self._correct(rows, np.asarray(markers), noise)
         if pressures is not None:
             pressures = np.asarray(pressures, dtype=float)
             log_likelihood += self._pressure_log_likelihood(pressures, dt)
             log_likelihood += self._leak_log_likelihood(pressures, rows)
-        weight = self.probability * np.exp(
-            log_likelihood - log_likelihood.max(axis=1, keepdims=True)
-        )
-        self.probability = np.maximum(
-            weight / weight.sum(axis=1, keepdims=True), _LEAST_PROBABILITY
-        )
+        log_likelihood -= log_likelihood.max(axis=1, keepdims=True)
+        weight = self.probability * np.exp(log_likelihood)
+        weight /= weight.sum(axis=1, keepdims=True)
+        self.probability = np.maximum(weight, _LEAST_PROBABILITY)
         self._judge_supply()
         self.naming.update(self.time, self.probability)
 
@@ -346,12 +332,18 @@ class FaultDetector(Stateful):
         )
         self._pressure = relaxed(self._pressure, *relaxation, dt)
 
-    def _bend_share(self, drive: np.ndarray) -> np.ndarray:
-        """Return the ratio of the free bend to its linear part, shape (segments, hypotheses, 1)."""
+    def _bend_rows(self) -> np.ndarray:
+        """Return the derivatives of the bends by the states, shape (segments, hypotheses, 6)."""
+        drive = self._gain[:, None] * self._delayed
         linear = drive[..., 0] - drive[..., 1]
-        # At rest the ratio is the slope of the law.
+        # At rest the ratio of the free bend to its linear part is the slope of the law.
         linear = np.where(np.abs(linear) < _AT_REST_RAD, _AT_REST_RAD, linear)
-        return np.asarray((free_bends(self._spec, linear) / linear)[..., None])
+        drive = drive * (free_bends(self._spec, linear) / linear)[..., None]
+        rows = np.ones((*self.probability.shape, 6))
+        rows[..., _State.PLUS] = drive[..., 0]
+        rows[..., _State.MINUS] = -drive[..., 1]
+        rows[..., [_State.OFFSET, _State.SCALE]] = 0.0
+        return rows
 
     def _mix(self, dt: float) -> None:
         """Mix the hypotheses by their transition probabilities, then predict their states."""
@@ -362,13 +354,15 @@ class FaultDetector(Stateful):
         np.fill_diagonal(transition, 0.0)
         np.fill_diagonal(transition, 1 - transition.sum(axis=1))
         decay = np.array([1.0, 1.0, 1.0, math.exp(-dt / _LOAD_TIME_S), 1.0, 1.0])
-        walks = _BIAS_WALK, _GAIN_WALK, _OFFSET_WALK, _DRIFT_WALK
-        bias, gain, offset, drift = (walk * math.sqrt(dt) for walk in walks)
+        root = math.sqrt(dt)
+        bias = _BIAS_WALK * root
+        gain = _GAIN_WALK * root
+        offset = _OFFSET_WALK * root
         load = self._load * math.sqrt(1 - decay[_State.LOAD] ** 2)
-        noise = np.tile(
-            np.diag([bias, gain, gain, load, offset, 0.0]) ** 2, (len(HYPOTHESES), 1, 1)
-        )
-        noise[SENSORS == Sensor.DRIFTS, _State.OFFSET, _State.OFFSET] = drift**2
+        sound = np.diag([bias, gain, gain, load, offset, 0.0]) ** 2
+        noise = np.tile(sound, (len(HYPOTHESES), 1, 1))
+        drifts = SENSORS == Sensor.DRIFTS
+        noise[drifts, _State.OFFSET, _State.OFFSET] = (_DRIFT_WALK * root) ** 2
         joint = self.probability[:, :, None] * transition
         predicted = joint.sum(axis=1)
         share = joint / np.maximum(predicted[:, None, :], 1e-300)
@@ -382,8 +376,23 @@ class FaultDetector(Stateful):
         self._delayed = np.einsum("sij,sik->sjk", share, self._delayed)
         self.probability = predicted
 
+    def _correct_by_readings(
+        self, rows: np.ndarray, readings: np.ndarray
+    ) -> np.ndarray:
+        """Correct the Kalman filters by readings of the sensors, given the rows of the bends."""
+        sensed = rows.copy()
+        sensed[..., _State.OFFSET] = 1.0
+        sensed[..., _State.SCALE] = np.einsum("smk,smk->sm", rows, self.mean)
+        self._last = np.where(np.isnan(readings), self._last, readings)
+        reads = np.isin(SENSORS, (Sensor.READS, Sensor.DRIFTS))
+        return self._correct(sensed, readings, _NOISE_RAD, reads)
+
     def _correct(
-        self, rows: np.ndarray, measured: np.ndarray, noise: float, used: np.ndarray
+        self,
+        rows: np.ndarray,
+        measured: np.ndarray,
+        noise: float,
+        used: np.ndarray | bool = True,
     ) -> np.ndarray:
         """Correct the Kalman filters of all hypotheses by one measurement per segment.
 
@@ -400,17 +409,15 @@ class FaultDetector(Stateful):
         gain = np.einsum("smkl,sml->smk", self._covariance, rows)
         variance = np.einsum("smk,smk->sm", rows, gain) + noise**2
         predicted = np.einsum("smk,smk->sm", rows, self.mean)
-        innovation = np.where(
-            available, np.nan_to_num(measured)[:, None] - predicted, 0.0
-        )
+        innovation = np.nan_to_num(measured)[:, None] - predicted
+        innovation = np.where(available, innovation, 0.0)
         weight = np.where(available[..., None], gain / variance[..., None], 0.0)
         self.mean = self.mean + weight * innovation[..., None]
         self._covariance = self._covariance - weight[..., :, None] * gain[..., None, :]
         # Model errors have heavy tails under every hypothesis, so a Gaussian density
         # would detect false faults.
-        log = (
-            _log_student(innovation**2 / variance) - np.log(variance * 2 * math.pi) / 2
-        )
+        log = _log_student(innovation**2 / variance)
+        log = log - np.log(variance * 2 * math.pi) / 2
         return np.where(available, log, 0.0)
 
     def _sensor_log_likelihood(self, readings: np.ndarray) -> np.ndarray:
@@ -419,72 +426,68 @@ class FaultDetector(Stateful):
         lost = np.isnan(readings)[:, None]
         silent = SENSORS == Sensor.SILENT
         frozen = SENSORS == Sensor.FROZEN
-        log_likelihood[:, ~silent] = np.where(
-            lost, math.log(_LOSS), math.log(1 - _LOSS)
-        )
+        usual = np.where(lost, math.log(_LOSS), math.log(1 - _LOSS))
+        log_likelihood[:, ~silent] = usual
         log_likelihood[:, silent] = np.where(
             lost, math.log(0.999), math.log(1e-3 / (2 * math.pi))
         )
         narrow = _NOISE_RAD * _FROZEN_NOISE
         change = np.nan_to_num(readings - self._last, nan=10.0)[:, None]
-        density = -0.5 * (change / narrow) ** 2 - math.log(
-            narrow * math.sqrt(2 * math.pi)
-        )
+        scale = math.log(narrow * math.sqrt(2 * math.pi))
+        density = -0.5 * (change / narrow) ** 2 - scale
         log_likelihood[:, frozen] += np.where(lost, 0.0, np.maximum(density, -50.0))
         return log_likelihood
 
     def _pressure_log_likelihood(self, pressures: np.ndarray, dt: float) -> np.ndarray:
         """Return log-likelihoods of pressures, reduced for the correlation of successive residuals."""
-        usual, sd = (
-            self._levels.read()
-        )  # mean and standard deviation of the pressure residuals
-        self._update_supply(pressures, usual, sd + _LEAST_PRESSURE_SD)
-        residual = np.nan_to_num(
-            (pressures[:, None] - self._pressure) / self.supply.pressure
-        )
+        usual, sd = self._levels.read()
+        self._update_supply(pressures, Uncertain(usual, sd + _LEAST_PRESSURE_SD))
+        residual = pressures[:, None] - self._pressure
+        residual = np.nan_to_num(residual / self.supply.pressure)
         # Residuals are learnt only from valves that obey commands.
         residual = residual - np.where(self._obeys, usual[:, None], 0.0)
         spread = np.where(self._obeys, sd[:, None] + _LEAST_PRESSURE_SD, _PRESSURE_SD)
         log = _log_student((residual / spread) ** 2) - np.log(spread)
         # With enough strokes, the balance of air replaces this evidence for leaks.
-        balanced = (self.leaks.learnt >= _BALANCED_STROKES)[:, None] & (
-            CHAMBERS == Chamber.LEAKS
-        )
-        log = np.where(balanced, log.max(axis=1, keepdims=True), log)
-        self._levels.update(
-            residual[:, 0], ~np.isnan(pressures) & (self.probability[:, :1] > 0.9)
-        )
+        balanced = (self.leaks.learnt >= _BALANCED_STROKES)[:, None]
+        replaced = balanced & (CHAMBERS == Chamber.LEAKS)
+        log = np.where(replaced, log.max(axis=1, keepdims=True), log)
+        learns = ~np.isnan(pressures) & (self.probability[:, :1] > 0.9)
+        self._levels.update(residual[:, 0], learns)
         return np.asarray(log.sum(axis=-1) * min(dt / _PRESSURE_TIME_S, 1.0))
 
-    def _update_supply(
-        self, pressures: np.ndarray, usual: np.ndarray, sd: np.ndarray
-    ) -> None:
-        """Correct the supply pressure by chambers that fill as commanded."""
+    def _update_supply(self, pressures: np.ndarray, usual: Uncertain) -> None:
+        """Correct the supply pressure by chambers that fill as commanded.
+
+        Args:
+            pressures: gauge, shape (segments, 2), Pa.
+            usual: residuals of pressures, share of the supply pressure, same shape.
+        """
         before = self.supply.pressure
-        response = self._pressure[:, 0] / before + usual
+        response = self._pressure[:, 0] / before + usual.value
+        sd = before * usual.sd
         obeys = np.einsum("sm,mc->sc", self.probability, self._obeys)
         obeys[self.naming.faulty] = 0.0
         filled = self._levels.ages.filled_s
         residual = pressures - before * response
         settled = (filled > _SETTLED_S) & ~np.isnan(pressures) & (obeys > 0.5)
         if settled.sum() * 2 >= len(pressures):
-            self._level = float(
-                np.median(pressures[settled] / (before * response[settled]))
-            )
+            expected = before * response[settled]
+            self._level = float(np.median(pressures[settled] / expected))
         if self.supply.follow_sudden_change(
-            residual[settled], response[settled], before * sd[settled]
+            residual[settled], response[settled], sd[settled]
         ):
-            self.leaks.drop(np.ones(pressures.shape, dtype=bool))
+            self.leaks.drop_all()
             self._adopt_supply(before)
             return
         # At first the balances are unknown, and the pressures of filled chambers are
         # used instead.
         balanced = self.leaks.learnt >= 1
-        excess, slope, variance = self.leaks.residuals(self.time, pressures, filled)
+        balance = self.leaks.residuals(self.time, pressures, filled)
         self.supply.update(
-            np.where(balanced, excess, residual),
-            np.where(balanced, slope, response),
-            np.where(balanced, np.sqrt(variance), before * sd),
+            np.where(balanced, balance.residual, residual),
+            np.where(balanced, balance.slope, response),
+            np.where(balanced, balance.sd, sd),
             np.where(balanced | settled, obeys, 0.0),
             MESSAGES_PER_INDEPENDENT,
         )
@@ -508,35 +511,30 @@ class FaultDetector(Stateful):
     def _judge_supply(self) -> None:
         """Correct the supply pressure if all segments are weak at once; detect and clear `starved`."""
         weak = SUPPLY_SHARES < 1.0
+        weak_or_leaks = weak | (LEAK_RATES > 0.0)
         kind = np.flatnonzero(weak)[self.probability[:, weak].sum(axis=0).argmax()]
         if math.isnan(self._level):
             share = SUPPLY_SHARES[kind]
-        else:
-            share = self._level
-        # Several leaks at once are a failure of the supply if the pressures are low as
-        # well.
-        if math.isnan(self._level):
             common = weak
         else:
-            common = weak | (LEAK_RATES > 0.0)
-        if (
-            share < _FAILED_BELOW
-            and (self.probability[:, common].sum(axis=1) > 0.5).mean() > 0.5
-        ):
+            # Several leaks at once are a failure of the supply if the pressures are low
+            # as well.
+            share = self._level
+            common = weak_or_leaks
+        suspect = self.probability[:, common].sum(axis=1) > 0.5
+        if share < _FAILED_BELOW and suspect.mean() > 0.5:
             before = self.supply.pressure
             self.supply.jump(share)
             self._rescale(before)
             self._attribute_to_supply(common, np.full(len(self.probability), kind))
-            self.leaks.drop(np.ones((len(self.probability), 2), dtype=bool))
+            self.leaks.drop_all()
         if self.time < START_S:
             return
         if self.naming.starved:
             # A segment with a low supply seems to leak; without this correction the
             # fault would remain after recovery.
-            common = weak | (LEAK_RATES > 0.0)
-            self._attribute_to_supply(
-                common, np.where(common, self.probability, 0.0).argmax(axis=1)
-            )
+            likely = np.where(weak_or_leaks, self.probability, 0.0).argmax(axis=1)
+            self._attribute_to_supply(weak_or_leaks, likely)
         # Without pressures only the hypotheses of a weak supply change the estimate, so
         # its sd never falls.
         sd = 0.0 if math.isnan(self._level) else self.supply.sd
@@ -567,17 +565,15 @@ class FaultDetector(Stateful):
         bends = np.einsum("smk,smk->sm", rows, self.mean)
         bend = (self.probability * bends).sum(axis=1)
         variance = np.einsum("smk,smkl,sml->sm", rows, self._covariance, rows)
-        sd = np.sqrt(
-            (self.probability * (variance + (bends - bend[:, None]) ** 2)).sum(axis=1)
-        )
+        variance += (bends - bend[:, None]) ** 2
+        sd = np.sqrt((self.probability * variance).sum(axis=1))
         log_likelihood = self.leaks.update(
             self.time,
             pressures,
-            bend,
-            sd,
+            Uncertain(bend, sd),
             self._levels.ages.filled_s,
             self.probability[:, 0],
-            (self.supply.pressure, self.supply.sd),
+            self.supply,
         )
         return np.asarray(log_likelihood[:, np.arange(2), self._variant].sum(axis=-1))
 

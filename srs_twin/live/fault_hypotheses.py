@@ -31,6 +31,18 @@ class Sensor(IntEnum):
     DRIFTS = 3
 
 
+class Inflow(NamedTuple):
+    """Inflow of a chamber that fills.
+
+    Attributes:
+        leak: pressure that it loses, share per second.
+        share: share of the supply pressure, 0 without any inflow.
+    """
+
+    leak: float
+    share: float
+
+
 class Hypothesis(NamedTuple):
     """Behaviour of the chambers and the sensor of a segment.
 
@@ -50,12 +62,16 @@ class Hypothesis(NamedTuple):
     leak: float = 0.0
     weak: float = 1.0
 
-    def inflow(self, chamber: Chamber) -> tuple[float, float]:
-        """Return leak (1/s) and share of the supply pressure of a chamber, given its behaviour."""
-        return (
-            self.leak if chamber == Chamber.LEAKS else 0.0,
-            0.0 if chamber == Chamber.VENTS else self.weak,
-        )
+    @property
+    def chambers(self) -> tuple[Chamber, Chamber]:
+        """Behaviour of both chambers."""
+        return self.plus, self.minus
+
+    def inflow(self, chamber: Chamber) -> Inflow:
+        """Return the inflow of a chamber, given its behaviour."""
+        leak = self.leak if chamber == Chamber.LEAKS else 0.0
+        share = 0.0 if chamber == Chamber.VENTS else self.weak
+        return Inflow(leak, share)
 
 
 HYPOTHESES = (
@@ -84,7 +100,7 @@ LEAK = np.array([name.startswith("leak") for name in NAMES])
 INDISTINGUISHABLE = ((1, 4), (2, 3))
 """Pairs of names with the same effect on bends, if the two chambers of the segment alternate."""
 
-CHAMBERS = np.array([[hypothesis.plus, hypothesis.minus] for hypothesis in HYPOTHESES])
+CHAMBERS = np.array([hypothesis.chambers for hypothesis in HYPOTHESES])
 SENSORS = np.array([hypothesis.sensor for hypothesis in HYPOTHESES])
 LEAK_RATES = np.array([hypothesis.leak for hypothesis in HYPOTHESES])
 SUPPLY_SHARES = np.array([hypothesis.weak for hypothesis in HYPOTHESES])
@@ -92,9 +108,8 @@ SUPPLY_SHARES = np.array([hypothesis.weak for hypothesis in HYPOTHESES])
 
 def valve_duty(duty: np.ndarray, chambers: np.ndarray) -> np.ndarray:
     """Return the duty of the valves (share of time in which they fill), given the chambers' behaviour."""
-    return np.where(
-        chambers == Chamber.FILLS, 1.0, np.where(chambers == Chamber.VENTS, 0.0, duty)
-    )
+    duty = np.where(chambers == Chamber.VENTS, 0.0, duty)
+    return np.where(chambers == Chamber.FILLS, 1.0, duty)
 
 
 _THRESHOLD = 0.97
@@ -134,15 +149,11 @@ class FaultNaming(Stateful):
     @property
     def named(self) -> dict[int, str]:
         """Names of the faults by segment, from 1; 0 is the supply."""
-        names = {
-            j: [NAMES[m] for m in pair if m >= 0]
-            for j, pair in enumerate(self.pairs.tolist())
-        }
-        return {
-            j: " or ".join(texts) if j else STARVED
-            for j, texts in names.items()
-            if texts
-        }
+        named = {0: STARVED} if self.starved else {}
+        for j in np.flatnonzero(self.faulty) + 1:
+            names = [NAMES[m] for m in self.pairs[j] if m >= 0]
+            named[int(j)] = " or ".join(names)
+        return named
 
     @property
     def starved(self) -> bool:
@@ -175,7 +186,8 @@ class FaultNaming(Stateful):
         """
         pairs = self.pairs
         if time < START_S:
-            self._since[:] = self._either_since[:] = np.inf
+            self._since[:] = np.inf
+            self._either_since[:] = np.inf
             return
         likely = probability @ HAS_NAME
         # Segments seldom fail together: if several are suspect, they may have a common
@@ -194,23 +206,20 @@ class FaultNaming(Stateful):
         self._since = np.where(
             likely > threshold, np.minimum(self._since, time), np.inf
         )
-        for j, m in np.argwhere(time - self._since >= patience):
-            # Later evidence may decide between the two faults of a detected pair.
-            if (
-                m
-                and (pairs[j + 1, 0] < 0 or m in pairs[j + 1])
-                and not (m == WEAK or starved)
-            ):
-                pairs[j + 1] = m, -1
-        for k, pair in enumerate(INDISTINGUISHABLE):
-            above = likely[:, pair].sum(axis=1) > _THRESHOLD
-            self._either_since[:, k] = np.where(
-                above, np.minimum(self._either_since[:, k], time), np.inf
-            )
-            for j in (
-                np.flatnonzero(time - self._either_since[:, k] >= patience[:, 0]) + 1
-            ):
-                if pairs[j, 0] < 0 and not starved:
-                    pairs[j] = pair
+        either = [
+            likely[:, pair].sum(axis=1) > _THRESHOLD for pair in INDISTINGUISHABLE
+        ]
+        self._either_since = np.where(
+            np.transpose(either), np.minimum(self._either_since, time), np.inf
+        )
+        if not starved:
+            for j, m in np.argwhere(time - self._since >= patience):
+                # Later evidence may decide between the two faults of a detected pair.
+                is_new = pairs[j + 1, 0] < 0 or m in pairs[j + 1]
+                if is_new and m not in (0, WEAK):
+                    pairs[j + 1] = m, -1
+            for j, k in np.argwhere(time - self._either_since >= patience[:, :1]):
+                if pairs[j + 1, 0] < 0:
+                    pairs[j + 1] = INDISTINGUISHABLE[k]
         sound = np.append(False, likely[:, 0] > _THRESHOLD)
         pairs[sound & (pairs[:, 0] >= 0)] = -1

@@ -105,11 +105,9 @@ class Journal:
         try:
             step()
         except (OSError, OverflowError, ValueError, struct.error) as error:
-            reason = (
-                error.strerror
-                if isinstance(error, OSError)
-                else f"{type(error).__name__}: {error}"
-            )
+            reason = f"{type(error).__name__}: {error}"
+            if isinstance(error, OSError):
+                reason = str(error.strerror)
             self.trouble = (
                 f"{display_path(self._path)}: ends early, it cannot be written"
                 f" ({reason})"
@@ -125,12 +123,12 @@ class Journal:
                 message_encoding="json",
                 schema_id=self._schema,
             )
-        text = message.names[0] if message.kind in (STATUS, CONTROL) else message.values
-        data = (
-            _poses(message)
-            if message.kind == POSES
-            else encode(message.kind, message.sent, text)
-        )
+        if message.kind == POSES:
+            data = _poses(message)
+        elif message.kind in (STATUS, CONTROL):
+            data = encode(message.kind, message.sent, message.names[0])
+        else:
+            data = encode(message.kind, message.sent, message.values)
         self._writer.add_message(
             channel_id=self._channels[key],
             data=data,
@@ -262,24 +260,24 @@ def in_order(
     A jump in time by more than `LONGEST_GAP_S` is accepted as a pause only if the next
     message confirms it.
     """
-    last = math.nan
-    odd = None
+    last = -math.inf
+    # A message with a jump in time, which waits for its confirmation.
+    odd: Message | None = None
     for message in messages:
-        # `odd` is the last message with a jump in time, which waits for its
-        # confirmation.
-        if odd is not None and abs(message.arrived - odd.arrived) <= LONGEST_GAP_S:
-            if math.isnan(last) or odd.arrived > last:
+        if odd is not None:
+            confirmed = abs(message.arrived - odd.arrived) <= LONGEST_GAP_S
+            if confirmed and odd.arrived > last:
                 yield odd
                 last = odd.arrived
-                odd = None
-        follows = abs(message.arrived - last) <= LONGEST_GAP_S
-        if odd is not None:
-            refuse(BadMessageError(_NOT_IN_ORDER))
-        odd = None if follows else message
-        if follows:
+            else:
+                refuse(BadMessageError(_NOT_IN_ORDER))
+            odd = None
+        if abs(message.arrived - last) <= LONGEST_GAP_S:
             last = message.arrived
             yield message
-    if odd is not None and math.isnan(last):
+        else:
+            odd = message
+    if odd is not None and math.isinf(last):
         yield odd
     elif odd is not None:
         refuse(BadMessageError(_NOT_IN_ORDER))
@@ -341,32 +339,29 @@ class McapLink(Link):
             f"{count} × {what.removeprefix('bad: ')}"
             for what, count in self.counts.items()
         ]
-        instead = (
-            f"; it has messages of {format_names(sorted(others))} (--name)"
-            if others
-            else ""
-        )
-        refused = f"; not readable: {', '.join(bad[:3])}" if bad else ""
-        what = f"no message of '{robot}'" if others or bad else "no message at all"
-        raise InputError(f"{display_path(path)}: holds {what}{instead}{refused}")
+        found = "no message at all"
+        if others or bad:
+            found = f"no message of '{robot}'"
+        if others:
+            names = format_names(sorted(others))
+            found += f"; it has messages of {names} (--name)"
+        if bad:
+            found += f"; not readable: {', '.join(bad[:3])}"
+        raise InputError(f"{display_path(path)}: holds {found}")
 
     def _play(self) -> None:
         try:
             for message in self._messages:
                 self._next = message.arrived
-                ahead = (
-                    message.arrived
-                    - self._first
-                    - (clock() - self._begun) * self._speed
-                )
+                played = (clock() - self._begun) * self._speed
+                ahead = message.arrived - self._first - played
                 if not ahead <= LONGEST_GAP_S:  # also NaN, at first
                     self._first = message.arrived
                     self._begun = clock()
                 elif ahead > 0 and self._over.wait(ahead / self._speed):
                     return
-                while (
-                    self._queue.full()
-                ):  # messages are used more slowly than they are played
+                # Messages may be used more slowly than they are played.
+                while self._queue.full():
                     if self._over.wait(_FULL_S):
                         return
                 self._take(message)

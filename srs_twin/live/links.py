@@ -22,6 +22,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -98,10 +99,9 @@ class Link(ABC):
 
     def _refuse(self, error: Exception) -> None:
         """Count a refused message by its reason; for unexpected errors the reason is the error's name."""
+        reason = type(error).__name__
         if isinstance(error, BadMessageError):
             reason = str(error)[:80]
-        else:
-            reason = type(error).__name__
         name = f"bad: {reason}"
         if name not in self.counts and len(self.counts) >= _MOST_REASONS:
             name = "bad: for other reasons"
@@ -164,6 +164,7 @@ def resolved(host: str) -> str:
 
 
 PORT = 1883
+"""Usual port of a broker."""
 _ANSWER_S = 5.0
 """Longest wait for the first answer of the broker, s."""
 LOST = "lost"
@@ -171,15 +172,19 @@ LOST = "lost"
 
 
 @dataclass(frozen=True)
-class Login:
-    """Login at a broker.
+class BrokerAccess:
+    """Access to an MQTT broker: its address and a login.
 
     Attributes:
+        host: name or IPv4 address.
+        port: port.
         user: user name; None: without.
         password: password of that user.
         ca: file with the CA certificate of the broker; it enables TLS.
     """
 
+    host: str = LOOPBACK
+    port: int = PORT
     user: str | None = None
     password: str | None = None
     ca: Path | None = None
@@ -196,11 +201,9 @@ class MqttLink(Link):
         self,
         robot: str,
         segments: int,
-        host: str = LOOPBACK,
-        port: int = PORT,
+        broker: BrokerAccess = BrokerAccess(),
         *,
         kinds: Iterable[str] = KINDS,
-        login: Login = Login(),
         speaks: str | None = None,
         chambers: int = 0,
     ) -> None:
@@ -209,10 +212,8 @@ class MqttLink(Link):
         Args:
             robot: whose topics.
             segments: of the robot.
-            host: of the broker.
-            port: of the broker.
+            broker: address and login.
             kinds: of messages to receive.
-            login: login at the broker.
             speaks: robot whose `status` becomes `LOST` if this connection breaks; None:
                 no status.
             chambers: number of chambers per segment of a spatial robot; 0: the robot is
@@ -230,8 +231,10 @@ class MqttLink(Link):
                 "MQTT needs paho-mqtt: pip install 'srs-twin[live]'"
             ) from error
         self._robot = robot
-        self._topics = {topic(robot, k): k for k in kinds}
-        self._shape = {"segments": segments, "chambers": chambers}
+        self._topics = {topic(robot, kind): kind for kind in kinds}
+        self._decode = partial(
+            decode, source=robot, segments=segments, chambers=chambers
+        )
         self.connected = False
         self._answered = threading.Event()
         self._why = ""
@@ -240,25 +243,22 @@ class MqttLink(Link):
         client.on_disconnect = self._on_disconnect
         client.on_message = self._on_message
         client.reconnect_delay_set(1, 2)
-        if login.user is not None:
-            client.username_pw_set(login.user, login.password)
-        if login.ca is not None:
-            _trust(client, login.ca)
+        if broker.user is not None:
+            client.username_pw_set(broker.user, broker.password)
+        if broker.ca is not None:
+            _trust(client, broker.ca)
         if speaks is not None:
             client.will_set(topic(speaks, STATUS), encode(STATUS, 0.0, LOST))
+        place = f"{broker.host}:{broker.port}"
         try:
-            client.connect(host, port, keepalive=5)
-        except (
-            OSError,
-            ValueError,
-        ) as error:  # ValueError: a name that no host can have
-            raise InputError(f"no broker answers at {host}:{port}: {error}") from error
+            client.connect(broker.host, broker.port, keepalive=5)
+        except (OSError, ValueError) as error:  # ValueError: no host can have the name
+            raise InputError(f"no broker answers at {place}: {error}") from error
         client.loop_start()
         if not self._answered.wait(_ANSWER_S) or not self.connected:
             self.close()
             raise InputError(
-                f"the broker at {host}:{port} does not admit us:"
-                f" {self._why or 'no answer'}"
+                f"the broker at {place} does not admit us: {self._why or 'no answer'}"
             )
 
     def send(
@@ -282,9 +282,8 @@ class MqttLink(Link):
             topic(self._robot, kind), encode(kind, time, values)
         )
         if wait_s:
-            with suppress(
-                RuntimeError, ValueError
-            ):  # not connected, or the queue is full
+            # RuntimeError: not connected; ValueError: the queue is full.
+            with suppress(RuntimeError, ValueError):
                 sent.wait_for_publish(wait_s)
 
     def send_contact(self, contact: ContactEstimate) -> None:
@@ -315,7 +314,7 @@ class MqttLink(Link):
             with suppress(OSError, AttributeError):  # a connection that is gone again
                 client.socket().setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             if self._topics:
-                client.subscribe([(each, 0) for each in self._topics])
+                client.subscribe([(name, 0) for name in self._topics])
         self._answered.set()
 
     def _on_disconnect(self, *_: object) -> None:
@@ -327,18 +326,8 @@ class MqttLink(Link):
             kind = self._topics.get(message.topic, "")
             if message.retain and kind != STATUS:
                 raise BadMessageError("retained by the broker from earlier")
-            self._take(
-                decode(
-                    kind,
-                    message.payload,
-                    source=self._robot,
-                    arrived=arrived,
-                    **self._shape,
-                )
-            )
-        except (
-            Exception
-        ) as error:  # the edge of the client's thread: no message may end it
+            self._take(self._decode(kind, message.payload, arrived=arrived))
+        except Exception as error:  # no message may end the client's thread
             self._refuse(error)
 
 
@@ -372,28 +361,24 @@ def typed_words(terminal: TextIO | None = None) -> Iterator[Callable[[], list[st
         terminal: default standard input.
     """
     stream = sys.stdin if terminal is None else terminal
-    if (
-        stream is None
-        or stream.closed
-        or not stream.isatty()
-        or not _in_foreground(stream.fileno())
-    ):
+    if stream is None or stream.closed or not stream.isatty():
         yield list
         return
     handle = stream.fileno()
+    if not _in_foreground(handle):
+        yield list
+        return
     before = termios.tcgetattr(handle)
     tty.setcbreak(handle)
 
     def words() -> list[str]:
         if not _in_foreground(handle) or not select.select([handle], [], [], 0)[0]:
             return []
+        typed = b""
         with suppress(OSError):  # the terminal was closed
-            return [
-                KEYS[key]
-                for key in os.read(handle, 1024).decode("ascii", "replace").lower()
-                if key in KEYS
-            ]
-        return []
+            typed = os.read(handle, 1024)
+        keys = typed.decode("ascii", "replace").lower()
+        return [KEYS[key] for key in keys if key in KEYS]
 
     try:
         yield words

@@ -44,6 +44,36 @@ class ValveInput(NamedTuple):
     leak: np.ndarray
 
 
+class Air(NamedTuple):
+    """Chambers of the members.
+
+    Attributes:
+        pressure: gauge pressures p, shape (members, segments, 2), Pa.
+        lagged: pressures p̂ that the free bends have followed, same shape.
+        gain: gains g, same shape.
+        noise: standard normal numbers for the random walk of the pressures, same shape.
+    """
+
+    pressure: np.ndarray
+    lagged: np.ndarray
+    gain: np.ndarray
+    noise: np.ndarray
+
+
+class Drive(NamedTuple):
+    """Linear bends due to the pressures, at the start and at the two stages of each step.
+
+    Attributes:
+        bend: bends, shape (1 + 2 steps, members, segments), rad.
+        rate: their rates, same shape, rad/s.
+        step: time step, s.
+    """
+
+    bend: np.ndarray
+    rate: np.ndarray
+    step: float
+
+
 class MemberDynamics:
     r"""Chambers and bodies of members.
 
@@ -67,8 +97,6 @@ class MemberDynamics:
         solid = BodyParameters.of(
             spec.mass.array(), spec.yaw_inertia(), g.segment_length, g.rigid_gap
         )
-        lean = g.com_height / (2 * g.half_track)
-        drag = mu.drag / g.connectors
         unit = spec.scale.time
         floor = floor_friction(
             "wheel",
@@ -76,8 +104,8 @@ class MemberDynamics:
             mu.mu_t,
             mu.mu_n,
             _SLIP_SPEED * unit,
-            load_transfer=lean,
-        )._replace(drag=drag, unit=unit)
+            load_transfer=g.com_height / (2 * g.half_track),
+        )._replace(drag=mu.drag / g.connectors, unit=unit)
         self.mass: np.ndarray = solid.mass
         self._model = CompliantModel.of(
             solid, spec.bending.stiffness, spec.bending.damping, floor
@@ -88,69 +116,59 @@ class MemberDynamics:
         valves: ValveInput,
         dt: float,
         step: float,
-        air: tuple[np.ndarray, np.ndarray],
-        gain: np.ndarray,
+        air: Air,
         rates: PressureRates,
-        noise: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray, float]:
+    ) -> Drive:
         """Advance the pressures.
 
         Args:
             valves: input of the chambers.
             dt: duration, s.
             step: longest time step, s.
-            air: pressures p and lagged pressures p̂, in place, shapes (members,
-                segments, 2), Pa.
-            gain: gains of the chambers, same shape.
+            air: state of the chambers, advanced in place.
             rates: learnt rates of the pressures.
-            noise: standard normal numbers, same shape.
-
-        Returns:
-            Linear bends (rad) and their rates (rad/s) at the start and at the two
-            stages of each step, shapes (1 + 2 steps, members, segments), and the time
-            step, s.
         """
         actuator = self._spec.actuator
         slots = len(valves.duty)
         steps = math.ceil(dt / slots / step - 1e-6)
         h = dt / slots / steps
         stages = (np.arange(steps)[:, None] + [kernels.GAMMA, 1.0]).ravel() * h
-        signed, (pressure, lagged) = actuator.gain * gain * [1.0, -1.0], air
+        after = stages[:, None, None, None]
         # Interpolate the random walk of the pressures over the steps, so that it also
         # acts on the bends.
-        noise = noise / math.sqrt(dt)
-        traces = [pressure[None].copy()]
-        lags = [lagged[None].copy()]
+        noise = air.noise / math.sqrt(dt)
+        pressures = [air.pressure[None].copy()]
+        lags = [air.lagged[None].copy()]
         for duty in valves.duty:
             index = rates.advance(duty, dt / slots)
             change = rates.rate[index] + noise * np.sqrt(rates.wander[index])
             fill = duty / actuator.tau_fill
             vent = (1 - duty) / actuator.tau_vent
-            rate, end = relaxation_of(
+            relaxation = relaxation_of(
                 fill, vent, valves.supply[:, None], valves.leak, change
             )
-            start = (traces[-1][-1], lags[-1][-1])
-            after = stages[:, None, None, None]
-            traces.append(relaxed(start[0], rate, end, after))
+            pressure = pressures[-1][-1]
+            lagged = lags[-1][-1]
+            pressures.append(relaxed(pressure, *relaxation, after))
             lags.append(
-                followed(start[1], start[0], (rate, end), actuator.tau_mode, after)
+                followed(lagged, pressure, relaxation, actuator.tau_mode, after)
             )
-        whole = np.concatenate(traces)
+        whole = np.concatenate(pressures)
         behind = np.concatenate(lags)
-        pressure[:] = whole[-1]
-        lagged[:] = behind[-1]
+        air.pressure[:] = whole[-1]
+        air.lagged[:] = behind[-1]
+        signed = actuator.gain * air.gain * [1.0, -1.0]
         linear = (signed * behind).sum(axis=-1)
         pull = (signed * whole).sum(axis=-1)
-        return linear, (pull - linear) / actuator.tau_mode, h
+        return Drive(linear, (pull - linear) / actuator.tau_mode, h)
 
     def bend(
         self,
         pose: np.ndarray,
         bend: np.ndarray,
         velocity: np.ndarray,
-        drive: tuple[np.ndarray, np.ndarray],
+        drive: Drive,
         bias: np.ndarray,
-        h: float,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Advance the bodies.
 
@@ -158,9 +176,8 @@ class MemberDynamics:
             pose: x, y (m), heading (rad), shape (members, 3).
             bend: shape (members, segments), rad.
             velocity: forward, lateral (m/s), yaw rate and bend rates (rad/s), in place.
-            drive: linear bends and their rates, as from `drive`.
+            drive: linear bends, from the pressures.
             bias: rest bends including disturbances, shape (members, segments), rad.
-            h: time step, s.
 
         Returns:
             Bends at the end, and whether each member is valid.
@@ -173,9 +190,12 @@ class MemberDynamics:
         work = WorkArrays.of(n + 1, states.shape[1])
         _set_momenta(states, velocity, self._model, work)
         free = _free_bends(
-            *map(np.ascontiguousarray, drive), bias, bend_law(self._spec)
+            np.ascontiguousarray(drive.bend),
+            np.ascontiguousarray(drive.rate),
+            bias,
+            bend_law(self._spec),
         )
-        steps = np.full(len(drive[0]) // 2, h)
+        steps = np.full(len(drive.bend) // 2, drive.step)
         complete = _advance(states, velocity, steps, free, self._model, work)
         # A diverged member would also distort the ensemble mean, so it is reported as
         # invalid.

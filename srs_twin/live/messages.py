@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -45,14 +45,16 @@ LATEST_S = 9e9
 
 Journals store ns in 64 bits.
 """
-_PA_PER_KPA = 1000.0
+_SI = {PRESSURES: 1000.0, SUPPLY: 1000.0}
+"""Kind of message → SI value per number in the message, Pa/kPa."""
 _BOUNDS = {
     COMMAND: (-1.0, 1.0),
     VALVES: (-1.0, 1.0),
     PRESSURES: (-100.0, 1000.0),
     SUPPLY: (0.0, 1000.0),
+    BENDS: (-2 * math.pi, 2 * math.pi),
 }
-_BEND = 2 * math.pi
+"""Kind of message → smallest and largest number in the message."""
 _SIDES = ("plus", "minus")
 _BEND_KEYS = ("rad", "pitch_rad")
 _PLAIN_WORDS = tuple(word.encode() for word in WORDS)
@@ -104,18 +106,17 @@ def encode(kind: str, time: float, values: np.ndarray | str) -> bytes:
     content: dict[str, object]
     if isinstance(values, str):
         content = {"text": values}
-    elif kind == BENDS:
-        content = dict(
-            zip(_BEND_KEYS, np.atleast_2d(np.asarray(values).T).tolist(), strict=False)
-        )
+        return strict_json({"t": time} | content)
+    numbers = np.asarray(values, dtype=float) / _SI.get(kind, 1.0)
+    if kind == BENDS:
+        axes = np.atleast_2d(numbers.T).tolist()
+        content = dict(zip(_BEND_KEYS, axes, strict=False))
     elif kind == SUPPLY:
-        content = {"kpa": round(float(values) / _PA_PER_KPA, 6)}
+        content = {"kpa": round(float(numbers), 6)}
     else:
-        sides = np.asarray(values, dtype=float) / (
-            _PA_PER_KPA if kind == PRESSURES else 1.0
-        )
-        keys = _chamber_keys(0 if sides.shape[1] == len(_SIDES) else sides.shape[1])
-        content = dict(zip(keys, map(_plain, sides.T), strict=True))
+        chambers = numbers.shape[1]
+        keys = _SIDES if chambers == len(_SIDES) else _chamber_keys(chambers)
+        content = dict(zip(keys, map(_plain, numbers.T), strict=True))
     return strict_json({"t": time} | content)
 
 
@@ -125,8 +126,7 @@ def strict_json(document: Mapping[str, object]) -> bytes:
 
 
 def _chamber_keys(chambers: int) -> tuple[str, ...]:
-    """Return the keys of the lists of a message by chamber; 0 chambers: those of a planar robot."""
-    return tuple(f"chamber_{c}" for c in range(1, chambers + 1)) or _SIDES
+    return tuple(f"chamber_{c}" for c in range(1, chambers + 1))
 
 
 def encode_contact(time: float, contact: ContactEstimate) -> bytes:
@@ -136,9 +136,15 @@ def encode_contact(time: float, contact: ContactEstimate) -> bytes:
         "touched": contact.touched,
         "score": contact.score,
     }
-    values = {"n": contact.force, "n_interval": contact.force_interval}
-    values |= {"m": contact.place, "m_interval": contact.place_interval}
-    return strict_json(keys | (values if contact.touched else dict.fromkeys(values)))
+    values = {
+        "n": contact.force,
+        "n_interval": contact.force_interval,
+        "m": contact.place,
+        "m_interval": contact.place_interval,
+    }
+    if not contact.touched:
+        values = dict.fromkeys(values)
+    return strict_json(keys | values)
 
 
 def _plain(values: np.ndarray) -> list[float]:
@@ -175,6 +181,25 @@ def decode(
         raise BadMessageError(f"no kind of message is called {kind!r}")
     if kind == CONTROL and payload in _PLAIN_WORDS:  # by hand, in a hurry
         return Message(kind, source, arrived, arrived, names=(payload.decode(),))
+    document = _document(payload)
+    sent = _number(document.get("t"), "t", -LATEST_S, LATEST_S)
+    if kind in (STATUS, CONTROL):
+        return Message(kind, source, sent, arrived, names=(_text(document, kind),))
+    if kind == SUPPLY:
+        numbers = np.array(_number(document.get("kpa"), "kpa", *_BOUNDS[kind]))
+    elif kind == BENDS and not chambers:
+        numbers = np.array(_numbers(document, _BEND_KEYS[0], segments, kind))
+    else:
+        keys = _chamber_keys(chambers) or _SIDES
+        if kind == BENDS:
+            keys = _BEND_KEYS
+        numbers = np.array([_numbers(document, key, segments, kind) for key in keys]).T
+    values = np.asarray(numbers * _SI.get(kind, 1.0))
+    return Message(kind, source, sent, arrived, values)
+
+
+def _document(payload: bytes) -> Mapping[str, Any]:
+    """Return the JSON object in a payload."""
     if len(payload) > LARGEST_BYTES:
         raise BadMessageError(f"more bytes than the {LARGEST_BYTES} that are allowed")
     try:
@@ -182,70 +207,41 @@ def decode(
     except (ValueError, RecursionError) as error:
         # Omit the position in the text: reasons are counted, so there must be few
         # different ones.
-        if isinstance(error, json.JSONDecodeError):
-            reason = error.msg
-        else:
-            reason = type(error).__name__
+        reason = getattr(error, "msg", type(error).__name__)
         raise BadMessageError(f"no JSON: {reason}") from None
     if not isinstance(document, Mapping):
         raise BadMessageError(f"a JSON object is needed, not {type(document).__name__}")
-    sent = _number(document, "t", -LATEST_S, LATEST_S)
-    if kind in (STATUS, CONTROL):
-        text = document.get("text", "")
-        if not isinstance(text, str) or len(text) > _LONGEST_TEXT:
-            raise BadMessageError(f"text is needed, {_LONGEST_TEXT} characters at most")
-        if kind == CONTROL and text not in WORDS:
-            raise BadMessageError(f"a control is one of {', '.join(WORDS)}")
-        return Message(kind, source, sent, arrived, names=(text,))
-    if kind == BENDS:
-        axes = [
-            _numbers(document, key, segments, -_BEND, _BEND, gaps=True)
-            for key in (_BEND_KEYS if chambers else _BEND_KEYS[:1])
-        ]
-        return Message(
-            kind,
-            source,
-            sent,
-            arrived,
-            np.array(axes).T if chambers else np.array(axes[0]),
-        )
-    low, high = _BOUNDS[kind]
-    if kind == SUPPLY:
-        pressure = _PA_PER_KPA * _number(document, "kpa", low, high)
-        return Message(kind, source, sent, arrived, np.array(pressure))
-    sides = [
-        _numbers(document, key, segments, low, high) for key in _chamber_keys(chambers)
-    ]
-    values = np.array(sides).T * (_PA_PER_KPA if kind == PRESSURES else 1.0)
-    return Message(kind, source, sent, arrived, values)
+    return document
 
 
-def _number(document: Mapping[str, Any], key: str, low: float, high: float) -> float:
-    given = document.get(key)
-    if (
-        isinstance(given, bool)
-        or not isinstance(given, int | float)
-        or not low <= given <= high
-    ):
+def _text(document: Mapping[str, Any], kind: str) -> str:
+    text = document.get("text", "")
+    if not isinstance(text, str) or len(text) > _LONGEST_TEXT:
+        raise BadMessageError(f"text is needed, {_LONGEST_TEXT} characters at most")
+    if kind == CONTROL and text not in WORDS:
+        raise BadMessageError(f"a control is one of {', '.join(WORDS)}")
+    return text
+
+
+def _number(given: object, key: str, low: float, high: float) -> float:
+    is_number = isinstance(given, int | float) and not isinstance(given, bool)
+    if not (is_number and low <= given <= high):  # type: ignore[operator]
         raise BadMessageError(f"{key}: a number from {low:g} to {high:g} is needed")
-    return float(given)
+    return float(given)  # type: ignore[arg-type]
 
 
 def _numbers(
-    document: Mapping[str, Any],
-    key: str,
-    count: int,
-    low: float,
-    high: float,
-    *,
-    gaps: bool = False,
+    document: Mapping[str, Any], key: str, count: int, kind: str
 ) -> list[float]:
+    """Return a list with a number for each segment; NaN for a bend that is null."""
     given = document.get(key)
-    if not isinstance(given, Sequence) or isinstance(given, str) or len(given) != count:
+    if not isinstance(given, list) or len(given) != count:
         raise BadMessageError(
             f"{key}: a list of {count} numbers is needed, one a segment"
         )
     return [
-        math.nan if gaps and value is None else _number({key: value}, key, low, high)
+        math.nan
+        if kind == BENDS and value is None
+        else _number(value, key, *_BOUNDS[kind])
         for value in given
     ]

@@ -12,7 +12,7 @@ import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,6 +32,7 @@ VERSIONS = (
     (4, 1),
     (4, 2),
 )
+"""Versions that are read, and tested."""
 _MOST = 10_000  # of anything in a frame
 _TRACKED = 0x01
 _NAME = 256
@@ -89,6 +90,20 @@ class Frame:
     number: int
     time: float
     bodies: Mapping[int, RigidBody] = field(default_factory=dict)
+
+
+class Group(NamedTuple):
+    """Address and port of a multicast group."""
+
+    address: str
+    port: int
+
+
+class Server(NamedTuple):
+    """NatNet version of a server, and its multicast group, if any."""
+
+    version: Version
+    group: Group | None = None
 
 
 class _Reader:
@@ -160,8 +175,8 @@ def closed(kind: int, content: bytes = b"") -> bytes:
     return struct.pack("<HH", kind, len(content)) + content
 
 
-def read_server(content: bytes) -> tuple[Version, tuple[str, int] | None]:
-    """Return the NatNet version of a server, and its multicast group and port, if any.
+def read_server(content: bytes) -> Server:
+    """Return what a server tells of itself.
 
     Raises:
         BadMessageError: the content is invalid.
@@ -169,27 +184,30 @@ def read_server(content: bytes) -> tuple[Version, tuple[str, int] | None]:
     packet = _Reader(content)
     packet.at = _NAME + 4
     major, minor, _, _ = packet.read("4B")
-    if not VERSIONS[0] <= (major, minor) < (VERSIONS[-1][0] + 1, 0):
-        first, last = (
-            ".".join(map(str, version)) for version in (VERSIONS[0], VERSIONS[-1])
-        )
+    version = (major, minor)
+    if not VERSIONS[0] <= version < (VERSIONS[-1][0] + 1, 0):
+        first = ".".join(map(str, VERSIONS[0]))
+        last = ".".join(map(str, VERSIONS[-1]))
         raise BadMessageError(f"NatNet of another version than {first} to {last}")
     # Servers before 3.0 do not state their multicast group.
-    if (major, minor) < (3, 0) or len(content) - packet.at < 15:
-        return (major, minor), None
+    if version < (3, 0) or len(content) - packet.at < 15:
+        return Server(version)
     _, port, multicast, *group = packet.read("QH?4B")
-    return (major, minor), (".".join(map(str, group)), int(port)) if multicast else None
+    if not multicast:
+        return Server(version)
+    return Server(version, Group(".".join(map(str, group)), int(port)))
 
 
 def write_server() -> bytes:
     """Return a server's answer to `Packet.CONNECT`: its name and version, without a multicast group."""
-    content = (
-        b"srs_twin".ljust(_NAME, b"\0") + bytes([1, 0, 0, 0]) + bytes([*_WRITTEN, 0, 0])
-    )
-    return closed(
-        Packet.SERVER_INFO,
-        content + struct.pack("<QH?4B", 10**9, _DATA_PORT, False, 0, 0, 0, 0),
-    )
+    name = b"srs_twin".ljust(_NAME, b"\0")
+    versions = bytes([1, 0, 0, 0, *_WRITTEN, 0, 0])
+    connection = struct.pack("<QH?4B", 10**9, _DATA_PORT, False, 0, 0, 0, 0)
+    return closed(Packet.SERVER_INFO, name + versions + connection)
+
+
+_MARKER_SET = 0
+_RIGID_BODY = 1
 
 
 def read_models(content: bytes, version: Version) -> dict[int, str]:
@@ -202,27 +220,33 @@ def read_models(content: bytes, version: Version) -> dict[int, str]:
     names = dict[int, str]()
     for _ in range(packet.count()):
         (kind,) = packet.read("i")
-        end = None
-        if version >= (4, 1):
-            end = packet.end()
-        if kind == 0:
+        end = packet.end() if version >= (4, 1) else None
+        if kind == _MARKER_SET:
             packet.text()
             for _ in range(packet.count()):
                 packet.text()
-        elif kind == 1:
-            name = packet.text()
-            number, _, *_ = packet.read("ii3f" + ("4f" if version >= (4, 2) else ""))
+        elif kind == _RIGID_BODY:
+            number, name = _model(packet, version)
             names[number] = name
-            if version >= (3, 0):
-                count = packet.count()
-                packet.read("3f" * count + "i" * count)
-                for _ in range(count if version >= (4, 0) else 0):
-                    packet.text()
         # Without a stated length, what follows an unknown description cannot be found.
         elif end is None:
             break
-        packet.at = packet.at if end is None else end
+        if end is not None:
+            packet.at = end
     return names
+
+
+def _model(packet: _Reader, version: Version) -> tuple[int, str]:
+    """Read the description of a rigid body; return its number and name."""
+    name = packet.text()
+    number, *_ = packet.read("ii3f4f" if version >= (4, 2) else "ii3f")
+    if version >= (3, 0):
+        count = packet.count()
+        packet.read("3f" * count + "i" * count)
+        if version >= (4, 0):
+            for _ in range(count):
+                packet.text()
+    return number, name
 
 
 def write_models(names: Mapping[int, str]) -> bytes:
@@ -230,7 +254,7 @@ def write_models(names: Mapping[int, str]) -> bytes:
     content = struct.pack("<i", len(names))
     for number, name in names.items():
         body = name.encode() + b"\0" + struct.pack("<ii3fi", number, -1, 0, 0, 0, 0)
-        content += struct.pack("<ii", 1, len(body)) + body
+        content += struct.pack("<ii", _RIGID_BODY, len(body)) + body
     return closed(Packet.MODELDEF, content)
 
 
@@ -246,7 +270,8 @@ def read_frame(content: bytes, version: Version) -> Frame:
     _skip(packet, version, _place)  # unlabelled markers
     count, end = packet.listed(version)
     bodies = dict(_body(packet, version) for _ in range(count))
-    packet.at = packet.at if end is None else end
+    if end is not None:
+        packet.at = end
     for read_one, since in _AFTER_BODIES:
         if version >= since:
             _skip(packet, version, read_one)
@@ -289,11 +314,8 @@ def _body(packet: _Reader, version: Version) -> tuple[int, RigidBody]:
     place = tuple(rest[:3])
     turn = tuple(rest[3:])
     # The flag alone does not suffice: some senders send zeros for an unknown rotation.
-    tracked = (
-        bool(params & _TRACKED)
-        and is_place(place)
-        and unit_quaternion(turn) is not None
-    )
+    has_pose = is_place(place) and unit_quaternion(turn) is not None
+    tracked = has_pose and bool(params & _TRACKED)
     return number, RigidBody(place, turn, error, tracked)
 
 
@@ -304,9 +326,8 @@ def _skeleton(packet: _Reader, version: Version) -> None:
 
 
 def _asset(packet: _Reader, version: Version) -> None:
-    raise BadMessageError(
-        "an asset without its length"
-    )  # from 4.1 on lists have theirs
+    # Lists of assets exist from version 4.1 on, and have their length.
+    raise BadMessageError("an asset without its length")
 
 
 def _labelled(packet: _Reader, version: Version) -> None:
@@ -338,23 +359,15 @@ def write_frame(frame: Frame) -> bytes:
 
     bodies = (
         struct.pack(
-            "<i7ffH",
-            key,
-            *body.place,
-            *body.turn,
-            body.error,
-            _TRACKED if body.tracked else 0,
+            "<i7ffH", key, *body.place, *body.turn, body.error, _TRACKED * body.tracked
         )
         for key, body in frame.bodies.items()
     )
     # Marker sets, unlabelled markers, bodies; then skeletons, assets, labelled markers,
     # plates and devices.
-    content = (
-        struct.pack("<i", frame.number) + 2 * listed() + listed(*bodies) + 5 * listed()
-    )
-    return closed(
-        Packet.FRAME, content + struct.pack("<IId3QIIHi", 0, 0, frame.time, *7 * [0])
-    )
+    lists = 2 * listed() + listed(*bodies) + 5 * listed()
+    end = struct.pack("<IId3QIIHi", 0, 0, frame.time, *7 * [0])
+    return closed(Packet.FRAME, struct.pack("<i", frame.number) + lists + end)
 
 
 def is_place(place: Sequence[float]) -> bool:
@@ -388,9 +401,8 @@ def turned(body: RigidBody, up: str) -> np.ndarray:
         return np.full(4, math.nan)
     x, y, z = body.place
     i, j, k, w = turn
-    ahead = np.array(
-        [1 - 2 * (j * j + k * k), 2 * (i * j + k * w), 2 * (i * k - j * w)]
-    )
+    # Components of the body's x axis.
+    ahead = 1 - 2 * (j * j + k * k)
     if up == "y":
-        (x, y, z), ahead = (x, -z, y), ahead[[0, 2, 1]] * [1, -1, 1]
-    return np.array([x, y, z, math.atan2(ahead[1], ahead[0])])
+        return np.array([x, -z, y, math.atan2(-2 * (i * k - j * w), ahead)])
+    return np.array([x, y, z, math.atan2(2 * (i * j + k * w), ahead)])

@@ -117,26 +117,18 @@ class LocalConnection(Stateful):
         g = self._spec.geometry
         mu = self._spec.friction
         n = self._spec.segments
-        shapes = body_shape(
-            bends + _DIFFERENCE_RAD * np.eye(n + 1, n, -1),
-            self._mass,
-            g.segment_length,
-            g.rigid_gap,
-        )
+        varied = bends + _DIFFERENCE_RAD * np.eye(n + 1, n, -1)
+        shapes = body_shape(varied, self._mass, g.segment_length, g.rigid_gap)
         place = shapes[0]
         moves = (shapes[1:] - shapes[0]) / _DIFFERENCE_RAD
         heading = relative_headings(bends)
         ahead = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-        directions = np.stack(
-            [
-                math.sqrt(mu.mu_t) * ahead,
-                math.sqrt(mu.mu_n) * ahead[:, ::-1] * [-1.0, 1.0],
-            ]
-        )
+        aside = ahead[:, ::-1] * [-1.0, 1.0]
+        # Scaled by the roots of the friction coefficients, for least squares.
+        directions = np.stack([math.sqrt(mu.mu_t) * ahead, math.sqrt(mu.mu_n) * aside])
         turns = np.stack([-place[:, 1], place[:, 0]], axis=-1)
-        body = np.concatenate(
-            [directions, np.sum(directions * turns, axis=-1, keepdims=True)], axis=-1
-        ).reshape(-1, 3)
+        levers = np.sum(directions * turns, axis=-1, keepdims=True)
+        body = np.concatenate([directions, levers], axis=-1).reshape(-1, 3)
         own = np.einsum("kic,jic->kij", directions, moves).reshape(-1, n)
         return np.asarray(-np.linalg.lstsq(body, own, rcond=None)[0])
 
@@ -159,8 +151,9 @@ class LocalConnection(Stateful):
 
     def learn(self, features: Array, residual: Array) -> None:
         """Learn from a displacement between frames (m, m, rad) less A_w dq."""
-        self._gram *= 1 - 1 / _FORGETTING_FRAMES
-        self._sums *= 1 - 1 / _FORGETTING_FRAMES
+        remembered = 1 - 1 / _FORGETTING_FRAMES
+        self._gram *= remembered
+        self._sums *= remembered
         self._gram += np.outer(features, features)
         self._sums += np.outer(features, residual)
         error = residual - features @ self.weights
@@ -244,10 +237,9 @@ class Odometry:
         before = self._bends.mean(axis=0)
         after = bends.mean(axis=0)
         features = self.connection.features(before, after)
+        change = after - before
         if self._forecasting:
             change = bends - self._bends
-        else:
-            change = after - before
         step = change @ self.connection.matrix((before + after) / 2).T
         step = step + self.connection.sample_model_error(features, self._draws)
         # The heading in the middle of the step makes the integration second-order
@@ -305,8 +297,10 @@ class Odometry:
             bends: bends of these members in the prediction, rad.
         """
         other = copy.copy(self)
-        other.connection = self.connection.snapshot()
-        other._forecasting = True
-        other._draws = self._draws[: len(bends)]
-        other._bends = self._bends[: len(bends)] + bends - before
+        vars(other).update(
+            connection=self.connection.snapshot(),
+            _forecasting=True,
+            _draws=self._draws[: len(bends)],
+            _bends=self._bends[: len(bends)] + bends - before,
+        )
         return other

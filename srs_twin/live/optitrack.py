@@ -163,7 +163,7 @@ class NatNetLink(_UdpLink):
         self._last = -1.0
         self._unknown = False
         self._numbers = FrameNumbers()
-        self._group: tuple[str, int] | None = None
+        self._group: natnet.Group | None = None
         self._start()
 
     def _idle(self) -> None:
@@ -172,44 +172,31 @@ class NatNetLink(_UdpLink):
             return
         self._asked = now
         silent = self.version is None or now - self._last > 2 * _ASKS_EVERY_S
-        content = natnet.Packet.CONNECT, b"Ping\0"
         # A restarted server has forgotten its clients and must be asked again.
         if silent:
-            asked = [content]
+            self._ask(natnet.Packet.CONNECT, b"Ping\0")
         else:
-            asked = [(natnet.Packet.KEEPALIVE, b"\0")]
-        if self.version is not None and (
-            not self.names
-            or self._unknown
-            or now - self._asked_names > _ASKS_NAMES_EVERY_S
-        ):
+            self._ask(natnet.Packet.KEEPALIVE, b"\0")
+        is_due = now - self._asked_names > _ASKS_NAMES_EVERY_S
+        if self.version is not None and (not self.names or self._unknown or is_due):
             self._asked_names = now
-            asked.append((natnet.Packet.REQUEST_MODELDEF, b""))
-        for kind, text in asked:
-            with contextlib.suppress(OSError):
-                self._sockets[0].sendto(natnet.closed(kind, text), self._server)
+            self._ask(natnet.Packet.REQUEST_MODELDEF)
+
+    def _ask(self, kind: natnet.Packet, content: bytes = b"") -> None:
+        with contextlib.suppress(OSError):
+            self._sockets[0].sendto(natnet.closed(kind, content), self._server)
 
     def _packet(
         self, kind: int, content: bytes, sender: tuple[str, int], arrived: float
     ) -> None:
         # The server sends frames and answers from different ports.
-        if sender[0] != self._server[0] or (
-            kind != natnet.Packet.FRAME and sender != self._server
-        ):
+        expected = self._server
+        if kind == natnet.Packet.FRAME:
+            expected = (self._server[0], sender[1])
+        if sender != expected:
             raise BadMessageError("a packet from elsewhere")
         if kind == natnet.Packet.SERVER_INFO:
-            version, group = natnet.read_server(content)
-            first = self.version is None
-            self.version = version
-            if group is not None and group != self._group:
-                try:
-                    self._join(*group)
-                except (OSError, OverflowError) as error:
-                    raise BadMessageError(
-                        "a multicast group that cannot be joined"
-                    ) from error
-            if first:
-                self._asked = 0.0
+            self._meet(natnet.read_server(content))
         elif self.version is None:
             raise BadMessageError("a packet before the server said its version")
         elif kind == natnet.Packet.MODELDEF:
@@ -219,22 +206,30 @@ class NatNetLink(_UdpLink):
             frame = natnet.read_frame(content, self.version)
             self._last = arrived
             self._count(frame)
-            # The pose of a lost body is not a measurement.
-            seen = {key: body for key, body in frame.bodies.items() if body.tracked}
-            values = [natnet.turned(body, self._up) for body in seen.values()]
-            names = tuple(self.names.get(key, str(key)) for key in seen)
-            self._take(
-                Message(
-                    POSES,
-                    "natnet",
-                    frame.time,
-                    arrived,
-                    np.array(values).reshape(-1, 4),
-                    names,
-                )
-            )
+            self._take(self._message(frame, arrived))
         else:
             raise BadMessageError("a packet of a kind that is not used here")
+
+    def _meet(self, server: natnet.Server) -> None:
+        """Note the version of the server, and join its multicast group."""
+        if self.version is None:
+            self._asked = 0.0  # ask for the names at once
+        self.version = server.version
+        if server.group is not None and server.group != self._group:
+            try:
+                self._join(server.group)
+            except (OSError, OverflowError) as error:
+                raise BadMessageError(
+                    "a multicast group that cannot be joined"
+                ) from error
+
+    def _message(self, frame: natnet.Frame, arrived: float) -> Message:
+        # The pose of a lost body is not a measurement.
+        seen = {key: body for key, body in frame.bodies.items() if body.tracked}
+        poses = [natnet.turned(body, self._up) for body in seen.values()]
+        values = np.array(poses).reshape(-1, 4)
+        names = tuple(self.names.get(key, str(key)) for key in seen)
+        return Message(POSES, "natnet", frame.time, arrived, values, names)
 
     def _count(self, frame: natnet.Frame) -> None:
         """Count a frame and its unusable bodies; note whether a body has no name."""
@@ -249,7 +244,7 @@ class NatNetLink(_UdpLink):
         if useless:
             self.counts["bodies without a usable pose"] += useless
 
-    def _join(self, group: str, port: int) -> None:
+    def _join(self, group: natnet.Group) -> None:
         """Join a multicast group, and leave the previous one.
 
         Raises:
@@ -260,8 +255,8 @@ class NatNetLink(_UdpLink):
         try:
             # Other programs on this machine may listen to the same group.
             own.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            own.bind((group, port))
-            member = socket.inet_aton(group) + socket.inet_aton(self._local)
+            own.bind(group)
+            member = socket.inet_aton(group.address) + socket.inet_aton(self._local)
             own.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, member)
             own.settimeout(_LISTENS_S)
         except (OSError, OverflowError):
@@ -270,7 +265,7 @@ class NatNetLink(_UdpLink):
         for earlier in self._sockets[1:]:
             self._sockets.remove(earlier)
             earlier.close()
-        self._group = group, port
+        self._group = group
         self._sockets.append(own)
         self._threads.append(
             threading.Thread(target=self._listen, args=(own,), daemon=True)

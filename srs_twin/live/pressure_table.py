@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from srs_twin.io.saved_state import Stateful
+from srs_twin.live.uncertain import Uncertain
 
 BinIndex = tuple[np.ndarray, ...]
 """Index of the current bin of each chamber."""
@@ -69,7 +70,8 @@ class PressureRates:
         wander: additional variance of the pressures per time, same shape, Pa²/s.
     """
 
-    _BINS, _WIDTH_S = 50, 0.01
+    _BINS = 50
+    _WIDTH_S = 0.01
     """Bins of half the robot's tick, because pressures arrive once per tick."""
     _GAIN = 0.2
     """Fraction of an innovation that is added to the rates of its bins."""
@@ -149,10 +151,10 @@ class PressureLevels(Stateful):
         self._mean = np.zeros(self.ages.shape)
         self._variance = np.full(self.ages.shape, sd**2)
 
-    def read(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return mean and standard deviation in the current bins, shape (segments, 2)."""
+    def read(self) -> Uncertain:
+        """Return means and standard deviations in the current bins, shape (segments, 2)."""
         index = self.ages.index()
-        return self._mean[index], np.sqrt(self._variance[index])
+        return Uncertain(self._mean[index], np.sqrt(self._variance[index]))
 
     def update(self, residual: np.ndarray, learns: np.ndarray) -> None:
         """Learn from residuals, pressures less those of the model and the mean.

@@ -20,6 +20,8 @@ themselves is not included; it cancels in the difference from the free motion.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.interpolate import CubicSpline
 
@@ -36,6 +38,33 @@ SLIP_SPEED_M_S = 0.005
 """Slip speed of the friction law, m/s at a time unit of 1."""
 _SETTLING_S = 3.0
 """Time from rest after which the free motion is periodic, s at a time unit of 1."""
+
+
+class _Motion(NamedTuple):
+    """Motion of the connectors relative to the centre of mass, at each time step of a period.
+
+    Attributes:
+        place: positions in the frame of the mean heading, shape (steps, N, 2), m.
+        ahead: directions along the connectors, same shape.
+        aside: directions to their left, same shape.
+        rate: derivatives of the positions, m/s.
+        spin: derivatives of the headings, shape (steps, N), rad/s.
+    """
+
+    place: np.ndarray
+    ahead: np.ndarray
+    aside: np.ndarray
+    rate: np.ndarray
+    spin: np.ndarray
+
+    def every(self, steps: int) -> _Motion:
+        """Return the motion at every n-th time step."""
+        return _Motion(*(values[::steps] for values in self))
+
+    @property
+    def middle(self) -> np.ndarray:
+        """Middles of the chords of the segments, m."""
+        return np.asarray((self.place[:, :-1] + self.place[:, 1:]) / 2)
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -80,17 +109,15 @@ class PushedBody:
         angle = relative_headings(q)
         ahead = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
         aside = np.stack([-ahead[..., 1], ahead[..., 0]], axis=-1)
-        rate = self._rate(place)
-        spin = self._rate(angle)
-        self._tabulate_wheels(place, ahead, aside, rate, spin)
-        inertia = (self._mass * (place**2).sum(axis=-1) + spec.yaw_inertia()).sum(
-            axis=-1
-        )
-        self._inertia = inertia, self._rate(inertia)
-        self._relative = (
-            self._mass * _cross(place, rate) + spec.yaw_inertia() * spin
-        ).sum(axis=-1)
-        self._tabulate_moments(place, rate, aside, stations)
+        motion = _Motion(place, ahead, aside, self._rate(place), self._rate(angle))
+        self._tabulate_wheels(motion)
+        squares = self._mass * (place**2).sum(axis=-1)
+        self._inertia = (squares + spec.yaw_inertia()).sum(axis=-1)
+        self._growth = self._rate(self._inertia)
+        momenta = self._mass * _cross(place, motion.rate)
+        self._relative = (momenta + spec.yaw_inertia() * motion.spin).sum(axis=-1)
+        self._tabulate_moments(motion.every(self._steps))
+        self._tabulate_push(motion, stations)
         self.free_velocity = np.zeros((period, 3))
         self.free_moment = np.zeros((period, spec.segments))
         u = np.zeros((1, 3))
@@ -106,94 +133,73 @@ class PushedBody:
             (np.roll(table, -1, axis=0) - np.roll(table, 1, axis=0)) / (2 * self._h)
         )
 
-    def _tabulate_wheels(
-        self,
-        place: np.ndarray,
-        ahead: np.ndarray,
-        aside: np.ndarray,
-        rate: np.ndarray,
-        spin: np.ndarray,
-    ) -> None:
-        """Fill the Jacobian (count, 4N, 3) of the velocities of the wheels along, then across."""
+    def _tabulate_wheels(self, motion: _Motion) -> None:
+        """Fill the Jacobian (steps, 4N, 3) of the velocities of the wheels along, then across."""
         arm = self._spec.geometry.half_track
         jacobian = []
         drift = []
-        for direction in (ahead, aside):
+        for direction in (motion.ahead, motion.aside):
             for side in (arm, -arm):
-                turn = _cross(place + side * aside, direction)
+                turn = _cross(motion.place + side * motion.aside, direction)
                 jacobian.append(np.concatenate([direction, turn[..., None]], axis=-1))
-                drift.append(
-                    (rate * direction).sum(axis=-1)
-                    - (spin * side if direction is ahead else 0.0)
-                )
+                speed = (motion.rate * direction).sum(axis=-1)
+                if direction is motion.ahead:
+                    speed -= motion.spin * side
+                drift.append(speed)
         self._jacobian = np.concatenate(jacobian, axis=1)
         self._drift = np.concatenate(drift, axis=1)
         along, across = np.split(self._jacobian, 2, axis=1)
-        pairs = [(along, along), (along, across), (across, along), (across, across)]
         products = [
-            np.einsum("gca,gcb->gcab", *pair).reshape(*along.shape[:2], 9)
-            for pair in pairs
+            np.einsum("gca,gcb->gcab", first, second).reshape(*along.shape[:2], 9)
+            for first in (along, across)
+            for second in (along, across)
         ]
         self._products = np.concatenate(products, axis=1)
 
-    def _tabulate_moments(
-        self,
-        place: np.ndarray,
-        rate: np.ndarray,
-        aside: np.ndarray,
-        stations: np.ndarray,
-    ) -> None:
-        """Fill the moments per friction, acceleration and force, at the samples only."""
-        spec = self._spec
-        g = self._spec.geometry
-        every = slice(None, None, self._steps)
-        n = spec.segments
-        j = np.minimum((stations / g.pitch).astype(int), n - 1)
-        share = (stations / g.pitch - j)[:, None]
-        point = (1 - share) * place[:, j] + share * place[:, j + 1]
-        normal = (1 - share) * aside[:, j] + share * aside[:, j + 1]
-        normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-        self._push = np.concatenate([normal, _cross(point, normal)[..., None]], axis=-1)
-        place = place[every]
-        rate = rate[every]
-        jacobian = self._jacobian[every]
-        point = point[every]
-        normal = normal[every]
-        middle = (place[:, :-1] + place[:, 1:]) / 2
+    def _tabulate_moments(self, motion: _Motion) -> None:
+        """Fill the moments per friction and acceleration, at the samples only."""
+        place = motion.place[:, None]
+        n = self._spec.segments
         front = np.arange(n + 1) <= np.arange(n)[:, None]
-        arms = front[..., None] * (place[:, None] - middle[:, :, None])
+        arms = front[..., None] * (place - motion.middle[:, :, None])
         mass = self._mass[:, None]
-        linear = np.stack(
-            [-(arms[..., 1:] * mass).sum((2, 3)), (arms[..., :1] * mass).sum((2, 3))],
-            axis=-1,
-        )
-        turn = (
-            self._mass * (arms * place[:, None]).sum(-1) + front * spec.yaw_inertia()
-        ).sum(-1)
-        self._on_acceleration = np.concatenate(
-            [linear, turn[..., None]], axis=-1
-        ).transpose(0, 2, 1)
-        self._on_square = (self._mass * _cross(arms, place[:, None])).sum(-1)
-        self._on_rate = 2 * (self._mass * (arms * rate[:, None]).sum(-1)).sum(-1)
+        x = -(arms[..., 1:] * mass).sum((2, 3))
+        y = (arms[..., :1] * mass).sum((2, 3))
+        squares = self._mass * (arms * place).sum(-1)
+        turn = (squares + front * self._spec.yaw_inertia()).sum(-1)
+        on_acceleration = np.stack([x, y, turn], axis=-1)
+        self._on_acceleration = on_acceleration.transpose(0, 2, 1)
+        self._on_square = (self._mass * _cross(arms, place)).sum(-1)
+        speeds = (arms * motion.rate[:, None]).sum(-1)
+        self._on_rate = 2 * (self._mass * speeds).sum(-1)
         # A wheel's force has the moment of its Jacobian, moved from the centre of mass
         # to the chord.
-        moved = jacobian[:, :, None, 2] - _cross(
-            middle[:, None], jacobian[:, :, None, :2]
-        )
+        jacobian = self._jacobian[:: self._steps, :, None]
+        moved = jacobian[..., 2] - _cross(motion.middle[:, None], jacobian[..., :2])
         self._on_friction = np.tile(front.T, (4, 1)) * moved
-        self._on_push = np.where(
-            j[:, None] < np.arange(n),
-            _cross(point[:, :, None] - middle[:, None], normal[:, :, None]),
-            0.0,
+
+    def _tabulate_push(self, motion: _Motion, stations: np.ndarray) -> None:
+        """Fill the generalised force of F at each station, and its moments at the samples."""
+        g = self._spec.geometry
+        n = self._spec.segments
+        j = np.minimum((stations / g.pitch).astype(int), n - 1)
+        share = (stations / g.pitch - j)[:, None]
+        point = (1 - share) * motion.place[:, j] + share * motion.place[:, j + 1]
+        normal = (1 - share) * motion.aside[:, j] + share * motion.aside[:, j + 1]
+        normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+        self._push = np.concatenate([normal, _cross(point, normal)[..., None]], axis=-1)
+        arms = (
+            point[:: self._steps, :, None] - motion.every(self._steps).middle[:, None]
         )
+        moments = _cross(arms, normal[:: self._steps, :, None])
+        self._on_push = np.where(j[:, None] < np.arange(n), moments, 0.0)
         # Mean of max(c - s, 0) over the cuts c of the arc.
         begin = g.rigid_gap / 2
         end = g.rigid_gap / 2 + g.segment_length
         behind = share[:, 0] * g.pitch
         at = np.clip(behind, begin, end)
-        lever = (end - at) ** 2 / (2 * g.segment_length) + np.maximum(
-            begin - behind, 0.0
-        )
+        lever = (end - at) ** 2 / (2 * g.segment_length)
+        lever += np.maximum(begin - behind, 0.0)
         self._on_push[:, np.arange(len(stations)), j] += lever
 
     def step(
@@ -210,33 +216,34 @@ class PushedBody:
         Returns:
             Velocities (bodies, 3) and moments (bodies, segments), N·m.
         """
-        total, (inertia, growth), h = self._mass.sum(), self._inertia, self._h
+        total = self._mass.sum()
+        inertia = self._inertia
+        h = self._h
         for i in range(self._steps):
             g = ((k - 1) * self._steps + i + 1) % len(inertia)
-            turned = h * u[:, 2]
-            yaw = (
-                inertia[g - 1] * u[:, 2] + self._relative[g - 1] - self._relative[g]
-            ) / inertia[g]
+            forward, lateral, yaw = u.T
+            spin = inertia[g - 1] * yaw + self._relative[g - 1] - self._relative[g]
+            turned = h * yaw
             u = np.stack(
-                [u[:, 0] + turned * u[:, 1], u[:, 1] - turned * u[:, 0], yaw], axis=-1
+                [
+                    forward + turned * lateral,
+                    lateral - turned * forward,
+                    spin / inertia[g],
+                ],
+                axis=-1,
             )
             push = force[:, None] * self._push[g, station]
             wheels, slope = self._friction(g, u)
             matrix = np.diag([total, total, inertia[g]]) - h * slope
-            u = (
-                u
-                + np.linalg.solve(
-                    matrix, h * (wheels @ self._jacobian[g] + push)[..., None]
-                )[..., 0]
-            )
+            impulse = h * (wheels @ self._jacobian[g] + push)
+            u = u + np.linalg.solve(matrix, impulse[..., None])[..., 0]
         wheels, _ = self._friction(g, u)
         load = wheels @ self._jacobian[g] + push
-        load[:, 2] -= growth[g] * u[:, 2]
+        load[:, 2] -= self._growth[g] * u[:, 2]
         s = g // self._steps
         w = u[:, 2:]
-        moment = (
-            wheels @ self._on_friction[s] + force[:, None] * self._on_push[s, station]
-        )
+        moment = wheels @ self._on_friction[s]
+        moment += force[:, None] * self._on_push[s, station]
         moment += self._on_square[s] * w**2 - self._on_rate[s] * w
         moment -= load / [total, total, inertia[g]] @ self._on_acceleration[s]
         return u, moment
@@ -244,18 +251,12 @@ class PushedBody:
     def _friction(self, g: int, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the forces of the wheels (bodies, 4N) and the slopes of their sum (bodies, 3, 3)."""
         spec = self._spec
-        mu = self._spec.friction
-        points = 2 * len(self._mass)
-        if spec.skin:
-            law = getattr(friction, spec.skin.law)
-        else:
-            law = friction.wheel
-        slip = u @ self._jacobian[g].T + self._drift[g]
+        mu = spec.friction
+        law = getattr(friction, spec.skin.law if spec.skin else "wheel")
+        along, across = np.split(u @ self._jacobian[g].T + self._drift[g], 2, axis=1)
         load = np.tile(self._mass, 2) * GRAVITY / 2
         mu_t = mu.mu_t + mu.drag / (self._mass.sum() * GRAVITY)
         slip_speed = SLIP_SPEED_M_S * spec.scale.speed
-        t, n, *slopes = law(
-            slip[:, :points], slip[:, points:], load, mu_t, mu.mu_n, slip_speed
-        )
+        t, n, *slopes = law(along, across, load, mu_t, mu.mu_n, slip_speed)
         sum_of_slopes = np.concatenate(slopes, axis=-1) @ self._products[g]
         return np.concatenate([t, n], axis=-1), sum_of_slopes.reshape(-1, 3, 3)

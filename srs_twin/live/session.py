@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import sys
 import time
 import warnings
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
@@ -100,9 +101,7 @@ def summary(
     """Return message counts, clocks and the last estimate as JSON values."""
     counts: Counter[str] = Counter()
     for link in links:
-        counts.update(
-            dict(link.counts)
-        )  # a copy, because the link's thread still counts
+        counts.update(dict(link.counts))  # a copy, because a thread still counts
     dropped: Counter[str] = Counter()
     for (_, kind, what), count in shadow.buffer.counts.items():
         if what != "taken":
@@ -131,21 +130,11 @@ def summary(
             "bend_sd_rad": e.bend_sd.tolist(),
             "off": dict(e.off),
             "parameters": {
-                name: {"value": value.tolist(), "sd": sd.tolist()}
-                for name, (value, sd) in e.parameters.items()
+                name: {"value": known.value.tolist(), "sd": known.sd.tolist()}
+                for name, known in e.parameters.items()
             },
         }
     return found
-
-
-def timing(ticks: Iterable[float], latency: Iterable[float]) -> dict[str, object]:
-    """Return quantiles of tick durations and latencies (s), in ms, and the number of ticks that overran."""
-    ticks = list(ticks)
-    return {
-        "tick_ms": _quantiles(ticks),
-        "latency_ms": _quantiles(latency),
-        "overruns": sum(tick > TICK_S for tick in ticks),
-    }
 
 
 def write_results(
@@ -160,14 +149,12 @@ def write_results(
         )
 
 
-def _quantiles(values: Iterable[float]) -> Mapping[str, float | None]:
-    durations = np.array(list(values)) * 1e3
-    if not len(durations):
+def _quantiles_ms(durations: Collection[float]) -> dict[str, float | None]:
+    """Return quantiles of durations (s), in ms; null without durations."""
+    if not durations:
         return {"median": None, "p99": None}
-    return {
-        "median": float(np.median(durations)),
-        "p99": float(np.quantile(durations, 0.99)),
-    }
+    median, p99 = np.quantile(np.array(durations) * 1e3, [0.5, 0.99]).tolist()
+    return {"median": median, "p99": p99}
 
 
 INTERVALS_S = {"predict": 0.5, "view": 0.12, "flush": 0.5, "save": 5.0, "watch": 1.0}
@@ -219,9 +206,8 @@ def warm_up(spec: RobotSpec) -> None:
         messages = [
             Message(kind, "robot", now, now, value) for kind, value in values.items()
         ]
-        shadow.update(
-            now, [*messages, Message(POSES, "cameras", now, now, rows, names)]
-        )
+        messages.append(Message(POSES, "cameras", now, now, rows, names))
+        shadow.update(now, messages)
     shadow.predict()
 
 
@@ -239,6 +225,23 @@ class Interval:
         if over or math.isinf(self._next):
             self._next = now + self._seconds
         return over
+
+
+def _restore(shadow: Shadow, path: Path) -> bool:
+    """Restore the state of an earlier session, if there is one; return whether there is.
+
+    Raises:
+        InputError: it is the state of another robot.
+    """
+    if not path.exists():
+        return False
+    try:
+        shadow.restore(SavedState.read(path))
+    except InputError as error:
+        raise InputError(
+            f"{error}; another --out keeps them apart, or remove {display_path(path)}"
+        ) from error
+    return True
 
 
 class Session:
@@ -290,16 +293,9 @@ class Session:
         self._views = list(views)
         self._keys = keys
         self._journal: Journal | None = None
-        self.resumed = out is not None and (out / STATE).exists()
+        self.resumed = False
         if out is not None:
-            if self.resumed:
-                try:
-                    shadow.restore(SavedState.read(out / STATE))
-                except InputError as error:
-                    raise InputError(
-                        f"{error}; another --out keeps them apart, or remove"
-                        f" {display_path(out / STATE)}"
-                    ) from error
+            self.resumed = _restore(shadow, out / STATE)
             self._journal = Journal(create_numbered_file(out, JOURNALS))
         self.estimate: Estimate | None = None
         self.faults: dict[tuple[str, str], float] = {}
@@ -316,10 +312,10 @@ class Session:
         self._intervals = {
             work: Interval(seconds) for work, seconds in INTERVALS_S.items()
         }
-        self._skipped = self._behind = 0.0
+        self._skipped = 0.0
+        self._behind = 0.0
         self._uncertain: set[str] = set()
-        # Two threads, so that one slow task, such as a new plan, does not delay the
-        # predictions.
+        # Two threads, so that a slow task, such as a new plan, delays no prediction.
         self._pool = ThreadPoolExecutor(2)
         self._predicting: Future[Prediction] | None = None
         self._saving: Future[None] | None = None
@@ -379,16 +375,13 @@ class Session:
             self._predicting = self._pool.submit(self.shadow.prediction_task())
         if self._journal is not None and intervals["flush"].is_over(now):
             self._journal.flush()
+        if self._out is None or self._saving is not None:
+            return
         is_first = not self.ticks
-        if (
-            self._out is not None
-            and self._saving is None
-            and (intervals["save"].is_over(now) or is_first)
-        ):
+        if intervals["save"].is_over(now) or is_first:
             # The state is collected here; only the file is written on the other thread.
-            self._saving = self._pool.submit(
-                self.shadow.save().write, self._out / STATE
-            )
+            save = self.shadow.save().write
+            self._saving = self._pool.submit(save, self._out / STATE)
 
     def _watch(self) -> None:
         """Warn if the machine is too slow, and end the steering if it stays so."""
@@ -401,9 +394,8 @@ class Session:
                 " skipped, and the position is unknown until the next frame of motion"
                 " capture"
             )
-        durations = [
-            self.ticks[-k] for k in range(1, min(len(self.ticks), _WATCHED_TICKS) + 1)
-        ]
+        # A copy of all ticks would take longer in each hour of a session.
+        durations = list(itertools.islice(reversed(self.ticks), _WATCHED_TICKS))
         slow = float(np.mean(np.array(durations) > TICK_S)) > _MOST_OVERRUNS
         if slow and self._commands is not None and not self._slow:
             self._slow = True
@@ -448,28 +440,29 @@ class Session:
 
     def _collect(self) -> None:
         """Use the results of other threads, and report their errors and those of the journal."""
-        if self._predicting is not None and self._predicting.done():
-            if not self._predicting.cancelled():
-                if (failed := self._predicting.exception()) is not None:
-                    self._report(f"a forecast failed: {failed!r}")
-                else:
-                    self._prediction = self.shadow.prediction_calibration.widened(
-                        self._predicting.result()
-                    )
+        predicting = self._predicting
+        if predicting is not None and predicting.done():
             self._predicting = None
-        if self._saving is not None and self._saving.done():
-            if (
-                not self._saving.cancelled()
-                and (error := self._saving.exception()) is not None
-            ):
-                self._report(
-                    str(error)
-                    if isinstance(error, InputError)
-                    else f"{STATE}: {error!r}"
-                )
+            if not predicting.cancelled():
+                self._adopt(predicting)
+        saving = self._saving
+        if saving is not None and saving.done():
             self._saving = None
+            error = None if saving.cancelled() else saving.exception()
+            if isinstance(error, InputError):
+                self._report(str(error))
+            elif error is not None:
+                self._report(f"{STATE}: {error!r}")
         if self._journal is not None and self._journal.trouble:
             self._report(self._journal.trouble)
+
+    def _adopt(self, predicting: Future[Prediction]) -> None:
+        """Use a prediction that another thread has computed."""
+        if (error := predicting.exception()) is not None:
+            self._report(f"a forecast failed: {error!r}")
+            return
+        calibration = self.shadow.prediction_calibration
+        self._prediction = calibration.widened(predicting.result())
 
     def _report(self, problem: str) -> None:
         """Warn of a problem once, and keep it for the summary."""
@@ -486,22 +479,19 @@ class Session:
         """
         if math.isnan(now):
             return
-        messages = [message for link in self._links for message in link.received()]
+        messages = self._receive()
         if self._commands is not None:  # a journal's control messages are history
-            typed = [
-                message.names[0] for message in messages if message.kind == CONTROL
-            ]
-            for word in [*self._keys(), *typed]:
+            sent = [message.names[0] for message in messages if message.kind == CONTROL]
+            for word in [*self._keys(), *sent]:
                 self._obey(word)
-        if self._journal is not None:
-            for message in messages:
-                self._journal.write(message)
+        self._record(messages)
         if self._stopped:
             return
         # A journal may be played faster than its messages can be used; none of them is
         # skipped.
         work_s = math.inf if self._commands is None else _WORK_S
-        self.estimate = estimate = self.shadow.update(now, messages, work_s=work_s)
+        estimate = self.shadow.update(now, messages, work_s=work_s)
+        self.estimate = estimate
         hold = self.shadow.buffer.hold
         # The estimate uses a message only after the buffer has held it.
         self.latency.extend(
@@ -510,25 +500,38 @@ class Session:
             if message.kind == BENDS
         )
         if estimate is not None:
-            for part, fault, _ in estimate.faults:
-                self.faults.setdefault((part, fault), since)
+            for fault in estimate.faults:
+                self.faults.setdefault((fault.part, fault.name), since)
             self._table.add(since, estimate)
-        if self._commands is None:
-            return
-        if self.shadow.contact.estimate is not None:
-            self._commands.send_contact(self.shadow.contact.estimate)
+        if self._commands is not None:
+            self._send(self._commands, now)
+
+    def _receive(self) -> list[Message]:
+        return [message for link in self._links for message in link.received()]
+
+    def _record(self, messages: Iterable[Message]) -> None:
+        """Write messages to the journal."""
+        if self._journal is not None:
+            for message in messages:
+                self._journal.write(message)
+
+    def _send(self, link: MqttLink, now: float) -> None:
+        """Send the contact estimate, and the command of the steering."""
+        contact = self.shadow.contact.estimate
+        if contact is not None:
+            link.send_contact(contact)
+        steering = self._steering
         command = None
-        if self._steering is not None and not self._stopped:
-            command = self._steering.step(estimate, self.shadow)
+        if steering is not None:
+            command = steering.step(self.estimate, self.shadow)
         lag = self._links[0].clock() - now
         self.lag = max(self.lag, lag)
-        if self._steering is not None and command is not None:
-            if lag > TOO_SLOW_S and self._steering.begun:
-                self._steering.give_up(TOO_SLOW)
-            # A command from an old estimate could steer the robot into an obstacle.
-            self._commands.send(
-                COMMAND, self._steering.vented() if lag > STALE_S else command
-            )
+        if steering is None or command is None:
+            return
+        if lag > TOO_SLOW_S and steering.begun:
+            steering.give_up(TOO_SLOW)
+        # A command from an old estimate could steer the robot into an obstacle.
+        link.send(COMMAND, steering.vented() if lag > STALE_S else command)
 
     def _obey(self, word: str) -> None:
         """Obey a control word, of `WORDS`."""
@@ -559,19 +562,15 @@ class Session:
 
     def _say_goodbye(self, error: BaseException | None) -> None:
         if self._commands is not None and self._steering is not None:
-            if error is None:
-                text = "stopped"
-            else:
+            text = "stopped"
+            if error is not None:
                 text = f"stopped: {type(error).__name__}"
             self._commands.send(STATUS, text, wait_s=_GOODBYE_S)
 
     def _close_journal(self) -> None:
         if self._journal is not None:
             # Messages that arrived after the last tick belong to the journal, too.
-            for message in (
-                message for link in self._links for message in link.received()
-            ):
-                self._journal.write(message)
+            self._record(self._receive())
             self._journal.close()
 
     def _summarise(self, seconds: float, error: BaseException | None) -> None:
@@ -581,10 +580,12 @@ class Session:
             "error": None if error is None else f"{type(error).__name__}: {error}",
             "problems": [],
             "faults": [
-                {"part": p, "fault": f, "time_s": at}
-                for (p, f), at in self.faults.items()
+                {"part": part, "fault": fault, "time_s": time_s}
+                for (part, fault), time_s in self.faults.items()
             ],
-            **timing(self.ticks, self.latency),
+            "tick_ms": _quantiles_ms(self.ticks),
+            "latency_ms": _quantiles_ms(self.latency),
+            "overruns": sum(tick > TICK_S for tick in self.ticks),
             "lag_s": self.lag,
             "skipped_s": self.shadow.skipped,
             "view_share": self.view_s / max(seconds, 1e-9),

@@ -18,10 +18,11 @@ import numpy as np
 
 from srs_twin.errors import InputError
 from srs_twin.io.saved_state import SavedState, Stateful, check_kind, short_digest
-from srs_twin.live.clocks import ReorderBuffer
+from srs_twin.live.clocks import ReorderBuffer, TimedMessage
 from srs_twin.live.commands import KEPT_S, SLOT_S, CommandHistory, CommandPeriod
 from srs_twin.live.ensemble import EnsembleFilter
 from srs_twin.live.estimate import (
+    DetectedFault,
     Estimate,
     IntervalCalibration,
     LiveContact,
@@ -48,6 +49,7 @@ from srs_twin.live.messages import (
     VALVES,
     Message,
 )
+from srs_twin.live.uncertain import Uncertain
 from srs_twin.robot.geometry import measured_bend
 from srs_twin.robot.spec import RobotSpec
 
@@ -122,17 +124,14 @@ class Shadow:
         spec.require_planar("the live twin")
         n = spec.segments
         self.spec = spec
-        if supply_pa is None:
-            self._supply = spec.supply.nominal
-        else:
-            self._supply = supply_pa
+        self._supply = spec.supply.nominal if supply_pa is None else supply_pa
         self.ensemble = EnsembleFilter(spec, members=members, seed=seed)
         self.faults = FaultDetector(spec, supply_pa=self._supply)
-        self.ensemble.set_modules(*self.faults.modules())
+        self.ensemble.set_modules(self.faults.modules())
         self.buffer = ReorderBuffer()
         self.time = math.nan
         self._frames = frames or {f"connector_{i}": i for i in range(1, n + 2)}
-        self._due: deque[tuple[float, Message]] = deque()
+        self._due: deque[TimedMessage] = deque()
         self.skipped = 0.0
         self.interruptions = 0
         self._commands = CommandHistory(n)
@@ -178,27 +177,23 @@ class Shadow:
         for message in messages:
             if message.kind in _KINDS:
                 self.buffer.push(message)
-        self._due.extend(
-            timed for timed in self.buffer.pop_until(now) if self._needed(timed[1])
-        )
+        due = self.buffer.pop_until(now)
+        self._due.extend(timed for timed in due if self._needed(timed.message))
         deadline = monotonic() + work_s
         while self._due and monotonic() < deadline:
             # Messages of one time are used together, because the order of their
             # corrections matters.
-            at = self._due[0][0]
+            at = self._due[0].time
             simultaneous = []
-            while self._due and self._due[0][0] == at:
-                simultaneous.append(self._due.popleft()[1])
+            while self._due and self._due[0].time == at:
+                simultaneous.append(self._due.popleft().message)
             self._use(at, simultaneous)
-        if self._due and now - self._due[0][0] > MOST_BEHIND_S:
+        if self._due and now - self._due[0].time > MOST_BEHIND_S:
             self._skip_due()
-            return not math.isnan(self.time)
-        if math.isnan(self.time):
-            return False
-        # Do not advance the filter yet: a message for this time is expected soon.
-        if now - self.buffer.hold - self.time > _EXTRAPOLATE_AFTER_S:
+        # Sooner, a message for this time is expected. Comparisons with NaN are false.
+        elif now - self.buffer.hold - self.time > _EXTRAPOLATE_AFTER_S:
             self._advance(now - self.buffer.hold)
-        return True
+        return not math.isnan(self.time)
 
     @property
     def waits(self) -> bool:
@@ -217,9 +212,7 @@ class Shadow:
         slots = round(HORIZON_S / SLOT_S)
         commands = self.command_period.commands(slots)
         fine = np.repeat(commands, _SUBSLOTS, axis=0)
-        inputs = [
-            self._valve_input(duties) for duties in np.split(fine, slots // per_step)
-        ]
+        inputs = list(map(self._valve_input, np.split(fine, slots // per_step)))
         times = self.time + _PREDICTION_STEP_S * np.arange(1, len(inputs) + 1)
         begun = self.time
         heading = float(self.ensemble.mean("heading")[0])
@@ -227,9 +220,8 @@ class Shadow:
 
         def run() -> Prediction:
             poses = ensemble.forecast(inputs, _PREDICTION_STEP_S)
-            return Prediction(
-                begun, heading, times, poses.mean(axis=1), poses.std(axis=1, ddof=1)
-            )
+            sd = poses.std(axis=1, ddof=1)
+            return Prediction(begun, heading, times, poses.mean(axis=1), sd)
 
         return run
 
@@ -267,7 +259,7 @@ class Shadow:
 
     def _skip_due(self) -> None:
         """Give up the measurements that wait, and continue at the time of the last one."""
-        newest = self._due[-1][0]
+        newest = self._due[-1].time
         for at, message in self._due:
             if message.kind in (COMMAND, VALVES) and at > newest - KEPT_S:
                 self._commands.add(at, message)
@@ -298,55 +290,58 @@ class Shadow:
 
     def _use(self, time: float, messages: Sequence[Message]) -> None:
         """Use the messages of one time on our clock."""
-        measured = []
         for message in messages:
-            if message.kind not in (COMMAND, VALVES):
-                measured.append(message)
-            elif (lost := self._commands.add(time, message)) is not None:
-                change, gap = lost
-                self.faults.inflate(change, min(gap, LOST_AFTER_S))
+            if message.kind in (COMMAND, VALVES):
+                lost = self._commands.add(time, message)
+                if lost is not None:
+                    gap = min(lost.interval, LOST_AFTER_S)
+                    self.faults.inflate(lost.change, gap)
         self.contact.update(messages, self.command_period)
+        measured = [message for message in messages if message.kind in _MEASURED]
         if not measured:
             return
         if math.isnan(self.time):
             self.time = time
         self._advance(time)
         for message in measured:
-            kind = message.kind
-            values = message.values
-            if kind == POSES:
-                self._use_frame(message)
-            elif kind == BENDS:
-                self.faults.update(values)
-            elif kind == SUPPLY:
-                self.faults.update_supply(float(values))
-            else:
-                self.faults.update(
-                    pressures=values, dt=min(time - self._heard[PRESSURES], 1.0)
-                )
-            self._heard[kind] = time
-        self.ensemble.set_modules(*self.faults.modules())
+            self._update_faults(time, message)
+        self.ensemble.set_modules(self.faults.modules())
         # The fault detector needs bends before pressures; the ensemble is best
         # corrected by bends last.
         for message in reversed(measured):
-            if message.kind == PRESSURES:
-                self._note_innovation(
-                    PRESSURES, self.ensemble.update_pressures(message.values)
-                )
-            elif message.kind == BENDS:
-                bends, _ = self.faults.corrected(message.values)
-                readings = np.where(self._working_sensors(), bends, np.nan)
-                self._note_innovation(BENDS, self.ensemble.update_bends(readings))
+            self._correct_ensemble(message)
         self.ensemble.apply_odometry()
         kinds = {message.kind for message in measured}
         # A frame corrects position and heading; other messages carry no information
         # about them.
-        corrected = [
-            not kinds.isdisjoint((BENDS, PRESSURES)),
-            POSES in kinds,
-            POSES in kinds,
-        ]
-        self._intervals.update(time, *_state(self.ensemble), corrected)
+        bends_corrected = not kinds.isdisjoint((BENDS, PRESSURES))
+        corrected = [bends_corrected, POSES in kinds, POSES in kinds]
+        self._intervals.update(time, _state(self.ensemble), corrected)
+
+    def _update_faults(self, time: float, message: Message) -> None:
+        """Update the fault detector with a measurement; a frame also corrects the ensemble."""
+        if message.kind == POSES:
+            self._use_frame(message)
+        elif message.kind == BENDS:
+            self.faults.update(message.values)
+        elif message.kind == SUPPLY:
+            self.faults.update_supply(float(message.values))
+        else:
+            dt = min(time - self._heard[PRESSURES], 1.0)
+            self.faults.update(pressures=message.values, dt=dt)
+        self._heard[message.kind] = time
+
+    def _correct_ensemble(self, message: Message) -> None:
+        """Correct the ensemble by bends or pressures."""
+        if message.kind == PRESSURES:
+            innovation = self.ensemble.update_pressures(message.values)
+        elif message.kind == BENDS:
+            bends = self.faults.corrected(message.values).value
+            readings = np.where(self._working_sensors(), bends, np.nan)
+            innovation = self.ensemble.update_bends(readings)
+        else:
+            return
+        self._note_innovation(message.kind, innovation)
 
     def _use_frame(self, message: Message) -> None:
         """Use a frame of motion capture."""
@@ -415,26 +410,24 @@ class Shadow:
         likely = self.faults.most_likely()
         chambers = CHAMBERS[likely]
         leak = np.where(chambers == Chamber.LEAKS, LEAK_RATES[likely][:, None], 0.0)
-        return ValveInput(
-            valve_duty(duties, chambers),
-            np.full(len(likely), self.faults.supply.pressure),
-            leak,
-        )
+        supply = np.full(len(likely), self.faults.supply.pressure)
+        return ValveInput(valve_duty(duties, chambers), supply, leak)
 
     def _working_sensors(self) -> np.ndarray:
         """Return whether the bend sensor of each segment has no detected fault."""
         return np.asarray(SENSORS[self.faults.most_likely()] == Sensor.READS)
 
-    def detected(self) -> Iterator[tuple[str, str, float]]:
-        """Yield part, name and probability of each detected fault."""
+    def detected(self) -> Iterator[DetectedFault]:
+        """Yield the detected faults."""
         sound = self.faults.probability[:, 0]
         for number, name in self.faults.named.items():
             if number:
-                yield f"segment {number}", name, float(1 - sound[number - 1])
+                probability = float(1 - sound[number - 1])
+                yield DetectedFault(f"segment {number}", name, probability)
             else:
-                yield "supply", STARVED, 1.0
+                yield DetectedFault("supply", STARVED, 1.0)
         for i in np.flatnonzero(self._lost_markers):
-            yield f"connector {i + 1}", "lost_marker", 1.0
+            yield DetectedFault(f"connector {i + 1}", "lost_marker", 1.0)
 
     def _lost(self, now: float, placed: bool, pose_sd: np.ndarray) -> str:
         if now - self._heard[BENDS] > LOST_AFTER_S:
@@ -447,23 +440,23 @@ class Shadow:
 
     def _estimate(self, now: float) -> Estimate:
         ensemble = self._present(now)
-        value, sd = _state(ensemble)
-        self._intervals.predict(now, value, sd)
-        sd = sd * self._intervals.scale
-        n = len(value) - 3
-        pose = value[n:]
+        state = _state(ensemble)
+        self._intervals.predict(now, state)
+        n = self.spec.segments
+        bend = state.value[:n]
+        pose = state.value[n:]
+        sd = state.sd * self._intervals.scale
         pose_sd = sd[n:]
         # Errors of sensors and transport delays are constant, so they do not average
         # out in the ensemble.
-        _, sensor_sd = self.faults.corrected(value[:n])
+        sensor_sd = self.faults.corrected(bend).sd
         delay_sd = TRANSPORT_DELAY_S * ensemble.mean("motion")[3:]
-        (x, y, turn), (c, s) = (
-            ensemble.odometry.twist,
-            (math.cos(pose[2]), math.sin(pose[2])),
-        )
+        x, y, turn = ensemble.odometry.twist
+        c = math.cos(pose[2])
+        s = math.sin(pose[2])
         return Estimate(
             time=now,
-            bend=value[:n],
+            bend=bend,
             bend_sd=np.sqrt(sd[:n] ** 2 + sensor_sd**2 + delay_sd**2),
             pose=pose,
             pose_sd=pose_sd,
@@ -476,14 +469,13 @@ class Shadow:
         )
 
 
-def _state(ensemble: EnsembleFilter) -> tuple[np.ndarray, np.ndarray]:
-    """Return bends, position and heading, and their standard deviations."""
+def _state(ensemble: EnsembleFilter) -> Uncertain:
+    """Return bends, position and heading."""
     names = "bend", "x", "y", "heading"
-    mean, sd = (
-        np.concatenate([get(name) for name in names])
-        for get in (ensemble.mean, ensemble.sd)
+    return Uncertain(
+        np.concatenate([ensemble.mean(name) for name in names]),
+        np.concatenate([ensemble.sd(name) for name in names]),
     )
-    return mean, sd
 
 
 def frames_of(pairs: Sequence[str], connectors: int) -> dict[str, int]:

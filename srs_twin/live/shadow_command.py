@@ -24,7 +24,8 @@ from srs_twin.live.emulate_command import broker_link, interruption
 
 if TYPE_CHECKING:
     from srs_twin.live.links import Link, MqttLink
-    from srs_twin.live.session import Session
+    from srs_twin.live.optitrack import NatNetLink
+    from srs_twin.live.session import Session, View
     from srs_twin.live.shadow import Shadow
     from srs_twin.live.steering import EstimateSteering
     from srs_twin.robot.spec import RobotSpec
@@ -85,28 +86,9 @@ class LabOptions:
         return self.name or Path(str(self.robot)).stem
 
 
-def shadow(
-    context: typer.Context,
-    lab: LabOptions,
-    setup: Annotated[Path | None, option("--setup FILE.yaml")] = None,
-    mcap: Annotated[Path | None, option("--mcap FILE")] = None,
-    speed: Annotated[float, option("--speed X", min=0.01, max=1000.0)] = 1.0,
-    out: Annotated[Path | None, option("--out DIR")] = None,
-    follow: Annotated[str | None, option("--follow SCENARIO")] = None,
-    members: Annotated[int, option("--members N", min=8, max=256)] = 32,
-    seed: Annotated[int, option("--seed N", min=0)] = 0,
-    window: Annotated[bool, option("--window")] = False,
-    web: Annotated[bool, option("--web")] = False,
-    quiet: QuietOption = False,
-    as_json: JsonOption = False,
-) -> None:
-    """Run a live twin: estimate, predict and detect faults.
-
-    Receives commands, bends and pressures over MQTT and frames of motion capture over
-    NatNet, or reads all of them from a journal. With --follow it steers the robot by
-    its estimate; the keys p, g, v and s, or the words pause, go, vent and stop on the
-    topic srs/NAME/control, control it. docs/live.md describes the messages. The
-    environment variable SRS_TWIN_MQTT_PASSWORD contains the password of --user.
+@dataclass(frozen=True)
+class SessionOptions:
+    """Options of a session of `srs-twin shadow`.
 
     Options:
         setup: Set-up file of the lab (`srs-twin schema setup`); other options override
@@ -120,48 +102,59 @@ def shadow(
         window: Show the live view in Rerun's window.
         web: Show the live view on a page of this machine.
     """
+
+    setup: Annotated[Path | None, option("--setup FILE.yaml")] = None
+    mcap: Annotated[Path | None, option("--mcap FILE")] = None
+    speed: Annotated[float, option("--speed X", min=0.01, max=1000.0)] = 1.0
+    out: Annotated[Path | None, option("--out DIR")] = None
+    follow: Annotated[str | None, option("--follow SCENARIO")] = None
+    members: Annotated[int, option("--members N", min=8, max=256)] = 32
+    seed: Annotated[int, option("--seed N", min=0)] = 0
+    window: Annotated[bool, option("--window")] = False
+    web: Annotated[bool, option("--web")] = False
+
+    @property
+    def keys(self) -> str:
+        """Keys that control the session, for its first line."""
+        if self.mcap is not None:
+            return ""
+        if self.follow is not None:
+            return "; p pauses, v vents, g goes on, s stops"
+        return "; s stops"
+
+
+def shadow(
+    context: typer.Context,
+    lab: LabOptions,
+    options: SessionOptions,
+    quiet: QuietOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Run a live twin: estimate, predict and detect faults.
+
+    Receives commands, bends and pressures over MQTT and frames of motion capture over
+    NatNet, or reads all of them from a journal. With --follow it steers the robot by
+    its estimate; the keys p, g, v and s, or the words pause, go, vent and stop on the
+    topic srs/NAME/control, control it. docs/live.md describes the messages. The
+    environment variable SRS_TWIN_MQTT_PASSWORD contains the password of --user.
+    """
     from threadpoolctl import threadpool_limits
 
-    from srs_twin.io.files import check_output_folder, make_folder, require_file
-    from srs_twin.live.session import KEPT
+    from srs_twin.io.files import make_folder
     from srs_twin.robot.file import load_robot
 
-    if mcap is not None and (
-        lab.mqtt is not None or lab.natnet is not None or follow is not None
-    ):
-        raise InputError(
-            "--mcap plays what has been; --mqtt, --natnet and --follow are for a"
-            " running robot"
-        )
-    if setup is not None:
-        lab = lab.with_setup(setup, context)
-    if lab.robot is None:
-        raise InputError("which robot? Give ROBOT, or a file with --setup")
-    if mcap is not None:
-        require_file(mcap, suffix=".mcap")  # before compiling
-    if out is not None:
-        check_output_folder(out, KEPT)
-    threadpool_limits(
-        limits=1, user_api="blas"
-    )  # several threads wait for each other on a busy machine
-    twin, steering = _twin(load_robot(lab.robot), lab, follow, members, seed)
+    lab = _checked(lab, options, context)
+    # Several threads would wait for each other on a busy machine.
+    threadpool_limits(limits=1, user_api="blas")
+    twin, steering = _twin(load_robot(str(lab.robot)), lab, options)
     over = interruption()
     with ExitStack() as stack:
-        if out is not None:
-            stack.enter_context(make_folder(out))
-        play = None if mcap is None else (mcap, speed)
-        session, shown = _session(stack, lab, play, twin, steering, out, (window, web))
+        if options.out is not None:
+            stack.enter_context(make_folder(options.out))
+        session, page = _session(stack, lab, options, twin, steering)
         if not quiet:
-            if mcap:
-                keys = ""
-            elif follow:
-                keys = "; p pauses, v vents, g goes on, s stops"
-            else:
-                keys = "; s stops"
-            _print_start(lab.topic_name, session.resumed, keys, shown)
-        result = session.run(
-            math.inf if lab.duration is None else lab.duration, over.is_set
-        )
+            _print_start(lab.topic_name, session.resumed, options.keys, page)
+        result = session.run(lab.duration or math.inf, over.is_set)
     if as_json:
         print_json(result)
     elif not quiet:
@@ -170,9 +163,38 @@ def shadow(
         sources = " and ".join(filter(None, (lab.mqtt or BROKER, lab.natnet)))
         raise InputError(
             f"nothing was heard of '{lab.topic_name}' in {result['seconds']:.0f} s from"
-            f" {mcap or sources}: is it running, under that name, with that number of"
-            " segments?"
+            f" {options.mcap or sources}: is it running, under that name, with that"
+            " number of segments?"
         )
+
+
+def _checked(
+    lab: LabOptions, options: SessionOptions, context: typer.Context
+) -> LabOptions:
+    """Return the options of the lab with those of its set-up file, after all checks before compiling.
+
+    Raises:
+        InputError: options exclude each other, no robot is given, or a file cannot be
+            read or written.
+    """
+    from srs_twin.io.files import check_output_folder, require_file
+    from srs_twin.live.session import KEPT
+
+    of_a_robot = lab.mqtt, lab.natnet, options.follow
+    if options.mcap is not None and any(given is not None for given in of_a_robot):
+        raise InputError(
+            "--mcap plays what has been; --mqtt, --natnet and --follow are for a"
+            " running robot"
+        )
+    if options.setup is not None:
+        lab = lab.with_setup(options.setup, context)
+    if lab.robot is None:
+        raise InputError("which robot? Give ROBOT, or a file with --setup")
+    if options.mcap is not None:
+        require_file(options.mcap, suffix=".mcap")
+    if options.out is not None:
+        check_output_folder(options.out, KEPT)
+    return lab
 
 
 def _is_given(context: typer.Context, name: str) -> bool:
@@ -182,34 +204,26 @@ def _is_given(context: typer.Context, name: str) -> bool:
 
 
 def _twin(
-    spec: RobotSpec, lab: LabOptions, follow: str | None, members: int, seed: int
+    spec: RobotSpec, lab: LabOptions, options: SessionOptions
 ) -> tuple[Shadow, EstimateSteering | None]:
-    """Return the live twin of the robot and its steering, both with compiled kernels.
-
-    Args:
-        spec: the robot.
-        lab: options that a set-up file may have.
-        follow: scenario to follow; None: no steering.
-        members: ensemble size.
-        seed: random seed.
-    """
+    """Return the live twin of the robot and its steering, if any, both with compiled kernels."""
     from srs_twin.live.session import TICK_S, warm_up
     from srs_twin.live.shadow import Shadow, frames_of
     from srs_twin.live.steering import EstimateSteering
     from srs_twin.scenario.loading import load_scenario
 
-    if lab.body:
-        frames = frames_of(lab.body, spec.geometry.connectors)
-    else:
-        frames = None
-    supply = None if lab.pressure is None else lab.pressure * 1000
-    twin = Shadow(spec, supply_pa=supply, members=members, seed=seed, frames=frames)
-    if follow:
+    twin = Shadow(
+        spec,
+        supply_pa=None if lab.pressure is None else lab.pressure * 1000,
+        members=options.members,
+        seed=options.seed,
+        frames=frames_of(lab.body or (), spec.geometry.connectors),
+    )
+    steering = None
+    if options.follow:
         steering = EstimateSteering(
-            load_scenario(follow), twin, TICK_S, press_on=lab.press_on
+            load_scenario(options.follow), twin, TICK_S, press_on=lab.press_on
         )
-    else:
-        steering = None
     warm_up(spec)
     return twin, steering
 
@@ -217,74 +231,76 @@ def _twin(
 def _session(
     stack: ExitStack,
     lab: LabOptions,
-    play: tuple[Path, float] | None,
+    options: SessionOptions,
     twin: Shadow,
     steering: EstimateSteering | None,
-    out: Path | None,
-    shows: tuple[bool, bool],
 ) -> tuple[Session, str]:
-    """Return a session and the address of the live view's page; the stack closes what is opened here.
-
-    Args:
-        stack: receives all links, files and views that must be closed.
-        lab: options that a set-up file may have.
-        play: journal and playback speed; None: a running robot.
-        twin: shadow of the robot.
-        steering: steering of the robot; None: the session only listens.
-        out: folder of the files.
-        shows: whether the live view is shown in a window, and on a page.
-    """
-    from srs_twin.io.files import create_numbered_file
-    from srs_twin.live import natnet as protocol
+    """Return a session and the address of the live view's page; the stack closes what is opened here."""
     from srs_twin.live.journal import McapLink
-    from srs_twin.live.links import address, typed_words
-    from srs_twin.live.optitrack import NatNetLink
-    from srs_twin.live.session import RECORDINGS, Session
+    from srs_twin.live.links import typed_words
+    from srs_twin.live.session import Session
 
-    spec, known, (window, web) = twin.spec, lab.topic_name, shows
     links: list[Link] = []
     commands: MqttLink | None = None
     keys: Any = tuple
-    if play is not None:
-        links.append(
-            stack.enter_context(McapLink(play[0], known, spec.segments, speed=play[1]))
+    if options.mcap is not None:
+        journal = McapLink(
+            options.mcap, lab.topic_name, twin.spec.segments, speed=options.speed
         )
+        links.append(stack.enter_context(journal))
     else:
-        speaks = known if steering else None
-        broker = broker_link(
-            known, spec.segments, lab.mqtt or BROKER, lab.user, lab.ca, speaks=speaks
+        commands = broker_link(
+            lab.topic_name,
+            twin.spec.segments,
+            lab.mqtt or BROKER,
+            lab.user,
+            lab.ca,
+            speaks=lab.topic_name if steering else None,
         )
-        commands = stack.enter_context(broker)
-        links.append(commands)
+        links.append(stack.enter_context(commands))
         if lab.natnet is not None:
-            host, port = address(lab.natnet, protocol.COMMAND_PORT)
-            links.append(
-                stack.enter_context(NatNetLink(host, port, local=lab.local, up=lab.up))
-            )
+            links.append(stack.enter_context(_motion_capture(lab.natnet, lab)))
         keys = stack.enter_context(typed_words())
-    views = []
-    shown = ""
-    if window or web or out is not None:
-        from srs_twin.viewing.rerun.live import live_view
-
-        if out is None:
-            keep = None
-        else:
-            keep = create_numbered_file(out, RECORDINGS)
-        view, shown = stack.enter_context(
-            live_view(spec, recording=keep, window=window, web=web)
-        )
-        views.append(view)
+    views, page = _live_views(stack, options, twin.spec)
     session = Session(
         twin,
         links,
-        out=out,
+        out=options.out,
         steering=steering,
         commands=commands,
         views=views,
         keys=keys,
     )
-    return session, shown
+    return session, page
+
+
+def _motion_capture(natnet: str, lab: LabOptions) -> NatNetLink:
+    """Return the link to the motion capture at an address, HOST or HOST:PORT."""
+    from srs_twin.live.links import address
+    from srs_twin.live.natnet import COMMAND_PORT
+    from srs_twin.live.optitrack import NatNetLink
+
+    host, port = address(natnet, COMMAND_PORT)
+    return NatNetLink(host, port, local=lab.local, up=lab.up)
+
+
+def _live_views(
+    stack: ExitStack, options: SessionOptions, spec: RobotSpec
+) -> tuple[list[View], str]:
+    """Return the views of a session, and the address of their page; empty without a page."""
+    if not (options.window or options.web or options.out):
+        return [], ""
+    from srs_twin.io.files import create_numbered_file
+    from srs_twin.live.session import RECORDINGS
+    from srs_twin.viewing.rerun.live import live_view
+
+    recording = None
+    if options.out is not None:
+        recording = create_numbered_file(options.out, RECORDINGS)
+    view, page = stack.enter_context(
+        live_view(spec, recording=recording, window=options.window, web=options.web)
+    )
+    return [view], page
 
 
 def _print_start(name: str, resumed: bool, keys: str, page: str) -> None:
@@ -308,10 +324,11 @@ def _print_result(result: dict[str, Any]) -> None:
         return
     estimate = result["estimate"]
     x, y, heading = estimate["pose"]
-    a, b, c = (1.96 * sd for sd in estimate["pose_sd"])
+    x_sd, y_sd, heading_sd = estimate["pose_sd"]
+    lost = f", but {estimate['lost']}" if estimate["lost"] else ""
     say(
-        f"at x {x:.3f} ± {a:.3f} m, y {y:.3f} ± {b:.3f} m, heading {heading:.2f} ±"
-        f" {c:.2f} rad{', but ' + estimate['lost'] if estimate['lost'] else ''}"
+        f"at x {x:.3f} ± {1.96 * x_sd:.3f} m, y {y:.3f} ± {1.96 * y_sd:.3f} m,"
+        f" heading {heading:.2f} ± {1.96 * heading_sd:.2f} rad{lost}"
     )
     for fault in result["faults"]:
         say(f"{fault['time_s']:.1f} s: {fault['part']}: {fault['fault']}")

@@ -73,9 +73,10 @@ def differences(one: RobotSpec, other: RobotSpec) -> list[str]:
         if not (is_dataclass(first) and type(first) is type(second)):
             texts.append(f"{field.name} ({_short(first)} and {_short(second)})")
             continue
-        for name in (inner.name for inner in fields(first)):
-            # Parameters are compared one by one, so that the message can name the one
-            # that differs.
+        # Parameters are compared one by one, so that the message can name the one that
+        # differs.
+        for inner in fields(first):
+            name = inner.name
             a = getattr(first, name)
             b = getattr(second, name)
             if a != b and (field.name, name) not in _MODEL_FIELDS:
@@ -121,10 +122,12 @@ class EstimateSteering:
                 " controller.kind: follow"
             )
         if differ := differences(scenario.robot, shadow.spec):
-            more = f" and {len(differ) - 3} more" if len(differ) > 3 else ""
+            listed = ", ".join(differ[:3])
+            if len(differ) > 3:
+                listed += f" and {len(differ) - 3} more"
             raise InputError(
                 f"{scenario.name} is for robot '{scenario.robot.name}', not for"
-                f" '{shadow.spec.name}'; they differ in {', '.join(differ[:3])}{more}"
+                f" '{shadow.spec.name}'; they differ in {listed}"
             )
         controller.least_margin = 0.0 if press_on else LEAST_MARGIN
         self.follower = controller
@@ -132,8 +135,12 @@ class EstimateSteering:
         self._tick = tick
         self._seed = scenario.seed
         self._stuck = np.zeros(shadow.spec.segments, dtype=int)
-        self._steps = self._waited = 0
-        self._lost_s = self._uncertain_s = self._empty_s = self._paused_s = 0.0
+        self._steps = 0
+        self._waited = 0
+        self._lost_s = 0.0
+        self._uncertain_s = 0.0
+        self._empty_s = 0.0
+        self._paused_s = 0.0
         self._given_up = ""
         self._control = GO
         self._events: list[tuple[float, str]] = []
@@ -214,9 +221,8 @@ class EstimateSteering:
             return self.vented()
         if not self._steps:
             self._begin(estimate, shadow)
-        if shadow.faults.supply.share < _EMPTY_BELOW:
-            self._empty_s = self._empty_s + self._tick
-        else:
+        self._empty_s += self._tick
+        if shadow.faults.supply.share >= _EMPTY_BELOW:
             self._empty_s = 0.0
         if self._empty_s > PATIENCE_S:
             self.give_up(EMPTY)
@@ -228,17 +234,16 @@ class EstimateSteering:
         if (stuck != self._stuck).any():
             self._stuck = stuck
             self.follower.renew("fault")
-        valves = self.follower.step(
-            estimate.state(self._steps * self._tick, self._pressure)
-        )
+        state = estimate.state(self._steps * self._tick, self._pressure)
+        valves = self.follower.step(state)
         self._steps += 1
-        self._events += [
-            (event.time, f"{event.kind}: {event.text}")
-            for event in self.follower.events()
-        ]
+        for event in self.follower.events():
+            self._events.append((event.time, f"{event.kind}: {event.text}"))
         # The robot has its own carrier, so it gets duties instead of the states within
         # a tick.
-        duty = (valves.mean(axis=0) if valves.ndim == 3 else valves + 0.0) / 2 + 0.5
+        if valves.ndim == 3:
+            valves = valves.mean(axis=0)
+        duty = valves / 2 + 0.5
         # With equal pressures on both sides, a segment with a stuck valve remains
         # straight.
         duty[stuck == Chamber.FILLS] = 1.0
@@ -252,10 +257,11 @@ class EstimateSteering:
         # The robot itself adds noise and delays, so the follower must not simulate
         # them. Commands take effect one tick after the estimate.
         follower = self.follower
-        lag = DELAY_S + self._tick
-        camera = Camera(follower.conditions.camera.rate_hz)
         follower.conditions = replace(
-            follower.conditions, camera=camera, delay=0.0, lag=lag
+            follower.conditions,
+            camera=Camera(follower.conditions.camera.rate_hz),
+            delay=0.0,
+            lag=DELAY_S + self._tick,
         )
         follower.reset(shadow.spec, self._tick, seed=self._seed)
         x, y, heading = estimate.pose

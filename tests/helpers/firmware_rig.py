@@ -26,7 +26,7 @@ from pathlib import Path
 
 import numpy as np
 
-from srs_twin.live.links import MqttLink
+from srs_twin.live.links import BrokerAccess, MqttLink
 from srs_twin.live.messages import COMMAND
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -423,7 +423,9 @@ def command(port: int, log: Path) -> None:
     number = len(log.read_text("utf-8").split("\n"))
     while True:
         try:
-            link = MqttLink(NAME, SEGMENTS, port=port, kinds=(), speaks=NAME)
+            link = MqttLink(
+                NAME, SEGMENTS, BrokerAccess(port=port), kinds=(), speaks=NAME
+            )
             break
         except Exception:  # the broker is away
             time.sleep(0.1)

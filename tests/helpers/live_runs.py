@@ -21,7 +21,7 @@ import numpy as np
 
 from srs_twin import Gait, RobotSpec, load_robot, load_scenario
 from srs_twin.live.commands import SILENT_S
-from srs_twin.live.emulator import EmulatedRobot
+from srs_twin.live.emulator import EmulatedRobot, Simulation
 from srs_twin.live.estimate import Estimate, Prediction
 from srs_twin.live.messages import (
     BENDS,
@@ -157,15 +157,17 @@ class Run:
         )
         return EmulatedRobot(
             self.robot,
+            Simulation(
+                gain_spread=self.gain_spread,
+                tick=self.tick,
+                pneumatics=self.pneumatics,
+                supply_kpa=self.supply_kpa,
+                changes=changes,
+            ),
             seed=self.seed,
             faults=faults,
             noise_rad=noise_rad,
-            pneumatics=self.pneumatics,
-            gain_spread=self.gain_spread,
-            supply_kpa=self.supply_kpa,
             start=start,
-            tick=self.tick,
-            changes=changes,
         )
 
     def commands(self, robot: EmulatedRobot) -> Iterator[np.ndarray]:

@@ -16,13 +16,13 @@ from brokers import broker, free_port, needs_broker, wait
 
 from srs_twin import Gait, InputError, load_robot
 from srs_twin.live import emulator
-from srs_twin.live.emulator import KINDS, EmulatedRobot, Fault
-from srs_twin.live.links import MqttLink
+from srs_twin.live.emulator import KINDS, EmulatedRobot, Fault, Simulation
+from srs_twin.live.links import BrokerAccess, MqttLink
 from srs_twin.live.messages import BENDS, COMMAND, PRESSURES, STATUS, VALVES, Message
 from srs_twin.live.natnet import turned
 from srs_twin.live.optitrack import NatNetLink
 
-QUIET = {"noise_rad": 0.0, "gain_spread": 0.0}
+QUIET = {"simulation": Simulation(gain_spread=0.0), "noise_rad": 0.0}
 
 
 def walked(robot: EmulatedRobot, seconds: float) -> dict[str, np.ndarray]:
@@ -237,7 +237,10 @@ def test_it_lives_in_real_time_and_vents_when_nobody_commands(tmp_path):
         *("--loss", "0.05", "--jitter-s", "0.02"),
     ]
     kinds = (BENDS, PRESSURES, VALVES, STATUS)
-    with broker(tmp_path, port), MqttLink("bench", 4, port=port, kinds=kinds) as link:
+    with (
+        broker(tmp_path, port),
+        MqttLink("bench", 4, BrokerAccess(port=port), kinds=kinds) as link,
+    ):
         process = subprocess.Popen(
             command, env=os.environ | {"PYTHONUNBUFFERED": "1"}, cwd=tmp_path
         )

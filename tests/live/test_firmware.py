@@ -27,7 +27,7 @@ from firmware_rig import (
     until,
 )
 
-from srs_twin.live.links import LOST, MqttLink
+from srs_twin.live.links import LOST, BrokerAccess, MqttLink
 from srs_twin.live.messages import (
     BENDS,
     COMMAND,
@@ -408,7 +408,7 @@ def test_chambers_vent_in_time_after_kills_and_a_stall_of_the_link(rig):
 def test_chambers_vent_within_the_watchdog_period_after_a_hang_and_at_once_after_an_error(
     rig, how
 ):
-    with MqttLink(NAME, SEGMENTS, port=rig.port, kinds=(STATUS,)) as link:
+    with MqttLink(NAME, SEGMENTS, BrokerAccess(port=rig.port), kinds=(STATUS,)) as link:
         time.sleep(0.3)
         if how == "kill":
             rig.robot.kill()
@@ -435,7 +435,7 @@ def test_the_shadow_reads_its_messages_and_garbage_does_not_stop_it(rig):
     other.connect("127.0.0.1", rig.port)
     other.loop_start()
     kinds = (VALVES, BENDS, STATUS)
-    with MqttLink(NAME, SEGMENTS, port=rig.port, kinds=kinds) as link:
+    with MqttLink(NAME, SEGMENTS, BrokerAccess(port=rig.port), kinds=kinds) as link:
         for k in range(200):
             payload = (
                 b"{" * 50,

@@ -9,12 +9,22 @@ import pytest
 from live_runs import isolated
 from snakes import robot
 
-from srs_twin.live.air_balance import SCATTER, SCATTER_STROKES, LeakDetector
+from srs_twin.live.air_balance import (
+    SCATTER,
+    SCATTER_STROKES,
+    LeakDetector,
+    SupplyFilter,
+)
+from srs_twin.live.fault_hypotheses import Inflow
+from srs_twin.live.uncertain import Uncertain
 from srs_twin.pneumatics import LagPneumatics, OrificePneumatics
 
 TICK = 0.02
 NOISE = 0.015
-VARIANTS = [(0.0, 1.0), (0.0, 0.0), (2.0, 1.0), (6.0, 1.0), (0.0, 0.5)]
+VARIANTS = [
+    Inflow(leak, share)
+    for leak, share in ((0.0, 1.0), (0.0, 0.0), (2.0, 1.0), (6.0, 1.0), (0.0, 0.5))
+]
 SOUND, CLOSED, SLOW, FAST, WEAK = range(5)
 
 
@@ -25,7 +35,8 @@ def stroked(chambers, spec, *, half=17, strokes=16, after=lambda: None, said=Non
     detector = LeakDetector(said, supply_pa=said.supply.nominal, variants=VARIANTS)
     found = []
     sound = np.ones(spec.segments)
-    supply = said.supply.nominal, 0.001 * said.supply.nominal
+    supply = SupplyFilter(said.supply.nominal)
+    supply.variance = (0.001 * said.supply.nominal) ** 2
     for k in range(2 * half * strokes):
         if k == 2 * half * (strokes - 3):
             after()
@@ -38,8 +49,7 @@ def stroked(chambers, spec, *, half=17, strokes=16, after=lambda: None, said=Non
         added = detector.update(
             TICK * (k + 1),
             trace.pressure[-1],
-            bend,
-            np.full_like(bend, NOISE),
+            Uncertain(bend, np.full_like(bend, NOISE)),
             filled,
             sound,
             supply,

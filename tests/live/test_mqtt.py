@@ -11,7 +11,7 @@ import pytest
 from brokers import broker, free_port, needs_broker, wait
 
 from srs_twin import InputError
-from srs_twin.live.links import LOST, Login, MqttLink, address
+from srs_twin.live.links import LOST, BrokerAccess, MqttLink, address
 from srs_twin.live.messages import BENDS, COMMAND, STATUS, topic
 
 pytestmark = needs_broker
@@ -21,9 +21,9 @@ def test_what_is_sent_arrives_with_its_times(tmp_path):
     port = free_port()
     with (
         broker(tmp_path, port),
-        MqttLink("r", 2, port=port, kinds=(BENDS, STATUS)) as here,
+        MqttLink("r", 2, BrokerAccess(port=port), kinds=(BENDS, STATUS)) as here,
     ):
-        with MqttLink("r", 2, port=port, kinds=(COMMAND,)) as there:
+        with MqttLink("r", 2, BrokerAccess(port=port), kinds=(COMMAND,)) as there:
             wait(lambda: there.connected)
             time.sleep(0.2)  # subscribed
             there.send(BENDS, np.array([0.25, np.nan]))
@@ -40,8 +40,8 @@ def test_what_is_sent_arrives_with_its_times(tmp_path):
 def test_a_broker_that_is_killed_and_comes_back(tmp_path):
     port = free_port()
     with broker(tmp_path, port):
-        here = MqttLink("r", 1, port=port, kinds=(BENDS,))
-        there = MqttLink("r", 1, port=port, kinds=())
+        here = MqttLink("r", 1, BrokerAccess(port=port), kinds=(BENDS,))
+        there = MqttLink("r", 1, BrokerAccess(port=port), kinds=())
     wait(lambda: not here.connected)
     with broker(tmp_path, port):
         wait(lambda: here.connected and there.connected)
@@ -60,8 +60,11 @@ def test_a_broker_that_is_killed_and_comes_back(tmp_path):
 
 def test_who_breaks_off_is_said_to_be_lost(tmp_path):
     port = free_port()
-    with broker(tmp_path, port), MqttLink("r", 1, port=port, kinds=(STATUS,)) as here:
-        gone = MqttLink("r", 1, port=port, kinds=(), speaks="r")
+    with (
+        broker(tmp_path, port),
+        MqttLink("r", 1, BrokerAccess(port=port), kinds=(STATUS,)) as here,
+    ):
+        gone = MqttLink("r", 1, BrokerAccess(port=port), kinds=(), speaks="r")
         time.sleep(0.2)
         gone._client._sock_close()  # as if its machine were gone
         gone._client.loop_stop()
@@ -73,11 +76,11 @@ def test_who_breaks_off_is_said_to_be_lost(tmp_path):
 def test_a_password_is_asked_for(tmp_path):
     port = free_port()
     with broker(tmp_path, port, password="bench"):
-        with MqttLink("r", 1, port=port, login=Login("lab", "bench")) as link:
+        with MqttLink("r", 1, BrokerAccess("127.0.0.1", port, "lab", "bench")) as link:
             assert link.connected
-        for given in ({}, {"login": Login("lab", "wrong")}):
+        for login in ((), ("lab", "wrong")):
             with pytest.raises(InputError, match="does not admit us: Not authorized"):
-                MqttLink("r", 1, port=port, **given)
+                MqttLink("r", 1, BrokerAccess("127.0.0.1", port, *login))
 
 
 def refused(link):
@@ -103,7 +106,7 @@ def test_ten_thousand_hostile_messages_stop_nothing_and_are_counted(tmp_path):
     rng = np.random.default_rng(3)
     with (
         broker(tmp_path, port),
-        MqttLink("r", 2, port=port, kinds=(BENDS, COMMAND)) as link,
+        MqttLink("r", 2, BrokerAccess(port=port), kinds=(BENDS, COMMAND)) as link,
     ):
         other = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
         other.max_queued_messages_set(0)
@@ -135,7 +138,7 @@ def test_ten_thousand_hostile_messages_stop_nothing_and_are_counted(tmp_path):
 def test_no_broker_is_said_in_one_line():
     port = free_port()
     with pytest.raises(InputError, match=f"no broker answers at 127.0.0.1:{port}"):
-        MqttLink("r", 1, port=port)
+        MqttLink("r", 1, BrokerAccess(port=port))
 
 
 @pytest.mark.parametrize(
@@ -234,4 +237,4 @@ def test_a_file_that_is_no_certificate_is_refused(tmp_path, content, words):
     elif content is not None:
         file.write_bytes(content)
     with pytest.raises(InputError, match=f"ca.pem: {words}"):
-        MqttLink("r", 1, port=free_port(), login=Login(ca=file))
+        MqttLink("r", 1, BrokerAccess(port=free_port(), ca=file))

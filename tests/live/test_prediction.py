@@ -11,6 +11,7 @@ from srs_twin.live.estimate import (
     Prediction,
     PredictionCalibration,
 )
+from srs_twin.live.uncertain import Uncertain
 
 
 @pytest.mark.parametrize("seconds", [0.5, 1 / 1.5, 1.0])
@@ -98,9 +99,10 @@ def test_intervals_are_calibrated_for_errors_with_heavy_tails(rate):
     for k in range(60 * rate):
         time = k / rate
         error = 0.015 * rng.standard_t(4, size=6)
-        calibration.predict(time, error, np.full(6, 0.01))
+        calibration.predict(time, Uncertain(error, np.full(6, 0.01)))
         inside.append(np.abs(error) < 1.96 * 0.01 * calibration.scale)
-        calibration.update((k - 1) / rate, np.zeros(6), np.full(6, 1e-3), [True, False])
+        exact = Uncertain(np.zeros(6), np.full(6, 1e-3))
+        calibration.update((k - 1) / rate, exact, [True, False])
     assert np.mean(inside[len(inside) // 2 :], axis=0)[:4].mean() == pytest.approx(
         0.95, abs=0.02
     )

@@ -16,7 +16,7 @@ from brokers import broker, free_port, needs_broker, wait
 
 from srs_twin.live.emulate_command import interruption
 from srs_twin.live.journal import journal_messages
-from srs_twin.live.links import MqttLink
+from srs_twin.live.links import BrokerAccess, MqttLink
 from srs_twin.live.messages import BENDS, COMMAND, CONTROL, POSES, STATUS
 from srs_twin.trajectory import Trajectory
 
@@ -67,7 +67,10 @@ def ended(process: subprocess.Popen[str]) -> None:
 def test_it_runs_beside_a_robot_and_keeps_what_it_heard(tmp_path, srs_twin):
     port = free_port()
     capture = free_port()
-    with broker(tmp_path, port), MqttLink("gen4", 4, port=port, kinds=(BENDS,)) as link:
+    with (
+        broker(tmp_path, port),
+        MqttLink("gen4", 4, BrokerAccess(port=port), kinds=(BENDS,)) as link,
+    ):
         robot = emulator(port, capture, tmp_path, "--fault", "lost_marker:5@0")
         try:
             wait(lambda: any(m.kind == BENDS for m in link.received()), 60)
@@ -147,7 +150,7 @@ def test_the_end_of_a_process_that_steers_is_reported_and_the_robot_vented(
     )
     with (
         broker(tmp_path, port),
-        MqttLink("gen2", 4, port=port, kinds=(COMMAND, STATUS)) as robot,
+        MqttLink("gen2", 4, BrokerAccess(port=port), kinds=(COMMAND, STATUS)) as robot,
     ):
         twin = start("shadow", "gen2", *words, cwd=tmp_path)
         heard = []
@@ -223,7 +226,7 @@ def test_twenty_kills(tmp_path):
     alive.__enter__()
     robot = emulator(port, capture, tmp_path)
     twin = shadow(port, capture, tmp_path)
-    gait = MqttLink("gen4", 4, port=port, kinds=(BENDS,))
+    gait = MqttLink("gen4", 4, BrokerAccess(port=port), kinds=(BENDS,))
     try:
         for k in range(20):
             end = time.monotonic() + 3.0

@@ -10,8 +10,8 @@ import pytest
 from brokers import broker, free_port, needs_broker, wait
 
 from srs_twin import InputError, TwinSnake, load_robot
-from srs_twin.live.emulator import EmulatedRobot, emulate
-from srs_twin.live.links import MqttLink
+from srs_twin.live.emulator import EmulatedRobot, Simulation, emulate
+from srs_twin.live.links import BrokerAccess, MqttLink
 from srs_twin.live.messages import (
     BENDS,
     COMMAND,
@@ -23,7 +23,10 @@ from srs_twin.live.messages import (
 )
 
 SPEC = load_robot("spatial_example")
-QUIET = {"gain_spread": 0.0, "noise_rad": 0.0}
+QUIET = {
+    "simulation": Simulation(gain_spread=0.0, supply_kpa=20.0),
+    "noise_rad": 0.0,
+}
 FULL = np.tile([1.0, -1.0, 1.0, -1.0], (SPEC.segments, 1))
 
 
@@ -70,9 +73,7 @@ def test_messages_of_the_other_kind_of_robot_are_refused(kind, values, chambers,
 
 
 def test_the_emulated_robot_bends_in_both_directions():
-    robot = EmulatedRobot(
-        "spatial_example", **QUIET, supply_kpa=20.0, start=(0.1, 0.2, 0.7)
-    )
+    robot = EmulatedRobot("spatial_example", **QUIET, start=(0.1, 0.2, 0.7))
     place, turn = (lambda body: (body.place, body.turn))(robot.bodies()[1])
     assert turn == pytest.approx((0.0, math.sin(0.35), 0.0, math.cos(0.35)), abs=1e-6)
     twin = TwinSnake(SPEC, supply_pa=20e3)
@@ -96,7 +97,7 @@ def test_the_emulated_robot_bends_in_both_directions():
 
 def test_dead_sensors_freeze_both_axes_and_chambers_with_a_side_are_refused():
     robot = EmulatedRobot(
-        "spatial_example", **QUIET, supply_kpa=20.0, faults=["dead_sensor:2=frozen@0.1"]
+        "spatial_example", **QUIET, faults=["dead_sensor:2=frozen@0.1"]
     )
     for _ in range(10):
         robot.step(FULL)
@@ -114,8 +115,8 @@ def test_dead_sensors_freeze_both_axes_and_chambers_with_a_side_are_refused():
 @needs_broker
 def test_commands_reach_an_emulated_spatial_robot(tmp_path):
     port = free_port()
-    robot = EmulatedRobot("spatial_example", **QUIET, supply_kpa=20.0)
-    options = {"port": port, "chambers": 4}
+    robot = EmulatedRobot("spatial_example", **QUIET)
+    options = {"broker": BrokerAccess(port=port), "chambers": 4}
     with (
         broker(tmp_path, port),
         MqttLink("s", 8, kinds=(BENDS, PRESSURES), **options) as here,
