@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import socket
@@ -63,6 +64,7 @@ def evaluate(code: str, given=None, folder=None):
         capture_output=True,
         text=True,
         timeout=60,
+        check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr
     return json.loads(done.stdout.splitlines()[-1])
@@ -270,11 +272,8 @@ def served(tmp_path, ms, serve):
                 except TimeoutError:
                     continue
                 near.settimeout(5)
-                with near:
-                    try:
-                        serve(near, over)
-                    except OSError:
-                        pass
+                with near, contextlib.suppress(OSError):
+                    serve(near, over)
 
         thread = threading.Thread(target=accept)
         thread.start()

@@ -202,7 +202,8 @@ def test_frames_arrive_and_come_back_after_a_silence(version, monkeypatch):
         port = server.port
         server.close()
         time.sleep(0.3)
-        with NatNetServer(names, port=port) as server:  # noqa: PLR1704
+        # `streamed` sends with the new server.
+        with NatNetServer(names, port=port) as server:  # noqa: PLR1704, PLW2901
             seen.clear()
             wait(streamed)
 

@@ -252,7 +252,7 @@ def test_twenty_kills(tmp_path):
                 alive.__exit__(None, None, None)
                 alive = broker(tmp_path, port)
                 alive.__enter__()
-        wait(lambda: gait.received(), 30)
+        wait(gait.received, 30)
         wait(
             lambda: hears(tmp_path / "lab", known), 60
         )  # on a busy machine a start takes long

@@ -74,7 +74,7 @@ def test_messages_of_the_other_kind_of_robot_are_refused(kind, values, chambers,
 
 def test_the_emulated_robot_bends_in_both_directions():
     robot = EmulatedRobot("spatial_example", **QUIET, start=(0.1, 0.2, 0.7))
-    place, turn = (lambda body: (body.place, body.turn))(robot.bodies()[1])
+    turn = robot.bodies()[1].turn
     assert turn == pytest.approx((0.0, math.sin(0.35), 0.0, math.cos(0.35)), abs=1e-6)
     twin = TwinSnake(SPEC, supply_pa=20e3)
     twin.reset(pose=(0.1, 0.2, 0.7))
@@ -91,7 +91,7 @@ def test_the_emulated_robot_bends_in_both_directions():
     for _ in range(5):
         robot.step(np.full(FULL.shape, 0.5))
     assert (
-        0 < robot.state.pressure[:, 1].min() and robot.state.pressure[:, 1].max() < 10e3
+        robot.state.pressure[:, 1].min() > 0 and robot.state.pressure[:, 1].max() < 10e3
     )
 
 
