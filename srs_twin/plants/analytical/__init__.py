@@ -352,7 +352,12 @@ class AnalyticalSnake(PneumaticPlant):
         return inertia
 
     def steps(self, schedule: Schedule, samples: int) -> Steps:
-        """Return the integrator's steps for a schedule."""
+        """Return the integrator's steps for a schedule.
+
+        Args:
+            schedule: valve commands.
+            samples: number of samples; a step ends at each of them.
+        """
         longest = self.timestep
         if self._coupled:
             longest = min(longest, self._coupling_step)
