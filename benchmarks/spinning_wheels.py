@@ -10,6 +10,7 @@ and body kinematics are those of the analytical model.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from grid import Run, table
@@ -17,7 +18,8 @@ from numba import njit
 
 from srs_twin import Gait
 from srs_twin.comparison.metrics import plant_metrics
-from srs_twin.plants.analytical.kernels import pose_body
+from srs_twin.plants.analytical import kinematics
+from srs_twin.plants.analytical.kinematics import BodyParameters, pose_body
 from srs_twin.pneumatics import LagPneumatics
 from srs_twin.robot.spec import GRAVITY
 
@@ -28,15 +30,31 @@ DURATION_S = 6.0
 LAST_S = 2.0
 
 
+class Wheels(NamedTuple):
+    """Wheels of all connectors.
+
+    Attributes:
+        track: distance of a wheel from the centre line, m.
+        radius: radius, m.
+        inertia: moment of inertia about the axle, kg·m².
+        mu_t: coefficient of friction in the axle, dimensionless.
+        mu_n: coefficient of friction at the rim, dimensionless.
+    """
+
+    track: float
+    radius: float
+    inertia: float
+    mu_t: float
+    mu_n: float
+
+
 @njit
-def advance(
-    state, spin, bends, rates, mass, length, gap, track, radius, inertia, mu_t, mu_n
-):
+def advance(state, spin, bends, rates, solid, wheels):
     """Advance the pose (x, y, heading, vx, vy, angular momentum) and the wheel speeds in place."""
-    n = mass.shape[0]
-    body = np.empty((n, 6))
+    n = solid.mass.shape[0]
+    body = np.empty((kinematics.ROWS, n))
     for k in range(bends.shape[0]):
-        turning, moment = pose_body(bends[k], rates[k], mass, length, gap, body)
+        turning, moment = pose_body(bends[k], rates[k], solid, body)
         omega = (state[5] - moment) / turning
         c0 = math.cos(state[2])
         s0 = math.sin(state[2])
@@ -44,38 +62,34 @@ def advance(
         uy = -state[3] * s0 + state[4] * c0
         fx = fy = torque = 0.0
         for i in range(n):
-            c = math.cos(body[i, 0])
-            s = math.sin(body[i, 0])
-            px = body[i, 2]
-            py = body[i, 3]
-            vx = ux - omega * py + body[i, 4]
-            vy = uy + omega * px + body[i, 5]
+            c = body[kinematics.COS, i]
+            s = body[kinematics.SIN, i]
+            px = body[kinematics.X, i]
+            py = body[kinematics.Y, i]
+            vx = ux - omega * py + body[kinematics.VX, i]
+            vy = uy + omega * px + body[kinematics.VY, i]
             along = vx * c + vy * s
             across = -vx * s + vy * c
-            load = mass[i] * GRAVITY / 2
+            load = solid.mass[i] * GRAVITY / 2
             for side in range(2):
-                arm = track if side == 0 else -track
-                rim = spin[i, side] * radius
-                slip = along - (omega + body[i, 1]) * arm - rim
+                arm = wheels.track if side == 0 else -wheels.track
+                rim = spin[i, side] * wheels.radius
+                slip = along - (omega + body[kinematics.SPIN, i]) * arm - rim
                 speed = math.sqrt(slip * slip + across * across + SLIP_M_S * SLIP_M_S)
-                f_t = -mu_n * load * slip / speed
-                f_n = -mu_n * load * across / speed
-                drag = (
-                    mu_t
-                    * load
-                    * radius
-                    * rim
-                    / math.sqrt(rim * rim + SLIP_M_S * SLIP_M_S)
-                )
-                spin[i, side] += STEP_S * (-f_t * radius - drag) / inertia
+                f_t = -wheels.mu_n * load * slip / speed
+                f_n = -wheels.mu_n * load * across / speed
+                rolling = rim / math.sqrt(rim * rim + SLIP_M_S * SLIP_M_S)
+                drag = wheels.mu_t * load * wheels.radius * rolling
+                moment_rim = -f_t * wheels.radius
+                spin[i, side] += STEP_S * (moment_rim - drag) / wheels.inertia
                 fx += f_t * c - f_n * s
                 fy += f_t * s + f_n * c
                 torque += f_t * (-py * c + px * s - arm) + f_n * (py * s + px * c)
         state[0] += STEP_S * state[3]
         state[1] += STEP_S * state[4]
         state[2] += STEP_S * omega
-        state[3] += STEP_S * (fx * c0 - fy * s0) / mass.sum()
-        state[4] += STEP_S * (fx * s0 + fy * c0) / mass.sum()
+        state[3] += STEP_S * (fx * c0 - fy * s0) / solid.weight
+        state[4] += STEP_S * (fx * s0 + fy * c0) / solid.weight
         state[5] += STEP_S * torque
 
 
@@ -86,7 +100,16 @@ def spinning_speed(run: Run, inertia_factor: float) -> float:
     chambers = LagPneumatics(spec, supply_pa=run.supply_pa)
     gait = Gait(run.frequency)
     gait.reset(spec, TICK_S)
-    inertia = inertia_factor * spec.mass.wheel * g.wheel_radius**2 / 2
+    solid = BodyParameters.of(
+        spec.mass.array(), np.zeros(g.connectors), g.segment_length, g.rigid_gap
+    )
+    wheels = Wheels(
+        track=g.half_track,
+        radius=g.wheel_radius,
+        inertia=inertia_factor * spec.mass.wheel * g.wheel_radius**2 / 2,
+        mu_t=spec.friction.mu_t,
+        mu_n=spec.friction.mu_n,
+    )
     times = STEP_S * np.arange(1, round(TICK_S / STEP_S) + 1)
     state = np.zeros(6)
     spin = np.zeros((g.connectors, 2))
@@ -95,20 +118,7 @@ def spinning_speed(run: Run, inertia_factor: float) -> float:
         trace = chambers.advance(
             chambers.schedule(gait.valves_at(tick * TICK_S), TICK_S), times
         )
-        advance(
-            state,
-            spin,
-            trace.bend,
-            trace.bend_rate,
-            spec.mass.array(),
-            g.segment_length,
-            g.rigid_gap,
-            g.half_track,
-            g.wheel_radius,
-            inertia,
-            spec.friction.mu_t,
-            spec.friction.mu_n,
-        )
+        advance(state, spin, trace.bend, trace.bend_rate, solid, wheels)
         path.append(state[:2].copy())
     displacement = path[-1] - path[-1 - round(LAST_S / TICK_S)]
     return float(np.hypot(*displacement)) / LAST_S
