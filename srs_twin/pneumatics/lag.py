@@ -102,12 +102,13 @@ def followed(
         np.exp(-time / tau) if isinstance(time, np.ndarray) else math.exp(-time / tau)
     )
     gap = 1 - rate * tau
-    gap = np.where(np.abs(gap) < _SAME, _SAME, gap)
-    return np.asarray(
-        end
-        + (pressure - end) * (np.exp(-rate * time) - mode) / gap
-        + (lagged - end) * mode
+    same = np.abs(gap) < _SAME
+    response = (
+        (pressure - end) * (np.exp(-rate * time) - mode) / np.where(same, 1.0, gap)
     )
+    # The limit for equal time constants, as in `_exponential_response`.
+    limit = (pressure - end) * time / tau * mode
+    return np.asarray(end + np.where(same, limit, response) + (lagged - end) * mode)
 
 
 class Relaxation(NamedTuple):

@@ -13,6 +13,7 @@ from snakes import chain
 from srs_twin import InputError, RobotSpec
 from srs_twin.pneumatics import LagPneumatics, Schedule, make_pneumatics
 from srs_twin.pneumatics.chambers import AMBIENT_PA
+from srs_twin.pneumatics.lag import followed, relaxation_of
 
 pytestmark = pytest.mark.fast
 
@@ -204,6 +205,23 @@ def test_equal_time_constants_have_a_finite_limit(excess):
     bend = pneumatics.advance(pneumatics.schedule([[1, -1]], 0.4), time).bend[:, 0]
     expected = GAIN * SUPPLY * (1 - (1 + time / tau) * np.exp(-time / tau))
     assert bend == pytest.approx(expected, abs=(1e-6 + excess) * GAIN * SUPPLY)
+
+
+@pytest.mark.parametrize("excess", [0.0, 1e-9, -1e-9, 5e-7, -5e-7, 1e-3])
+def test_a_lag_with_the_time_constant_of_the_filling_follows_the_equations(excess):
+    tau = 0.1
+    fill = (1 + excess) / tau
+    relaxation = relaxation_of(fill, 0.0, 50e3)
+    start = [10e3, 4e3]
+
+    def rates(_, state):
+        pressure, lagged = state
+        return [fill * (50e3 - pressure), (pressure - lagged) / tau]
+
+    for time in (0.02, 0.3):
+        solved = solve_ivp(rates, (0, time), start, rtol=1e-11, atol=1e-6).y[1, -1]
+        lagged = followed(start[1], start[0], relaxation, tau, time)
+        assert lagged == pytest.approx(solved, rel=1e-6)
 
 
 @settings(max_examples=15, deadline=None)
