@@ -448,6 +448,7 @@ class FaultDetector(Stateful):
         residual = residual - np.where(self._obeys, usual[:, None], 0.0)
         spread = np.where(self._obeys, sd[:, None] + _LEAST_PRESSURE_SD, _PRESSURE_SD)
         log = _log_student((residual / spread) ** 2) - np.log(spread)
+        log = np.where(np.isnan(pressures)[:, None], 0.0, log)
         # With enough strokes, the balance of air replaces this evidence for leaks.
         balanced = (self.leaks.learnt >= _BALANCED_STROKES)[:, None]
         replaced = balanced & (CHAMBERS == Chamber.LEAKS)

@@ -63,3 +63,11 @@ def test_drift_of_a_poor_sensor_is_a_fault():
 def test_half_of_the_supply_is_reported_without_pressures():
     detector, *_ = walked(8.5, supply=lambda time: 1.0 if time < 6.0 else 0.5)
     assert detector.named == {0: "starved"}
+
+
+def test_missing_pressures_are_no_evidence():
+    detector, *_ = walked(3.0)
+    before = detector.probability.copy()
+    for _ in range(50):
+        detector.update(pressures=np.full((4, 2), np.nan))
+    assert detector.probability == pytest.approx(before, abs=1e-9)
