@@ -34,8 +34,8 @@ from srs_twin import (
     rollout,
     run_many,
 )
-from srs_twin.plants.twin.friction_solve import _friction_law
-from srs_twin.plants.twin.mjcf.numerics import LAWS_ON_LOADS
+from srs_twin.plants.twin.friction_solve import _friction_law, _friction_load
+from srs_twin.plants.twin.mjcf.numerics import LAWS_ON_LOADS, LOADS
 from srs_twin.plants.twin.stick_slip import (
     FloorLaw,
     rolling_friction,
@@ -341,3 +341,16 @@ def test_contact_rejects_unknown_options():
             make()
     with pytest.raises(TypeError):
         LoadedContact(preload=3.0)
+
+
+@pytest.mark.parametrize("normal", [(0.0, 2.0), (1e-12, 2.0), (0.5, 1.5), (0.0, 0.0)])
+def test_wheels_of_an_axle_share_its_weight_in_the_ratio_of_their_normal_forces(normal):
+    """A lifted wheel has no load; an axle without contact keeps the static load."""
+    contacts = SimpleNamespace(
+        load_kind=LOADS.index("across"), static_load=np.ones(2), wheels=2
+    )
+    work = SimpleNamespace(normal_force=np.array(normal), response=np.zeros((2, 9)))
+    loads = [_friction_load.py_func(contacts, work, wheel) for wheel in range(2)]
+    total = sum(normal)
+    shares = [each / total if total else 0.5 for each in normal]
+    assert loads == pytest.approx([2 * share for share in shares])

@@ -470,7 +470,7 @@ def _friction_load(contacts, work, w):  # type: ignore[no-untyped-def]
         return normal
     # The wheels 2k and 2k + 1 share an axle, and w ^ 1 is the other one.
     opposite = max(work.normal_force[w ^ 1] - work.response[w ^ 1, _UNLOADING], 0.0)
-    if contacts.load_kind == _ACROSS_ONLY and normal > 0.0:
+    if contacts.load_kind == _ACROSS_ONLY and normal + opposite > 0.0:
         return 2.0 * static * normal / (normal + opposite)
     return static
 
