@@ -1,4 +1,4 @@
-"""Fits of parameters of a robot to recordings and tables: the functions behind `srs-twin calibrate`."""
+"""Functions behind `srs-twin calibrate`, which fit a robot to recordings and tables."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ from srs_twin.scenario.provenance import versions
 Paths = Sequence[StrPath]
 Robot = StrPath | RobotSpec
 Notify = Callable[[str], object]
-"""Function called with a note about each recording, before the search."""
+"""Function that receives a note about each recording before the search starts."""
 
 LOCOMOTION = (
     "friction.mu_t",
@@ -100,12 +100,12 @@ class Calibration:
     plateaus: StaticTable | None = None
 
     def write(self, path: Path, name: str, command: str) -> FitFile:
-        """Write report and fit file atomically together; return the content of the fit file.
+        """Write the report and the fit file together, and return the fit file.
 
         Args:
-            path: fit file; the report is in the same folder.
-            name: name of the fit.
-            command: command that made the fit.
+            path: fit file; the report is written to the same folder.
+            name: fit name.
+            command: command line that made the fit.
 
         Raises:
             InputError: a file cannot be written.
@@ -143,7 +143,7 @@ def calibrate_friction(
     notify: Notify = str,
     progress: Watch | None = None,
 ) -> Calibration:
-    """Estimate mu_t and mu_n from pulls or coasting tests, as `srs-twin calibrate friction`.
+    """Estimate mu_t and mu_n, as `srs-twin calibrate friction`.
 
     Args:
         files: one table of spring deformations, or recordings of coasting tests.
@@ -153,8 +153,8 @@ def calibrate_friction(
         wheel_inertia: whether coasting tests include the rotational inertia of the
             wheels.
         reader: settings with which recordings are read.
-        out: fit file; an existing one is replaced, and the report is in the same
-            folder. None: not written.
+        out: fit file; an existing file is replaced, and the report is written to the
+            same folder. None: nothing is written.
         notify: function called with a note about each recording.
         progress: function called with the number of model runs and the best weighted
             RMS so far.
@@ -190,8 +190,8 @@ def calibrate_actuator(
         files: recordings of step responses, or tables or recordings of constant
             pressures (gains only).
         robot: initial robot, a name or path.
-        valves: logs, one for each of `files`, then for each of `validate`; default:
-            those beside them.
+        valves: logs, one for each of `files`, then for each of `validate`; default: the
+            logs beside the recordings.
         validate: recordings or tables for validation, not used by the fit.
         supply_pa: supply pressure, Pa; None: the nominal pressure of the robot.
         find: parameters to fit; None: all that the data can show.
@@ -235,16 +235,16 @@ def calibrate_locomotion(
     notify: Notify = str,
     progress: Watch | None = None,
 ) -> Calibration:
-    """Estimate friction, gap, masses or stiffness from runs on the floor, as `srs-twin calibrate locomotion`.
+    """Estimate friction, gap, masses or stiffness, as `srs-twin calibrate locomotion`.
 
-    If there are markers, the rigid gap (or the length of a segment) is measured from
-    them.
+    The data are runs on the floor. If they include markers, the rigid gap (or the
+    length of a segment) is measured from the markers.
 
     Args:
         files: recordings.
         robot: initial robot, a name or path.
-        valves: logs, one for each of `files`, then for each of `validate`; default:
-            those beside them.
+        valves: logs, one for each of `files`, then for each of `validate`; default: the
+            logs beside the recordings.
         validate: recordings for validation, not used by the fit.
         supply_pa: supply pressure, Pa; None: the nominal pressure of the robot.
         find: parameters to fit.
@@ -289,19 +289,17 @@ def calibrate_damping(
     notify: Notify = str,
     progress: Watch | None = None,
 ) -> Calibration:
-    """Estimate stiffness, damping time and loss factor of a segment, as `srs-twin calibrate damping`.
+    """Estimate stiffness, damping time and loss factor from free oscillations.
 
     Args:
         files: recordings of one hanging segment that is released from a bend.
         robot: initial robot, a name or path.
-        valves: whether the chambers were open to the air or closed: "open" or "closed".
-        mass_kg: mass of the body at the end of the segment; None: that of the first
-            connector.
-        inertia_kg_m2: moment of inertia of the body about its centre; None: with the
-            connector's radius of gyration.
+        valves: state of the chambers: "open" to the air or "closed".
+        mass_kg: mass of the body at the end of the segment; None: first connector.
+        inertia_kg_m2: moment of inertia of the body about its centre; None: the body
+            has the connector's radius of gyration.
         leak_per_s: leak rate of closed chambers; None: fitted.
-        noise_rad: standard deviation of a recorded bend; None: estimated from the
-            recording.
+        noise_rad: standard deviation of a recorded bend; None: estimated.
         from_s: time from which the segment swings freely; None: detected.
         out: see `calibrate_friction`.
         notify: see `calibrate_friction`.
@@ -322,13 +320,8 @@ def _texts(paths: Paths) -> list[str]:
 class _Task:
     """Call of a function of this module.
 
-    Attributes:
-        given: arguments by name.
-        notify: function called with a note about each recording.
-        spec: initial robot, with the length that markers show.
-        length: this length, if it is one of the requested parameters.
-        fitted: files of the fit.
-        files: files of the fit, then those of the validation.
+    `length` is the length measured from markers, if it is a requested parameter.
+    `files` lists the fitted files, then the files for validation.
     """
 
     def __init__(
@@ -344,12 +337,11 @@ class _Task:
 
     @property
     def supply_pa(self) -> float:
-        """Supply pressure, Pa."""
         supply: float | None = self.given["supply_pa"]
         return self.spec.supply.nominal if supply is None else supply
 
     def all_are(self, is_first: Callable[[str], bool], first: str, second: str) -> bool:
-        """Return whether all files are of the first kind, False if all are of the second.
+        """Return True if all files are of the first kind, False if all are of the second.
 
         Raises:
             InputError: both kinds occur, or a file cannot be read.
@@ -364,7 +356,6 @@ class _Task:
         return kinds[0]
 
     def recordings(self) -> list[tuple[str, Recording]]:
-        """Return the names of the recordings, and the recordings with their logs."""
         recordings = []
         logs = logs_of(self.files, _texts(self.given["valves"]))
         for path, log in zip(self.files, logs, strict=True):
@@ -374,7 +365,6 @@ class _Task:
         return recordings
 
     def calibrate(self, kind: _Kind, **settings: Any) -> Calibration:
-        """Read data, fit the robot to them, and write the result if a file is named."""
         data = kind.read(self)
         fitted = data[: len(self.fitted)]
         validation = data[len(self.fitted) :]
@@ -404,7 +394,11 @@ class _Task:
         return result
 
     def _call(self) -> str:
-        """Return the call as text, without arguments that have their default value."""
+        """Return whether all files are of the first kind, or raise if the kinds are mixed.
+
+        Raises:
+            InputError: both kinds occur, or a file cannot be read.
+        """
         words = [
             f"{name}={getattr(self.given[name], 'name', self.given[name])!r}"
             for name, parameter in signature(self._function).parameters.items()
@@ -449,8 +443,6 @@ def _read_plateaus(task: _Task) -> list[StaticTable]:
 
 
 def _read_gait_runs(task: _Task) -> list[GaitRun]:
-    """Return recordings as gait runs, with a warning if chambers are filling at the start."""
-
     def measured() -> Parameter | None:
         fitted = [recording for _, recording in recordings[: len(task.fitted)]]
         return measured_length(fitted, task.spec, task.given["find"])
@@ -487,14 +479,7 @@ def _read_decays(task: _Task) -> list[Decay]:
 
 
 class _Kind(NamedTuple):
-    """Kind of data to which a robot is fitted.
-
-    Attributes:
-        method: method in a fit file.
-        title: title of a fit, completed with the robot and the arguments.
-        read: reader of the data, those of the fit before those of the validation.
-        fit: function of the fitted data, the robot and settings.
-    """
+    """Kind of data to which a robot is fitted. `read` returns fitted data, then validation data."""
 
     method: Method
     title: str
@@ -550,7 +535,6 @@ _DECAYS = _Kind(
 
 
 def _plant_settings(plant: str, model: str | None, law: str | None) -> dict[str, str]:
-    """Return the settings of a fit's plant."""
     if plant == "analytical":
         return {"model": model or "compliant", "friction": law or "wheel"}
     _refuse_option(model, "--model", "it is only for --plant analytical")

@@ -1,4 +1,4 @@
-"""`srs-twin calibrate`: robot parameters from recordings and from simulated runs, with their sources."""
+"""`srs-twin calibrate`, which estimates robot parameters from recordings and runs."""
 
 from __future__ import annotations
 
@@ -68,9 +68,9 @@ def calibrate() -> None:
 
 
 def _fits(declaration: Callable[..., None]) -> None:
-    """Add a command with the options of a declaration, which fits with `calibrate_NAME`.
+    """Add the command of a declaration, which fits with `calibrate_NAME`.
 
-    Options that are not given have the defaults of that function of `calibration`.
+    An option that is not given has the default of the function in `calibration`.
     """
 
     @app.command()
@@ -111,8 +111,8 @@ def friction(
 ) -> None:
     """Estimate mu_t and mu_n from pulls or coasting tests.
 
-    Pulls are a table of spring deformations, measured with a spring car; coasting tests
-    are recordings.
+    Pulls are given as a table of spring deformations, measured with a spring car.
+    Coasting tests are given as recordings.
 
     Options:
         --law NAME: Friction law of coasting tests: wheel, axis or ellipse (skids).
@@ -168,7 +168,7 @@ def design(
 
 
 def _parse_targets(text: str) -> dict[str, float]:
-    """Return the requested accuracy of parameters in a list such as friction.mu_t=5%.
+    """Parse a list of parameters and accuracies, such as friction.mu_t=5%.
 
     Raises:
         InputError: an entry is not a name with a percentage.
@@ -229,8 +229,8 @@ def locomotion(
 ) -> None:
     """Estimate friction, gap, masses or stiffness.
 
-    If there are markers, the rigid gap (or the length of a segment) is measured from
-    them.
+    If the recordings include markers, the rigid gap (or the length of a segment) is
+    measured from the markers.
 
     Options:
         --plant NAME: Simulated plant: analytical or twin.
