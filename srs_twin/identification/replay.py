@@ -1,4 +1,4 @@
-"""Scenario that compares a recorded run of the robot with both plants under the same valve states."""
+"""Scenario that compares a recorded run with both plants under the same valve states."""
 
 from __future__ import annotations
 
@@ -59,11 +59,10 @@ def replay_scenario(
         set: values that override fields of the scenario, see `load_scenario`.
         fits: fit files of this robot.
         expect: file of expectations, as in a scenario.
-        bench: whether the robot is clamped at its head on a bench, instead of on the
-            floor.
+        bench: whether the robot is clamped at its head on a bench.
         supply_pa: supply pressure, Pa; None: the nominal pressure of the robot.
         plants: plants that run; None: both.
-        model: model of the analytical plant.
+        model: analytical model.
         law: friction law of the analytical plant; None: "wheel".
         notify: function called with a summary of the recording.
 
@@ -91,7 +90,6 @@ def replay_scenario(
 
 
 def _load_robot(robot: StrPath, fits: Sequence[StrPath]) -> RobotFile:
-    """Return a robot with the results of fits."""
     if not fits:
         return load_robot_file(robot)
     return robot_in(Document("--fit", merge_overrides(fits, base=os.fspath(robot))))
@@ -128,7 +126,7 @@ def _expectations(path: StrPath) -> list[Any]:
     """Return the expectations of a file.
 
     Raises:
-        InputFileError: the file is invalid; lists all problems.
+        InputFileError: the file is invalid; all problems are listed.
     """
     file = load_model(ExpectationsFile, require_file(Path(path)))
     return [entry.model_dump(mode="json", exclude_none=True) for entry in file.expect]
