@@ -72,7 +72,6 @@ def plan(
 def _check_expectations(
     scenario: Scenario, metrics: Mapping[str, object]
 ) -> list[ExpectationRow]:
-    """Return the results of the scenario's expectations of its plan, without duplicates."""
     expected = {
         (item.metric, item.allowed): item
         for item in scenario.expect
@@ -84,7 +83,6 @@ def _check_expectations(
 
 
 def _print_plan(planned: ScenarioPlan) -> None:
-    """Print the outcome of a plan, with its length and quality if there is a path."""
     result = planned.plan
     quality = planned.quality
     print(f"{planned.scenario.label}: {result.outcome.value}: {result.reason}")

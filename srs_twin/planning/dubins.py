@@ -1,20 +1,20 @@
 r"""Dubins paths: shortest forward paths between two poses with a minimum turning radius.
 
-Dubins (1957): with minimum radius r, the shortest path has three pieces, arcs of radius
-r to the left (L) or right (R) and straight lines (S), in one of the six words LSL, LSR,
-LRL and their mirror images. Below, lengths are in units of r and angles are relative to
-the line between the poses. With distance d and headings a and b, the words that begin
-with L are
+The shortest path with minimum radius r has three pieces (Dubins 1957). The pieces are
+arcs of radius r to the left (L) or right (R) and straight lines (S). The six possible
+words are LSL, LSR, LRL and their mirror images. In units of r and with angles relative
+to the line between the poses, let d be the distance and a and b the headings. The words
+that begin with L satisfy
 
 $$ LSL: p^2 = 2 + d^2 - 2\cos(a-b) + 2d(\sin a - \sin b) \qquad
    LSR: p^2 = d^2 - 2 + 2\cos(a-b) + 2d(\sin a + \sin b) $$
 
-and LRL with cos p = (6 - d² + 2 cos(a-b) + 2d(sin b - sin a))/8, p > π. With a free
-arrival heading, the shortest path is an arc and a straight line, or two arcs if the end
-is inside a turning circle (Bui et al., 1994).
+and LRL satisfies cos p = (6 - d² + 2 cos(a-b) + 2d(sin b - sin a))/8, p > π. With a
+free arrival heading, the shortest path is an arc and a straight line, or two arcs if
+the end is inside a turning circle (Bui et al., 1994).
 
-Own code because the packages for this (`dubins`, wrappers of one C file) are
-unmaintained and have no wheels.
+The available packages (`dubins`, wrappers of one C file) are unmaintained and have no
+wheels.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _FULL_TURN = 2 * math.pi
 """rad."""
 
 _ROUNDING = 1e-9
-"""Distances (in radii) and angles (rad) below this are rounding errors."""
+"""Rounding error of distances (in radii) and angles (rad)."""
 
 
 class DubinsPath(NamedTuple):
@@ -41,7 +41,7 @@ class DubinsPath(NamedTuple):
     Attributes:
         turns: direction of each piece: 1 left, 0 straight, -1 right.
         lengths: length of each piece, m.
-        length: length of the path, m.
+        length: path length, m.
     """
 
     turns: tuple[float, float, float]
@@ -52,10 +52,12 @@ class DubinsPath(NamedTuple):
 def shortest_path(
     start: Pose, x: float, y: float, heading: float | None, radius: float
 ) -> ArcSequence:
-    """Return the three arcs of the shortest path from a pose to a pose or point; lengths may be 0.
+    """Return the three arcs of the shortest path from a pose to a pose or point.
+
+    An arc may have length 0.
 
     Args:
-        start: pose at the start.
+        start: start pose.
         x: x of the end, m.
         y: y of the end, m.
         heading: heading at the end, rad; None: any.
@@ -73,10 +75,10 @@ def dubins_path(x, y, heading, to_x, to_y, to_heading, any_heading, radius):  # 
     """Return a shortest path, see `DubinsPath`.
 
     Args:
-        x, y, heading: pose at the start, m and rad.
-        to_x, to_y, to_heading: pose at the end, m and rad.
-        any_heading: whether the heading at the end is free; `to_heading` is ignored
-            then.
+        x, y, heading: start pose, m and rad.
+        to_x, to_y, to_heading: end pose, m and rad.
+        any_heading: whether the heading at the end is free, so that `to_heading` is
+            ignored.
         radius: turning radius, m.
     """
     dx = (to_x - x) / radius
@@ -111,13 +113,10 @@ def dubins_path(x, y, heading, to_x, to_y, to_heading, any_heading, radius):  # 
 
 @kernel_only
 def _shortest_to_pose(best, side, d, a, b):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return the shortest of `best` and the words that begin with L (`side` 1) or R (`side` -1).
+    """Return the shortest of `best` and the words that begin with L (`side` 1) or R (-1).
 
-    Args:
-        best: shortest path so far, lengths in radii.
-        side: 1, or -1 for the mirror image.
-        d: distance between the poses in radii.
-        a, b: headings at start and end relative to the line between them, rad.
+    The distance d is in radii. The headings a and b are relative to the line between
+    the poses.
     """
     sa = np.sin(a)
     sb = np.sin(b)
@@ -154,10 +153,10 @@ def _shortest_to_pose(best, side, d, a, b):  # type: ignore[no-untyped-def]  # n
 
 @kernel_only
 def _shortest_to_point(best, side, u, w):  # type: ignore[no-untyped-def]
-    """Return the shortest of `best`, LS and RL (`side` -1: RS and LR) to a point (u, w), in radii.
+    """Return the shortest of `best`, LS and RL (`side` -1: RS and LR) to a point.
 
-    u is the distance ahead of the start, w the distance to its left (`side` -1: to its
-    right).
+    The point is u ahead of the start and w to its left (`side` -1: to its right), in
+    radii.
     """
     away = u * u + (w - 1) * (w - 1)
     if away >= 1:
@@ -179,7 +178,6 @@ def _shortest_to_point(best, side, u, w):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _shorter(best, turns, lengths):  # type: ignore[no-untyped-def]
-    """Return the shorter of a path and that of three pieces."""
     length = lengths[0] + lengths[1] + lengths[2]
     if length < best.length:
         return DubinsPath(turns, lengths, length)
@@ -188,7 +186,7 @@ def _shorter(best, turns, lengths):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _wrapped(angle):  # type: ignore[no-untyped-def]
-    """Return an angle in [0, 2 pi); a full turn within rounding is 0."""
+    """Return an angle in [0, 2 pi), where a full turn within rounding is 0."""
     angle = angle - _FULL_TURN * np.floor(angle / _FULL_TURN)
     if angle < _FULL_TURN - _ROUNDING:
         return max(angle, 0.0)

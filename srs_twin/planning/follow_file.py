@@ -49,8 +49,9 @@ class FollowFile(ControllerSection):
     kind: Literal["follow"]
     """Controller."""
     follower: Literal["bearing", "path"] = "path"
-    """Steering law; bearing: that of the dissertation, towards one node after the other; path: feedback of
-    the cross-track error with curvature feedforward."""
+    """Steering law. `bearing` is the dissertation's law, which steers towards one node after the other.
+    `path` is feedback of the cross-track error with curvature feedforward.
+    """
     gait: Annotated[GaitFile | LearningFile, Field(discriminator="kind")]
     """Gait that is steered."""
     delay_s: float = quantity(0.0, 10.0, 0.1)
@@ -71,7 +72,7 @@ class FollowFile(ControllerSection):
     replan_beyond_m: float | None = quantity(0.001, 100.0, None)
     """Cross-track error at which a new plan is requested (default: no new plans)."""
     replans: int = quantity(0, 1000)
-    """Largest number of new plans."""
+    """Maximum number of new plans."""
 
     @model_validator(mode="after")
     def _leaves_the_offset_alone(self) -> FollowFile:
@@ -147,7 +148,7 @@ class FollowFile(ControllerSection):
             contact: contact of the twin; None for the analytical model.
             chambers: kind of pneumatics.
             robot: robot file, with the spreads of its modules.
-            planner: section of the scenario.
+            planner: planner section.
         """
         spreads = {name: getattr(robot.modules, name, None) for name in SPREADS}
         return ConditionsFile.model_validate(
