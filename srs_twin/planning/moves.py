@@ -1,4 +1,4 @@
-"""Moves of a search: arcs with edges that are widened by transients, and shortening of paths by them."""
+"""Moves of a search: arcs with edges that are widened by transients, and short cuts."""
 
 from __future__ import annotations
 
@@ -21,34 +21,38 @@ from srs_twin.planning.footprint import Footprint
 from srs_twin.robot.world import Pose
 
 _RADIUS_FACTORS = (1.0, 2.0, 5.0)
-"""Turning radii for the approach to narrow passages, relative to the smallest; wide turns have small
-transients."""
+"""Turning radii for the approach to narrow passages, relative to the minimum radius.
+
+Wide turns have small transients.
+"""
 
 _SHORTENING_ROUNDS = 4
-"""Largest number of shortening rounds."""
+"""Maximum number of shortening rounds."""
 _MIN_SAVING = 1e-4
 """Saved fraction of the path length below which shortening ends."""
 _RETREAT = 0.97
-"""Ratio of the distances of successive tries; their number then grows only with the logarithm of the
-distance."""
+"""Ratio of the distances of successive tries.
+
+The number of tries grows only with the logarithm of the distance.
+"""
 
 
 class MoveSet(NamedTuple):
     """Arcs that the snake can follow.
 
     Attributes:
-        curvatures: curvatures, rising, 1/m, shape (n,).
+        curvatures: curvatures in ascending order, 1/m, shape (n,).
         left: left edge of the footprint for each curvature, m, shape (n,).
         right: right edge of the footprint for each curvature, m, shape (n,).
         transients: extra left width, extra right width and length (m) of the transient
-            after a change from one curvature to another, shape (n + 1, n, 3); row n: at
-            the start.
+            after a change from one curvature to another, shape (n + 1, n, 3); row n
+            applies at the start.
         primitives: indices of the curvatures that lead to a node's children, shape
             (m,).
-        radius_factors: turning radii of the tested Dubins paths relative to the
-            smallest one, 1 first, shape (k,).
-        dubins_moves: for each factor the indices of right turn, straight line and left
-            turn, shape (k, 3).
+        radius_factors: turning radii of the tested Dubins paths relative to the minimum
+            radius, shape (k,); the first is 1.
+        dubins_moves: indices of right turn, straight line and left turn for each
+            factor, shape (k, 3).
         length: length of a primitive, m.
         ahead: extent of the body ahead of the centre of mass, m.
         behind: extent of the body behind the centre of mass, m.
@@ -70,10 +74,11 @@ class ArcState(NamedTuple):
     """End of an arc, with the transient of the last changes of offset.
 
     Attributes:
-        x: m.
-        y: m.
-        heading: rad.
-        move: index of the curvature of the arc; the number of curvatures at the start.
+        x: position, m.
+        y: position, m.
+        heading: heading, rad.
+        move: index of the curvature of the arc, or the number of curvatures at the
+            start.
         left: extra width of the left edge, m.
         right: extra width of the right edge, m.
         lasting: remaining length of the wider edges, m.
@@ -89,7 +94,7 @@ class ArcState(NamedTuple):
 
 
 def make_move_set(primitives: Primitives, footprint: Footprint) -> MoveSet:
-    """Return the arcs of a search: the primitives, the tightest and wider turns, and straight ahead.
+    """Return the primitives, the tightest and wider turns, and the straight line.
 
     Raises:
         InputError: a primitive is tighter than the footprint allows.
@@ -135,12 +140,12 @@ def initial_state(x, y, heading, moves):  # type: ignore[no-untyped-def]
 
 @compiled
 def follow_dubins_path(state, path, factor, moves, grid):  # type: ignore[no-untyped-def]
-    """Return whether a path of `dubins.dubins_path` is free, and the arc state at its end.
+    """Return whether a path of `dubins.dubins_path` is free, and its final arc state.
 
     Args:
-        state: arc state at its start.
-        path: the path.
-        factor: index of its turning radius in `MoveSet.radius_factors`.
+        state: arc state at the start.
+        path: Dubins path.
+        factor: index of the turning radius in `MoveSet.radius_factors`.
         moves: arcs that the snake can follow.
         grid: obstacles and bounds.
     """
@@ -160,9 +165,9 @@ def follow_arc(state, move, length, moves, grid):  # type: ignore[no-untyped-def
     """Return whether an arc is free, and the arc state at its end.
 
     Args:
-        state: arc state at its start.
-        move: index of its curvature.
-        length: its length, m.
+        state: arc state at the start.
+        move: index of the curvature.
+        length: arc length, m.
         moves: arcs that the snake can follow.
         grid: obstacles and bounds.
     """
@@ -202,7 +207,7 @@ def shorten_path(
     """Return a collision-free path with the same ends that is not longer.
 
     Args:
-        start: pose at the start.
+        start: start pose.
         path: collision-free path, with curvatures of the moves.
         moves: arcs that the snake can follow.
         grid: obstacles and bounds.
@@ -227,14 +232,7 @@ def shorten_path(
 
 @allocating
 def _cut_corners(x, y, heading, indices, lengths, moves, grid, radius):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Follow a path and take the longest free short cut from each pose; return moves and lengths (m).
-
-    Args:
-        x, y, heading: pose at the start, m and rad.
-        indices: move of each piece, shape (n,).
-        lengths: length of each piece, m, shape (n,).
-        moves, grid, radius: as for `shorten_path`.
-    """
+    """Follow a path, and take the longest free short cut from each pose."""
     count = len(indices)
     state = initial_state(x, y, heading, moves)
     distances = np.zeros(count + 1)
@@ -289,7 +287,7 @@ def _cut_corners(x, y, heading, indices, lengths, moves, grid, radius):  # type:
 
 @kernel_only
 def _append_arc(indices, lengths, size, move, length):  # type: ignore[no-untyped-def]
-    """Append an arc to a path or extend its last arc if the moves are equal; return the number of arcs."""
+    """Append an arc, or extend the last arc if the moves are equal; return the new size."""
     if size > 0 and indices[size - 1] == move:
         lengths[size - 1] += length
         return size
@@ -300,7 +298,7 @@ def _append_arc(indices, lengths, size, move, length):  # type: ignore[no-untype
 
 @allocating
 def _stays_free(state, k, indices, lengths, states, moves, grid):  # type: ignore[no-untyped-def]
-    """Return whether the path from piece k on stays free if it begins with another arc state."""
+    """Return whether the path from piece k on stays free after another arc state."""
     while k < len(indices):
         original = states[k]
         covered = (

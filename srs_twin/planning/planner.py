@@ -1,14 +1,14 @@
-r"""The function `plan`, and `plan_with_transitions` for paths with transition arcs between curvatures.
+r"""The function `plan`, and `plan_with_transitions` for paths with transition arcs.
 
-Transition arcs replace jumps of the curvature by the measured response to a change of
-offset. After a change from curvature κ_a to κ_b the path lags: it turns by Δκ δ less
-than after an instant change, and is displaced by Δκ m/2 to the side (`Transient`:
-dheading = −Δκ δ, dy = Δκ m/2). To first order, one arc of length T and curvature
+A transition arc replaces a jump of the curvature by the measured response to a change
+of offset. After a change from curvature κ_a to κ_b the path turns by Δκ δ less than
+after an instant change, and is displaced by Δκ m/2 to the side (`Transient`: dheading =
+−Δκ δ, dy = Δκ m/2). To first order, one arc of length T and curvature
 
 $$ κ_t = κ_a + \Bigl(1 - \frac{δ}{T}\Bigr) Δκ, \qquad T = \frac{m}{δ}, $$
 
 has the same effect. If it begins δ before the planned change, the heading of the plan
-is unchanged and the path is displaced by Δκ (m − δ²)/2. The search therefore aims at a
+is unchanged and the path is displaced by Δκ (m − δ²)/2. Therefore the search aims at a
 goal that is displaced to the other side. A follower that sends each offset δ ahead
 keeps the body on the path.
 """
@@ -36,15 +36,17 @@ from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 _WIDTH_STEPS = (0.1, 0.2, 0.4, 0.8, 1.6)
 """Widths added to both edges to find paths with more clearance, in widths of the straight body."""
 _MAX_WIDER_NODES = 4000
-"""Largest number of nodes of the search for a wider body."""
+"""Maximum number of nodes of the search for a wider body."""
 _COST_SPACING_M = 0.02
-"""Largest distance between the points at which the clearance of a path is evaluated, m.
-"""
+"""Maximum distance between points at which the clearance is evaluated, m."""
 
 _AIM_ITERATIONS = 6
-"""Largest number of corrections of the goal in `plan_with_transitions`."""
+"""Maximum number of corrections of the goal in `plan_with_transitions`."""
 _SHAPING_MARGINS_M = (0.0, 0.01, 0.02, 0.03)
-"""Widths added to both edges in turn, m; the path with transitions must be free with the original edges."""
+"""Widths added to both edges in turn, m.
+
+The path with transitions must be free with the original edges.
+"""
 
 
 @checked
@@ -75,12 +77,9 @@ def plan(problem: Problem, settings: Settings | None = None) -> Plan:
 
 
 def _lowest_cost(first: Plan, problem: Problem, settings: Settings) -> Plan:
-    """Return the plan with the lowest cost (`Settings.clearance_weight`) of those for wider bodies.
+    """Return the plan with the lowest cost among the given plan and plans for wider bodies.
 
-    Args:
-        first: plan for the body itself.
-        problem: the problem.
-        settings: settings of the search.
+    `Settings.clearance_weight` defines the cost.
     """
     straight = problem.footprint.at(0.0)
     width = straight.left + straight.right
@@ -116,7 +115,7 @@ def _cost(result: Plan, problem: Problem, width: float, weight: float) -> float:
 
 @functools.cache
 def _compile() -> None:
-    """Compile the kernels or load them from the cache, so that neither counts against a time limit."""
+    """Load or compile the kernels, so that neither counts against a time limit."""
     # A problem with obstacles in the way and a transient, because a straight path would
     # not compile all kernels.
     circles = (Circle(0.6, 0.05, 0.1), Circle(1.7, 0.1, 0.1))
@@ -134,10 +133,12 @@ def _compile() -> None:
 def with_transitions(
     segments: Sequence[Segment], footprint: Footprint
 ) -> tuple[Segment, ...]:
-    """Return a path with transition arcs; without room for an arc, a change remains a jump.
+    """Return a path with transition arcs.
+
+    A change without room for an arc remains a jump.
 
     Args:
-        segments: arcs of the path.
+        segments: path segments.
         footprint: footprint with the transients; without any, the path is unchanged.
     """
     if not segments:
@@ -165,16 +166,15 @@ def plan_with_transitions(
     """Plan a path with transition arcs.
 
     The path is free with its transients and ends within the goal's tolerances. If no
-    such path is found, the plan is the one without transition arcs, and its reason says
-    so.
+    such path is found, the plan has no transition arcs, and its reason says so.
 
     Args:
-        problem: the problem; its start is the end of `begin`.
+        problem: problem that starts at the end of `begin`.
         settings: budget and options of each search.
         begin: fixed first segments of the path.
 
     Returns:
-        The plan, with the total nodes and time of all searches.
+        Plan with the total nodes and time of all searches.
 
     Raises:
         InputError: as `plan`.
@@ -196,7 +196,7 @@ def plan_with_transitions(
 def _search_with_transitions(
     problem: Problem, search: Callable[..., Plan], begin: Sequence[Segment]
 ) -> Plan:
-    """Return the first path with transition arcs that is free and arrives, trying wider bodies in turn."""
+    """Return the first free path with transition arcs that arrives, for wider bodies in turn."""
     body = problem.footprint
     first = search(problem)
     if not first.found:
@@ -231,7 +231,6 @@ def _search_with_transitions(
 
 
 def _is_within(end: Pose, goal: Goal) -> bool:
-    """Return whether a pose is within a goal's tolerances."""
     near = math.hypot(end.x - goal.x, end.y - goal.y) <= goal.radius
     if goal.heading is None:
         return near
@@ -243,7 +242,6 @@ def _is_within(end: Pose, goal: Goal) -> bool:
 
 
 def _corrected_aim(aim: Goal, goal: Goal, end: Pose) -> Goal:
-    """Return the aim moved by the distance between the end of the path and the goal."""
     heading = None
     if goal.heading is not None and aim.heading is not None:
         heading = aim.heading - math.remainder(end.heading - goal.heading, 2 * math.pi)

@@ -51,7 +51,7 @@ class PrimitivesFile(Section):
     count: int = quantity(3, 201)
     """Number N of arcs, odd."""
     turn_rad: float = quantity(0.001, 3.14)
-    """Largest turn of an arc."""
+    """Maximum turn of an arc."""
     length_m: float = quantity(0.001, 100.0)
     """Length of each arc."""
 
@@ -71,7 +71,8 @@ class PlannerSection(ExtensionSection):
     """Margin added to both edges of the footprint (default 0)."""
     margin_probability: float | None = quantity(0.5, 0.999, None)
     """Probability that a whole run stays within the margin, by the excursions in the footprint file;
-    instead of margin_m."""
+    instead of margin_m.
+    """
 
     @model_validator(mode="after")
     def _keys_agree(self) -> PlannerSection:
@@ -138,7 +139,6 @@ class PlannerSection(ExtensionSection):
         return ScenarioPlanner(self, robot, problem, margin)
 
     def _conditions(self, loading: Loading) -> list[ConditionsFile]:
-        """Return the conditions of following on each plant."""
         follow = loading.file.controller
         chambers = loading.file.pneumatics.kind
         return [
@@ -149,7 +149,7 @@ class PlannerSection(ExtensionSection):
         ]
 
     def check_run(self, product: ScenarioPlanner) -> None:
-        """See `ExtensionSection.check_run`: plan."""
+        """See `ExtensionSection.check_run`. The check computes the plan."""
         product.plan()
 
     def goal(self, start: Pose, goal: Goal | None, footprint: Footprint) -> Goal:
@@ -169,9 +169,9 @@ class PlannerSection(ExtensionSection):
         """Return the plan of a problem.
 
         Args:
-            problem: the problem.
+            problem: planning problem.
             wider: additional width of the footprint on the straight run-up, m.
-            limits: limits of leaning on obstacles; None: keep clear.
+            limits: limits of leaning on obstacles; None: the path keeps clear.
 
         Raises:
             InputError: start or goal is not possible.
@@ -192,7 +192,7 @@ class BestFirstFile(PlannerSection):
     kind: Literal["best_first"]
     """Planner."""
     nodes: int = quantity(1, 100_000_000)
-    """Largest number of expanded nodes."""
+    """Maximum number of expanded nodes."""
     seconds: float | None = quantity(0.001, 3600.0, unit="s")
     """Limit on the wall time; with a limit, the result may differ between machines (default: none)."""
     weight: float = quantity(1.0, 100.0)
@@ -233,7 +233,6 @@ class BestFirstFile(PlannerSection):
             yield Contradiction(("plants", "analytical"), text, at_key=True)
 
     def _planner(self, footprint: FootprintFile, loading: Loading) -> ScenarioPlanner:
-        """See `PlannerSection._planner`."""
         planner = super()._planner(footprint, loading)
         if self.primitives:
             problem = replace(planner.problem, primitives=self.primitives.build())
@@ -317,7 +316,7 @@ class ScenarioPlanner:
         footprint: footprint of the robot with all its turns and without margin.
         problem: start, goal, world, and the reduced footprint with margin.
         margin: margin of the problem's footprint.
-        touch_limits: limits of leaning on obstacles; None: keep clear.
+        touch_limits: limits of leaning on obstacles; None: the path keeps clear.
     """
 
     file: PlannerSection
@@ -335,12 +334,12 @@ class ScenarioPlanner:
         return _plan(self)
 
     def plan_uncached(self) -> Plan:
-        """Compute the plan without the cache; raises as `plan`."""
+        """Compute the plan without the cache; see `plan`."""
         wider = max(self.margin.run_up - self.margin.path, 0.0)
         return self.file.find(self.problem, wider, self.touch_limits)
 
     def plan_from(self, pose: Pose, share: float = 1.0) -> Plan:
-        """Return a plan from another pose, with a fraction of the margin and no run-up; raises as `plan`."""
+        """Return a plan from another pose, with a fraction of the margin and no run-up."""
         # The gait is already steady, so a new plan needs no run-up.
         file = self.file.model_copy(update={"run_up_m": 0.0})
         body = validate_footprint(
@@ -361,7 +360,7 @@ def _plan(planner: ScenarioPlanner) -> Plan:
 
 
 def _input_files(section: Mapping[str, object]) -> Iterator[str]:
-    """Yield the path of the footprint file; its name if it is not found."""
+    """Yield the path of the footprint file, or its name if it is not found."""
     if isinstance(name := section.get("footprint"), str):
         try:
             yield str(find_file("footprint", name))
