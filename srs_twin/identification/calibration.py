@@ -75,7 +75,7 @@ LOCOMOTION = (
 
 _READER = RecordingReader()
 _NOT_RECORDED = {"out", "notify", "progress"}
-"""Arguments that do not change a result."""
+"""Arguments that do not change the result of a fit."""
 
 
 @dataclass(frozen=True)
@@ -341,7 +341,7 @@ class _Task:
         return self.spec.supply.nominal if supply is None else supply
 
     def all_are(self, is_first: Callable[[str], bool], first: str, second: str) -> bool:
-        """Return True if all files are of the first kind, False if all are of the second.
+        """Return True if all files are of the first kind, False if none is.
 
         Raises:
             InputError: both kinds occur, or a file cannot be read.
@@ -394,11 +394,7 @@ class _Task:
         return result
 
     def _call(self) -> str:
-        """Return whether all files are of the first kind, or raise if the kinds are mixed.
-
-        Raises:
-            InputError: both kinds occur, or a file cannot be read.
-        """
+        """Return the call as text, without arguments that have their default value."""
         words = [
             f"{name}={getattr(self.given[name], 'name', self.given[name])!r}"
             for name, parameter in signature(self._function).parameters.items()
@@ -479,7 +475,7 @@ def _read_decays(task: _Task) -> list[Decay]:
 
 
 class _Kind(NamedTuple):
-    """Kind of data to which a robot is fitted. `read` returns fitted data, then validation data."""
+    """Kind of data to which a robot is fitted, with its reader and fit function."""
 
     method: Method
     title: str

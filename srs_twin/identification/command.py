@@ -64,7 +64,10 @@ app = typer.Typer(
 
 @app.callback()
 def calibrate() -> None:
-    """Estimate parameters of a robot from recordings, and footprints and margins from simulated runs."""
+    """Estimate robot parameters from recordings, and footprints from simulated runs.
+
+    Footprints come with the margins that a follower needs.
+    """
 
 
 def _fits(declaration: Callable[..., None]) -> None:

@@ -187,8 +187,8 @@ def fit_damping(
     for swings in _STAGES:
         fit.search(fit.unknowns(coarse=True), watch=watch, swings=swings)
     start = fit.search(fit.unknowns(), watch=watch)
-    # The frequency does not depend on the law of the material, so the bias of k and T
-    # does not widen it.
+    # The fitted frequency is independent of how the material dissipates energy. Its
+    # interval therefore uses the first fit, without the bias of k and T.
     error = fit.frequency_error()
     estimate = fit.search(fit.unknowns(), watch=watch, refit=fit.refit)
     derived: tuple[Parameter, ...] = ()
@@ -245,8 +245,8 @@ class _DampingFit:
 
     def _first_values(self) -> dict[str, float]:
         first = self.decays[0]
-        # The squared frequency is linear in k: the weight adds a constant, the air a
-        # share of k.
+        # The squared frequency is linear in k, because the weight adds a constant and
+        # the stiffness of the air is proportional to k.
         segment = self.body.segment(self.spec, self.closed)
         air = self._air_at_end()
         one, two = (
@@ -318,8 +318,8 @@ class _DampingFit:
                 result.append(
                     Residual(f"{decay.name} bend", "rad", difference, _scale(decay))
                 )
-            # A wrong leak rate, which few swings do not show, would contradict the bend
-            # at rest.
+            # The first swings do not determine the leak rate, and a wrong leak rate
+            # would contradict the bend at rest.
             if swings == math.inf:
                 result += self._rest_residuals(values)
             return result
@@ -332,7 +332,7 @@ class _DampingFit:
         return estimate
 
     def _rest_residuals(self, values: Mapping[str, float]) -> Iterator[Residual]:
-        """Yield measured minus predicted rest bends, before the release and afterwards."""
+        """Yield measured minus predicted rest bends."""
         for k, calm in enumerate(self.calm):
             decay = self.decays[k]
             bend = float(decay.before[:calm].mean())
@@ -371,10 +371,8 @@ class _DampingFit:
     ) -> Ringing:
         """Return the small oscillation at the end of the first recording.
 
-        Args:
-            values: values of the unknowns; a missing unknown has its best value so far.
-            constant_about: frequency about which the loss factor is constant, rad/s;
-                None: viscous damping.
+        A missing value is the best value so far. The loss factor is constant about the
+        frequency `constant_about`, rad/s, or due to viscous damping if this is None.
         """
         values = self.values | dict(values)
         material = self._material(values)
@@ -416,14 +414,15 @@ class _DampingFit:
     def _enclosed_air(self, decay: Decay, leak: float) -> np.ndarray:
         """Return p V of the air at the start of the free swing, J."""
         volumes = self._volumes(decay.before)
-        # The air tends to that of ambient pressure, which changes with the volume.
+        # The amount of air approaches its value at ambient pressure, which changes with
+        # the volume.
         kept = np.exp(-leak * (decay.time[0] - decay.before_time))
         weights = np.append(np.diff(kept), 0.0)
         amounts: np.ndarray = AMBIENT_PA * (kept[0] * volumes[0] + weights @ volumes)
         return amounts
 
     def _air_at_end(self) -> np.ndarray:
-        """Return p V of the air at the mean pressures of the end of the first recording, J."""
+        """Return p V of the air at the final mean pressure of the first recording, J."""
         first = self.decays[0]
         end = slice(-(len(first.time) // 4), None)
         pressure = 0.0 if first.pressure is None else first.pressure[end].mean(axis=0)
@@ -482,13 +481,9 @@ def _derived(
 ) -> Parameter:
     """Return a quantity of the small oscillation, with errors propagated linearly.
 
-    Args:
-        estimate: estimate with all unknowns.
-        fit: model.
-        name: attribute of `Ringing`, which is positive; the interval is symmetric in
-            its logarithm.
-        unit: unit of the quantity.
-        model_error: standard error of the logarithm due to the model.
+    The quantity is an attribute of `Ringing` called `name`. It is positive, and its
+    interval is symmetric in its logarithm. `model_error` is a further standard error of
+    the logarithm.
     """
 
     def logarithm(changes: Mapping[str, float]) -> float:

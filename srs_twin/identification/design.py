@@ -72,7 +72,7 @@ Metrics of runs are not smooth in their third digit.
 """
 
 _PRIOR_STD = 3.0
-"""Standard deviation of z of a parameter that the robot file does not list as uncertain."""
+"""Standard deviation of z of a parameter without a prior in the robot file."""
 
 
 @dataclass(frozen=True)

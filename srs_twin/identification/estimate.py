@@ -130,7 +130,7 @@ def half_width(error: float, freedom: float) -> float:
 
 
 def verdict_on(error: float, scale: float) -> Verdict:
-    """Return the verdict on a standard error, given a significant difference `scale`."""
+    """Return the verdict on a standard error; `scale` is a significant difference."""
     if error <= IDENTIFIED_ERROR * scale:
         return "identified"
     return "weakly identified"
@@ -162,7 +162,7 @@ def correlation_matrix(
     matrix = np.full(covariance.shape, np.nan)
     rows = with_value(parameters)
     known = covariance[np.ix_(rows, rows)]
-    # Without noise all errors are 0; the floor avoids 0/0.
+    # Without noise all errors are 0, so a lower limit avoids 0/0.
     errors = np.maximum(np.sqrt(np.diag(known)), 1e-150)
     matrix[np.ix_(rows, rows)] = np.clip(known / np.outer(errors, errors), -1.0, 1.0)
     matrix[rows, rows] = 1.0
@@ -227,7 +227,7 @@ class FitEstimate(HtmlResult):
         return (MISFIT_MESSAGE, *describe_misfit(self.residuals))
 
     def with_fixed(self, known: Sequence[Parameter]) -> FitEstimate:
-        """Return the estimate with measured parameters, uncorrelated with the fitted ones."""
+        """Return the estimate with additional measured and uncorrelated parameters."""
         size = len(self.parameters)
         count = len(known)
         correlation = np.eye(size + count)

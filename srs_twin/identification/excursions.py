@@ -150,8 +150,8 @@ def _random_arcs(
             rng.choice([value for value in (low, 0.0, high) if value != curvature])
         )
         length = min(float(rng.uniform(*_ARC_LENGTHS_M)), left)
-        # Limit the heading: on a path that crosses itself, the nearest part would be
-        # ambiguous.
+        # The heading is limited, because the nearest point is ambiguous on a path that
+        # crosses itself.
         if curvature and abs(heading + curvature * length) > _MAX_HEADING:
             length = (math.copysign(_MAX_HEADING, curvature) - heading) / curvature
         if length > _MIN_ARC_M:

@@ -134,7 +134,7 @@ def array_hash(*arrays: np.ndarray) -> str:
 
 
 def trajectory_hash(trajectory: Trajectory) -> str:
-    """Return the SHA-256 of the recorded file, or of the columns if there is no file."""
+    """Return the SHA-256 of the recorded file, or of the columns without a file."""
     source = trajectory.metadata.get("source")
     if isinstance(source, dict) and isinstance(source.get("sha256"), str):
         return str(source["sha256"])
@@ -306,7 +306,7 @@ class FitFile(StrictModel, HtmlResult):
         )
 
     def unidentified(self) -> list[str]:
-        """Return the parameters without a fitted or fixed value, which prevent predictions."""
+        """Return the parameters without a value, which prevent predictions."""
         return [
             parameter.name
             for parameter in self.parameters

@@ -74,7 +74,7 @@ def fit_page(fit: FitEstimate | FitFile) -> str:
 
 @drawing
 def residual_plot(residuals: Sequence[Residual]) -> Figure:
-    """Plot residuals over samples, one panel per signal, with the expected noise as a band.
+    """Plot residuals over samples, with the expected noise as a band.
 
     Args:
         residuals: residuals of one or more signals, of which at most ten are shown.

@@ -124,7 +124,7 @@ def _changes(
 
 
 def apply_fit(fit: FitFile, robot: RobotSpec, *, weak: bool = True) -> RobotSpec:
-    """Return a robot with the fitted and fixed values of a fit; see `robot_override`."""
+    """Return a robot with the fitted and fixed values of a fit."""
     used = _used_parameters(fit, weak)
     values = {parameter.name: parameter.value or 0.0 for parameter in used}
     base = load_robot_file(fit.robot).spec()
@@ -132,7 +132,7 @@ def apply_fit(fit: FitFile, robot: RobotSpec, *, weak: bool = True) -> RobotSpec
 
 
 def _changed_fixed_values(fit: FitFile, base: RobotSpec) -> dict[str, float]:
-    """Return the fixed values that differ from the base, since the fit depends on them."""
+    """Return the fixed values that differ from the base; the fit depends on them."""
     held = {name: value for name, value in fit.held.items() if is_parameter(name)}
     return {
         parameter.name: held[parameter.name]
@@ -152,7 +152,6 @@ def _used_parameters(fit: FitFile, weak: bool) -> list[ParameterEntry]:
 
 
 def _records(spec: RobotSpec, section: str, key: str) -> dict[str, dict[str, Any]]:
-    """Return the records of a robot file that a parameter changes, by key."""
     if section == "modules":
         name = _record_key(key)
         values = spec.modules.array(name.removesuffix("_rad")).tolist()
@@ -186,7 +185,7 @@ def _record_key(name: str) -> str:
 
 
 def _prior(parameter: ParameterEntry) -> dict[str, object]:
-    """Return the `uncertain` entry of a robot file's record; list elements have none."""
+    """Return the `uncertain` entry of a record, or an empty one for list elements."""
     numbers = (parameter.value, parameter.low, parameter.high)
     if parameter.name.startswith(("modules.", "mass.")) or None in numbers:
         return {}

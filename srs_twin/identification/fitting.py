@@ -1,4 +1,4 @@
-"""Options, progress display, output files and printed results of the fitting commands."""
+"""Options, progress display, output files and tables of the fitting commands."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ _MAX_SIGNALS = 24
 def print_table(
     headings: Sequence[str], rows: Iterable[Sequence[str]], left: Collection[int] = ()
 ) -> None:
-    """Print a table, right-aligned except for the columns whose indices are in `left`."""
+    """Print a table, whose columns in `left` are left-aligned."""
     table = new_table(*headings, left=left)
     for row in rows:
         table.add_row(*row)
@@ -139,7 +139,7 @@ def print_table(
 
 
 def print_estimate(estimate: FitEstimate) -> None:
-    """Print the parameters, correlations, unidentifiable directions and residuals of a fit."""
+    """Print the parameters, correlations and residuals of a fit."""
     from srs_twin.identification.fit_report import parameter_table
 
     table = parameter_table((*estimate.parameters, *estimate.derived))
@@ -290,11 +290,6 @@ class FitOutput:
 
 
 def _check_same_command(path: Path, command: str) -> None:
-    """Check that an existing file was written by the same command, which may replace it.
-
-    Raises:
-        InputError: another command wrote the file.
-    """
     from srs_twin.identification.fit_file import load_fit
 
     remedy = "--overwrite replaces it; --name or --out choose another file"

@@ -140,7 +140,7 @@ class GaitSetup:
 
     @property
     def settling_periods(self) -> int:
-        """Number of gait periods until pressures or learnt duties are steady after a start."""
+        """Number of gait periods until a run is steady after its start."""
         return 16 if self.controller == "ilc" else 8
 
     @property
@@ -175,7 +175,7 @@ class GaitSetup:
         return Gait(self.frequency, offset, phase=phase)
 
     def plant_factory(self) -> Callable[[], Plant]:
-        """Return a function that creates the plant, after importing its heavy packages."""
+        """Return a function that creates the plant, after heavy imports."""
         if callable(self.plant):
             return self.plant
         return partial(_make_plant, self)
@@ -183,7 +183,7 @@ class GaitSetup:
     def steady_job(
         self, factory: Callable[[], Plant], offset: float, phase: float, periods: int
     ) -> Job:
-        """Return a run at one offset, whose last `periods` gait periods are measured."""
+        """Return a run at one offset, measured in its last `periods` gait periods."""
         duration = next_sample((self.settling_periods + periods) * self.period)
         return Job(
             factory,
@@ -193,7 +193,7 @@ class GaitSetup:
         )
 
     def change_time(self, phase: float) -> float:
-        """Return the time of a change of offset at a phase, s, after the path has settled.
+        """Return the time of a change of offset at a phase, s.
 
         The phase is given in gait periods.
         """
@@ -266,7 +266,7 @@ class FootprintMeasurement:
 
 
 _OFFSETS = (3, 101)
-"""Minimum and maximum number of offsets. A planner needs at least three to interpolate."""
+"""Minimum and maximum number of offsets; a planner interpolates between them."""
 
 _LIMITS = {"periods": (3, 200), "phases": (1, 64)}
 """Minimum and maximum number of measured gait periods and of phases of the gait."""
@@ -410,7 +410,6 @@ class FootprintStudy:
         runs: Sequence[Trajectory],
         paths: Mapping[float, SteadyPath],
     ) -> Transient:
-        """Return the largest transient over the phases of the gait."""
         before, after = change
         with named_in_errors(f"offset {before:g} to {after:g}"):
             transients = [

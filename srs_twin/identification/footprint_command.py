@@ -1,4 +1,4 @@
-"""`srs-twin calibrate footprint` and `margin`, which measure footprints and excursions."""
+"""`srs-twin calibrate footprint` and `margin`: measured footprints and excursions."""
 
 from __future__ import annotations
 

@@ -214,7 +214,7 @@ def calibrate_command(study: FootprintStudy, robot: str, name: str) -> str:
 def header_lines(
     study: FootprintStudy, robot: str, name: str, versions: Mapping[str, str]
 ) -> list[str]:
-    """Return the comment lines of a footprint file, of which the first two identify the study."""
+    """Return the comment lines of a footprint file; the first two name the study."""
     with_versions = ", ".join(
         f"{package} {version}" for package, version in versions.items()
     )
@@ -222,7 +222,7 @@ def header_lines(
 
 
 def robot_hash(spec: RobotSpec) -> str:
-    """Return the SHA-256 of the robot's values that differ from their defaults, in SI units.
+    """Return the SHA-256 of the robot's non-default values in SI units.
 
     A new parameter whose default has no effect therefore does not change the hash.
     """

@@ -224,8 +224,8 @@ def _parameter(
     if error >= UNIDENTIFIABLE_ERROR * mean:
         why = f"the scatter of the pulls {_DIRECTIONS[k]} is as large as their mean"
         return Parameter(_NAMES[k], "1", "not identifiable", why=why)
-    # Welch-Satterthwaite formula; the shared errors of k and m get many degrees of
-    # freedom, as if exactly known.
+    # The Welch-Satterthwaite formula gives the degrees of freedom. The errors of k and
+    # m count as exactly known.
     freedom = np.inf
     if variance > 0:
         freedom = (len(values) - 1) * (error**2 / variance) ** 2
@@ -360,10 +360,10 @@ _NOISE_M = 1e-3
 """Standard deviation of the measured position."""
 
 _MIN_TRAVEL = 3.0
-"""Minimum travel in a direction, in standard deviations, for fitting its initial velocity."""
+"""Minimum travel for fitting an initial velocity, in standard deviations."""
 
 _MAX_ROLL_ANGLE_RAD = 0.1
-"""Maximum angle between the mean heading of a bent body and its direction of rolling."""
+"""Maximum angle between mean heading and direction of rolling of a bent body."""
 
 _HEADING_DEGREE = 3
 """Degree of the polynomial in time that smooths the heading."""
@@ -381,7 +381,7 @@ _BEND_DRAWS = 1000
 """Number of random draws of the errors of the bends."""
 
 _MAX_HALF_WIDTH = 0.1
-"""Maximum relative distance from an identified coefficient to an end of its interval."""
+"""Maximum relative half width of the interval of an identified coefficient."""
 
 
 @dataclass(frozen=True)
@@ -541,7 +541,8 @@ def misalignment(bends: np.ndarray, spec: RobotSpec) -> np.ndarray:
         [np.zeros_like(bends[..., :1]), np.cumsum(bends, axis=-1)], axis=-1
     )
     smallest = np.full(bends.shape[:-1], np.inf)
-    # A line with the least sum of absolute deviations passes through two of its points.
+    # The best line in the sense of absolute deviations passes through two of the
+    # points.
     for i, j in itertools.combinations(number, 2):
         slope = (headings[..., j] - headings[..., i]) / (j - i)
         line = headings[..., i, None] + slope[..., None] * (number - i)
@@ -550,7 +551,6 @@ def misalignment(bends: np.ndarray, spec: RobotSpec) -> np.ndarray:
 
 
 def _widened(parameter: Parameter, ends: Sequence[FitEstimate]) -> Parameter:
-    """Return a parameter whose interval includes the intervals of other fits."""
     fits = [parameter, *(end[parameter.name] for end in ends)]
     for fit in fits:
         if fit.value is None:
@@ -585,11 +585,8 @@ class _CoastingModel:
     ) -> FitEstimate:
         """Fit the coefficients at one value of ε.
 
-        Args:
-            runs: coasting tests.
-            side: −1 or 1 for the lower or upper end of the interval of ε; 0 for the
-                best estimate.
-            watch: see `fit_coasting`.
+        `side` is −1 or 1 for the lower or upper end of the interval of ε, and 0 for the
+        best estimate.
         """
         angles = [self._misalignment(run, side) for run in runs]
 
@@ -660,7 +657,7 @@ _SHARP_SLIP = 1e-12
 
 
 def _motion(run: CoastingTest, k: int) -> list[FreeParameter]:
-    """Return the initial velocities of run k and its angle of rolling as nuisance parameters.
+    """Return the nuisance parameters of run k: initial velocities and rolling angle.
 
     A direction in which the body does not move has no initial velocity to fit.
     """

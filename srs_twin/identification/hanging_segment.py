@@ -295,7 +295,7 @@ def ringing(
 
 
 class Branches(NamedTuple):
-    """Material with Maxwell branches, and their state when the swing first passes its rest.
+    """Material with Maxwell branches, and their state when the swing passes its rest.
 
     Attributes:
         material: stiffness and viscous part beside the branches.

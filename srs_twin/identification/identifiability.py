@@ -31,10 +31,10 @@ from srs_twin.identification.estimate import (
 from srs_twin.identification.parameters import FreeParameter
 
 MAX_UNIDENTIFIABLE_SHARE = 0.1
-"""Component in the unidentifiable directions above which a parameter is not identifiable."""
+"""Maximum component of an identifiable parameter in unidentifiable directions."""
 
 _DERIVATIVE_ERRORS = 2.0
-"""Factor of the error of the derivatives in the criterion for unidentifiable directions."""
+"""Factor of the derivative error in the criterion for unidentifiable directions."""
 
 _RELATIVE_CUTOFF = 1e-6
 """Relative singular value at which a direction is unidentifiable due to rounding."""
@@ -88,7 +88,7 @@ class Identifiability:
 
     @property
     def cancels(self) -> tuple[dict[str, float], ...]:
-        """Unidentifiable directions as name → component, whose largest component is positive."""
+        """Unidentifiable directions as name → component."""
         rows = []
         for row in self.directions:
             positive = row * np.sign(row[np.argmax(np.abs(row))])
@@ -127,8 +127,8 @@ def identifiability(
     determined = directions[~undetermined]
     unidentifiable = directions[undetermined]
     covariance = (determined.T * (noise / singular[~undetermined]) ** 2) @ determined
-    # Without data the prior remains: uniform between the bounds, with the variance
-    # width²/12.
+    # Without data the prior remains, which is uniform between the bounds and has the
+    # variance width²/12.
     prior_std = (np.abs(unidentifiable) @ widths) / np.sqrt(12)
     covariance += (unidentifiable.T * prior_std**2) @ unidentifiable
     share = np.linalg.norm(unidentifiable, axis=0)
@@ -207,7 +207,7 @@ class Accuracy:
         return "identified", ""
 
     def covariance(self, kept: Sequence[int]) -> np.ndarray:
-        """Return the covariance in z of the parameters `kept`, NaN for parameters at bounds."""
+        """Return the covariance in z of the parameters `kept`; NaN at bounds."""
         matrix = np.full((len(self.unknowns), len(self.unknowns)), np.nan)
         matrix[np.ix_(self.inside, self.inside)] = self.known.covariance
         return matrix[np.ix_(kept, kept)]

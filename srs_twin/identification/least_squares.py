@@ -70,7 +70,7 @@ Refit = Callable[[Values], Values]
 """Function that fits data simulated by a reference with given values."""
 
 Watch = Callable[[int, float], None]
-"""Progress callback that receives the number of model runs and the best weighted RMS."""
+"""Progress callback that receives the number of runs and the best weighted RMS."""
 
 _START_RANGE = 1.5
 """Range in z about the first start from which further starts are drawn."""
@@ -246,7 +246,7 @@ class Search:
         coarse = self.jacobian(z, 2 * step)
         if wide is None:
             return fine, coarse - fine
-        # If the model is not smooth, both Jacobians are equally accurate; half their
+        # If the model is not smooth, both Jacobians are equally accurate. Half their
         # difference is the error of their mean.
         return (fine + coarse) / 2, (coarse - fine) / 2
 
@@ -257,7 +257,7 @@ class Search:
         return np.array(found) - z
 
     def run(self, start: Array) -> SearchResult:
-        """Search from a start, and return the best point even if the search was stopped."""
+        """Search from a start; a stopped search returns its best point."""
         options = self._options
         self._best = SearchResult(start, np.inf, False)
         self._is_searching = True
@@ -275,7 +275,7 @@ class Search:
             self._is_searching = False
 
     def start_cost(self, z: Array) -> float:
-        """Return the sum of squares of the first search stage, by which starts are ranked."""
+        """Return the sum of squares by which starts are ranked."""
         return float(np.sum(self.weighted(z, self._options.first_stage) ** 2))
 
     def _minimize_with_kinks(self, start: Array) -> SearchResult:
@@ -457,7 +457,6 @@ def _identify(
 def _count_samples(
     residuals: Sequence[Residual], unknowns: int
 ) -> tuple[int, float, float]:
-    """Return the numbers of fitted samples, independent samples and degrees of freedom."""
     fitted = [
         residual.values / residual.scale
         for residual in residuals
@@ -487,13 +486,13 @@ def _iterate_bias(
 
 
 _MAX_REFITS = 5
-"""Maximum number of fits to data of the reference. Gait fits converge within three to five."""
+"""Maximum number of fits to data of the reference; gait fits need three to five."""
 
 
 def _spread_of_minima(
     best: SearchResult, ends: Sequence[SearchResult], limit: float
 ) -> Array:
-    """Return each parameter's maximum distance in z to a minimum that fits equally well.
+    """Return each parameter's distance in z to the farthest equivalent minimum.
 
     Two minima fit equally well if their sums of squares differ by at most `limit`.
     """

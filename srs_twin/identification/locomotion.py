@@ -82,7 +82,7 @@ FROM_MARKERS = "measured from the markers, not from the walk"
 def measured_length(
     recordings: Sequence[Recording], spec: RobotSpec, names: Sequence[str]
 ) -> Parameter | None:
-    r"""Measure the rigid gap or segment length from markers, or return None without result.
+    r"""Measure the rigid gap or segment length from markers, if possible.
 
     The pitch is the sum of rigid gap and segment length of a straight segment. One
     length follows from the pitch and the other length in the robot file. If the markers
@@ -298,8 +298,6 @@ class _Data(NamedTuple):
 
 @dataclass(frozen=True)
 class _Comparison:
-    """Comparison of runs with a plant."""
-
     model: PlantModel
     spec: RobotSpec
     against: str
@@ -311,7 +309,7 @@ class _Comparison:
     def simulated(
         self, data: Sequence[_Data], plant: PlantModel, values: Mapping[str, float]
     ) -> list[_Data]:
-        """Simulate the runs with another plant, and return the result as measured data."""
+        """Return runs of another plant in place of the measured runs."""
         robot = with_values(self.spec, values)
         return [
             self.data(replace(run, trajectory=plant.simulate(run, robot)), role)
@@ -470,8 +468,8 @@ def _shapes(
     path = resample(trajectory, trajectory.com)
     heading = resample(trajectory, trajectory["heading"])[:, 0]
     if is_aligned:
-        # Align the paths, because a plant starts at the origin: only the shape of the
-        # path is compared.
+        # A plant starts at the origin, so the paths are aligned and only their shapes
+        # are compared.
         target = resample(measured, measured.com)
         target_heading = resample(measured, measured["heading"])[:, 0]
         turn = float((target_heading - heading).mean())

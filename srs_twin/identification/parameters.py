@@ -160,7 +160,7 @@ def parameter_unit(name: str) -> str:
 
 
 def parameter_names() -> list[str]:
-    """Return the names of all fittable parameters, with N for a connector or segment number."""
+    """Return the names of all fittable parameters, with N for a number."""
     return list(_ACCESSORS)
 
 
@@ -179,11 +179,6 @@ def _key(name: str) -> tuple[str, int]:
 
 
 def _accessor(name: str) -> tuple[_Accessor, int]:
-    """Return the accessor of a parameter and its index, counted from 0.
-
-    Raises:
-        UnknownNameError: the parameter does not exist.
-    """
     key, k = _key(name)
     if key not in _ACCESSORS:
         raise UnknownNameError(

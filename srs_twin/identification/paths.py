@@ -68,7 +68,7 @@ class Poses:
         return cls(length * np.sinc(half / np.pi) * np.exp(1j * half), 2 * half)
 
     def compose(self, other: Poses) -> Poses:
-        """Return self ∘ other: the end of the other motion if it starts at this pose."""
+        """Return self ∘ other, the end of the other motion from this pose."""
         return Poses(
             self.place + np.exp(1j * self.heading) * other.place,
             self.heading + other.heading,
@@ -234,10 +234,10 @@ def average_repeats(repeats: Sequence[SteadyPath]) -> tuple[SteadyPath, SteadyPa
 
 BothPaths = tuple[SteadyPath, SteadyPath]
 STEADY_PERIODS = 4
-"""Number of periods over which the path is averaged, before a change and after it has settled."""
+"""Number of periods of the average before a change and after settling."""
 
 SETTLED = 0.1
-"""Error of the turn per period, relative to its change, below which a change is complete."""
+"""Relative error of the turn per period below which a change is complete."""
 
 MAX_UNREST = 0.1
 """Maximum relative error of the turn at the end of a run whose path has settled."""
@@ -364,7 +364,7 @@ def _settling_time(
 
 
 def combine_transients(repeats: Sequence[Transient]) -> Transient:
-    """Combine the transients at several phases: maximum extents and mean displacement."""
+    """Combine transients at several phases: maximum extents, mean displacement."""
     first = repeats[0]
     left, right, length = (
         max(getattr(t, name) for t in repeats) for name in ("left", "right", "length")
@@ -379,6 +379,5 @@ def combine_transients(repeats: Sequence[Transient]) -> Transient:
 def _extrapolate(
     trajectory: Trajectory, window: GaitWindow, time: float, path: SteadyPath
 ) -> Poses:
-    """Return the pose of a steady path at a time, extrapolated from each pose in a window."""
     times, poses = period_averaged_path(trajectory, window)
     return poses.compose(Poses.arc(path.curvature, path.speed * (time - times)))

@@ -58,7 +58,7 @@ class Prior:
         return np.interp(values, self.quantile(table), table)
 
     def with_measurement(self, value: float, sd: float) -> Prior:
-        """Return a normal distribution around a measured value with the standard deviation `sd`."""
+        """Return a normal distribution with a measured mean and standard deviation."""
         return replace(
             self,
             value=value,
@@ -137,7 +137,7 @@ class Priors:
         return bool((self.correlation == np.eye(len(self.parameters))).all())
 
     def quantile(self, probabilities: Array) -> Array:
-        """Return the parameters for independent uniform probabilities u, shape (…, d)."""
+        """Return the parameters for independent uniform probabilities u."""
         inside = np.clip(probabilities, MIN_PROBABILITY, 1 - MIN_PROBABILITY)
         normal = ndtri(inside) @ np.linalg.cholesky(self.correlation).T
         columns = [

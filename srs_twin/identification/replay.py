@@ -1,4 +1,4 @@
-"""Scenario that compares a recorded run with both plants under the same valve states."""
+"""Scenario that compares a recorded run with both plants."""
 
 from __future__ import annotations
 
@@ -98,7 +98,6 @@ def _load_robot(robot: StrPath, fits: Sequence[StrPath]) -> RobotFile:
 def _duration(
     recording: Mapping[str, Any], robot: RobotFile, notify: Callable[[str], object]
 ) -> float:
-    """Return the duration of the recording in whole ticks, s."""
     settings = dict(recording)
     motion = settings.pop("motion")
     valves = settings.pop("valves", None)
@@ -123,10 +122,5 @@ def _plants(
 
 
 def _expectations(path: StrPath) -> list[Any]:
-    """Return the expectations of a file.
-
-    Raises:
-        InputFileError: the file is invalid; all problems are listed.
-    """
     file = load_model(ExpectationsFile, require_file(Path(path)))
     return [entry.model_dump(mode="json", exclude_none=True) for entry in file.expect]

@@ -203,8 +203,8 @@ def _settled_frames(
     limit = _OUTLIER_MEDIANS * np.median(deviation, axis=0) + _OUTLIER_MARGIN_PA
     is_near = (deviation <= limit).all(axis=(1, 2))
     since = time[begin:end] - time[begin]
-    # Discard the end: the next step may already have begun within the band, and clocks
-    # may differ a little.
+    # The end is discarded, because the next step may already have begun within the
+    # band, and clocks may differ.
     frames = begin + np.flatnonzero(
         is_near & (since >= wait) & (since <= span - CLOCK_ERROR_S)
     )
@@ -223,7 +223,7 @@ def _settled_frames(
 def _constant_intervals(
     pressure: np.ndarray, band: np.ndarray
 ) -> Iterator[tuple[int, int]]:
-    """Yield the first frame and the end (exclusive) of intervals of constant pressure."""
+    """Yield the first and last + 1 frame of each interval of constant pressure."""
     begin = 0
     low = pressure[0]
     high = pressure[0]
@@ -475,8 +475,6 @@ def _fit_dead_zone(
     starts: Mapping[str, float],
     largest: float,
 ) -> FitEstimate:
-    """Return the best significant fit with a dead zone, or the fit without one."""
-
     def with_dead_zone(
         zone_starts: Mapping[str, float], fixed: Mapping[str, float]
     ) -> FitEstimate:
@@ -484,7 +482,7 @@ def _fit_dead_zone(
         estimate = search(names, fixed, {**starts, **zone_starts})
         if estimate[_ONSET_WIDTH].value is not None:
             return estimate
-        # The data do not determine the width: use the smallest one.
+        # The data do not determine the width, so the minimum width is used.
         names.remove(_ONSET_WIDTH)
         sharp = {**fixed, _ONSET_WIDTH: _SHARP_WIDTH_RAD}
         return search(names, sharp, {**starts, _ONSET: zone_starts[_ONSET]})
@@ -509,7 +507,7 @@ def _fit_dead_zone(
 
 
 def _is_significant(more: FitEstimate, less: FitEstimate) -> bool:
-    """Return whether additional parameters have values and improve a fit (F-test, 1 %)."""
+    """Return whether more parameters improve a fit significantly (F-test, 1 %)."""
     if any(more[p.name].value is None for p in more.parameters if p.name in _DEAD_ZONE):
         return False
     added = max(len(more.values) - len(less.values), 1)

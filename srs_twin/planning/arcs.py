@@ -138,7 +138,7 @@ def _local(frame, x, y):  # type: ignore[no-untyped-def]
 
 @compiled
 def arc_collides(pose, curvature, length, extent, grid):  # type: ignore[no-untyped-def]
-    """Return whether the swept region of an arc touches an obstacle or leaves the bounds.
+    """Return whether the swept region of an arc collides or leaves the bounds.
 
     Args:
         pose: x, y (m) and heading (rad) of the centre of mass at the start.
@@ -157,7 +157,8 @@ def arc_collides(pose, curvature, length, extent, grid):  # type: ignore[no-unty
     )
     left = extent.left + ROUNDING_MARGIN
     right = extent.right + ROUNDING_MARGIN
-    # A long region is divided, so that each piece overlaps few cells of the grid.
+    # A long region is divided, because each piece then overlaps only a few cells of the
+    # grid.
     count = max(1, int(np.ceil(h / max(grid.cell, left + right))))
     half = h / count
     end = _frame(0.0, 0.0, 0.0, curvature, half)
@@ -206,7 +207,8 @@ def _touches_circle(middle, region, circle):  # type: ignore[no-untyped-def]
     radius = circle[2] + ROUNDING_MARGIN
     dx = circle[0] - middle.x
     dy = circle[1] - middle.y
-    # Test bounding circles first: they are cheap and exclude most obstacles.
+    # Bounding circles are tested first, since this is cheap and excludes most
+    # obstacles.
     if dx * dx + dy * dy >= (region.reach + radius) * (region.reach + radius):
         return False
     u, w = _local(middle, circle[0], circle[1])
@@ -240,6 +242,7 @@ def path_coordinates(u, w, curvature):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _region_distance(u, w, region):  # type: ignore[no-untyped-def]
+    # n is the signed distance from the arc, and s the position along it.
     n, s = path_coordinates(u, w, region.curvature)
     if abs(s) <= region.half:
         return max(n - region.left, -region.right - n, 0.0)
@@ -265,7 +268,8 @@ def _side_crosses(au, aw, bu, bw, region):  # type: ignore[no-untyped-def]
     end = region.end
     du = bu - au
     dw = bw - aw
-    # n = e where κ(u² + w²) - 2w + 2e - κe² = 0, with u and w linear in t.
+    # An edge n = e is the circle κ(u² + w²) - 2w + 2e - κe² = 0. On the side, u and w
+    # are linear in t, so this is a quadratic equation a t² + 2 b t + c = 0.
     a = curvature * (du * du + dw * dw)
     b = curvature * (au * du + aw * dw) - dw
     c = curvature * (au * au + aw * aw) - 2 * aw
@@ -309,8 +313,8 @@ def _roots(a, b, c):  # type: ignore[no-untyped-def]
     square = b * b - a * c
     if square < 0:
         return 0.0, 0.0
-    # Add terms of equal sign, which avoids cancellation, and get the other root from
-    # the product of both.
+    # Adding terms of equal sign avoids cancellation. The other root follows from the
+    # product of both roots.
     if b >= 0:
         q = -(b + np.sqrt(square))
     else:
@@ -320,8 +324,11 @@ def _roots(a, b, c):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _leaves_bounds(middle, region, bounds):  # type: ignore[no-untyped-def]
-    """Return whether a region leaves the bounds at a corner or where an edge is extreme."""
-    # Test a bounding square first: most regions are far from the bounds.
+    """Return whether a region leaves the bounds.
+
+    It does so at a corner, or where an edge is parallel to an axis.
+    """
+    # A bounding square is tested first, since most regions are far from the bounds.
     if (
         bounds.west <= middle.x - region.reach
         and middle.x + region.reach <= bounds.east
@@ -334,6 +341,7 @@ def _leaves_bounds(middle, region, bounds):  # type: ignore[no-untyped-def]
             return True
     if region.curvature == 0:
         return False
+    # An edge extends farthest in x or y where it is parallel to an axis.
     for quarter in range(4):
         turn = quarter * np.pi / 2 - middle.heading
         turn -= 2 * np.pi * np.round(turn / (2 * np.pi))
@@ -382,7 +390,7 @@ class Primitives:
 
     @cached_property
     def curvatures(self) -> np.ndarray:
-        """Curvatures from the tightest right turn to the tightest left turn, 1/m, shape (count,)."""
+        """Curvatures from the tightest right to the tightest left turn, 1/m."""
         return np.linspace(-self.turn, self.turn, self.count) / self.length
 
     def children(self, pose: Pose) -> list[Pose]:

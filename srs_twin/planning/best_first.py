@@ -1,4 +1,4 @@
-"""Best-first search from both ends at increasing resolution, then shortening of the path.
+"""Best-first search from both ends at increasing resolution.
 
 The first searches are a tree from the start and, without transients, one from the goal.
 If they do not succeed at once, a proof that no path exists and a tree with `guidance`
@@ -58,7 +58,7 @@ _GUIDED_WEIGHT = 1.5
 A large weight finds some path quickly, even if it is longer.
 """
 _FIRST_TURN_NODES = 1000
-"""Number of nodes that each tree expands in its first turn. It doubles with every turn."""
+"""Number of nodes that each tree expands in its first turn; later it doubles."""
 _MAX_TURN_NODES = 16_000
 """Maximum number of nodes in a turn, so that time limits are checked often enough."""
 
@@ -112,8 +112,6 @@ def best_first(problem: Problem, settings: Settings) -> Plan:
 
 @dataclass
 class _Search:
-    """Search for a path at increasing resolution, with the remaining budget of nodes."""
-
     problem: Problem
     settings: Settings
     nodes: int = field(init=False)
@@ -131,7 +129,10 @@ class _Search:
         )
 
     def start_trees(self, level: int) -> list[SearchTree]:
-        """Return the tree from the start and, without transients, the tree from the goal.
+        """Return the tree from the start and the tree from the goal.
+
+        Transients depend on the direction of travel, so there is no tree from the goal
+        with them.
 
         The primitives of the problem, if given, belong to the first level. Each level
         halves arcs and cells, and the third and later levels have more curvatures.
@@ -159,14 +160,15 @@ class _Search:
             NO_PASSAGES,
         )
         trees = [SearchTree([problem.start], spec)]
-        # Transients depend on the direction of a path.
+        # A tree from the goal would need the transients of the reversed path, which
+        # differ.
         if not body.transients:
             end = turned_around(problem.start)
             home = make_target(
                 Goal(end.x, end.y, end.heading, radius=0.0, heading_tolerance=0.0), body
             )
             roots = [turned_around(pose) for pose in goal_poses(problem.goal, sector)]
-            # Both trees share the obstacles; only the target and the direction differ.
+            # Both trees share the obstacles, but differ in target and direction.
             backward = spec._replace(
                 moves=make_move_set(arcs, body.backward), target=home
             )
@@ -193,7 +195,7 @@ class _Search:
     def search_level(
         self, trees: list[SearchTree], best: float, *, prove: bool
     ) -> _LevelResult:
-        """Search at one resolution, and try to prove that no path exists if `prove` is set.
+        """Search at one resolution, optionally with a proof that no path exists.
 
         The trees take turns with growing numbers of nodes. The tree from the goal
         rarely finds a path first, but it is exhausted at once if no arc leads to the

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from srs_twin.plants.base import SnakeState
 
 _TIME_ROUNDING = 1e-9
-"""Tolerance of times, s, and frame numbers, because ticks are summed with rounding errors."""
+"""Tolerance of times (s) and frame numbers for rounding errors of summed ticks."""
 
 
 @dataclass(frozen=True)
@@ -62,10 +62,11 @@ class CameraFrames(Stateful):
         self._rng.bit_generator.state = state
 
     def capture(self, state: SnakeState) -> Pose | None:
-        """Return the measured pose of the centre of mass, or None if no frame is due."""
+        """Return the measured pose if a frame is due, otherwise None."""
         if float(state.time) * self._camera.rate_hz < self._next_frame - _TIME_ROUNDING:
             return None
-        # Several frames due in one tick show the same state; only one is returned.
+        # If several frames are due in one tick, they show the same state, so one is
+        # enough.
         self._next_frame = (
             math.floor(float(state.time) * self._camera.rate_hz + _TIME_ROUNDING) + 1
         )
@@ -80,7 +81,7 @@ class CameraFrames(Stateful):
 
 
 class PeriodMean(Stateful):
-    """Running mean of poses over one period, exact if the pose is linear between frames.
+    """Running mean of poses over one period, assumed linear between frames.
 
     Attributes:
         time: middle of the averaging interval, s.
@@ -92,8 +93,8 @@ class PeriodMean(Stateful):
 
     def __init__(self, period: float) -> None:
         self._period = period
-        # Frame time, and the integrals of x, y and heading from the first frame until
-        # then.
+        # Each entry has the frame time and the integrals of x, y and heading since the
+        # first frame.
         self._integrals: deque[tuple[float, np.ndarray]] = deque()
         self._last = np.zeros(3)
         self.time = 0.0
@@ -125,7 +126,8 @@ class PeriodMean(Stateful):
             integrals.popleft()
         begin, begin_integral = integrals[0]
         if begin < period_start:
-            # The period begins between two frames: interpolate the integral linearly.
+            # The period begins between two frames, so the integral is interpolated
+            # linearly.
             next_time, next_integral = integrals[1]
             fraction = (period_start - begin) / (next_time - begin)
             begin_integral = begin_integral + fraction * (

@@ -146,7 +146,7 @@ class Checker:
         length: float,
         wider: tuple[float, float] = (0.0, 0.0),
     ) -> bool:
-        """Return whether the body stays within the bounds and touches no obstacle on an arc.
+        """Return whether the body stays free of obstacles and bounds on an arc.
 
         Args:
             pose: pose of the centre of mass at the start, outside all polygons.
@@ -162,12 +162,12 @@ class Checker:
         return not arc_collides(tuple(pose), curvature, length, extent, self.grid)
 
     def is_path_free(self, segments: Sequence[Segment]) -> bool:
-        """Return whether a path is free, including the transients after changes of offset."""
+        """Return whether a path is free, with the transients of its offset changes."""
         wider = (0.0, 0.0)
         lasting = 0.0
         none = (0.0, 0.0)
         for before, segment in zip((None, *segments), segments, strict=False):
-            # A change of offset starts a transient; overlapping transients combine to
+            # A change of offset starts a transient. Overlapping transients combine to
             # the larger values.
             if before is not None:
                 left, right, length = self.footprint.transient(
@@ -190,7 +190,10 @@ class Checker:
         return True
 
     def clearance(self, segments: Sequence[Segment]) -> float:
-        """Return the width by which both edges may grow, m, at most `MAX_CLEARANCE_M`."""
+        """Return the width by which both edges may grow, m.
+
+        It is at most `MAX_CLEARANCE_M`.
+        """
         free, touching = (
             0.0,
             MAX_CLEARANCE_M,
@@ -218,7 +221,8 @@ class Checker:
             wider: width added to both edges, m.
         """
         both = (wider, wider)
-        # Test the whole world first; only a collision needs the name of the obstacle.
+        # The whole world is tested first, since only a collision needs the obstacle's
+        # name.
         if self.is_arc_free(pose, 0.0, length, both):
             return ""
         parts = (
@@ -253,7 +257,7 @@ def obstacle_shapes(world: World) -> list[tuple[str, shapely.Geometry, float]]:
 
 
 def obstacle_at(world: World, x: float, y: float) -> str:
-    """Describe the obstacle that contains a point, or the bounds if the point is outside.
+    """Describe the obstacle that contains a point, or the bounds it exceeds.
 
     The result is an empty string if the point is free.
     """
@@ -272,7 +276,7 @@ def obstacle_at(world: World, x: float, y: float) -> str:
 
 
 def _named_obstacles(world: World) -> list[tuple[str, World]]:
-    """Return a description of each obstacle and of the bounds, with a world of only this item."""
+    """Return each obstacle and the bounds by name, each in a world of its own."""
     named: list[tuple[str, World]] = []
     if (bounds := world.bounds) is not None:
         (west, east), (south, north) = bounds.x, bounds.y

@@ -1,4 +1,4 @@
-r"""Dubins paths: shortest forward paths between two poses with a minimum turning radius.
+r"""Dubins paths: shortest forward paths with a minimum turning radius.
 
 The shortest path with minimum radius r has three pieces (Dubins 1957). The pieces are
 arcs of radius r to the left (L) or right (R) and straight lines (S). The six possible
@@ -98,8 +98,8 @@ def dubins_path(x, y, heading, to_x, to_y, to_heading, any_heading, radius):  # 
         d = np.sqrt(dx * dx + dy * dy)
         line = np.arctan2(dy, dx)
         if d < _ROUNDING:
-            # The line between coinciding points has no direction; rounding could add a
-            # full turn.
+            # The line between coinciding points has no direction, and rounding could
+            # add a full turn.
             d = 0.0
             line = heading
         for side in (1.0, -1.0):
@@ -113,7 +113,9 @@ def dubins_path(x, y, heading, to_x, to_y, to_heading, any_heading, radius):  # 
 
 @kernel_only
 def _shortest_to_pose(best, side, d, a, b):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return the shortest of `best` and the words that begin with L (`side` 1) or R (-1).
+    """Return the shortest of `best` and the words that begin with L or R.
+
+    The words begin with L if `side` is 1, and with R if it is -1.
 
     The distance d is in radii. The headings a and b are relative to the line between
     the poses.
@@ -123,25 +125,27 @@ def _shortest_to_pose(best, side, d, a, b):  # type: ignore[no-untyped-def]  # n
     ca = np.cos(a)
     cb = np.cos(b)
     cab = np.cos(a - b)
-    # LSL: the straight line is an outer tangent of both turning circles.
+    # LSL: The straight line is an outer tangent of both turning circles.
     square = 2 + d * d - 2 * cab + 2 * d * (sa - sb)
     turn = np.arctan2(cb - ca, d + sa - sb)
     if np.sqrt((d + sa - sb) ** 2 + (cb - ca) ** 2) < _ROUNDING:
-        # The turning circles coincide: the direction of the straight line is undefined,
-        # one arc is the path.
+        # If the turning circles coincide, the straight line has no direction, and one
+        # arc is the path.
         square = 0.0
         turn = b
     p = np.sqrt(max(square, 0.0))
     lengths = (_wrapped(turn - a), p, _wrapped(b - turn))
     best = _shorter(best, (side, 0.0, side), lengths)
-    # LSR: an inner tangent, which exists only if the circles do not overlap.
+    # LSR: The straight line is an inner tangent, which exists only if the circles do
+    # not overlap.
     square = d * d - 2 + 2 * cab + 2 * d * (sa + sb)
     if square >= 0:
         p = np.sqrt(square)
         turn = np.arctan2(-ca - cb, d + sa + sb) - np.arctan2(-2.0, p)
         lengths = (_wrapped(turn - a), p, _wrapped(turn - b))
         best = _shorter(best, (side, 0.0, -side), lengths)
-    # LRL: a third circle touches both, which needs close circles.
+    # LRL: A third circle touches both turning circles, which must be close to each
+    # other.
     cosine = (6 - d * d + 2 * cab + 2 * d * (sb - sa)) / 8
     if abs(cosine) <= 1:
         p = _FULL_TURN - np.arccos(cosine)
@@ -163,8 +167,8 @@ def _shortest_to_point(best, side, u, w):  # type: ignore[no-untyped-def]
         tangent = np.arctan2(u, 1 - w) - np.arccos(1 / np.sqrt(away))
         lengths = (_wrapped(tangent), np.sqrt(away - 1), 0.0)
         return _shorter(best, (side, 0.0, 0.0), lengths)
-    # The point is inside the left turning circle: turn right about (0, -1), then left
-    # on a tangent circle.
+    # If the point is inside the left turning circle, the path turns right about (0,
+    # -1), then left on a tangent circle.
     far = np.sqrt(u * u + (w + 1) * (w + 1))
     opening = np.arccos(min(1.0, (3 + far * far) / (4 * far)))
     for sign in (1.0, -1.0):

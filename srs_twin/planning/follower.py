@@ -232,7 +232,7 @@ class Follower(Controller):
         self._mean = PeriodMean(period)
         shows = conditions.delay + conditions.lag
         self._predictor = Predictor(self.footprint, period, shows, conditions.settle)
-        # Distance in one gait period below which the snake is stuck.
+        # A snake is stuck if it moves less than this distance per gait period.
         self._stuck_distance = STUCK_SHARE * min(self.footprint.speeds) * period
         self._moved_at = 0.0
         self._pending: deque[tuple[float, float]] = deque()
@@ -297,7 +297,7 @@ class Follower(Controller):
         super().load_state_dict(memory)
 
     def signals(self) -> dict[str, Any]:
-        """Return the signals of the gait and the follower, which are NaN before the first frame."""
+        """Return the signals of gait and follower; NaN before the first frame."""
         pose, point = self._position
         return self.gait.signals() | {
             "offset_commanded": self._commanded,
@@ -316,7 +316,7 @@ class Follower(Controller):
         return events
 
     def describe(self) -> dict[str, object]:
-        """Return the description of the gait, with plans, footprint, world and ending."""
+        """Return the gait's description with plans, footprint, world and ending."""
         goal = asdict(self.goal)
         conditions = asdict(self.conditions)
         return self.gait.describe() | {
@@ -348,7 +348,8 @@ class Follower(Controller):
             return
         law = self.law
         later = time + self.conditions.delay
-        # Predict to the time at which the frames show the effect of the command.
+        # The pose is predicted for the time at which the frames show the effect of the
+        # command.
         shows = later + self.conditions.lag
         if law.predicts:
             pose = predictor.predict(mean.time, mean.pose, shows)
@@ -357,7 +358,7 @@ class Follower(Controller):
         turning = predictor.turning, predictor.disturbance, predictor.gain
         offset = law.offset(SteeringInput(pose, self._locate(pose), *turning))
         offset = min(max(offset, self._low), self._high)
-        # Send the limits themselves even after a small change.
+        # The limits of the offset are sent even after a small change.
         if abs(offset - self._commanded) >= _MIN_CHANGE or offset in (
             self._low,
             self._high,
@@ -368,15 +369,14 @@ class Follower(Controller):
             self._commanded = offset
 
     def _check_progress(self, time: float, here: Pose) -> None:
-        """End the run or request a new plan, depending on the progress along the path."""
         point = self._locate(here)
         self._s = max(point.s, 0.0)
         self._position = (here, point)
         moved = self._predictor.moved
         goal = self.goal
         stray = self.conditions.stray
-        # Distances over whole periods, because a snake moves back and forth within
-        # each.
+        # Only distances over whole periods show progress, because a snake moves back
+        # and forth within each period.
         if moved is None or moved > self._stuck_distance:
             self._moved_at = time
         if time - self._moved_at > STUCK_PERIODS * self._period:
@@ -401,7 +401,6 @@ class Follower(Controller):
                 self._request_plan(time, here, "close")
 
     def _approaches_obstacle(self, here: Pose, point: PathPoint) -> bool:
-        """Return whether the body approaches an obstacle on its expected return to the path."""
         if not self.world.has_obstacles or self._reserve == 0 or self.leans:
             return False
         slope = math.remainder(here.heading - point.heading, 2 * math.pi)
@@ -454,8 +453,8 @@ class Follower(Controller):
                 self._events.append(Event(time, "no_new_plan", text))
             return
         self._tries += reason not in _UNCOUNTED
-        # A new plan changes the motion only after some gait periods, so an earlier
-        # request would be useless.
+        # A new plan changes the motion only after some gait periods, so there is no
+        # earlier request.
         self._not_before = time + RETRY_PERIODS * self._period
         job = partial(_new_plan, self.replan, pose, self.least_margin)
         if self.submit is None:
@@ -464,7 +463,6 @@ class Follower(Controller):
             self._coming = reason, self.submit(job)
 
     def _receive_plan(self, time: float, reason: str, renewal: Renewal) -> None:
-        """Start on a new plan, or continue on the old plan if the reason allows it."""
         plan = renewal.plan
         if plan is not None:
             if renewal.share == 1:

@@ -118,7 +118,7 @@ class Footprint:
         ahead: float = 0.0,
         behind: float = 0.0,
     ) -> Footprint:
-        """Return the box of the dissertation, which has a constant width (Fig. 54, Table 9).
+        """Return the box of the dissertation with a constant width (Fig. 54, Table 9).
 
         In turns the box is shifted outward, because the inner edge approaches the path
         while the outer edge hardly moves (Table 8).
@@ -184,7 +184,7 @@ class Footprint:
         """
         low = turn_share * self.curvatures[0]
         high = turn_share * self.curvatures[-1]
-        # Rows almost at the limits would give intervals of almost no width.
+        # Rows too close to the limits would give intervals of almost no width.
         inner = [
             k
             for k in self.curvatures
@@ -236,15 +236,17 @@ class Footprint:
         for size, t in measured:
             left, right = widest.get(size, (0.0, 0.0))
             widest[size] = max(left, t.left), max(right, t.right)
-        # The length does not depend on the size of the change, because the response is
-        # that of a linear system.
+        # The response is linear, so its length does not depend on the size of the
+        # change.
         return *_interpolated(abs(after - before), widest), max(
             t.length for _, t in measured
         )
 
     @property
     def settle(self) -> float | None:
-        """Response length ℓ of the curvature to a change of offset, m; None without transients.
+        """Response length ℓ of the curvature to a change of offset, m.
+
+        It is None without transients.
 
         After a change Δκ of the curvature, a first-order response lags in heading by Δκ
         ℓ = −dheading. The value is a least-squares estimate over all measured changes.
@@ -261,7 +263,7 @@ class Footprint:
         return None
 
     def lag(self, before: float, after: float) -> tuple[float, float]:
-        """Return the delay δ and length T (m) of the transition arc after a change of offset.
+        """Return the delay δ and length T of a transition arc, m.
 
         Both are defined in `planner` and interpolated by the size of the change. They
         are constant beyond the measured sizes, and 0 without measured changes in this
@@ -273,7 +275,8 @@ class Footprint:
             if t.dheading * step < 0:
                 delay = -t.dheading / step
                 moment = 2 * t.dy / step
-                # The arc cannot be shorter than its delay, see the curvature κ_t.
+                # The arc cannot be shorter than its delay, because of the curvature κ_t
+                # in `planner`.
                 known.setdefault(size, []).append((delay, max(moment / delay, delay)))
         if not known:
             return 0.0, 0.0
@@ -281,7 +284,7 @@ class Footprint:
         return _interpolated(abs(after - before), means)
 
     def _measured(self, change: float) -> list[tuple[float, Transient]]:
-        # Round the sizes, because 0.3 − 0.2 is not exactly 0.1.
+        # The sizes are rounded, because 0.3 − 0.2 is not exactly 0.1.
         return [
             (round(abs(t.after - t.before), 9), t)
             for t in self.transients
@@ -295,7 +298,6 @@ class Footprint:
 def _interpolated(
     size: float, values: Mapping[float, Sequence[float] | np.ndarray]
 ) -> tuple[float, float]:
-    """Interpolate two quantities that are tabulated by the size of a change."""
     sizes = sorted(values)
     columns = zip(*(values[known] for known in sizes), strict=True)
     first, second = (float(np.interp(size, sizes, column)) for column in columns)
@@ -335,7 +337,7 @@ def find_problems(footprint: Footprint) -> list[tuple[str, str]]:
         )
     for side, name in enumerate(("left", "right")):
         # An edge on the inner side must not reach the centre of curvature, where κ n =
-        # 1.
+        # 1. The maximum transient after any change to this offset is included.
         turn = (1 if name == "left" else -1) * np.array(footprint.curvatures)
         # Include the largest transient after any change to this offset.
         extra = [

@@ -108,7 +108,7 @@ class ConditionsFile(StrictModel):
         return self
 
     def covers(self, other: ConditionsFile) -> bool:
-        """Return whether results under these conditions are also bounds for other conditions.
+        """Return whether results under these conditions are bounds for others.
 
         The other conditions must agree in plant, contact, chambers, follower and
         run-up, and must not be more difficult in any other number.
@@ -142,7 +142,7 @@ _DIFFICULTIES = (
 
 
 class ExcursionsFile(StrictModel):
-    """Maximum excursion of each run, m. The value 1000 means that the run did not arrive."""
+    """Maximum excursion of each run, m; 1000 if the run did not arrive."""
 
     conditions: ConditionsFile
     """Conditions of the runs."""
@@ -255,7 +255,7 @@ class FootprintFile(StrictModel):
         return self.contact or (UNSTATED_CONTACT if measured else None)
 
     def mismatch(self, contact: ContactName) -> str | None:
-        """Return a warning if the contact differs from the measured twin's contact, or None."""
+        """Return a warning if the contact differs from the measurement."""
         own = self.twin_contact
         if own in (None, contact):
             return None
@@ -397,8 +397,8 @@ def margin_for(
                 f"no excursions are measured for {text}; `srs-twin calibrate margin`"
                 " measures them"
             )
-        # Use one block only: the smallest quantile of several blocks would be exceeded
-        # more often than stated.
+        # Only one block is used, because the minimum over several blocks would be
+        # exceeded more often than stated.
         block = min(
             covering, key=lambda block: block.conditions.excess_difficulty(condition)
         )

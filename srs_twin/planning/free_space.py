@@ -33,7 +33,7 @@ _FINE_CHORDS = 32
 Chords lie inside the circle, which only widens gaps.
 """
 _COARSE_CHORDS = 4
-"""Number of chords per quarter circle in the length bound, where few corners save time."""
+"""Number of chords per quarter circle in the length bound; few save time."""
 _ROUNDING_M = 1e-9
 """Tolerance for lines along the boundary of the free space, m."""
 
@@ -64,8 +64,9 @@ def min_path_length(start: Pose, goal: Goal, world: World, clearance: float) -> 
     component = _free_component(start, goal, world, clearance, _COARSE_CHORDS)
     if component is None:
         return math.inf
-    # A* on the visibility graph: shortest lines bend at corners of the free space only.
-    # Visibility is tested late, when a line reaches the front of the queue.
+    # This is A* on the visibility graph, since shortest lines bend only at corners of
+    # the free space. Visibility is tested late, when a line reaches the front of the
+    # queue.
     free = component.buffer(_ROUNDING_M, join_style="mitre")
     shapely.prepare(free)
     corners = np.array(
@@ -98,7 +99,6 @@ def min_path_length(start: Pose, goal: Goal, world: World, clearance: float) -> 
 
 
 def _reflex_corners(polygon: shapely.Polygon) -> list[tuple[float, float]]:
-    """Return the corners at which shortest lines may bend."""
     import shapely
 
     corners: list[tuple[float, float]] = []
@@ -114,13 +114,16 @@ def _reflex_corners(polygon: shapely.Polygon) -> list[tuple[float, float]]:
 def _free_component(
     start: Pose, goal: Goal, world: World, clearance: float, chords: int
 ) -> shapely.Polygon | None:
-    """Return the component of the free space with start and goal, or None if they differ."""
+    """Return the component of the free space that contains start and goal.
+
+    The result is None if start and goal are in different components.
+    """
     import shapely
 
     here = shapely.Point(start.x, start.y)
     there = shapely.Point(goal.x, goal.y)
-    # Discs are drawn as polygons around the circle: the free space must not be too
-    # small.
+    # The polygons contain the discs around both ends, because the free space must not
+    # be too small.
     around = 1 / math.cos(math.pi / (4 * chords))
     ends = [
         here.buffer(2 * clearance * around, quad_segs=chords),

@@ -37,7 +37,7 @@ The search finds wider passages without guidance.
 """
 
 _ENTRY_CLEARANCE_M = 1e-3
-"""Distance from the head to the narrowest point at the start of the straight path, m."""
+"""Distance from the head to the narrowest point when the straight path begins, m."""
 
 _ROUND_CLEARANCE = 0.3
 """Additional distance in body widths, because round obstacles narrow the approach."""
@@ -111,7 +111,7 @@ def grid_heuristic(
     row = int((goal.y - south) / cell)
     column = min(column, len(x) - 1)
     row = min(row, len(y) - 1)
-    # From the goal, so that one search gives the distances of all cells.
+    # The search starts at the goal, so that it gives the distances of all cells.
     distance = dijkstra(
         _grid_graph(free, cell), directed=False, indices=column * len(y) + row
     )
@@ -156,7 +156,6 @@ def _free_cells(
 def _cell_window(
     centres: np.ndarray, middle: float, reach: float, cell: float
 ) -> slice:
-    """Return the cells whose centres may lie within `reach` of a position."""
     first = math.floor((middle - reach - centres[0]) / cell)
     return slice(max(0, first), max(0, first + 2 + math.ceil(2 * reach / cell)))
 
@@ -221,7 +220,7 @@ def _gap_centres(world: World, width: float) -> list[tuple[list[float], list[flo
     one, other = tree.query(
         lines, predicate="dwithin", distance=_MAX_WIDTH * width + radii + largest
     )
-    # Keep each pair of obstacles once.
+    # Each pair of obstacles is kept once.
     one, other = one[one < other], other[one < other]
     near = shapely.get_coordinates(
         shapely.shortest_line(lines[one], lines[other])
@@ -237,7 +236,8 @@ def _gap_centres(world: World, width: float) -> list[tuple[list[float], list[flo
     normal = across / distance[:, None]
     centre = near[:, 0] + normal * (radii[one[kept]] + gap / 2)[:, None]
     points = shapely.points(centre)
-    # Drop pairs with another obstacle between them, and those inside a polygon.
+    # Pairs with another obstacle between them are dropped, and so are those inside a
+    # polygon.
     at, obstacle = tree.query(points, predicate="dwithin", distance=gap / 2 + largest)
     nearer = (
         shapely.distance(points[at], lines[obstacle]) - radii[obstacle]
@@ -247,7 +247,8 @@ def _gap_centres(world: World, width: float) -> list[tuple[list[float], list[flo
     is_open = ~(
         np.isin(np.arange(len(gap)), at[nearer]) | shapely.contains(solid, points)
     )
-    # Sort by width, so that of several close passages the narrowest is kept.
+    # The passages are sorted by width, so that the narrowest of several close passages
+    # is kept.
     ordered = sorted(
         zip(
             gap[is_open],
@@ -283,7 +284,8 @@ def _entry_poses(
     straight = body.at(0.0)
     transient = max((change.length for change in body.transients), default=0.0)
     width = straight.left + straight.right
-    # The middle of the body, not the centre of mass, follows the middle of the passage.
+    # The middle of the body follows the middle of the passage, unlike the centre of
+    # mass.
     lateral = (straight.right - straight.left) / 2
     ahead = body.ahead + _ENTRY_CLEARANCE_M
     passages: list[tuple[float, float, float, float]] = []
@@ -293,8 +295,8 @@ def _entry_poses(
             continue
         kept.append((x, y))
         for sign in (1.0, -1.0):
-            # Perpendicular to the shortest line between the obstacles, in both
-            # directions.
+            # The snake passes perpendicular to the shortest line between the obstacles,
+            # in either direction.
             heading = math.atan2(-sign * across_x, sign * across_y)
             c = math.cos(heading)
             s = math.sin(heading)

@@ -203,7 +203,7 @@ def _arrival(
 
 
 def _mean_heading(trajectory: Trajectory) -> float:
-    """Return the mean heading of the last gait period, extrapolated to the end of the run."""
+    """Return the mean heading of the last gait period, extrapolated to the end."""
     frequency = positive_number(trajectory, "gait_frequency_hz")
     time = trajectory.time
     heading = trajectory["heading"]
@@ -211,7 +211,7 @@ def _mean_heading(trajectory: Trajectory) -> float:
     if period <= 0:
         return float(heading[-1])
     at = np.linspace(time[-1] - period, time[-1], 201)
-    # The heading oscillates with the gait; its mean over a whole period does not.
+    # The heading oscillates with the gait, but its mean over a whole period does not.
     values = np.interp(at, time, heading)
     return float(np.trapezoid(values, at) / period + (values[-1] - values[0]) / 2)
 
@@ -327,7 +327,7 @@ def centre_points(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _why_undefined(metric: str, trajectory: Trajectory) -> str:
-    """Return why a metric is undefined, or "" if None describes the outcome of the run."""
+    """Return why a metric is undefined, or "" if None describes the outcome."""
     if following(trajectory) is None:
         return "the run follows no plan"
     if metric == "arrival_heading_error_rad":

@@ -106,7 +106,7 @@ def make_move_set(primitives: Primitives, footprint: Footprint) -> MoveSet:
         footprint.at(float(tightest))
     own = [*primitives.curvatures, -right, -both, 0.0, both, left]
     wide = [side * both / factor for factor in _RADIUS_FACTORS for side in (-1, 1)]
-    # Rounding merges equal curvatures; clipping keeps them within the footprint.
+    # Rounding merges equal curvatures, and clipping keeps them within the footprint.
     curvatures = np.unique(np.round([*own, *wide], 12))
     curvatures = np.clip(curvatures, -right, left)
     rows = [footprint.at(float(k)) for k in curvatures]
@@ -179,13 +179,13 @@ def follow_arc(state, move, length, moves, grid):  # type: ignore[no-untyped-def
     right = change[1]
     lasting = change[2]
     if state.lasting > 0:
-        # Overlapping transients: the larger width and length of each.
+        # Overlapping transients combine to the larger width and length.
         left = max(state.left, left)
         right = max(state.right, right)
         lasting = max(state.lasting, lasting)
     curvature = moves.curvatures[move]
     steady = Extent(moves.ahead, moves.behind, moves.left[move], moves.right[move])
-    # The first part of the arc has the wider edges, the rest the steady ones.
+    # The edges are wider on the first part of the arc only.
     first = min(lasting, length)
     free = True
     if first > 0:
@@ -220,8 +220,8 @@ def shorten_path(
     lengths = np.array([length for _, length in arcs])
     for turn in range(_SHORTENING_ROUNDS):
         before = math.fsum(lengths)
-        # Divide the path more finely in each round, so that short cuts can begin and
-        # end at other poses.
+        # The path is divided more finely in each round, so that short cuts can begin
+        # and end at other poses.
         counts = np.ceil(lengths * (2 + turn) / radius).astype(np.int64)
         pieces = np.repeat(indices, counts), np.repeat(lengths / counts, counts)
         indices, lengths = _cut_corners(*start, *pieces, moves, grid, radius)
@@ -262,13 +262,13 @@ def _cut_corners(x, y, heading, indices, lengths, moves, grid, radius):  # type:
             )
             if path.length < distances[last] - distances[k] - 1e-9:
                 free, end = follow_dubins_path(state, path, 0, moves, grid)
-                # The transient of the last change widens the edges on the path that
-                # follows.
+                # The transient of the last change also widens the edges on the
+                # following path.
                 if free and _stays_free(
                     end, last, indices, lengths, states, moves, grid
                 ):
                     break
-            # Try nearer poses, in steps that shrink with the distance.
+            # Nearer poses are tried in steps that shrink with the distance.
             last = k + min(last - k - 1, int(_RETREAT * (last - k)))
         if last > k:
             for piece in range(3):
@@ -287,7 +287,7 @@ def _cut_corners(x, y, heading, indices, lengths, moves, grid, radius):  # type:
 
 @kernel_only
 def _append_arc(indices, lengths, size, move, length):  # type: ignore[no-untyped-def]
-    """Append an arc, or extend the last arc if the moves are equal; return the new size."""
+    """Append an arc, or extend an equal last arc, and return the number of arcs."""
     if size > 0 and indices[size - 1] == move:
         lengths[size - 1] += length
         return size

@@ -125,7 +125,7 @@ def path_steps(
 
 
 class PathPoint(NamedTuple):
-    """Position s and n relative to a path (m), with its heading (rad) and curvature (1/m)."""
+    """Position s and n (m), with the path's heading (rad) and curvature (1/m)."""
 
     s: float
     n: float
@@ -176,7 +176,7 @@ class ReferencePath:
     def nearest(
         self, x: float, y: float, low: float = -EXTENSION_M, high: float = math.inf
     ) -> PathPoint:
-        """Return the path coordinates of a point, with s between `low` and `high`, m."""
+        """Return the path coordinates of a point, with s in a range, m."""
         return PathPoint(*map(float, _nearest(x, y, self.arcs, low, high)))
 
     def coordinates(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -219,8 +219,8 @@ def _nearest(x, y, arcs, low, high):  # type: ignore[no-untyped-def]
         dx = x - arcs[k, 0]
         dy = y - arcs[k, 1]
         n, s = path_coordinates(c * dx + sn * dy, c * dy - sn * dx, curvature)
-        # s is between -π/|κ| and π/|κ|; on arcs of more than half a turn, add a full
-        # turn.
+        # The formula gives s between -π/|κ| and π/|κ|, so a full turn is added on arcs
+        # of more than half a turn.
         if s < 0 and curvature != 0 and s + 2 * np.pi / abs(curvature) <= last:
             s += 2 * np.pi / abs(curvature)
         s = min(max(s, first), last)

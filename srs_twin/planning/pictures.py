@@ -1,4 +1,4 @@
-"""Plots, notebook pages and Rerun recordings of plans and of the runs that follow them."""
+"""Plots, notebook pages and Rerun recordings of plans and following runs."""
 
 from __future__ import annotations
 

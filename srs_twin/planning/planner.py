@@ -34,7 +34,7 @@ from srs_twin.planning.touch import narrowed, plan_with_touch
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 
 _WIDTH_STEPS = (0.1, 0.2, 0.4, 0.8, 1.6)
-"""Widths added to both edges to find paths with more clearance, in widths of the straight body."""
+"""Widths added to both edges for more clearance, in widths of the straight body."""
 _MAX_WIDER_NODES = 4000
 """Maximum number of nodes of the search for a wider body."""
 _COST_SPACING_M = 0.02
@@ -77,7 +77,7 @@ def plan(problem: Problem, settings: Settings | None = None) -> Plan:
 
 
 def _lowest_cost(first: Plan, problem: Problem, settings: Settings) -> Plan:
-    """Return the plan with the lowest cost among the given plan and plans for wider bodies.
+    """Return the plan with the lowest cost, including plans for wider bodies.
 
     `Settings.clearance_weight` defines the cost.
     """
@@ -100,7 +100,6 @@ def _lowest_cost(first: Plan, problem: Problem, settings: Settings) -> Plan:
 
 
 def _cost(result: Plan, problem: Problem, width: float, weight: float) -> float:
-    """Return the length of a path plus the cost of small clearances, m."""
     import shapely
 
     steps = path_steps(result.segments, problem.footprint, _COST_SPACING_M)
@@ -108,7 +107,7 @@ def _cost(result: Plan, problem: Problem, width: float, weight: float) -> float:
     distance = np.full(len(points), np.inf)
     for _, core, radius in obstacle_shapes(problem.world):
         distance = np.minimum(distance, shapely.distance(points, core) - radius)
-    # Use the distance of the wider edge on both sides: a simple bound.
+    # The distance of the wider edge is used on both sides as a simple bound.
     clearance = np.maximum(distance - np.maximum(steps.left, steps.right), 0.0)
     return float(np.dot(steps.lengths, 1 + weight * np.exp(-clearance / width)))
 
@@ -116,8 +115,8 @@ def _cost(result: Plan, problem: Problem, width: float, weight: float) -> float:
 @functools.cache
 def _compile() -> None:
     """Load or compile the kernels, so that neither counts against a time limit."""
-    # A problem with obstacles in the way and a transient, because a straight path would
-    # not compile all kernels.
+    # The problem has obstacles in the way and a transient, because a straight path
+    # would not compile all kernels.
     circles = (Circle(0.6, 0.05, 0.1), Circle(1.7, 0.1, 0.1))
     square = Polygon(((1.1, -0.3), (1.2, -0.3), (1.2, 0.05), (1.1, 0.05)))
     world = World(circles, Bounds((-1.0, 4.0), (-2.0, 2.0)), polygons=(square,))
@@ -146,7 +145,7 @@ def with_transitions(
     arcs: list[tuple[float, float]] = []
     remaining = segments[0].length
     for here, after in zip(segments, segments[1:], strict=False):
-        # δ and T of the module docstring.
+        # See δ and T in the module docstring.
         delay, length = footprint.lag(here.offset, after.offset)
         if length == 0 or delay > remaining or length - delay > after.length:
             delay = 0.0
@@ -196,7 +195,7 @@ def plan_with_transitions(
 def _search_with_transitions(
     problem: Problem, search: Callable[..., Plan], begin: Sequence[Segment]
 ) -> Plan:
-    """Return the first free path with transition arcs that arrives, for wider bodies in turn."""
+    """Return the first valid path with transition arcs, for wider bodies in turn."""
     body = problem.footprint
     first = search(problem)
     if not first.found:
@@ -204,7 +203,7 @@ def _search_with_transitions(
     if not first.segments or not body.transients:
         return replace(first, segments=(*begin, *first.segments))
     checker = Checker(problem.world, body)
-    # Paths that are not shortened stay farther from obstacles.
+    # A path that is not shortened stays farther from obstacles.
     for smooth, margin in product((True, False), _SHAPING_MARGINS_M):
         wide = replace(problem, footprint=body.reduced(margin=margin))
         aim = problem.goal
@@ -222,7 +221,7 @@ def _search_with_transitions(
                 if checker.is_path_free(path):
                     return replace(result, segments=path)
                 break
-            # Fixed-point iteration: displace the goal by the remaining error.
+            # Fixed-point iteration: the goal is displaced by the remaining error.
             aim = _corrected_aim(aim, problem.goal, end)
     reason = (
         f"{first.reason}; without transition arcs, because no path with them was free"

@@ -20,10 +20,10 @@ from srs_twin.robot.world import Goal, Pose, World
 from srs_twin.trajectory import HtmlResult
 
 _MAX_LEVELS = 5
-"""Maximum number of levels. Arcs of the fifth level are 16 times shorter than at first."""
+"""Maximum number of levels; the fifth has arcs 16 times shorter than the first."""
 
 _MAX_COORDINATE_M = 2000.0
-"""Maximum coordinate of start and goal, m, since cell indices of the search are limited."""
+"""Maximum coordinate of start and goal, m; the search's cell indices are limited."""
 
 _KINK_ROUNDING = 1e-6
 """Maximum heading jump that is a rounding error, rad."""
@@ -289,7 +289,7 @@ class Plan(HtmlResult):
 
     @property
     def kink(self) -> float:
-        """Maximum heading jump between segments, rad; 0 if the snake can follow the path."""
+        """Maximum heading jump between segments, rad; 0 for a path without jumps."""
         pairs = zip(self.segments, self.segments[1:], strict=False)
         jumps = (
             abs(math.remainder(b.start.heading - a.end.heading, 2 * math.pi))

@@ -66,13 +66,13 @@ class PlannerSection(ExtensionSection):
     footprint: PathOrName
     """Footprint of the body: a shipped name or the path of a footprint file."""
     turn_share: float = quantity(0.05, 1.0, 1.0)
-    """Fraction of the tightest curvature that plans use; the follower needs the rest for corrections."""
+    """Fraction of the tightest curvature that plans use.
+    The follower needs the rest for corrections."""
     margin_m: float | None = quantity(0.0, 10.0, None)
     """Margin added to both edges of the footprint (default 0)."""
     margin_probability: float | None = quantity(0.5, 0.999, None)
-    """Probability that a whole run stays within the margin, by the excursions in the footprint file;
-    instead of margin_m.
-    """
+    """Probability that a whole run stays within the margin, from the excursions in the
+    footprint file. It replaces margin_m."""
 
     @model_validator(mode="after")
     def _keys_agree(self) -> PlannerSection:
@@ -117,12 +117,6 @@ class PlannerSection(ExtensionSection):
             return None
 
     def _planner(self, footprint: FootprintFile, loading: Loading) -> ScenarioPlanner:
-        """Return the planner.
-
-        Raises:
-            InputError: a turn is tighter than the footprint allows, the edges are too
-                wide, there is no goal, or no margin of the given probability.
-        """
         robot = footprint.footprint()
         start = loading.file.start.build()
         world = loading.world
@@ -184,9 +178,11 @@ class BestFirstFile(PlannerSection):
     constructors = (Settings,)
 
     touch: Literal["allowed"] | None = None
-    """allowed: the path may lean on obstacles where the body can pass (default: keep clear)."""
+    """allowed: the path may lean on obstacles where the body can pass
+    (default: keep clear)."""
     run_up_m: float = quantity(0.0, 100.0, 0.0)
-    """Length of a straight run-up at the start of the path, over which the gait becomes steady."""
+    """Length of a straight run-up at the start of the path,
+    over which the gait becomes steady."""
     primitives: PrimitivesFile | None = None
     """Motion primitives (default: chosen by the planner)."""
     kind: Literal["best_first"]
@@ -194,17 +190,21 @@ class BestFirstFile(PlannerSection):
     nodes: int = quantity(1, 100_000_000)
     """Maximum number of expanded nodes."""
     seconds: float | None = quantity(0.001, 3600.0, unit="s")
-    """Limit on the wall time; with a limit, the result may differ between machines (default: none)."""
+    """Limit on the wall time (default: none).
+    With a limit, the result may differ between machines."""
     weight: float = quantity(1.0, 100.0)
-    """Weight of the cost-to-go; values above 1 make the search faster and the path longer."""
+    """Weight of the cost-to-go.
+    A value above 1 makes the search faster and the path longer."""
     levels: int = quantity(1, 5)
     """Number of resolutions to try."""
     clearance_weight: float = quantity(0.0, 100.0)
-    """Extra cost of a metre of path that touches an obstacle, in metres; above 0 paths avoid obstacles."""
+    """Extra cost of a metre of path that touches an obstacle, in metres.
+    With a cost above 0, paths avoid obstacles."""
     smooth: bool = constructor_default()
     """Shorten the path afterwards."""
     shape_changes: bool = False
-    """Plan with transition arcs, the measured response to changes of offset, instead of curvature jumps."""
+    """Plan with transition arcs instead of curvature jumps.
+    They are the measured response to changes of offset."""
     improve: bool = constructor_default()
     """Continue at finer resolutions for a shorter path while the budget lasts."""
 
@@ -339,7 +339,10 @@ class ScenarioPlanner:
         return self.file.find(self.problem, wider, self.touch_limits)
 
     def plan_from(self, pose: Pose, share: float = 1.0) -> Plan:
-        """Return a plan from another pose, with a fraction of the margin and no run-up."""
+        """Return a plan from another pose, with a fraction of the margin.
+
+        The plan has no run-up.
+        """
         # The gait is already steady, so a new plan needs no run-up.
         file = self.file.model_copy(update={"run_up_m": 0.0})
         body = validate_footprint(
@@ -360,7 +363,6 @@ def _plan(planner: ScenarioPlanner) -> Plan:
 
 
 def _input_files(section: Mapping[str, object]) -> Iterator[str]:
-    """Yield the path of the footprint file, or its name if it is not found."""
     if isinstance(name := section.get("footprint"), str):
         try:
             yield str(find_file("footprint", name))

@@ -1,4 +1,4 @@
-"""Compiled kernels of the best-first search over arcs of constant curvature (hybrid A*).
+"""Compiled kernels of the best-first search over arcs (hybrid A*).
 
 A node is a pose that is reached from the start by arcs. Its key is g + w h, where g is
 the length of the path so far, h the Dubins length to the goal at the tightest
@@ -46,12 +46,12 @@ FULL = 4
 """Result of `expand` if the arrays are full."""
 
 _INDEX_BITS = 26
-"""Number of bits of a row or column in a cell's key; the other 11 bits hold the sector."""
+"""Number of bits of a row or column in a cell's key; 11 bits are for the sector."""
 _INDEX_OFFSET = 1 << (_INDEX_BITS - 1)
 """Offset that makes rows and columns positive."""
 
 _COST_TOLERANCE = 1e-9
-"""Minimum improvement of a path length that replaces a node, m, above rounding errors."""
+"""Minimum improvement of a path length that replaces a node, m."""
 _PASSAGE_INTERVAL = 4
 """Interval at which narrow passages are tried, in expanded nodes.
 
@@ -185,7 +185,7 @@ def pop(frontier):  # type: ignore[no-untyped-def]
 
 @compiled
 def cell_slot(frontier, x, y, heading, cell, sector):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return the hash table slot of a pose's cell, and enter a new cell without an owner.
+    """Return the hash table slot of a pose's cell, and enter the cell if it is new.
 
     Args:
         cell: side of a cell, m.
@@ -203,8 +203,8 @@ def cell_slot(frontier, x, y, heading, cell, sector):  # type: ignore[no-untyped
 
 @kernel_only
 def _key_slot(frontier, key):  # type: ignore[no-untyped-def]
-    # Fibonacci hashing (the constant is 2⁶⁴ divided by the golden ratio); the product
-    # may overflow.
+    # Fibonacci hashing multiplies by 2⁶⁴ divided by the golden ratio. The product may
+    # overflow.
     last = frontier.cells.shape[0] - 1
     slot = ((key * np.int64(-7046029254386353131)) >> 20) & last
     while frontier.owners[slot] != 0 and frontier.cells[slot] != key:
@@ -318,7 +318,7 @@ def expand(frontier, spec, best, count):  # type: ignore[no-untyped-def]
     while frontier.counts[OPEN] > 0:
         if frontier.counts[EXPANDED] >= until:
             return PAUSED, -1
-        # Make sure that all children fit before the node leaves the heap.
+        # A node leaves the heap only if all its children fit into the arrays.
         children = (
             moves.primitives.shape[0]
             + moves.dubins_moves.shape[0] * spec.passages.shape[0]
@@ -328,7 +328,7 @@ def expand(frontier, spec, best, count):  # type: ignore[no-untyped-def]
         node = pop(frontier)
         at = _node(frontier, node)
         slot = cell_slot(frontier, at.x, at.y, at.heading, spec.cell, spec.sector)
-        # Skip nodes that a shorter path to their cell has replaced.
+        # A node is skipped if a shorter path to its cell has replaced it.
         if frontier.owners[slot] != node + 1 or at.cost + at.bound >= best:
             continue
         frontier.counts[EXPANDED] += 1
@@ -419,7 +419,6 @@ def _try_passage(frontier, node, passage, factor, spec, best):  # type: ignore[n
 
 @kernel_only
 def _is_taken(frontier, slot, cost):  # type: ignore[no-untyped-def]
-    """Return whether the node of a cell has a path of at most this length, m."""
     owner = frontier.owners[slot] - 1
     return owner >= 0 and frontier.nodes[owner, _COST] <= cost + _COST_TOLERANCE
 
@@ -427,6 +426,7 @@ def _is_taken(frontier, slot, cost):  # type: ignore[no-untyped-def]
 @kernel_only
 def _open_node(frontier, slot, parent, move, node, spec):  # type: ignore[no-untyped-def]
     child = _add_node(frontier, slot, parent, move, node)
+    # The key is g + w h. Grid distances may increase h, which is then no lower bound.
     rest = max(node.bound, grid_distance(spec.heuristic, node.x, node.y))
     push(frontier, child, node.cost + spec.weight * rest)
 

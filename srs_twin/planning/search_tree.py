@@ -84,7 +84,7 @@ class SearchTree:
         return int(self.frontier.counts[EXPANDED])
 
     def grow(self, count: int, best: float) -> ArcSequence | None:
-        """Expand up to `count` nodes, and return the arcs of a plan shorter than `best` (m).
+        """Expand up to `count` nodes, and return a plan shorter than `best` (m).
 
         Without such a plan the result is None. The arcs always lead from start to goal.
         """
@@ -114,7 +114,7 @@ class SearchTree:
         end = Pose(*map(float, self.frontier.nodes[node, :3]))
         if connected:
             heading = None if target.any_heading else target.heading
-            # The same Dubins path that the kernel has tested.
+            # This is the Dubins path that the kernel has tested.
             arcs = shortest_path(
                 end, target.x, target.y, heading, target.dubins_radius
             )[::-1]
@@ -144,7 +144,7 @@ def goal_poses(goal: Goal, sector: float) -> list[Pose]:
     With a free heading there is one pose per sector (rad).
     """
     if goal.heading is None:
-        # One pose per heading cell.
+        # One pose per heading cell is enough.
         headings = list(np.arange(0.0, 2 * math.pi, sector))
     else:
         headings = [

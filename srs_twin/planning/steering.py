@@ -52,11 +52,14 @@ _GAIN_LIMITS = (0.4, 2.5)
 """Minimum and maximum estimate of the gain."""
 
 _PRIOR_STD = np.array([0.2, 0.3])
-"""Initial standard deviations of d, in tightest curvatures, and g (docs/following.md)."""
+"""Initial standard deviations of d, in tightest curvatures, and g.
+
+The values are explained in docs/following.md.
+"""
 _WALK_STD = np.array([0.1, 0.1])
-"""Standard deviations of the random walk of d and g per square root of a gait period."""
+"""Standard deviations of the random walk of d and g per √(gait period)."""
 _CURVATURE_STD = 0.02
-"""Standard deviation of a measured curvature over a gait period, in tightest curvatures."""
+"""Standard deviation of a curvature over a gait period, in tightest curvatures."""
 
 _HISTORY_PERIODS = 2.5
 """Length of the stored history of the model in gait periods."""
@@ -123,7 +126,7 @@ class Predictor(Stateful):
         self._means: list[_Sample] = []
 
     def reset_turning(self) -> None:
-        """Discard the estimates of gain and disturbance, for example after the gait has learned."""
+        """Discard the estimates of gain and disturbance."""
         self.disturbance = 0.0
         self.gain = 1.0
         self._covariance = np.diag((_PRIOR_STD * self._scale) ** 2)
@@ -134,14 +137,14 @@ class Predictor(Stateful):
         return self.gain * self.curvature + self.disturbance
 
     def command(self, time: float, offset: float) -> None:
-        """Advance the model with the commanded offset; it is ahead of the snake by the delay."""
+        """Advance the model, which is ahead of the snake by the command delay."""
         before, x, y, heading, total_turn = self._model[-1]
         step = time - before
         if step <= 0:
             return
         final = float(np.interp(offset, self._offsets, self._curvatures))
         length = self.speed * step
-        # Exact solution of dκ/ds = (κ_final - κ)/ℓ over the length.
+        # The exact solution of dκ/ds = (κ_final - κ)/ℓ is evaluated over the length.
         if self._settle > 0:
             decay = math.exp(-length / self._settle)
         else:
@@ -150,7 +153,7 @@ class Predictor(Stateful):
         self.curvature = final + (self.curvature - final) * decay
         nominal_turn = length * (mean + self.curvature) / 2
         turn = self.gain * nominal_turn + length * self.disturbance
-        # Midpoint rule for the position of the unicycle.
+        # The midpoint rule gives the position of the unicycle.
         middle = heading + turn / 2
         x = x + length * math.cos(middle)
         y = y + length * math.sin(middle)
@@ -158,7 +161,7 @@ class Predictor(Stateful):
         _drop_before(self._model, time - _HISTORY_PERIODS * self._period - self._delay)
 
     def measure(self, time: float, middle: float, mean: Pose, *, whole: bool) -> None:
-        """Process a mean pose, and estimate speed and turning if it covers a whole period.
+        """Process a mean pose, and estimate speed and turning over whole periods.
 
         Args:
             time: current time, s.
@@ -181,7 +184,8 @@ class Predictor(Stateful):
         duration = middle - begin
         low, high = (share * self._nominal for share in _SPEED_LIMITS)
         self.speed = min(max(self.moved / duration, low), high)
-        # Turn of the footprint over the same time; the model is ahead by the delay.
+        # This is the turn of the footprint over the interval. The model is ahead by the
+        # delay.
         nominal = self._at(middle)[4] - self._at(begin)[4]
         length = max(self.moved, 1e-6 + low * duration)
         periods = (time - self._updated) / self._period
@@ -191,7 +195,7 @@ class Predictor(Stateful):
         self._updated = time
 
     def _update_turning(self, measured: float, nominal: float, periods: float) -> None:
-        """Update gain and disturbance with a Kalman filter for measured = d + g nominal.
+        """Update gain and disturbance with a Kalman filter (measured = d + g nominal).
 
         `measured` is the measured curvature and `nominal` the curvature of the
         footprint, 1/m. `periods` is the number of gait periods since the last update.
@@ -200,7 +204,7 @@ class Predictor(Stateful):
             return
         self._covariance += np.diag((_WALK_STD * self._scale) ** 2 * periods)
         row = np.array([1.0, nominal])
-        # Windows of one period overlap: all frames of a period count as one
+        # The averaging windows overlap, so all frames of a period count as one
         # measurement.
         cross = self._covariance @ row
         weights = cross / (
@@ -215,7 +219,7 @@ class Predictor(Stateful):
             max(self.gain + float(weights[1]) * innovation, _GAIN_LIMITS[0]),
             _GAIN_LIMITS[1],
         )
-        # Kalman update of two parameters from one scalar measurement.
+        # This is the Kalman update of two parameters from one scalar measurement.
         self._covariance -= np.outer(weights, cross)
 
     def predict(self, middle: float, mean: Pose, time: float) -> Pose:
@@ -236,7 +240,7 @@ class Predictor(Stateful):
         return Pose(mean.x + c * dx - s * dy, mean.y + s * dx + c * dy, heading + turn)
 
     def _at(self, time: float) -> _Sample:
-        """Return the model at a time of the snake, whose command was sent a delay earlier."""
+        """Return the model at a time of the snake; its command was sent earlier."""
         time -= self._delay
         model = self._model
         k = bisect_right(model, time, key=_time)
@@ -395,11 +399,12 @@ class PathLaw(Steering):
             self.node += 1
         ahead = self._path.curvature(s + self._settle)
         error = math.remainder(state.pose.heading - heading, 2 * math.pi)
+        # The approach angle e_n is the desired heading relative to the path.
         approach = -min(
             max(n / (2 * DAMPING * self._length), -_MAX_APPROACH), _MAX_APPROACH
         )
-        # Rate of the heading error along the path, from the model instead of noisy
-        # differences.
+        # The derivative of the heading error along the path comes from the model
+        # instead of noisy differences.
         rate = (
             state.curvature
             - state.place.curvature

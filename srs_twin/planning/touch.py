@@ -72,7 +72,7 @@ def touch_limits(spec: RobotSpec, footprint: Footprint) -> TouchLimits:
 
 
 def narrowed(problem: Problem, limits: TouchLimits, level: float) -> Problem:
-    """Return a problem whose edges overlap by a fraction `level` of the maximum overlap.
+    """Return a problem whose edges overlap by a fraction of the maximum overlap.
 
     The body cannot lean on the bounds of the world, so they are narrowed by the same
     width. The overlap is therefore equal at all curvatures.
@@ -120,7 +120,7 @@ def plan_with_touch(search: Search, problem: Problem, settings: Settings) -> Pla
                     reason = result.reason
                 best = replace(result, touches=touches, reason=reason)
                 lowest = cost
-    # Without a path, the search with the narrowest edges has the reason.
+    # If there is no path, the search with the narrowest edges gives the reason.
     if best is None:
         return replace(result, touches=())
     return best
@@ -145,7 +145,7 @@ class _Overlaps:
     force: np.ndarray
 
     def touches(self) -> tuple[Touch, ...]:
-        """Return the parts of the path that lean on an obstacle, in their order along the path."""
+        """Return the parts of the path that lean on an obstacle, in path order."""
         found = []
         for name, depth, force in zip(self.names, self.depth, self.force, strict=True):
             edges = np.flatnonzero(np.diff(np.r_[False, depth > _MIN_DEPTH_M, False]))
