@@ -163,8 +163,7 @@ def fit_actuator(
     Args:
         responses: measured responses.
         spec: robot whose values are the start of the search.
-        names: free parameters, see `parameters`; default:
-            `default_actuator_parameters`.
+        names: names of the free parameters, by default `default_actuator_parameters`.
         validation: responses for validation.
         starts: number of searches.
         watch: progress callback, see `least_squares`.

@@ -153,8 +153,8 @@ def calibrate_friction(
         wheel_inertia: whether coasting tests include the rotational inertia of the
             wheels.
         reader: settings with which recordings are read.
-        out: fit file; an existing file is replaced, and the report is written to the
-            same folder. None: nothing is written.
+        out: path of the fit file, or None to write nothing. An existing file is
+            replaced, and the report is written to the same folder.
         notify: function called with a note about each recording.
         progress: function called with the number of model runs and the best weighted
             RMS so far.
@@ -190,11 +190,11 @@ def calibrate_actuator(
         files: recordings of step responses, or tables or recordings of constant
             pressures (gains only).
         robot: initial robot, a name or path.
-        valves: logs, one for each of `files`, then for each of `validate`; default: the
-            logs beside the recordings.
+        valves: logs of `files` followed by logs of `validate`, by default the logs
+            beside the recordings.
         validate: recordings or tables for validation, not used by the fit.
-        supply_pa: supply pressure, Pa; None: the nominal pressure of the robot.
-        find: parameters to fit; None: all that the data can show.
+        supply_pa: supply pressure, Pa, by default the nominal pressure of the robot.
+        find: parameters to fit, by default all that the data can show.
         static: whether plateaus of constant pressure in recordings are fitted.
         starts: number of searches.
         reader: settings with which recordings are read.
@@ -243,16 +243,16 @@ def calibrate_locomotion(
     Args:
         files: recordings.
         robot: initial robot, a name or path.
-        valves: logs, one for each of `files`, then for each of `validate`; default: the
-            logs beside the recordings.
+        valves: logs of `files` followed by logs of `validate`, by default the logs
+            beside the recordings.
         validate: recordings for validation, not used by the fit.
-        supply_pa: supply pressure, Pa; None: the nominal pressure of the robot.
+        supply_pa: supply pressure, Pa, by default the nominal pressure of the robot.
         find: parameters to fit.
         plant: simulated plant, "analytical" or "twin".
-        model: analytical model; None: "compliant".
-        law: friction law of the analytical plant; None: "wheel".
+        model: analytical model, by default "compliant".
+        law: friction law of the analytical plant, by default "wheel".
         against: compared signals: "averages", "shapes" or "both".
-        starts: number of searches; None: 3, or 1 with the twin's shapes.
+        starts: number of searches, by default 3, or 1 with the twin's shapes.
         reader: settings with which recordings are read.
         out: see `calibrate_friction`.
         notify: see `calibrate_friction`.
@@ -295,12 +295,13 @@ def calibrate_damping(
         files: recordings of one hanging segment that is released from a bend.
         robot: initial robot, a name or path.
         valves: state of the chambers: "open" to the air or "closed".
-        mass_kg: mass of the body at the end of the segment; None: first connector.
-        inertia_kg_m2: moment of inertia of the body about its centre; None: the body
-            has the connector's radius of gyration.
-        leak_per_s: leak rate of closed chambers; None: fitted.
-        noise_rad: standard deviation of a recorded bend; None: estimated.
-        from_s: time from which the segment swings freely; None: detected.
+        mass_kg: mass of the body at the end of the segment, by default the first
+            connector.
+        inertia_kg_m2: moment of inertia of the body about its centre, by default
+            computed from the connector's radius of gyration.
+        leak_per_s: leak rate of closed chambers, or None to fit it.
+        noise_rad: standard deviation of a recorded bend, or None to estimate it.
+        from_s: time from which the segment swings freely, or None to detect it.
         out: see `calibrate_friction`.
         notify: see `calibrate_friction`.
         progress: see `calibrate_friction`.

@@ -165,8 +165,8 @@ def fit_damping(
         decays: free swings of the same segment with the same body.
         spec: robot whose geometry and chambers are used.
         valves: state of the chambers: "open" to the air or "closed".
-        body: hanging body; None: the first connector.
-        leak: leak rate of closed chambers, 1/s; None: fitted.
+        body: hanging body, by default the first connector.
+        leak: leak rate of closed chambers, 1/s, or None to fit it.
         watch: progress callback, see `least_squares`.
 
     Raises:
@@ -422,7 +422,7 @@ class _DampingFit:
         return amounts
 
     def _air_at_end(self) -> np.ndarray:
-        """Return p V of the air at the final mean pressure of the first recording, J."""
+        """Return p V of the air at the mean final pressure of the first decay, J."""
         first = self.decays[0]
         end = slice(-(len(first.time) // 4), None)
         pressure = 0.0 if first.pressure is None else first.pressure[end].mean(axis=0)

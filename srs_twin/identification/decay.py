@@ -137,9 +137,9 @@ def read_decay(
 
     Args:
         path: CSV file.
-        start: time from which the segment swings freely, s; None: the time of the
+        start: time from which the segment swings freely, s, by default the time of the
             maximum speed.
-        noise: standard deviation of a bend, rad; None: estimated.
+        noise: standard deviation of a bend, rad, or None to estimate it.
 
     Raises:
         InputError: a column is missing, or the recording does not determine k and T

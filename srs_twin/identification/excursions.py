@@ -180,12 +180,11 @@ def calibrate_margin(
 
     Args:
         scenario: name or path of a scenario that follows a plan, or a loaded scenario.
-        out: folder of the footprint file that receives the excursions; None: not
-            written.
+        out: folder of the footprint file that receives the excursions, or None.
         set: values that override fields of the scenario, see `load_scenario`.
         runs: number of runs on each plant.
-        plants: plants; None: plants of the scenario.
-        workers: number of processes; None: one per processor.
+        plants: plants to run, by default the plants of the scenario.
+        workers: number of processes, by default one per processor.
         progress: function called with the numbers of finished and of all runs.
 
     Returns:
@@ -241,7 +240,7 @@ def measure_excursions(
         scenario: scenario that follows a plan.
         plant: "analytical" or "twin".
         runs: number of runs; their seeds start at 0.
-        workers: number of processes; None: one per processor.
+        workers: number of processes, by default one per processor.
         progress: function called after each run.
 
     Returns:

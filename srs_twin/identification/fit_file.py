@@ -43,8 +43,8 @@ class DataSet:
         sha256: SHA-256 of the file, or of the numbers if there is no file.
         role: "fit", or "validation" for data that the fit does not use.
         samples: number of samples.
-        from_s: start of the used part, s; None: everything is used.
-        to_s: end of the used part, s.
+        from_s: start of the used part, s, or None if everything is used.
+        to_s: end of the used part, s, or None.
     """
 
     name: str

@@ -61,8 +61,8 @@ def robot_override(
     Args:
         fit: fit, whose robot becomes the base.
         weak: whether weakly identified parameters are included.
-        over: base with the results of other fits, which keeps list elements that this
-            fit does not have. None: the base alone.
+        over: base with the results of other fits, by default the base alone. It keeps
+            list elements that this fit does not have.
 
     Raises:
         InputError: the base robot does not exist or draws a fitted parameter at random,
@@ -229,7 +229,7 @@ def merge_overrides(
 
     Args:
         fits: paths of fit files; later files override earlier ones.
-        base: robot to change; None: the robot of the fits.
+        base: robot to change, by default the robot of the fits.
         weak: whether weakly identified parameters are included.
 
     Raises:
@@ -300,7 +300,7 @@ def calibrate_robot(
     Args:
         fits: fit files of one robot; later files override earlier ones.
         name: name of the new robot.
-        out: robot file; None: not written.
+        out: path of the robot file, or None to write nothing.
         weak: whether weakly identified parameters are included.
         overwrite: whether an existing file is replaced.
 

@@ -70,7 +70,8 @@ class GaitSetup:
             creates a plant with the tick `TICK`.
         steering: steering of the learning, see `ILC`.
         chambers: "lag" or "orifice", for a plant given by name.
-        contact: contact of the twin; None: its default. Other plants have none.
+        contact: contact of the twin, or None for the default of the twin or another
+            plant.
     """
 
     spec: RobotSpec
@@ -336,8 +337,8 @@ class FootprintStudy:
         """Run the plant and measure the footprint.
 
         Args:
-            threads: number of parallel runs, which does not affect the result; default:
-                one per processor.
+            threads: number of parallel runs, by default one per processor. It does not
+                affect the result.
             progress: function called with the numbers of finished and of all runs.
 
         Raises:
@@ -456,9 +457,9 @@ def footprint_study(
 
     Args:
         setup: robot, gait and plant.
-        offsets: offsets in ascending order; default: −0.3 to 0.3 with learning,
+        offsets: offsets in ascending order, by default −0.3 to 0.3 with learning,
             otherwise −0.4 to 0.4, in steps of 0.1.
-        changes: changes of offset, as (before, after); default: `default_changes`.
+        changes: changes of offset, as (before, after), by default `default_changes`.
         **counts: periods and phases of the `FootprintStudy`.
 
     Raises:

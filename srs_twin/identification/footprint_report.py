@@ -130,21 +130,21 @@ def calibrate_footprint(
 
     Args:
         robot: name or path of the robot, or a loaded robot.
-        out: folder of the footprint file; None: not written.
-        name: name of the footprint and its file; None: robot and controller.
+        out: folder of the footprint file, or None to write nothing.
+        name: name of the footprint and its file, by default robot and controller.
         overwrite: whether the file of another measurement is replaced.
         controller: "gait" (open loop) or "ilc" (learning).
-        frequency_hz: gait frequency, Hz; None: `FREQUENCY_HZ`.
-        supply_pa: supply pressure, Pa; None: the nominal pressure of the robot.
+        frequency_hz: gait frequency, Hz, by default `FREQUENCY_HZ`.
+        supply_pa: supply pressure, Pa, by default the nominal pressure of the robot.
         target_rad: target bend amplitude of the learning, rad.
         plant: simulated plant, "twin" or "analytical".
-        contact: contact of the twin; None: its default.
+        contact: contact of the twin, or None for its default.
         chambers: "lag" or "orifice".
-        offsets: offsets; None: see `footprint_study`.
+        offsets: offsets, by default as in `footprint_study`.
         transients: whether changes of offset are measured.
         periods: number of measured gait periods of each run.
         phases: number of runs per offset, with different initial phases.
-        threads: number of parallel runs; None: one per processor.
+        threads: number of parallel runs, by default one per processor.
         progress: function called with the numbers of finished and of all runs.
 
     Raises:

@@ -103,7 +103,7 @@ class Pulls:
         stiffness_error: standard error of k, N/m.
         mass_error: standard error of m, kg.
         name: data name.
-        sha256: SHA-256 of the file; empty if there is none.
+        sha256: SHA-256 of the file, or an empty string without a file.
     """
 
     along: Sequence[float]
@@ -224,8 +224,8 @@ def _parameter(
     if error >= UNIDENTIFIABLE_ERROR * mean:
         why = f"the scatter of the pulls {_DIRECTIONS[k]} is as large as their mean"
         return Parameter(_NAMES[k], "1", "not identifiable", why=why)
-    # The Welch-Satterthwaite formula gives the degrees of freedom. The errors of k and
-    # m count as exactly known.
+    # The Welch-Satterthwaite formula gives the degrees of freedom. The shared errors of
+    # k and m get many degrees of freedom, as if they were exactly known.
     freedom = np.inf
     if variance > 0:
         freedom = (len(values) - 1) * (error**2 / variance) ** 2
@@ -417,7 +417,7 @@ class CoastingTest:
         Args:
             trajectory: recording or simulation.
             name: data name.
-            start: time from which the robot is not touched, s; None: the time of
+            start: time from which the robot is not touched, s, by default the time of
                 maximum speed.
 
         Raises:

@@ -99,15 +99,15 @@ class SearchOptions:
         step: step of the differences in z; larger for models that are not smooth.
         coarse_step: larger step with which a finished search is repeated, for models
             with kinks; with `first_stage`, the step of this stage.
-        tolerance: relative change of the sum of squares, or of z, that ends the search;
-            None: derived from `step`.
+        tolerance: relative change of the sum of squares, or of z, that ends the search,
+            by default derived from `step`.
         first_stage: filter for residuals that are monotonic over a large range of the
             parameters, which the search uses first.
-        identifiability_step: step for the Jacobian of the identifiability, used if the
-            data leave a larger uncertainty than `step`; None: `step`.
+        identifiability_step: step for the Jacobian of the identifiability, by default
+            `step`. It is used if the data leave a larger uncertainty than `step`.
         target_rms: RMS of the weighted residuals at which the search ends early.
-        max_runs: maximum number of model runs, after which the best point is returned
-            as not converged. None: unlimited.
+        max_runs: maximum number of model runs, or None for no limit. After them the
+            search returns its best point as not converged.
     """
 
     step: float = 1e-4
@@ -368,7 +368,7 @@ def least_squares(
             their number and lengths must not change. Residuals with another role than
             "fit" are evaluated only at the end.
         unknowns: free parameters.
-        options: settings of the search; default: a smooth model.
+        options: settings of the search, by default for a smooth model.
         starts: number of searches; further starts are the best of many random points.
         held: values that the estimates depend on, to be stored in the result.
         watch: progress callback.

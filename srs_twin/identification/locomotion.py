@@ -364,15 +364,15 @@ def fit_locomotion(
         runs: measured runs.
         spec: robot that gives the start values and the fixed values.
         names: free parameters, see `parameters`.
-        model: plant with which the robot is simulated; default: the analytical plant.
+        model: plant with which the robot is simulated, by default the analytical plant.
         against: compared signals: "averages", "shapes" or "both".
         validation: runs for validation.
         starts: number of searches; a single search may end in a local minimum with a
             large residual, except with shapes and the twin.
         watch: progress callback, see `least_squares`.
         reference: better model of the robot, which reveals the bias due to model
-            errors, see `least_squares`; None: the intervals assume that the model is
-            right.
+            errors, see `least_squares`. Without it, the intervals assume that the model
+            is right.
         known: measured parameters, which are fixed at their values.
 
     Raises:
@@ -426,8 +426,8 @@ def signals(
 
     Args:
         trajectory: run.
-        measured: measured run to whose times and pose the run is aligned; None: the run
-            itself is measured.
+        measured: measured run to whose times and pose the run is aligned, or None if
+            the run itself is measured.
         against: signals to compare, one of `AGAINST`.
         name: name of the run for messages.
 

@@ -34,8 +34,8 @@ class FreeParameter:
         start: initial value of the search.
         low: lower bound.
         high: upper bound.
-        scale: significant difference, in `unit`; None: the value is positive and z is
-            its logarithm.
+        scale: significant difference, in `unit`, or None if the value is positive and z
+            is its logarithm.
         nuisance: whether the value is not a result, such as the initial velocity of a
             coasting test.
     """

@@ -60,10 +60,10 @@ def replay_scenario(
         fits: fit files of this robot.
         expect: file of expectations, as in a scenario.
         bench: whether the robot is clamped at its head on a bench.
-        supply_pa: supply pressure, Pa; None: the nominal pressure of the robot.
-        plants: plants that run; None: both.
+        supply_pa: supply pressure, Pa, by default the nominal pressure of the robot.
+        plants: plants that run, by default both.
         model: analytical model.
-        law: friction law of the analytical plant; None: "wheel".
+        law: friction law of the analytical plant, by default "wheel".
         notify: function called with a summary of the recording.
 
     Raises:

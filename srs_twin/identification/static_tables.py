@@ -409,7 +409,7 @@ def fit_static(
         tables: measured tables; the residual of each point is in the estimate.
         spec: robot whose values are the start of the search; `actuator.bend_rad` is
             fixed as in `fit_actuator`.
-        names: free parameters, see `parameters`; default: gains, rest bends, bend limit
+        names: names of the free parameters, by default gains, rest bends, bend limit
             and a dead zone.
         validation: tables for validation.
         watch: progress callback, see `least_squares`.

@@ -60,7 +60,7 @@ def shortest_path(
         start: start pose.
         x: x of the end, m.
         y: y of the end, m.
-        heading: heading at the end, rad; None: any.
+        heading: heading at the end, rad, or None for any heading.
         radius: turning radius, m.
     """
     path = dubins_path(

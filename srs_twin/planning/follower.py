@@ -122,7 +122,8 @@ class Conditions:
         camera: camera.
         delay: command delay, s.
         settle: response length ℓ of the curvature, m.
-        stray: cross-track error at which a new plan is requested, m; None: never.
+        stray: cross-track error at which a new plan is requested, m, or None for no
+            request.
         replans: maximum number of new plans.
         run_up: length of the straight run-up of the first path, m; at its end the rest
             is planned again from the actual pose, if new plans are possible.
@@ -150,14 +151,14 @@ class Follower(Controller):
         goal: goal.
         footprint: footprint of the snake, which limits the offset.
         conditions: camera, delays and limits.
-        body: footprint of the plan, recorded with the run; None: `footprint`.
+        body: footprint of the plan, recorded with the run, by default `footprint`.
         world: world, recorded with the run.
-        replan: planner for new plans; None: no new plans.
-        submit: function that runs the planner in another thread while the snake moves;
-            None: the snake waits.
-        least_margin: minimum fraction of the margin in a new plan. Above 0, the run
-            ends (`no_room`) if no such plan exists, or if the body approaches an
-            obstacle and no new plan is left.
+        replan: planner for new plans, or None for no new plans.
+        submit: function that runs the planner in another thread while the snake moves.
+            Without it the snake waits.
+        least_margin: minimum fraction of the margin in a new plan. If it is above 0,
+            the run ends (`no_room`) when no such plan exists, or when the body
+            approaches an obstacle and no new plan is left.
         leans: whether the body may lean on obstacles, so that approaching one requires
             no new plan.
         finished: whether the run has ended.

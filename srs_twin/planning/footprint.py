@@ -91,7 +91,7 @@ class Footprint:
         right: distances of the right edge from the path, m.
         ahead: distance from the centre of mass to the head along the path, m.
         behind: distance from the centre of mass to the tail along the path, m.
-        transients: measured changes of offset; empty if the offset acts at once, as the
+        transients: measured changes of offset, empty if the offset acts at once, as the
             dissertation assumes.
     """
 
@@ -337,9 +337,9 @@ def find_problems(footprint: Footprint) -> list[tuple[str, str]]:
         )
     for side, name in enumerate(("left", "right")):
         # An edge on the inner side must not reach the centre of curvature, where κ n =
-        # 1. The maximum transient after any change to this offset is included.
+        # 1.
         turn = (1 if name == "left" else -1) * np.array(footprint.curvatures)
-        # Include the largest transient after any change to this offset.
+        # The edges include the largest transient after any change to this offset.
         extra = [
             max(
                 footprint.transient(before, after)[side] for before in footprint.offsets

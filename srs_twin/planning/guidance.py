@@ -54,7 +54,8 @@ class GridHeuristic(NamedTuple):
 
     Attributes:
         distance: distance from each cell to the goal, m, shape (columns, rows), x
-            first; infinite without a path, and empty without a heuristic.
+            first. It is infinite without a path. The array is empty without a
+            heuristic.
         west: x of the grid's left edge, m.
         south: y of the grid's lower edge, m.
         cell: side of a cell, m.

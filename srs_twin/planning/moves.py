@@ -50,7 +50,7 @@ class MoveSet(NamedTuple):
         primitives: indices of the curvatures that lead to a node's children, shape
             (m,).
         radius_factors: turning radii of the tested Dubins paths relative to the minimum
-            radius, shape (k,); the first is 1.
+            radius, shape (k,), starting with 1.
         dubins_moves: indices of right turn, straight line and left turn for each
             factor, shape (k, 3).
         length: length of a primitive, m.

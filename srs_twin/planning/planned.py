@@ -50,7 +50,7 @@ class ScenarioPlan:
     Attributes:
         scenario: scenario with its planner.
         plan: plan.
-        files: names of the written files; empty without an output folder.
+        files: names of the written files, empty without an output folder.
     """
 
     scenario: Scenario
@@ -112,7 +112,7 @@ def plan_scenario(
 
     Args:
         scenario: name or path of a scenario with a planner, or a loaded scenario.
-        out: output folder; None: nothing is written.
+        out: output folder, or None to write nothing.
         set: values that override fields of the scenario, see `load_scenario`.
 
     Raises:

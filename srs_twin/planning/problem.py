@@ -71,8 +71,8 @@ class Settings:
 
     Attributes:
         nodes: maximum number of expanded nodes.
-        seconds: limit on the wall time, s, checked at least every 16,000 nodes; None:
-            no limit. With a limit, the result may differ between machines.
+        seconds: limit on the wall time, s, or None for no limit. It is checked at least
+            every 16,000 nodes, and makes the result depend on the machine.
         weight: weight of the lower bound on the remaining length. With 1 the path is
             the shortest; a larger weight expands fewer nodes, and the path is at most
             this many times longer.
@@ -80,12 +80,12 @@ class Settings:
             previous resolution.
         smooth: whether to shorten the path afterwards.
         clearance_weight: extra cost of one metre of path that touches an obstacle, m.
-            The cost falls by a factor e per body width of clearance. Above 0, the
-            search is repeated for wider bodies.
+            The cost falls by a factor e per body width of clearance. With a cost above
+            0, the search is repeated for wider bodies.
         improve: whether to continue at finer levels for a shorter path while the budget
             lasts.
-        touch_limits: limits and cost of leaning on obstacles; None: the path keeps
-            clear.
+        touch_limits: limits and cost of leaning on obstacles, or None to keep clear of
+            them.
     """
 
     nodes: int = 200_000
@@ -125,7 +125,7 @@ class Problem:
         goal: goal of the centre of mass.
         world: obstacles and bounds.
         footprint: area that the body covers, and its tightest turns.
-        primitives: motion primitives; None: chosen by the planner.
+        primitives: motion primitives, by default chosen by the planner.
     """
 
     start: Pose
@@ -235,7 +235,7 @@ class Plan(HtmlResult):
     Attributes:
         outcome: outcome of planning.
         reason: explanation of the outcome, with a remedy.
-        segments: arcs of the path; empty unless found.
+        segments: arcs of the path, empty unless a path was found.
         expanded: number of expanded nodes.
         touches: parts of the path that lean on obstacles; None unless
             `Settings.touch_limits` is set.

@@ -165,7 +165,7 @@ class PlannerSection(ExtensionSection):
         Args:
             problem: planning problem.
             wider: additional width of the footprint on the straight run-up, m.
-            limits: limits of leaning on obstacles; None: the path keeps clear.
+            limits: limits of leaning on obstacles, or None to keep clear of them.
 
         Raises:
             InputError: start or goal is not possible.
@@ -316,7 +316,7 @@ class ScenarioPlanner:
         footprint: footprint of the robot with all its turns and without margin.
         problem: start, goal, world, and the reduced footprint with margin.
         margin: margin of the problem's footprint.
-        touch_limits: limits of leaning on obstacles; None: the path keeps clear.
+        touch_limits: limits of leaning on obstacles, or None to keep clear of them.
     """
 
     file: PlannerSection
