@@ -59,8 +59,8 @@ class Response:
     """Bends of segments in response to valve states or measured pressures.
 
     Attributes:
-        name: name of the data.
-        sha256: SHA-256 of the data.
+        name: data name.
+        sha256: data hash (SHA-256).
         drive: valve states from time 0, or a log of pressures on the same clock.
         supply_pa: gauge pressure of the supply, Pa; not used with a log of pressures.
         time: sample times in ascending order, s, shape (samples,).
@@ -166,7 +166,7 @@ def fit_actuator(
         names: names of the free parameters, by default `default_actuator_parameters`.
         validation: responses for validation.
         starts: number of searches.
-        watch: progress callback, see `least_squares`.
+        watch: progress callback.
 
     Raises:
         InputError: there is no response, the number of segments differs from the
@@ -229,7 +229,7 @@ def predict_response(
     Args:
         response: response whose drive and sample times are used.
         spec: robot.
-        clock: offset of the drive's clock, s.
+        clock: clock offset, s.
 
     Returns:
         Bends, rad, shape (samples, segments), and pressures, Pa, shape (samples,
@@ -262,7 +262,7 @@ def bend_residuals(
 ) -> list[Residual]:
     """Return the residuals of the measured bends of each segment.
 
-    All residuals of a segment share one scale. It is the RMS of the errors, or
+    All residuals of a segment share one scale, which is the RMS of the errors, or
     `_BEND_NOISE_RAD` if any error is unknown.
     """
     residuals = []

@@ -85,10 +85,10 @@ class Calibration:
     Attributes:
         estimate: parameters, correlations and residuals; a notebook displays it as a
             page.
-        method: method of the fit.
+        method: fit method.
         title: title, one line.
         robot: initial robot, a name or a path.
-        data: data sets with their roles.
+        data: data sets.
         plateaus: table of the constant pressures in recordings; None for other fits.
     """
 
@@ -147,12 +147,12 @@ def calibrate_friction(
 
     Args:
         files: one table of spring deformations, or recordings of coasting tests.
-        robot: initial robot, a name or path.
+        robot: initial robot.
         validate: tables or recordings for validation, not used by the fit.
         law: friction law of coasting tests: "wheel", "axis" or "ellipse".
         wheel_inertia: whether coasting tests include the rotational inertia of the
             wheels.
-        reader: settings with which recordings are read.
+        reader: recording settings.
         out: path of the fit file, or None to write nothing. An existing file is
             replaced, and the report is written to the same folder.
         notify: function called with a note about each recording.
@@ -189,7 +189,7 @@ def calibrate_actuator(
     Args:
         files: recordings of step responses, or tables or recordings of constant
             pressures (gains only).
-        robot: initial robot, a name or path.
+        robot: initial robot.
         valves: logs of `files` followed by logs of `validate`, by default the logs
             beside the recordings.
         validate: recordings or tables for validation, not used by the fit.
@@ -197,7 +197,7 @@ def calibrate_actuator(
         find: parameters to fit, by default all that the data can show.
         static: whether plateaus of constant pressure in recordings are fitted.
         starts: number of searches.
-        reader: settings with which recordings are read.
+        reader: recording settings.
         out: see `calibrate_friction`.
         notify: see `calibrate_friction`.
         progress: see `calibrate_friction`.
@@ -242,18 +242,18 @@ def calibrate_locomotion(
 
     Args:
         files: recordings.
-        robot: initial robot, a name or path.
+        robot: initial robot.
         valves: logs of `files` followed by logs of `validate`, by default the logs
             beside the recordings.
         validate: recordings for validation, not used by the fit.
         supply_pa: supply pressure, Pa, by default the nominal pressure of the robot.
         find: parameters to fit.
-        plant: simulated plant, "analytical" or "twin".
+        plant: "analytical" or "twin".
         model: analytical model, by default "compliant".
         law: friction law of the analytical plant, by default "wheel".
         against: compared signals: "averages", "shapes" or "both".
         starts: number of searches, by default 3, or 1 with the twin's shapes.
-        reader: settings with which recordings are read.
+        reader: recording settings.
         out: see `calibrate_friction`.
         notify: see `calibrate_friction`.
         progress: see `calibrate_friction`.
@@ -293,7 +293,7 @@ def calibrate_damping(
 
     Args:
         files: recordings of one hanging segment that is released from a bend.
-        robot: initial robot, a name or path.
+        robot: initial robot.
         valves: state of the chambers: "open" to the air or "closed".
         mass_kg: mass of the body at the end of the segment, by default the first
             connector.

@@ -5,19 +5,18 @@ determines only k/m and T, where k is the stiffness, m the mass and T the dampin
 The known mass and the weight turn the frequency into a stiffness.
 
 **Fit.** All recordings share k, T and the leak rate. Each recording has its own initial
-state and rest bend. Two exponentials describe how the rest bend recovers after the
+state and rest bend, and two exponentials for the recovery of the rest bend after the
 segment was held.
 
 Without measured pressures, closed chambers are assumed to be at ambient pressure at the
-first sample of the recording, when the segment is at rest. Their air at the release
-follows from the leak rate and the bends recorded until then. The bend at rest before
-and after the release separates k from the pressures.
+first sample of the recording, when the segment is at rest. The leak rate and the
+recorded bends determine the air at the release. The rest bends before and after the
+release separate k from the pressures.
 
-**Intervals.** The residuals are weighted by the noise and by 1 % of the amplitude,
-which allows for errors of the model. Correlated residuals widen the intervals as in all
-fits (`least_squares`). The model has viscous damping, whose loss factor η = 2π f T
-grows with the frequency f. The model error is measured with a simulated material that
-has an almost constant loss factor and the fitted stiffness and loss at f.
+**Intervals.** The scale of the residuals combines the noise with 1 % of the amplitude
+for errors of the model. The damping is viscous, so the loss factor η = 2π f T grows
+with the frequency f. The model error is measured with a simulated material that has an
+almost constant loss factor and the fitted stiffness and loss at f.
 """
 
 from __future__ import annotations
@@ -167,7 +166,7 @@ def fit_damping(
         valves: state of the chambers: "open" to the air or "closed".
         body: hanging body, by default the first connector.
         leak: leak rate of closed chambers, 1/s, or None to fit it.
-        watch: progress callback, see `least_squares`.
+        watch: progress callback.
 
     Raises:
         InputError: there is no decay, or the valves are unknown or contradict measured
@@ -355,10 +354,7 @@ class _DampingFit:
         return self.values | dict(values) | fitted
 
     def frequency_error(self) -> float:
-        """Return the logarithmic error of the fitted frequency due to viscous damping.
-
-        The true frequency belongs to a material with a constant loss factor.
-        """
+        """Return the logarithmic error of the fitted frequency due to viscous damping."""
         pulsation = 2 * math.pi * self.small_swing(self.values).frequency
         true = self.small_swing(self.values, pulsation).frequency
         return math.log(self.small_swing(self.refit(self.values)).frequency / true)
@@ -372,7 +368,7 @@ class _DampingFit:
         """Return the small oscillation at the end of the first recording.
 
         A missing value is the best value so far. The loss factor is constant about the
-        frequency `constant_about`, rad/s, or due to viscous damping if this is None.
+        frequency `constant_about`, rad/s, unless the damping is viscous (None).
         """
         values = self.values | dict(values)
         material = self._material(values)
@@ -479,11 +475,9 @@ def _derived(
     unit: str,
     model_error: float = 0.0,
 ) -> Parameter:
-    """Return a quantity of the small oscillation, with errors propagated linearly.
+    """Return an attribute of `Ringing`, with errors propagated linearly.
 
-    The quantity is an attribute of `Ringing` called `name`. It is positive, and its
-    interval is symmetric in its logarithm. `model_error` is a further standard error of
-    the logarithm.
+    The interval is symmetric in the logarithm, whose model error is `model_error`.
     """
 
     def logarithm(changes: Mapping[str, float]) -> float:

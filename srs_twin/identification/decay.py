@@ -66,8 +66,8 @@ class Decay:
     """Free swing of a released segment.
 
     Attributes:
-        name: name of the data.
-        sha256: SHA-256 of the file.
+        name: data name.
+        sha256: file hash (SHA-256).
         time: times of the free swing, s, shape (samples,).
         bend: measured bends, rad, shape (samples,).
         before: bends recorded before the free swing, followed by its first bend, rad,

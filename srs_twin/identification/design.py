@@ -80,7 +80,7 @@ class CandidateExperiment:
     """Experiment that a design may choose.
 
     Attributes:
-        description: instruction for the lab sheet.
+        description: lab instruction.
         minutes: duration, minutes.
         predict: function of a robot that returns the predicted observations.
         noise: function of the predictions that returns their standard deviations.

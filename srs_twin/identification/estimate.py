@@ -296,7 +296,7 @@ def explains_data(residuals: Sequence[Residual], scale: float) -> bool:
     """Return whether the model explains the data, all together and each kind of signal.
 
     Args:
-        residuals: residuals of all data.
+        residuals: all residuals.
         scale: standard deviation of the weighted residuals.
     """
     scales = map(_weighted_rms, residuals_by_kind(residuals).values())

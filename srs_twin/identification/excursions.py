@@ -182,7 +182,7 @@ def calibrate_margin(
         scenario: name or path of a scenario that follows a plan, or a loaded scenario.
         out: folder of the footprint file that receives the excursions, or None.
         set: values that override fields of the scenario, see `load_scenario`.
-        runs: number of runs on each plant.
+        runs: runs per plant.
         plants: plants to run, by default the plants of the scenario.
         workers: number of processes, by default one per processor.
         progress: function called with the numbers of finished and of all runs.

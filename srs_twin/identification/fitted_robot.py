@@ -106,10 +106,7 @@ def robot_override(
 def _changes(
     fit: FitFile, used: Sequence[ParameterEntry], changed: Iterable[str]
 ) -> Iterator[tuple[str, str, str]]:
-    """Yield the name, status and source of each changed value.
-
-    If several values change one record, the first determines its status and source.
-    """
+    """Yield the name, status and source of each changed value; the first of a record counts."""
     for parameter in used:
         record = _record_key(parameter.name)
         same_record = [other for other in used if _record_key(other.name) == record]
@@ -272,7 +269,7 @@ def fitted_robot(fits: Sequence[StrPath], name: str, *, weak: bool = True) -> Ro
 
     Args:
         fits: fit files.
-        name: name of the new robot.
+        name: new name.
         weak: whether weakly identified parameters are included.
 
     Raises:
@@ -299,7 +296,7 @@ def calibrate_robot(
 
     Args:
         fits: fit files of one robot; later files override earlier ones.
-        name: name of the new robot.
+        name: new name.
         out: path of the robot file, or None to write nothing.
         weak: whether weakly identified parameters are included.
         overwrite: whether an existing file is replaced.

@@ -151,11 +151,7 @@ class GaitSetup:
 
     @property
     def offsets(self) -> tuple[float, ...]:
-        """Default offsets.
-
-        They are the offsets of Table 8 with learning, otherwise up to ±0.4 as in Fig.
-        33.
-        """
+        """Default offsets: Table 8 with learning, otherwise up to ±0.4 as in Fig. 33."""
         count = 3 if self.controller == "ilc" else 4
         return tuple(k / 10 for k in range(-count, count + 1))
 
@@ -194,10 +190,7 @@ class GaitSetup:
         )
 
     def change_time(self, phase: float) -> float:
-        """Return the time of a change of offset at a phase, s.
-
-        The phase is given in gait periods.
-        """
+        """Return the time of a change of offset, s, at a phase in gait periods."""
         return next_sample((self.settling_periods + phase) * self.period)
 
     def change_job(

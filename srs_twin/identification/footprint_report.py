@@ -137,7 +137,7 @@ def calibrate_footprint(
         frequency_hz: gait frequency, Hz, by default `FREQUENCY_HZ`.
         supply_pa: supply pressure, Pa, by default the nominal pressure of the robot.
         target_rad: target bend amplitude of the learning, rad.
-        plant: simulated plant, "twin" or "analytical".
+        plant: "twin" or "analytical".
         contact: contact of the twin, or None for its default.
         chambers: "lag" or "orifice".
         offsets: offsets, by default as in `footprint_study`.

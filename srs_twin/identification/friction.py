@@ -390,7 +390,7 @@ class CoastingTest:
 
     Attributes:
         name: data name.
-        sha256: SHA-256 of the data.
+        sha256: data hash (SHA-256).
         time: time since the first used sample, s, shape (samples,).
         position: displacement of the centre of mass along and across the heading, m,
             shape (samples, 2).
@@ -492,7 +492,7 @@ def fit_coasting(
         law: friction law, one of `robot.friction.LAWS` except "viscous".
         wheel_inertia: whether the wheels have rotational inertia, as in the robot and
             the twin; skids and the wheels of the analytical plant have none.
-        watch: progress callback, see `least_squares`.
+        watch: progress callback.
 
     Raises:
         InputError: there is no run, the law is unknown, or a validation run is also
@@ -572,7 +572,7 @@ class _CoastingModel:
     """Prediction of coasting tests.
 
     `share` is the fraction s of `floor.slide`. `mu_n` is the coefficient for slip of a
-    bent body across its wheels, or None to use the fitted μ_n.
+    bent body across its wheels, by default the fitted μ_n.
     """
 
     spec: RobotSpec

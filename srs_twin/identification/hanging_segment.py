@@ -248,7 +248,7 @@ def ringing(
         rest: rest bend b, rad.
         air: amounts of enclosed air in the + and − chamber, J, shape (2,); not used
             with open valves.
-        branches: Maxwell branches, see `swing`.
+        branches: Maxwell branches.
     """
     k, damping_time, leak = material
     gains = (segment.gain_plus, -segment.gain_minus)

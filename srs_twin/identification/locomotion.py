@@ -190,7 +190,7 @@ class GaitRun:
     Attributes:
         trajectory: measured motion from rest, with the gait frequency in its metadata.
         controller: controller that replays the recorded valve states.
-        supply_pa: gauge pressure of the supply, Pa.
+        supply_pa: supply pressure, Pa.
         name: data name.
         chambers: pneumatic model that replays recorded pressures; None if valve states
             were recorded.
@@ -230,10 +230,8 @@ class PlantModel:
         """Return the settings of a search with this plant.
 
         The twin's path and heading are monotonic in the parameters only within 1e-2 in
-        z, but its bends are monotonic within 1. Therefore the first stage uses only the
-        bends. Identifiability is judged over the few per cent that the data leave
-        undetermined. `compliant` has finer kinks than the twin, and all its signals are
-        monotonic.
+        z, but its bends within 1. Therefore the first stage uses only the bends.
+        `compliant` has finer kinks than the twin, and all its signals are monotonic.
         """
         if self.plant == "twin":
             options = SearchOptions(
@@ -369,7 +367,7 @@ def fit_locomotion(
         validation: runs for validation.
         starts: number of searches; a single search may end in a local minimum with a
             large residual, except with shapes and the twin.
-        watch: progress callback, see `least_squares`.
+        watch: progress callback.
         reference: better model of the robot, which reveals the bias due to model
             errors, see `least_squares`. Without it, the intervals assume that the model
             is right.
@@ -429,7 +427,7 @@ def signals(
         measured: measured run to whose times and pose the run is aligned, or None if
             the run itself is measured.
         against: signals to compare, one of `AGAINST`.
-        name: name of the run for messages.
+        name: run name.
 
     Raises:
         InputError: averages are requested of a run without a complete gait period.

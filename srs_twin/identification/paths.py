@@ -173,7 +173,7 @@ class SteadyPath:
 
         Args:
             trajectory: run.
-            geometry: geometry of its robot.
+            geometry: robot geometry.
             window: three or more periods.
 
         Raises:
@@ -249,8 +249,8 @@ class OffsetChange:
 
     Attributes:
         time: time of the change, s.
-        before: offset before the change.
-        after: offset after the change.
+        before: old offset.
+        after: new offset.
     """
 
     time: float
@@ -267,13 +267,13 @@ def measure_transient(
 ) -> Transient:
     """Measure one change of offset.
 
-    A planner counts the body that is still on the old arc to that arc, so it is
-    excluded here.
+    The part of the body that is still on the old arc is excluded, because a planner
+    includes it in that arc.
 
     Args:
         trajectory: run with some periods before the change and some after the path has
             settled.
-        geometry: geometry of its robot.
+        geometry: robot geometry.
         period: gait period, s.
         change: change of offset.
         paths: steady paths of the old and the new offset.

@@ -71,7 +71,7 @@ class Priors:
     """Joint prior distribution of the uncertain parameters of a robot.
 
     Attributes:
-        parameters: prior of each parameter.
+        parameters: individual priors.
         correlation: correlation matrix R of the normal variables, shape (d, d).
     """
 

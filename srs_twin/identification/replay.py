@@ -53,7 +53,7 @@ def replay_scenario(
 
     Args:
         motion: motion capture, or bends on a bench.
-        robot: name or path of the robot.
+        robot: robot to simulate.
         recording: further keys of the section `recording` of a scenario, such as
             `valves`.
         set: values that override fields of the scenario, see `load_scenario`.

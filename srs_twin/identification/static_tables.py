@@ -92,7 +92,7 @@ class StaticTable:
 
     Attributes:
         name: file name.
-        sha256: SHA-256 of the file.
+        sha256: file hash (SHA-256).
         pressure: gauge pressures, Pa, shape (points, segments, 2).
         bend: bends, rad, shape (points, segments); NaN if not measured.
         bend_error: standard errors of the bends, rad, shape (points, segments); NaN if
@@ -174,10 +174,7 @@ class StaticTable:
 def _chamber_pressures(
     trajectory: Trajectory, log: ValveLog, supply_pa: float
 ) -> np.ndarray:
-    """Return the settled pressures of a log, Pa, shape (samples, segments, 2).
-
-    Unknown pressures are NaN.
-    """
+    """Return the settled pressures of a log, Pa; NaN if unknown."""
     values = np.stack(
         [trajectory.stack(f"{log.kind}_{side}") for side in SIDES], axis=-1
     )
@@ -194,10 +191,7 @@ def _settled_frames(
     end: int,
     wait: float,
 ) -> np.ndarray | None:
-    """Return the frames of a plateau to average, or None if there is no usable plateau.
-
-    Too few frames or slowly rising pressures make a plateau unusable.
-    """
+    """Return the frames of a plateau to average, or None if it is not usable."""
     span = float(time[end - 1] - time[begin])
     deviation = np.abs(pressure[begin:end] - np.median(pressure[begin:end], axis=0))
     limit = _OUTLIER_MEDIANS * np.median(deviation, axis=0) + _OUTLIER_MARGIN_PA
@@ -412,7 +406,7 @@ def fit_static(
         names: names of the free parameters, by default gains, rest bends, bend limit
             and a dead zone.
         validation: tables for validation.
-        watch: progress callback, see `least_squares`.
+        watch: progress callback.
 
     Raises:
         InputError: there is no table, or a validation table is also fitted.

@@ -46,10 +46,10 @@ class ObstacleGrid(NamedTuple):
     Attributes:
         circles: x, y and radius of the circles, m, shape (n, 3).
         sides: x, y of both ends of the polygon sides, m, shape (m, 4).
-        bounds: bounds of the world.
+        bounds: world bounds.
         west: x of the grid's left edge, m.
         south: y of the grid's lower edge, m.
-        cell: side of a grid cell, m.
+        cell: cell size, m.
         cell_ranges: start and end of the items of each cell in `cell_items`, shape
             (columns, rows, 2).
         cell_items: numbers of the items that overlap each cell, shape (k,); circles are
@@ -190,10 +190,7 @@ class Checker:
         return True
 
     def clearance(self, segments: Sequence[Segment]) -> float:
-        """Return the width by which both edges may grow, m.
-
-        It is at most `MAX_CLEARANCE_M`.
-        """
+        """Return the width by which both edges may grow, m, up to a maximum."""
         free, touching = (
             0.0,
             MAX_CLEARANCE_M,
@@ -217,7 +214,7 @@ class Checker:
 
         Args:
             pose: pose of the centre of mass at the start.
-            length: length of the straight path, m.
+            length: path length, m.
             wider: width added to both edges, m.
         """
         both = (wider, wider)

@@ -40,7 +40,7 @@ class DubinsPath(NamedTuple):
 
     Attributes:
         turns: direction of each piece: 1 left, 0 straight, -1 right.
-        lengths: length of each piece, m.
+        lengths: piece lengths, m.
         length: path length, m.
     """
 
@@ -115,10 +115,8 @@ def dubins_path(x, y, heading, to_x, to_y, to_heading, any_heading, radius):  # 
 def _shortest_to_pose(best, side, d, a, b):  # type: ignore[no-untyped-def]  # noqa: D417
     """Return the shortest of `best` and the words that begin with L or R.
 
-    The words begin with L if `side` is 1, and with R if it is -1.
-
-    The distance d is in radii. The headings a and b are relative to the line between
-    the poses.
+    The words begin with L if `side` is 1, and with R if it is -1. The distance d is in
+    radii, and the headings a and b are relative to the line between the poses.
     """
     sa = np.sin(a)
     sb = np.sin(b)

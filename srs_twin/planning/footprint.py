@@ -54,8 +54,8 @@ class Transient:
     to its heading, turned by dheading, and followed the new arc.
 
     Attributes:
-        before: offset before the change.
-        after: offset after the change.
+        before: old offset.
+        after: new offset.
         left: extra width of the left edge, m.
         right: extra width of the right edge, m.
         length: length of the path after the change on which the edges are wider, m.
@@ -76,14 +76,12 @@ class Transient:
 
 @dataclass(frozen=True)
 class Footprint:
-    """Footprint of a robot for one gait and supply pressure.
-
-    Columns have shape (rows,) and are ordered by offset.
+    """Footprint of a robot for one gait and supply pressure, in order of offset.
 
     Attributes:
         name: short name.
-        title: title of one line.
-        offsets: gait offsets in ascending order.
+        title: one-line title.
+        offsets: gait offsets in ascending order, shape (rows,).
         curvatures: curvatures of the path of the centre of mass in ascending order,
             positive to the left, 1/m.
         speeds: speeds of the centre of mass, m/s.

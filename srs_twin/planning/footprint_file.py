@@ -379,7 +379,7 @@ def margin_for(
     """Return the margin for a run under each of several conditions.
 
     Args:
-        measured: excursions of a footprint file.
+        measured: measured excursions.
         probability: probability that a whole run stays within the margin.
         conditions: conditions of the run, one per plant.
 

@@ -58,7 +58,7 @@ class GridHeuristic(NamedTuple):
             heuristic.
         west: x of the grid's left edge, m.
         south: y of the grid's lower edge, m.
-        cell: side of a cell, m.
+        cell: cell size, m.
     """
 
     distance: np.ndarray
@@ -189,7 +189,7 @@ def find_passages(world: World, body: Footprint) -> np.ndarray:
 
     Args:
         world: obstacles and bounds.
-        body: footprint of the snake.
+        body: snake footprint.
 
     Returns:
         x, y (m) and heading (rad) of the entry pose, and length of the straight path
@@ -201,10 +201,7 @@ def find_passages(world: World, body: Footprint) -> np.ndarray:
 
 
 def _gap_centres(world: World, width: float) -> list[tuple[list[float], list[float]]]:
-    """Return the centre and direction across of each narrow gap, narrowest first.
-
-    A gap is narrow relative to the width of the straight body, m.
-    """
+    """Return the centre and direction across of each narrow gap, narrowest first."""
     import shapely
 
     ends, radii = _thick_lines(world)
@@ -262,10 +259,7 @@ def _gap_centres(world: World, width: float) -> list[tuple[list[float], list[flo
 
 
 def _thick_lines(world: World) -> tuple[np.ndarray, np.ndarray]:
-    """Return obstacles and bounds as line segments with half widths, m.
-
-    The shapes are (n, 2, 2) and (n,).
-    """
+    """Return obstacles and bounds as line segments with half widths, m."""
     segments = [((c.x, c.y), (c.x, c.y)) for c in world.obstacles]
     rings = [polygon.corners for polygon in world.polygons]
     if world.bounds is not None:

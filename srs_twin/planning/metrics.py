@@ -79,8 +79,8 @@ class Leg:
     """Part of a run under one plan.
 
     Attributes:
-        samples: samples of the trajectory.
-        segments: segments of the plan.
+        samples: trajectory samples.
+        segments: plan segments.
     """
 
     samples: slice
@@ -295,20 +295,14 @@ def _path_deviations(
 
 
 def body_points(trajectory: Trajectory) -> np.ndarray:
-    """Return points on both sides of the body, m, shape (samples, k, 2).
-
-    They lie beside the connectors and the middles of segments.
-    """
+    """Return points on both sides of connectors and of the middles of segments, m."""
     half = (positive_number(trajectory, "body_width_m") or 0.0) / 2
     centres, heading = centre_points(trajectory)
     return offset_to_sides(centres, heading, half)
 
 
 def centre_points(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Return connectors and middles of segments, and the headings there.
-
-    The positions have shape (samples, 2N − 1, 2), m.
-    """
+    """Return connectors and middles of segments, m, and the headings there."""
     position = trajectory.position
     theta = trajectory.stack("theta")
     chord = position[:, :-1] - position[:, 1:]

@@ -53,7 +53,7 @@ class MoveSet(NamedTuple):
             radius, shape (k,), starting with 1.
         dubins_moves: indices of right turn, straight line and left turn for each
             factor, shape (k, 3).
-        length: length of a primitive, m.
+        length: primitive length, m.
         ahead: extent of the body ahead of the centre of mass, m.
         behind: extent of the body behind the centre of mass, m.
     """
@@ -143,10 +143,10 @@ def follow_dubins_path(state, path, factor, moves, grid):  # type: ignore[no-unt
     """Return whether a path of `dubins.dubins_path` is free, and its final arc state.
 
     Args:
-        state: arc state at the start.
+        state: initial arc state.
         path: Dubins path.
         factor: index of the turning radius in `MoveSet.radius_factors`.
-        moves: arcs that the snake can follow.
+        moves: possible arcs.
         grid: obstacles and bounds.
     """
     free = True
@@ -165,10 +165,10 @@ def follow_arc(state, move, length, moves, grid):  # type: ignore[no-untyped-def
     """Return whether an arc is free, and the arc state at its end.
 
     Args:
-        state: arc state at the start.
-        move: index of the curvature.
+        state: initial arc state.
+        move: curvature index.
         length: arc length, m.
-        moves: arcs that the snake can follow.
+        moves: possible arcs.
         grid: obstacles and bounds.
     """
     x = state.x
@@ -209,9 +209,9 @@ def shorten_path(
     Args:
         start: start pose.
         path: collision-free path, with curvatures of the moves.
-        moves: arcs that the snake can follow.
+        moves: possible arcs.
         grid: obstacles and bounds.
-        radius: turning radius of Dubins paths, m.
+        radius: turning radius, m.
     """
     arcs = [(c, length) for c, length in path if length > 0]
     indices = np.array(

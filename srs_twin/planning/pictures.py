@@ -51,7 +51,7 @@ def segment_points(
     """Return points along a segment, about a centimetre apart, m, shape (n, 2).
 
     Args:
-        segment: segment of the plan.
+        segment: plan segment.
         offset: distance of the points to the left of the segment, m.
         behind: extension before the start, m.
         ahead: extension beyond the end, m.
@@ -80,7 +80,7 @@ def following_plot(
 
     Args:
         trajectories: run of each plant.
-        spec: robot of the runs.
+        spec: simulated robot.
     """
     followers = {
         plant: metadata
@@ -109,7 +109,7 @@ def plan_plot(problem: Problem, segments: Sequence[Segment], title: str) -> Figu
 
     Args:
         problem: world, goal and footprint of the plan.
-        segments: path segments; may be empty.
+        segments: path, possibly empty.
         title: plot title.
     """
     figure, axes = _sheet(_metadata(problem), segments, problem.footprint)

@@ -48,7 +48,7 @@ class ScenarioPlan:
     """Plan of a scenario.
 
     Attributes:
-        scenario: scenario with its planner.
+        scenario: planned scenario.
         plan: plan.
         files: names of the written files, empty without an output folder.
     """

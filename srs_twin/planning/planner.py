@@ -54,8 +54,8 @@ def plan(problem: Problem, settings: Settings | None = None) -> Plan:
     """Find a collision-free path.
 
     Args:
-        problem: start, goal, world and body.
-        settings: budget and options of the search.
+        problem: planning problem.
+        settings: search settings.
 
     Raises:
         InputError: start or goal is in an obstacle or outside the bounds, or a number
@@ -169,7 +169,7 @@ def plan_with_transitions(
 
     Args:
         problem: problem that starts at the end of `begin`.
-        settings: budget and options of each search.
+        settings: search settings.
         begin: fixed first segments of the path.
 
     Returns:

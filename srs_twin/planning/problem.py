@@ -52,8 +52,8 @@ class Touch:
 
     Attributes:
         obstacle: name of the obstacle, such as "obstacle 2".
-        begin: path length at the beginning, m.
-        end: path length at the end, m.
+        begin: initial path length, m.
+        end: final path length, m.
         depth: maximum overlap, m.
         force: estimated contact force, averaged over time, N.
     """
@@ -236,7 +236,7 @@ class Plan(HtmlResult):
         outcome: outcome of planning.
         reason: explanation of the outcome, with a remedy.
         segments: arcs of the path, empty unless a path was found.
-        expanded: number of expanded nodes.
+        expanded: expanded nodes.
         touches: parts of the path that lean on obstacles; None unless
             `Settings.touch_limits` is set.
         seconds: wall time, s; not compared.
@@ -255,10 +255,7 @@ class Plan(HtmlResult):
 
     @cached_property
     def least_length(self) -> float:
-        """Lower bound on the length of any path around the obstacles, m.
-
-        The bound ignores limits of curvature.
-        """
+        """Lower bound on the length of any path, regardless of curvature, m."""
         assert self.problem is not None, "set by plan()"
         problem = self.problem
         return min_path_length(
@@ -317,10 +314,7 @@ class Plan(HtmlResult):
         )
 
     def samples(self, spacing: float = 0.01) -> np.ndarray:
-        """Return poses (x, y, heading) along the path, shape (n, 3).
-
-        The poses are at most `spacing` (m) apart.
-        """
+        """Return poses (x, y, heading) at most `spacing` (m) apart, shape (n, 3)."""
         rows = []
         for segment in self.segments:
             steps = max(1, math.ceil(segment.length / spacing))

@@ -312,10 +312,10 @@ class ScenarioPlanner:
     """Planner of a scenario.
 
     Attributes:
-        file: section of the scenario.
+        file: planner section.
         footprint: footprint of the robot with all its turns and without margin.
         problem: start, goal, world, and the reduced footprint with margin.
-        margin: margin of the problem's footprint.
+        margin: footprint margin.
         touch_limits: limits of leaning on obstacles, or None to keep clear of them.
     """
 
@@ -339,10 +339,7 @@ class ScenarioPlanner:
         return self.file.find(self.problem, wider, self.touch_limits)
 
     def plan_from(self, pose: Pose, share: float = 1.0) -> Plan:
-        """Return a plan from another pose, with a fraction of the margin.
-
-        The plan has no run-up.
-        """
+        """Return a plan from another pose, with a fraction of the margin."""
         # The gait is already steady, so a new plan needs no run-up.
         file = self.file.model_copy(update={"run_up_m": 0.0})
         body = validate_footprint(

@@ -188,7 +188,7 @@ def cell_slot(frontier, x, y, heading, cell, sector):  # type: ignore[no-untyped
     """Return the hash table slot of a pose's cell, and enter the cell if it is new.
 
     Args:
-        cell: side of a cell, m.
+        cell: cell size, m.
         sector: heading width of a cell, rad; 2π is a multiple of it.
     """
     row = np.int64(np.floor(x / cell)) + _INDEX_OFFSET
@@ -249,7 +249,7 @@ class SearchSpec(NamedTuple):
     """Parameters of a search.
 
     Attributes:
-        moves: arcs that the snake can follow.
+        moves: possible arcs.
         target: goal.
         grid: obstacles and bounds.
         cell: side of a cell of poses, m.
@@ -308,7 +308,7 @@ def expand(frontier, spec, best, count):  # type: ignore[no-untyped-def]
 
     Args:
         frontier: state of the search, modified in place.
-        spec: parameters of the search.
+        spec: search parameters.
         best: length of the best plan so far, m; nodes that cannot lead to a shorter
             plan are dropped.
         count: maximum number of nodes to expand.

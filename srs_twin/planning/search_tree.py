@@ -57,7 +57,7 @@ class SearchTree:
 
     Args:
         roots: start poses.
-        spec: parameters of the search.
+        spec: search parameters.
         backward: whether the tree solves the reversed problem, from the goal.
     """
 

@@ -95,7 +95,7 @@ def plan_with_touch(search: Search, problem: Problem, settings: Settings) -> Pla
     Args:
         search: planner for one footprint.
         problem: start, goal, world and body with its full edges.
-        settings: settings of the search, with `touch_limits`.
+        settings: search settings.
     """
     limits = settings.touch_limits
     assert limits is not None, "the caller plans with touch"
