@@ -354,7 +354,7 @@ class _DampingFit:
         return self.values | dict(values) | fitted
 
     def frequency_error(self) -> float:
-        """Return the logarithmic error of the fitted frequency due to viscous damping."""
+        """Return the logarithmic error of the frequency due to viscous damping."""
         pulsation = 2 * math.pi * self.small_swing(self.values).frequency
         true = self.small_swing(self.values, pulsation).frequency
         return math.log(self.small_swing(self.refit(self.values)).frequency / true)

@@ -5,8 +5,7 @@ and their noise. Let z be the logarithms of all uncertain parameters, J the Jaco
 the predictions with respect to z, and R the covariance of the noise. The experiment
 changes the information matrix Λ to
 
-$$ \Lambda' = \Lambda + J^T R^{-1} J, \qquad \mathrm{sd}(z_i) =
-\sqrt{(\Lambda'^{-1})_{ii}}. $$
+$$ \Lambda' = \Lambda + J^T R^{-1} J, \qquad \mathrm{sd}(z_i) = \sqrt{(\Lambda'^{-1})_{ii}}. $$
 
 The initial Λ comes from the `uncertain` parameters of the robot file. The coordinate z
 of a parameter with value 0, such as drag, is its value divided by a tenth of the

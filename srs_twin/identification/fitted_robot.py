@@ -106,7 +106,10 @@ def robot_override(
 def _changes(
     fit: FitFile, used: Sequence[ParameterEntry], changed: Iterable[str]
 ) -> Iterator[tuple[str, str, str]]:
-    """Yield the name, status and source of each changed value; the first of a record counts."""
+    """Yield the name, status and source of the values that change.
+
+    If several values change one record, the first determines its status and source.
+    """
     for parameter in used:
         record = _record_key(parameter.name)
         same_record = [other for other in used if _record_key(other.name) == record]

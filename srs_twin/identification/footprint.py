@@ -151,7 +151,10 @@ class GaitSetup:
 
     @property
     def offsets(self) -> tuple[float, ...]:
-        """Default offsets: Table 8 with learning, otherwise up to ±0.4 as in Fig. 33."""
+        """Default offsets, from Table 8 with learning, otherwise from Fig. 33.
+
+        They reach ±0.3 with learning and ±0.4 otherwise.
+        """
         count = 3 if self.controller == "ilc" else 4
         return tuple(k / 10 for k in range(-count, count + 1))
 

@@ -5,8 +5,7 @@ carries a body of mass m and moment of inertia J about its centre. Let q be the 
 L(q) the chord of `robot.geometry`, which has the angle q/2. Lagrange's equation is
 
 $$ M \ddot q + \tfrac12 M' \dot q^2 - m g\,\frac{d}{dq}\bigl(L \cos\tfrac q2\bigr)
-   = k\,d + k T \dot d + \sum_i e_i, \qquad M = m \Bigl(L'^2 + \frac{L^2}{4}\Bigr) + J,
-   \qquad
+   = k\,d + k T \dot d + \sum_i e_i, \qquad M = m \Bigl(L'^2 + \frac{L^2}{4}\Bigr) + J, \qquad
    d = b(t) + \varphi(x) - q . $$
 
 The bend law φ(x) of `pneumatics.chambers` turns the pressures into a bend, and b is the

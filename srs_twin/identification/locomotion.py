@@ -229,9 +229,11 @@ class PlantModel:
     def search_options(self, against: str) -> SearchOptions:
         """Return the settings of a search with this plant.
 
-        The twin's path and heading are monotonic in the parameters only within 1e-2 in
-        z, but its bends within 1. Therefore the first stage uses only the bends.
-        `compliant` has finer kinks than the twin, and all its signals are monotonic.
+        The twin's motion is smooth down to 1e-3 in z. Its path and heading are
+        monotonic in the parameters only within 1e-2, but its bends within 1, so the
+        first stage uses only the bends. Identifiability is judged over the few per cent
+        that the data leave undetermined. `compliant` has finer kinks than the twin, and
+        all its signals are monotonic.
         """
         if self.plant == "twin":
             options = SearchOptions(

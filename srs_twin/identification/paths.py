@@ -3,8 +3,7 @@ r"""Period-averaged path of a crawling snake: speed, curvature, edges and transi
 A pose is a point of the path and the direction of the path there. Motion along an arc
 of curvature κ and length L is
 
-$$ A_κ(L) = \Bigl(L\,\mathrm{sinc}\tfrac{κL}{2},\; \text{at the angle}\;
-\tfrac{κL}{2};\;\; κL\Bigr), $$
+$$ A_κ(L) = \Bigl(L\,\mathrm{sinc}\tfrac{κL}{2},\; \text{at the angle}\; \tfrac{κL}{2};\;\; κL\Bigr), $$
 
 and P ∘ A is the pose at the end of an arc that starts at P. Arrays of poses have one
 leading axis.

@@ -4,8 +4,7 @@ A robot file gives the distribution of a number in `Uncertain`. The numbers are 
 functions of standard normal variables ζ with the correlations R of the file (Gaussian
 copula):
 
-$$ x_i = F_i^{-1}(\Phi(\zeta_i)), \qquad \zeta = L z, \quad L L^T = R, \quad z_i =
-\Phi^{-1}(u_i), $$
+$$ x_i = F_i^{-1}(\Phi(\zeta_i)), \qquad \zeta = L z, \quad L L^T = R, \quad z_i = \Phi^{-1}(u_i), $$
 
 where u is uniform and independent. Normal and lognormal distributions are truncated at
 the bounds of robot files.

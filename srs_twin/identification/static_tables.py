@@ -237,10 +237,8 @@ def _noise_scale(values: np.ndarray) -> np.ndarray:
 
     The scale is a median magnitude of differences. Steps and slow changes of pressure
     are not noise, so it is the smaller of two estimates. A step changes only one first
-    difference, and a ramp changes no second difference.
-
-    Args:
-        values: log, shape (rows, …), at least 2 rows.
+    difference, and a ramp changes no second difference. First differences of white
+    noise are smaller than second differences by √3.
     """
     medians = [
         scale * np.median(np.abs(np.diff(values, order, axis=0)), axis=0)

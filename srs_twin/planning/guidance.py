@@ -4,13 +4,13 @@ The first search uses the Dubins length as heuristic, which ignores obstacles. I
 does not succeed at once, a second tree also uses
 
 - the distance to the goal on a grid around obstacles. This is an estimate and not a
-lower bound. Grid paths are up to 8 % longer than straight lines, and passages narrower
-than a cell may be missing or too wide. Therefore the tree finds some path quickly, not
-necessarily the shortest.
+  lower bound. Grid paths are up to 8 % longer than straight lines, and passages
+  narrower than a cell may be missing or too wide. Therefore the tree finds some path
+  quickly, not necessarily the shortest.
 - entry poses of narrow passages. Poses on arcs of fixed length rarely hit a passage
-that is hardly wider than the body. At the centre of a passage, two obstacles have their
-shortest distance, and no other obstacle is nearer. The tree tries Dubins paths to an
-entry pose far enough ahead for the last transient to end.
+  that is hardly wider than the body. At the centre of a passage, two obstacles have
+  their shortest distance, and no other obstacle is nearer. The tree tries Dubins paths
+  to an entry pose far enough ahead for the last transient to end.
 """
 
 from __future__ import annotations

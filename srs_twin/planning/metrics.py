@@ -134,27 +134,27 @@ def following_metrics(trajectory: Trajectory) -> dict[str, float | None]:
     The following metrics refer to the current plan at each sample:
 
     - ``cross_track_rms_m``, ``cross_track_max_m``: distance of the centre of mass from
-    the path.
+      the path.
     - ``inside_share``: fraction of samples at which the whole body is between the edges
-    of the planned footprint. Connectors and middles of segments represent the body,
-    with half the width to both sides. The path continues straight beyond its ends,
-    where head or tail may be.
+      of the planned footprint. Connectors and middles of segments represent the body,
+      with half the width to both sides. The path continues straight beyond its ends,
+      where head or tail may be.
     - ``inside_50mm_share``: fraction of samples inside the 50 mm box of the
-    dissertation.
+      dissertation.
 
     Metrics at the end of the run:
 
     - ``goal_reached``: 1 if the centre of mass is within the goal's radius and the body
-    never overlapped an obstacle, otherwise 0. Overlap is possible only on the
-    analytical plant.
+      never overlapped an obstacle, otherwise 0. Overlap is possible only on the
+      analytical plant.
     - ``arrival_error_m``: distance of the centre of mass from the goal.
     - ``arrival_heading_error_rad``: error of the heading, averaged over a gait period
-    and extrapolated to the end; None without an arrival heading.
+      and extrapolated to the end; None without an arrival heading.
 
     Metrics of the whole run:
 
     - ``following_time_s``: duration; ``replans``: number of new plans; ``plan_…``:
-    metrics of the first plan.
+      metrics of the first plan.
     """
     metadata = following(trajectory)
     if metadata is None:
@@ -295,7 +295,10 @@ def _path_deviations(
 
 
 def body_points(trajectory: Trajectory) -> np.ndarray:
-    """Return points on both sides of connectors and of the middles of segments, m."""
+    """Return points beside connectors and the middles of segments, m.
+
+    The array has shape (samples, k, 2).
+    """
     half = (positive_number(trajectory, "body_width_m") or 0.0) / 2
     centres, heading = centre_points(trajectory)
     return offset_to_sides(centres, heading, half)
