@@ -342,11 +342,6 @@ class _Task:
         return self.spec.supply.nominal if supply is None else supply
 
     def all_are(self, is_first: Callable[[str], bool], first: str, second: str) -> bool:
-        """Return True if all files are of the first kind, False if none is.
-
-        Raises:
-            InputError: both kinds occur, or a file cannot be read.
-        """
         kinds = [is_first(path) for path in self.files]
         if len(set(kinds)) > 1:
             one = self.files[kinds.index(True)]
@@ -395,7 +390,6 @@ class _Task:
         return result
 
     def _call(self) -> str:
-        """Return the call as text, without arguments that have their default value."""
         words = [
             f"{name}={getattr(self.given[name], 'name', self.given[name])!r}"
             for name, parameter in signature(self._function).parameters.items()

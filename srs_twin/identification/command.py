@@ -171,11 +171,6 @@ def design(
 
 
 def _parse_targets(text: str) -> dict[str, float]:
-    """Parse a list of parameters and accuracies, such as friction.mu_t=5%.
-
-    Raises:
-        InputError: an entry is not a name with a percentage.
-    """
     targets = {}
     for entry in text.split(","):
         name, _, share = entry.strip().partition("=")

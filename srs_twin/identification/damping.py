@@ -331,7 +331,6 @@ class _DampingFit:
         return estimate
 
     def _rest_residuals(self, values: Mapping[str, float]) -> Iterator[Residual]:
-        """Yield measured minus predicted rest bends."""
         for k, calm in enumerate(self.calm):
             decay = self.decays[k]
             bend = float(decay.before[:calm].mean())
@@ -428,7 +427,6 @@ class _DampingFit:
         return amounts
 
     def _volumes(self, bend: np.ndarray) -> np.ndarray:
-        """Return the volumes of both chambers, m³, shape (…, 2)."""
         chamber = self.spec.chamber
         grown = np.maximum(0.0, np.stack([bend, np.negative(bend)], axis=-1))
         return np.asarray(chamber.dead_volume + chamber.displacement * grown)
@@ -456,7 +454,6 @@ def _grid(decay: Decay) -> np.ndarray:
 
 
 def _measured_air(decay: Decay, spec: RobotSpec, grid: np.ndarray) -> np.ndarray:
-    """Return the bends due to measured pressures on a grid, rad, shape (points,)."""
     if decay.pressure is None:
         return np.zeros(len(grid))
     pressure = np.zeros((len(decay.time), spec.segments, 2))

@@ -240,11 +240,6 @@ def free_swing(
 
 
 def _visible_turns(name: str, bend: np.ndarray, first: int, noise: float) -> list[int]:
-    """Return the samples of the turning points after sample `first`.
-
-    Raises:
-        InputError: the swing is within the noise, or overdamped.
-    """
     size = float(np.ptp(bend[max(first - 1, 0) :]))
     threshold = max(_MIN_TURN * noise, _MIN_TURN_SHARE * size)
     if size <= _MIN_SIZE * noise:

@@ -132,7 +132,6 @@ def apply_fit(fit: FitFile, robot: RobotSpec, *, weak: bool = True) -> RobotSpec
 
 
 def _changed_fixed_values(fit: FitFile, base: RobotSpec) -> dict[str, float]:
-    """Return the fixed values that differ from the base; the fit depends on them."""
     held = {name: value for name, value in fit.held.items() if is_parameter(name)}
     return {
         parameter.name: held[parameter.name]

@@ -241,11 +241,6 @@ def robot_hash(spec: RobotSpec) -> str:
 
 
 def _check_writable(path: Path, identity: list[str], overwrite: bool) -> None:
-    """Check that a file is new, belongs to the same study, or may be overwritten.
-
-    Raises:
-        InputError: the file is of another study, or cannot be read or written.
-    """
     if os.path.lexists(path) and not overwrite:
         first = read_text(path).splitlines()[: len(identity)]
         if [line.removeprefix("# ") for line in first] != identity:

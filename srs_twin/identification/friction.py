@@ -640,7 +640,6 @@ class _CoastingModel:
     def validation_residuals(
         self, run: CoastingTest, fitted: Mapping[str, float]
     ) -> Sequence[Residual]:
-        """Fit only the motion of a run, and return the residuals."""
         angle = self._misalignment(run, 0.0)
         motion = _motion(run, 0)
 

@@ -170,7 +170,6 @@ def per_segment(spec: RobotSpec, *names: str) -> tuple[str, ...]:
 
 
 def _key(name: str) -> tuple[str, int]:
-    """Split a name into the key with N for its number, and the index counted from 0."""
     match = re.fullmatch(r"(.+_)([1-9]\d?)", name, flags=re.ASCII)
     if match is not None:
         return f"{match[1]}N", int(match[2]) - 1

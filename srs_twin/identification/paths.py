@@ -339,11 +339,6 @@ def _excess(
 def _settling_time(
     trajectory: Trajectory, period: float, time: float, paths: BothPaths
 ) -> float:
-    """Return the time from which each period turns as at the new offset, s.
-
-    Raises:
-        InputError: the run ends before the path has settled.
-    """
     heading = interpolant(trajectory, trajectory["heading"])
     begins = trajectory.time[trajectory.time >= time - 1e-9]
     begins = begins[begins <= trajectory.time[-1] - period + 1e-9]

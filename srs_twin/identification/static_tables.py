@@ -174,7 +174,6 @@ class StaticTable:
 def _chamber_pressures(
     trajectory: Trajectory, log: ValveLog, supply_pa: float
 ) -> np.ndarray:
-    """Return the settled pressures of a log, Pa; NaN if unknown."""
     values = np.stack(
         [trajectory.stack(f"{log.kind}_{side}") for side in SIDES], axis=-1
     )
@@ -217,7 +216,6 @@ def _settled_frames(
 def _constant_intervals(
     pressure: np.ndarray, band: np.ndarray
 ) -> Iterator[tuple[int, int]]:
-    """Yield the first and last + 1 frame of each interval of constant pressure."""
     begin = 0
     low = pressure[0]
     high = pressure[0]
@@ -499,7 +497,6 @@ def _fit_dead_zone(
 
 
 def _is_significant(more: FitEstimate, less: FitEstimate) -> bool:
-    """Return whether more parameters improve a fit significantly (F-test, 1 %)."""
     if any(more[p.name].value is None for p in more.parameters if p.name in _DEAD_ZONE):
         return False
     added = max(len(more.values) - len(less.values), 1)

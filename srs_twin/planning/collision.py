@@ -273,7 +273,6 @@ def obstacle_at(world: World, x: float, y: float) -> str:
 
 
 def _named_obstacles(world: World) -> list[tuple[str, World]]:
-    """Return each obstacle and the bounds by name, each in a world of its own."""
     named: list[tuple[str, World]] = []
     if (bounds := world.bounds) is not None:
         (west, east), (south, north) = bounds.x, bounds.y

@@ -511,7 +511,6 @@ class Follower(Controller):
 
 
 def _new_plan(replan: Replan, pose: Pose, least: float) -> Renewal:
-    """Return the plan with the maximum fraction of the margin, at least `least`."""
     reasons = []
     for share in [share for share in _MARGIN_SHARES if share >= least]:
         try:

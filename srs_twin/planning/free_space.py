@@ -153,7 +153,6 @@ def _free_component(
 def _reduced_bounds(
     world: World, extent: tuple[float, float, float, float], clearance: float
 ) -> shapely.Polygon:
-    """Return the bounds reduced by the clearance, or a box around all obstacles."""
     import shapely
 
     if world.bounds is None:

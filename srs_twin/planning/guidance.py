@@ -259,7 +259,6 @@ def _gap_centres(world: World, width: float) -> list[tuple[list[float], list[flo
 
 
 def _thick_lines(world: World) -> tuple[np.ndarray, np.ndarray]:
-    """Return obstacles and bounds as line segments with half widths, m."""
     segments = [((c.x, c.y), (c.x, c.y)) for c in world.obstacles]
     rings = [polygon.corners for polygon in world.polygons]
     if world.bounds is not None:
@@ -275,7 +274,6 @@ def _thick_lines(world: World) -> tuple[np.ndarray, np.ndarray]:
 def _entry_poses(
     centres: list[tuple[list[float], list[float]]], body: Footprint, spacing: float
 ) -> np.ndarray:
-    """Return the entry poses of passages with given centres and directions across."""
     straight = body.at(0.0)
     transient = max((change.length for change in body.transients), default=0.0)
     width = straight.left + straight.right

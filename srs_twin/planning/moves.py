@@ -287,7 +287,6 @@ def _cut_corners(x, y, heading, indices, lengths, moves, grid, radius):  # type:
 
 @kernel_only
 def _append_arc(indices, lengths, size, move, length):  # type: ignore[no-untyped-def]
-    """Append an arc, or extend an equal last arc, and return the number of arcs."""
     if size > 0 and indices[size - 1] == move:
         lengths[size - 1] += length
         return size

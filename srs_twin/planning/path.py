@@ -199,7 +199,6 @@ class ReferencePath:
 
 @compiled
 def _nearest(x, y, arcs, low, high):  # type: ignore[no-untyped-def]
-    """Return s, n, heading and curvature at the nearest point with low ≤ s ≤ high."""
     best = np.inf
     s_best = 0.0
     n_best = 0.0

@@ -195,7 +195,6 @@ def plan_with_transitions(
 def _search_with_transitions(
     problem: Problem, search: Callable[..., Plan], begin: Sequence[Segment]
 ) -> Plan:
-    """Return the first valid path with transition arcs, for wider bodies in turn."""
     body = problem.footprint
     first = search(problem)
     if not first.found:

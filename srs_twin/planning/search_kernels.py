@@ -345,10 +345,6 @@ def expand(frontier, spec, best, count):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _try_arc(frontier, node, move, spec, best):  # type: ignore[no-untyped-def]
-    """Add the child at the end of a free arc if it improves its cell.
-
-    The child must also be able to improve the best plan.
-    """
     moves = spec.moves
     state, cost = _arc_state(frontier, node, moves)
     curvature = moves.curvatures[move]
@@ -433,7 +429,6 @@ def _open_node(frontier, slot, parent, move, node, spec):  # type: ignore[no-unt
 
 @kernel_only
 def _add_node(frontier, slot, parent, move, node):  # type: ignore[no-untyped-def]
-    """Add a node as the owner of its cell, and return its index."""
     # The new node replaces the former owner of the cell, which is skipped when it is
     # popped.
     child = frontier.counts[NODES]
