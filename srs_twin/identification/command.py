@@ -66,7 +66,7 @@ app = typer.Typer(
 def calibrate() -> None:
     """Estimate robot parameters from recordings, and footprints from simulated runs.
 
-    Footprints come with the margins that a follower needs.
+    The margins of followers are also derived from simulated runs.
     """
 
 

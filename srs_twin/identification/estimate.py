@@ -84,9 +84,9 @@ class Parameter:
     """Estimated value of one parameter.
 
     A parameter is "identified" if its standard error is at most a tenth of its value or
-    scale, and "weakly identified" if it is at most the value or scale. The verdict is
-    "cannot tell" if the model does not explain the data. A parameter that these data do
-    not determine is "not identifiable" and has no value.
+    scale. It is "weakly identified" if the standard error is at most the value or
+    scale. The verdict is "cannot tell" if the model does not explain the data. A
+    parameter that these data do not determine is "not identifiable" and has no value.
 
     Attributes:
         name: name, see `parameters`.
@@ -179,8 +179,8 @@ class FitEstimate(HtmlResult):
             for a parameter without a value.
         residuals: residuals of all data, fit and validation.
         cancels: unidentifiable directions, each a mapping of names to components in the
-            coordinates of `parameters`; {mass: 0.71, stiffness: 0.71} means that only
-            the ratio of mass and stiffness has an effect.
+            coordinates of `parameters`. With {mass: 0.71, stiffness: 0.71}, only the
+            ratio of mass and stiffness has an effect.
         samples: number of fitted samples.
         independent: equivalent number of independent samples, see `correlation_time`.
         residual_scale: standard deviation of the weighted residuals; 1 if they are as

@@ -30,8 +30,8 @@ $$ ε = \min_{a, b} \sum_i \frac{m_i}{M}\,\lvert δ_i - a - b\,i \rvert , $$
 
 where δ_i is the heading of connector i. Slip across the wheels increases the drag
 coefficient to μ_t + ε √(μ_n² − μ_t²) under the law `wheel`. The motion is measured in a
-frame that turns with the body, and the angle between the mean heading and the direction
-of rolling is fitted.
+frame that turns with the body. The angle between the mean heading and the direction of
+rolling is fitted.
 
 The fit computes ε from the recorded bends, or from the rest bends of the robot file if
 no bends are recorded. Because ε is a seminorm, errors of the bends (`_BEND_ERROR_RAD`,

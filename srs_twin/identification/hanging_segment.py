@@ -154,8 +154,9 @@ def swing(time, start, rest, frequency, material, segment, branches):  # type: i
 
     Args:
         time: ascending times, s, shape (samples,).
-        start: initial bend (rad), bend rate (rad/s), amounts P V of air in the + and −
-            chamber (J) and moments of the branches (N·m), shape (4 + branches,).
+        start: initial state, shape (4 + branches,). It consists of bend (rad), bend
+            rate (rad/s), amounts P V of air in the + and − chamber (J), and moments of
+            the branches (N·m).
         rest: rest bend b without pressure at each time, rad, shape (samples,).
         frequency: approximate ringing frequency, rad/s, which sets the step size.
         material: a `Material`.

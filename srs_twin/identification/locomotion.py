@@ -172,8 +172,8 @@ _COMPLIANT_STEPS = _CLOSE_STEPS | {
 """Settings of `compliant` in a fit, which has a fixed time step.
 
 With the defaults (2 ms, 0.25 mm/s) the sum of squares has many local minima a few
-standard errors apart, and its derivatives contain this ripple. The slip speed is equal
-to the twin's.
+standard errors apart. Its derivatives contain this ripple. The slip speed is equal to
+the twin's.
 """
 
 _DIVERGED_RESIDUAL = 1e3

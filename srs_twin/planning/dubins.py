@@ -10,8 +10,8 @@ $$ LSL: p^2 = 2 + d^2 - 2\cos(a-b) + 2d(\sin a - \sin b) \qquad
    LSR: p^2 = d^2 - 2 + 2\cos(a-b) + 2d(\sin a + \sin b) $$
 
 and LRL satisfies cos p = (6 - d² + 2 cos(a-b) + 2d(sin b - sin a))/8, p > π. With a
-free arrival heading, the shortest path is an arc and a straight line, or two arcs if
-the end is inside a turning circle (Bui et al., 1994).
+free arrival heading, the shortest path is an arc and a straight line (Bui et al.,
+1994). It has two arcs if the end is inside a turning circle.
 
 The available packages (`dubins`, wrappers of one C file) are unmaintained and have no
 wheels.

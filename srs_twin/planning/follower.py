@@ -6,8 +6,8 @@ over a gait period. A `Predictor` extrapolates the mean pose, and a steering law
 delay. The run ends at the goal, or earlier with a reason (`ENDINGS`).
 
 If the snake deviates too far from its path or its body approaches an obstacle, the
-follower requests a new plan. The new plan has the margin of the first plan, or a
-fraction of it if no such plan exists.
+follower requests a new plan. This plan has the margin of the first plan or, if
+necessary, a fraction of it.
 
 Symbols:
     s: position along the path from its start, m.
@@ -125,8 +125,8 @@ class Conditions:
         stray: cross-track error at which a new plan is requested, m, or None for no
             request.
         replans: maximum number of new plans.
-        run_up: length of the straight run-up of the first path, m; at its end the rest
-            is planned again from the actual pose, if new plans are possible.
+        run_up: length of the straight run-up of the first path, m. At its end the rest
+            is planned again from the actual pose, if possible.
         lag: transport delay of the robot, s, until the frames show the effect of a
             command.
     """
@@ -157,7 +157,7 @@ class Follower(Controller):
         submit: function that runs the planner in another thread while the snake moves.
             Without it the snake waits.
         least_margin: minimum fraction of the margin in a new plan. If it is above 0,
-            the run ends (`no_room`) when no such plan exists, or when the body
+            the run ends (`no_room`) without such a plan. It also ends if the body
             approaches an obstacle and no new plan is left.
         leans: whether the body may lean on obstacles, so that approaching one requires
             no new plan.

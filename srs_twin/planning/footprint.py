@@ -50,8 +50,8 @@ class FootprintRow:
 class Transient:
     """Deviation from the steady footprint after a change of offset.
 
-    In the long term, the snake moves as if it jumped at the change by (dx, dy) relative
-    to its heading, turned by dheading, and followed the new arc.
+    The long-term effect is a jump by (dx, dy) relative to the heading and a turn by
+    dheading. The snake then follows the new arc.
 
     Attributes:
         before: old offset.

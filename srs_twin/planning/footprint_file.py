@@ -348,7 +348,7 @@ class Margin:
 
 
 def excursion_quantile(excursions: Sequence[float], probability: float) -> float:
-    """Return the excursion that a new run does not exceed with a probability, m.
+    """Return the excursion that a new run does not exceed with a probability, m (≥ 0).
 
     Raises:
         InputError: too few runs, or too many of them did not arrive.

@@ -45,8 +45,8 @@ class MoveSet(NamedTuple):
         left: left edge of the footprint for each curvature, m, shape (n,).
         right: right edge of the footprint for each curvature, m, shape (n,).
         transients: extra left width, extra right width and length (m) of the transient
-            after a change from one curvature to another, shape (n + 1, n, 3); row n
-            applies at the start.
+            after a change of curvature, shape (n + 1, n, 3). Row n applies at the
+            start.
         primitives: indices of the curvatures that lead to a node's children, shape
             (m,).
         radius_factors: turning radii of the tested Dubins paths relative to the minimum

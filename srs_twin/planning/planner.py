@@ -1,9 +1,9 @@
 r"""The function `plan`, and `plan_with_transitions` for paths with transition arcs.
 
 A transition arc replaces a jump of the curvature by the measured response to a change
-of offset. After a change from curvature κ_a to κ_b the path turns by Δκ δ less than
-after an instant change, and is displaced by Δκ m/2 to the side (`Transient`: dheading =
-−Δκ δ, dy = Δκ m/2). To first order, one arc of length T and curvature
+of offset. A change of curvature from κ_a to κ_b is not instant. The path turns by Δκ δ
+less than after an instant change (`Transient.dheading` = −Δκ δ), and is displaced by
+`Transient.dy` = Δκ m/2 to the side. To first order, one arc of length T and curvature
 
 $$ κ_t = κ_a + \Bigl(1 - \frac{δ}{T}\Bigr) Δκ, \qquad T = \frac{m}{δ}, $$
 
