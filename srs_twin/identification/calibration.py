@@ -152,7 +152,7 @@ def calibrate_friction(
         law: friction law of coasting tests: "wheel", "axis" or "ellipse".
         wheel_inertia: whether coasting tests include the rotational inertia of the
             wheels.
-        reader: recording settings.
+        reader: settings with which recordings are read.
         out: path of the fit file, or None to write nothing. An existing file is
             replaced, and the report is written to the same folder.
         notify: function called with a note about each recording.
@@ -197,7 +197,7 @@ def calibrate_actuator(
         find: parameters to fit, by default all that the data can show.
         static: whether plateaus of constant pressure in recordings are fitted.
         starts: number of searches.
-        reader: recording settings.
+        reader: see `calibrate_friction`.
         out: see `calibrate_friction`.
         notify: see `calibrate_friction`.
         progress: see `calibrate_friction`.
@@ -253,7 +253,7 @@ def calibrate_locomotion(
         law: friction law of the analytical plant, by default "wheel".
         against: compared signals: "averages", "shapes" or "both".
         starts: number of searches, by default 3, or 1 with the twin's shapes.
-        reader: recording settings.
+        reader: see `calibrate_friction`.
         out: see `calibrate_friction`.
         notify: see `calibrate_friction`.
         progress: see `calibrate_friction`.

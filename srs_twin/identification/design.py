@@ -79,7 +79,7 @@ class CandidateExperiment:
     """Experiment that a design may choose.
 
     Attributes:
-        description: lab instruction.
+        description: instruction for the lab sheet.
         minutes: duration, minutes.
         predict: function of a robot that returns the predicted observations.
         noise: function of the predictions that returns their standard deviations.

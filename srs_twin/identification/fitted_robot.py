@@ -271,7 +271,7 @@ def fitted_robot(fits: Sequence[StrPath], name: str, *, weak: bool = True) -> Ro
 
     Args:
         fits: fit files.
-        name: new name.
+        name: robot name.
         weak: whether weakly identified parameters are included.
 
     Raises:
@@ -298,7 +298,7 @@ def calibrate_robot(
 
     Args:
         fits: fit files of one robot; later files override earlier ones.
-        name: new name.
+        name: robot name.
         out: path of the robot file, or None to write nothing.
         weak: whether weakly identified parameters are included.
         overwrite: whether an existing file is replaced.

@@ -70,7 +70,7 @@ class Priors:
     """Joint prior distribution of the uncertain parameters of a robot.
 
     Attributes:
-        parameters: individual priors.
+        parameters: prior of each parameter.
         correlation: correlation matrix R of the normal variables, shape (d, d).
     """
 

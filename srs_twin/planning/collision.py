@@ -190,7 +190,7 @@ class Checker:
         return True
 
     def clearance(self, segments: Sequence[Segment]) -> float:
-        """Return the width by which both edges may grow, m, up to a maximum."""
+        """Return the width by which both edges may grow, m, up to `MAX_CLEARANCE_M`."""
         free, touching = (
             0.0,
             MAX_CLEARANCE_M,

@@ -146,7 +146,7 @@ def follow_dubins_path(state, path, factor, moves, grid):  # type: ignore[no-unt
         state: initial arc state.
         path: Dubins path.
         factor: index of the turning radius in `MoveSet.radius_factors`.
-        moves: possible arcs.
+        moves: arcs that the snake can follow.
         grid: obstacles and bounds.
     """
     free = True
@@ -168,7 +168,7 @@ def follow_arc(state, move, length, moves, grid):  # type: ignore[no-untyped-def
         state: initial arc state.
         move: curvature index.
         length: arc length, m.
-        moves: possible arcs.
+        moves: arcs that the snake can follow.
         grid: obstacles and bounds.
     """
     x = state.x
@@ -209,7 +209,7 @@ def shorten_path(
     Args:
         start: start pose.
         path: collision-free path, with curvatures of the moves.
-        moves: possible arcs.
+        moves: arcs that the snake can follow.
         grid: obstacles and bounds.
         radius: turning radius, m.
     """

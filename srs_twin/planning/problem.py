@@ -52,8 +52,8 @@ class Touch:
 
     Attributes:
         obstacle: name of the obstacle, such as "obstacle 2".
-        begin: initial path length, m.
-        end: final path length, m.
+        begin: path length at the start of the contact, m.
+        end: path length at the end of the contact, m.
         depth: maximum overlap, m.
         force: estimated contact force, averaged over time, N.
     """
@@ -236,7 +236,7 @@ class Plan(HtmlResult):
         outcome: outcome of planning.
         reason: explanation of the outcome, with a remedy.
         segments: arcs of the path, empty unless a path was found.
-        expanded: expanded nodes.
+        expanded: number of expanded nodes.
         touches: parts of the path that lean on obstacles; None unless
             `Settings.touch_limits` is set.
         seconds: wall time, s; not compared.

@@ -249,7 +249,7 @@ class SearchSpec(NamedTuple):
     """Parameters of a search.
 
     Attributes:
-        moves: possible arcs.
+        moves: arcs that the snake can follow.
         target: goal.
         grid: obstacles and bounds.
         cell: side of a cell of poses, m.
