@@ -1,5 +1,5 @@
-"""Identification of a robot from runs, measurements and recordings.
+"""Identification of robot parameters from runs, measurements and recordings.
 
-`read_motion` reads motion capture, `read_valves` logs of valves or pressures, and
-`join` puts both on one clock. `footprint.footprint_study` measures footprints.
+`read_motion` reads motion capture and `read_valves` reads logs of valves or pressures.
+`join` puts both on one clock.
 """

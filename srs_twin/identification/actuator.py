@@ -1,13 +1,17 @@
-"""Actuator parameters of free segments from step responses.
+"""Actuator parameters of free segments, estimated from step responses.
 
-Valve states or pressures and the resulting bends over time. The model is
-`pneumatics.LagPneumatics`, Eq. 14 for nominal modules: τ_fill, τ_vent and τ_mode are
-common to all modules, gain and rest bend are individual. Segments must bend freely, on
-a bench or lifted; on the floor the bends depend on the load of the body as well.
-`actuator.bend_rad` and a common factor of all gains have the same effect, so the former
-is fixed unless requested. With a log of pressures instead of valves, bends follow the
-pressures with the delay τ_mode (for pressures with the time constant τ₁ the relative
-error is (τ_mode/τ₁)²), and the filling of the chambers cannot be estimated.
+The data are valve states or pressures over time, and the resulting bends. The model is
+`pneumatics.LagPneumatics`, i.e. Eq. 14 for nominal modules. The time constants τ_fill,
+τ_vent and τ_mode are common to all modules, whereas each module has its own gain and
+rest bend.
+
+The segments must bend freely, on a bench or lifted, because on the floor the bends also
+depend on the load of the body. `actuator.bend_rad` has the same effect as a common
+factor of all gains, so it is fixed unless requested.
+
+A log of pressures cannot show how the chambers fill. The bends then follow the
+pressures with the delay τ_mode. If the pressures have the time constant τ₁, the
+relative error of this approximation is (τ_mode/τ₁)².
 """
 
 from __future__ import annotations
@@ -41,7 +45,7 @@ _PRESSURE_NOISE_PA = 500.0
 """Standard deviation of measured pressures."""
 
 MIN_DRIFT_RAD = 1e-4
-"""Drift over a plateau below which a bend has settled; also the smallest error of a bend."""
+"""Drift over a plateau below which a bend has settled; also the minimum error."""
 
 CLOCK_ERROR_S = 0.05
 """Error of an estimated clock offset."""
@@ -55,14 +59,14 @@ class Response:
     """Bends of segments in response to valve states or measured pressures.
 
     Attributes:
-        name: name of the data.
-        sha256: SHA-256 of the data.
+        name: data name.
+        sha256: data hash (SHA-256).
         drive: valve states from time 0, or a log of pressures on the same clock.
         supply_pa: gauge pressure of the supply, Pa; not used with a log of pressures.
-        time: sample times, ascending, shape (samples,), s.
-        bend: measured bends, shape (samples, segments), rad; NaN if unknown.
-        pressure: pressures measured with a log of valves, shape (samples, segments, 2),
-            Pa, or None.
+        time: sample times in ascending order, s, shape (samples,).
+        bend: measured bends, rad, shape (samples, segments); NaN if unknown.
+        pressure: pressures measured with a log of valves, Pa, shape (samples, segments,
+            2), or None.
         clock_known: whether drive and bends share a clock; if not, their offset is
             estimated.
     """
@@ -80,7 +84,9 @@ class Response:
     def from_recording(
         cls, recording: Recording, name: str, supply_pa: float
     ) -> Response:
-        """Return the response of a recording joined with its log, without interpolated samples.
+        """Create a response from a recording that has been joined with its log.
+
+        Bends that were interpolated become NaN.
 
         Raises:
             InputError: the recording has no log.
@@ -106,7 +112,7 @@ class Response:
         )
 
     def data_set(self, role: Role) -> DataSet:
-        """Return name, hash and size of the data."""
+        """Return the name, hash and size of the data."""
         return DataSet(self.name, self.sha256, role, int(np.isfinite(self.bend).sum()))
 
 
@@ -125,7 +131,10 @@ def log_of(recording: Recording, name: str) -> ValveLog:
 
 
 def measured_bends(recording: Recording) -> np.ndarray:
-    """Return bends (samples, segments), rad; NaN where a marker of the segment was interpolated."""
+    """Return the measured bends, rad, shape (samples, segments).
+
+    A bend is NaN where a marker of the segment was interpolated.
+    """
     trajectory = recording.trajectory
     bend = trajectory.stack("bend").copy()
     if trajectory.has("filled"):
@@ -154,11 +163,10 @@ def fit_actuator(
     Args:
         responses: measured responses.
         spec: robot whose values are the start of the search.
-        names: free parameters, see `parameters`; default:
-            `default_actuator_parameters`.
+        names: names of the free parameters, by default `default_actuator_parameters`.
         validation: responses for validation.
         starts: number of searches.
-        watch: progress callback, see `least_squares`.
+        watch: progress callback.
 
     Raises:
         InputError: there is no response, the number of segments differs from the
@@ -202,7 +210,11 @@ def fit_actuator(
 def fixed_values(
     spec: RobotSpec, unknowns: Sequence[FreeParameter]
 ) -> dict[str, float]:
-    """Return the values to which gains are relative: nominal pressure, and its bend unless that is free."""
+    """Return the values to which the fitted gains are relative.
+
+    These are the nominal pressure and the bend at this pressure, unless the bend is
+    free.
+    """
     fixed = {"actuator.at_pressure_kpa": spec.supply.nominal / 1e3}
     if all(unknown.name != _BEND for unknown in unknowns):
         fixed[_BEND] = spec.actuator.gain * spec.supply.nominal
@@ -212,12 +224,16 @@ def fixed_values(
 def predict_response(
     response: Response, spec: RobotSpec, clock: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return the bends (samples, segments), rad, and pressures (samples, segments, 2), Pa, of free segments.
+    """Predict the bends and pressures of free segments.
 
     Args:
-        response: drive and sample times.
+        response: response whose drive and sample times are used.
         spec: robot.
-        clock: offset of the drive's clock, s.
+        clock: clock offset, s.
+
+    Returns:
+        Bends, rad, shape (samples, segments), and pressures, Pa, shape (samples,
+        segments, 2). Without valve states the pressures are None.
     """
     if isinstance(response.drive, ValveLog):
         delayed = response.drive.at(response.time + clock - spec.actuator.tau_mode)
@@ -244,9 +260,9 @@ def _response_residuals(
 def bend_residuals(
     name: str, difference: np.ndarray, role: Role, error: np.ndarray | float
 ) -> list[Residual]:
-    """Return the residuals of measured bends by segment.
+    """Return the residuals of the measured bends of each segment.
 
-    The residuals of a segment share one scale: the RMS of its errors, or
+    All residuals of a segment share one scale, which is the RMS of the errors, or
     `_BEND_NOISE_RAD` if any error is unknown.
     """
     residuals = []

@@ -1,4 +1,4 @@
-"""Fits of parameters of a robot to recordings and tables: the functions behind `srs-twin calibrate`."""
+"""Functions behind `srs-twin calibrate`, which fit a robot to recordings and tables."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ from srs_twin.scenario.provenance import versions
 Paths = Sequence[StrPath]
 Robot = StrPath | RobotSpec
 Notify = Callable[[str], object]
-"""Function called with a note about each recording, before the search."""
+"""Function that receives a note about each recording before the search starts."""
 
 LOCOMOTION = (
     "friction.mu_t",
@@ -75,7 +75,7 @@ LOCOMOTION = (
 
 _READER = RecordingReader()
 _NOT_RECORDED = {"out", "notify", "progress"}
-"""Arguments that do not change a result."""
+"""Arguments that do not change the result of a fit."""
 
 
 @dataclass(frozen=True)
@@ -85,10 +85,10 @@ class Calibration:
     Attributes:
         estimate: parameters, correlations and residuals; a notebook displays it as a
             page.
-        method: method of the fit.
+        method: fit method.
         title: title, one line.
         robot: initial robot, a name or a path.
-        data: data sets with their roles.
+        data: data sets.
         plateaus: table of the constant pressures in recordings; None for other fits.
     """
 
@@ -100,12 +100,12 @@ class Calibration:
     plateaus: StaticTable | None = None
 
     def write(self, path: Path, name: str, command: str) -> FitFile:
-        """Write report and fit file atomically together; return the content of the fit file.
+        """Write the report and the fit file together, and return the fit file.
 
         Args:
-            path: fit file; the report is in the same folder.
-            name: name of the fit.
-            command: command that made the fit.
+            path: fit file; the report is written to the same folder.
+            name: fit name.
+            command: command line that made the fit.
 
         Raises:
             InputError: a file cannot be written.
@@ -143,18 +143,18 @@ def calibrate_friction(
     notify: Notify = str,
     progress: Watch | None = None,
 ) -> Calibration:
-    """Estimate mu_t and mu_n from pulls or coasting tests, as `srs-twin calibrate friction`.
+    """Estimate mu_t and mu_n, as `srs-twin calibrate friction`.
 
     Args:
         files: one table of spring deformations, or recordings of coasting tests.
-        robot: initial robot, a name or path.
+        robot: initial robot.
         validate: tables or recordings for validation, not used by the fit.
         law: friction law of coasting tests: "wheel", "axis" or "ellipse".
         wheel_inertia: whether coasting tests include the rotational inertia of the
             wheels.
         reader: settings with which recordings are read.
-        out: fit file; an existing one is replaced, and the report is in the same
-            folder. None: not written.
+        out: path of the fit file, or None to write nothing. An existing file is
+            replaced, and the report is written to the same folder.
         notify: function called with a note about each recording.
         progress: function called with the number of model runs and the best weighted
             RMS so far.
@@ -189,15 +189,15 @@ def calibrate_actuator(
     Args:
         files: recordings of step responses, or tables or recordings of constant
             pressures (gains only).
-        robot: initial robot, a name or path.
-        valves: logs, one for each of `files`, then for each of `validate`; default:
-            those beside them.
+        robot: initial robot.
+        valves: logs of `files` followed by logs of `validate`, by default the logs
+            beside the recordings.
         validate: recordings or tables for validation, not used by the fit.
-        supply_pa: supply pressure, Pa; None: the nominal pressure of the robot.
-        find: parameters to fit; None: all that the data can show.
+        supply_pa: supply pressure, Pa, by default the nominal pressure of the robot.
+        find: parameters to fit, by default all that the data can show.
         static: whether plateaus of constant pressure in recordings are fitted.
         starts: number of searches.
-        reader: settings with which recordings are read.
+        reader: see `calibrate_friction`.
         out: see `calibrate_friction`.
         notify: see `calibrate_friction`.
         progress: see `calibrate_friction`.
@@ -235,25 +235,25 @@ def calibrate_locomotion(
     notify: Notify = str,
     progress: Watch | None = None,
 ) -> Calibration:
-    """Estimate friction, gap, masses or stiffness from runs on the floor, as `srs-twin calibrate locomotion`.
+    """Estimate friction, gap, masses or stiffness, as `srs-twin calibrate locomotion`.
 
-    If there are markers, the rigid gap (or the length of a segment) is measured from
-    them.
+    The data are runs on the floor. If they include markers, the rigid gap (or the
+    length of a segment) is measured from the markers.
 
     Args:
         files: recordings.
-        robot: initial robot, a name or path.
-        valves: logs, one for each of `files`, then for each of `validate`; default:
-            those beside them.
+        robot: initial robot.
+        valves: logs of `files` followed by logs of `validate`, by default the logs
+            beside the recordings.
         validate: recordings for validation, not used by the fit.
-        supply_pa: supply pressure, Pa; None: the nominal pressure of the robot.
+        supply_pa: supply pressure, Pa, by default the nominal pressure of the robot.
         find: parameters to fit.
-        plant: simulated plant, "analytical" or "twin".
-        model: analytical model; None: "compliant".
-        law: friction law of the analytical plant; None: "wheel".
+        plant: "analytical" or "twin".
+        model: analytical model, by default "compliant".
+        law: friction law of the analytical plant, by default "wheel".
         against: compared signals: "averages", "shapes" or "both".
-        starts: number of searches; None: 3, or 1 with the twin's shapes.
-        reader: settings with which recordings are read.
+        starts: number of searches, by default 3, or 1 with the twin's shapes.
+        reader: see `calibrate_friction`.
         out: see `calibrate_friction`.
         notify: see `calibrate_friction`.
         progress: see `calibrate_friction`.
@@ -289,20 +289,19 @@ def calibrate_damping(
     notify: Notify = str,
     progress: Watch | None = None,
 ) -> Calibration:
-    """Estimate stiffness, damping time and loss factor of a segment, as `srs-twin calibrate damping`.
+    """Estimate stiffness, damping time and loss factor from free oscillations.
 
     Args:
         files: recordings of one hanging segment that is released from a bend.
-        robot: initial robot, a name or path.
-        valves: whether the chambers were open to the air or closed: "open" or "closed".
-        mass_kg: mass of the body at the end of the segment; None: that of the first
+        robot: initial robot.
+        valves: state of the chambers: "open" to the air or "closed".
+        mass_kg: mass of the body at the end of the segment, by default the first
             connector.
-        inertia_kg_m2: moment of inertia of the body about its centre; None: with the
-            connector's radius of gyration.
-        leak_per_s: leak rate of closed chambers; None: fitted.
-        noise_rad: standard deviation of a recorded bend; None: estimated from the
-            recording.
-        from_s: time from which the segment swings freely; None: detected.
+        inertia_kg_m2: moment of inertia of the body about its centre, by default
+            computed from the connector's radius of gyration.
+        leak_per_s: leak rate of closed chambers, or None to fit it.
+        noise_rad: standard deviation of a recorded bend, or None to estimate it.
+        from_s: time from which the segment swings freely, or None to detect it.
         out: see `calibrate_friction`.
         notify: see `calibrate_friction`.
         progress: see `calibrate_friction`.
@@ -322,13 +321,8 @@ def _texts(paths: Paths) -> list[str]:
 class _Task:
     """Call of a function of this module.
 
-    Attributes:
-        given: arguments by name.
-        notify: function called with a note about each recording.
-        spec: initial robot, with the length that markers show.
-        length: this length, if it is one of the requested parameters.
-        fitted: files of the fit.
-        files: files of the fit, then those of the validation.
+    `length` is the length measured from markers, if it is a requested parameter.
+    `files` lists the fitted files, then the files for validation.
     """
 
     def __init__(
@@ -344,16 +338,10 @@ class _Task:
 
     @property
     def supply_pa(self) -> float:
-        """Supply pressure, Pa."""
         supply: float | None = self.given["supply_pa"]
         return self.spec.supply.nominal if supply is None else supply
 
     def all_are(self, is_first: Callable[[str], bool], first: str, second: str) -> bool:
-        """Return whether all files are of the first kind, False if all are of the second.
-
-        Raises:
-            InputError: both kinds occur, or a file cannot be read.
-        """
         kinds = [is_first(path) for path in self.files]
         if len(set(kinds)) > 1:
             one = self.files[kinds.index(True)]
@@ -364,7 +352,6 @@ class _Task:
         return kinds[0]
 
     def recordings(self) -> list[tuple[str, Recording]]:
-        """Return the names of the recordings, and the recordings with their logs."""
         recordings = []
         logs = logs_of(self.files, _texts(self.given["valves"]))
         for path, log in zip(self.files, logs, strict=True):
@@ -374,7 +361,6 @@ class _Task:
         return recordings
 
     def calibrate(self, kind: _Kind, **settings: Any) -> Calibration:
-        """Read data, fit the robot to them, and write the result if a file is named."""
         data = kind.read(self)
         fitted = data[: len(self.fitted)]
         validation = data[len(self.fitted) :]
@@ -404,7 +390,6 @@ class _Task:
         return result
 
     def _call(self) -> str:
-        """Return the call as text, without arguments that have their default value."""
         words = [
             f"{name}={getattr(self.given[name], 'name', self.given[name])!r}"
             for name, parameter in signature(self._function).parameters.items()
@@ -449,8 +434,6 @@ def _read_plateaus(task: _Task) -> list[StaticTable]:
 
 
 def _read_gait_runs(task: _Task) -> list[GaitRun]:
-    """Return recordings as gait runs, with a warning if chambers are filling at the start."""
-
     def measured() -> Parameter | None:
         fitted = [recording for _, recording in recordings[: len(task.fitted)]]
         return measured_length(fitted, task.spec, task.given["find"])
@@ -487,14 +470,7 @@ def _read_decays(task: _Task) -> list[Decay]:
 
 
 class _Kind(NamedTuple):
-    """Kind of data to which a robot is fitted.
-
-    Attributes:
-        method: method in a fit file.
-        title: title of a fit, completed with the robot and the arguments.
-        read: reader of the data, those of the fit before those of the validation.
-        fit: function of the fitted data, the robot and settings.
-    """
+    """Kind of data to which a robot is fitted, with its reader and fit function."""
 
     method: Method
     title: str
@@ -550,7 +526,6 @@ _DECAYS = _Kind(
 
 
 def _plant_settings(plant: str, model: str | None, law: str | None) -> dict[str, str]:
-    """Return the settings of a fit's plant."""
     if plant == "analytical":
         return {"model": model or "compliant", "friction": law or "wheel"}
     _refuse_option(model, "--model", "it is only for --plant analytical")

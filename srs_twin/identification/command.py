@@ -1,4 +1,4 @@
-"""`srs-twin calibrate`: robot parameters from recordings and from simulated runs, with their sources."""
+"""`srs-twin calibrate`, which estimates robot parameters from recordings and runs."""
 
 from __future__ import annotations
 
@@ -64,13 +64,16 @@ app = typer.Typer(
 
 @app.callback()
 def calibrate() -> None:
-    """Estimate parameters of a robot from recordings, and footprints and margins from simulated runs."""
+    """Estimate robot parameters from recordings, and footprints from simulated runs.
+
+    The margins of followers are also derived from simulated runs.
+    """
 
 
 def _fits(declaration: Callable[..., None]) -> None:
-    """Add a command with the options of a declaration, which fits with `calibrate_NAME`.
+    """Add the command of a declaration, which fits with `calibrate_NAME`.
 
-    Options that are not given have the defaults of that function of `calibration`.
+    An option that is not given has the default of the function in `calibration`.
     """
 
     @app.command()
@@ -111,8 +114,8 @@ def friction(
 ) -> None:
     """Estimate mu_t and mu_n from pulls or coasting tests.
 
-    Pulls are a table of spring deformations, measured with a spring car; coasting tests
-    are recordings.
+    Pulls are given as a table of spring deformations, measured with a spring car.
+    Coasting tests are given as recordings.
 
     Options:
         --law NAME: Friction law of coasting tests: wheel, axis or ellipse (skids).
@@ -168,11 +171,6 @@ def design(
 
 
 def _parse_targets(text: str) -> dict[str, float]:
-    """Return the requested accuracy of parameters in a list such as friction.mu_t=5%.
-
-    Raises:
-        InputError: an entry is not a name with a percentage.
-    """
     targets = {}
     for entry in text.split(","):
         name, _, share = entry.strip().partition("=")
@@ -229,8 +227,8 @@ def locomotion(
 ) -> None:
     """Estimate friction, gap, masses or stiffness.
 
-    If there are markers, the rigid gap (or the length of a segment) is measured from
-    them.
+    If the recordings include markers, the rigid gap (or the length of a segment) is
+    measured from the markers.
 
     Options:
         --plant NAME: Simulated plant: analytical or twin.

@@ -1,20 +1,22 @@
-r"""Stiffness and damping of a segment from decays of its free swing (`decay`, `hanging_segment`).
+"""Stiffness and damping of a segment, fitted to free oscillations after a release.
 
-Only the known mass and the weight turn the frequency into a stiffness: the decay alone
-shows k/m and T.
+`decay` reads the recordings, and `hanging_segment` is the model. A decay alone
+determines only k/m and T, where k is the stiffness, m the mass and T the damping time.
+The known mass and the weight turn the frequency into a stiffness.
 
-**Fit.** All recordings share k, T and the leak rate. Each has its own start, rest bend,
-and two exponentials with which its rest bend recovers from having been held. Without
-measured pressures, closed chambers are at ambient pressure at the first sample of the
-recording, when the segment is at rest. Their air at the release follows from the leak
-rate and the bends recorded until then. The bend at rest before and after the release
-separates k from the pressures.
+**Fit.** All recordings share k, T and the leak rate. Each recording has its own initial
+state and rest bend, and two exponentials for the recovery of the rest bend after the
+segment was held.
 
-**Intervals.** The scale of the residuals is the noise, with 1 % of the amplitude as an
-allowance for the model. Correlated residuals widen the intervals as in all fits
-(`least_squares`). k and T are those of viscous damping, with the loss factor η = 2π f
-T. A material with an almost constant loss factor is the reference that measures the
-model error: with an equal stiffness and loss at f, its decay gives other values.
+Without measured pressures, closed chambers are assumed to be at ambient pressure at the
+first sample of the recording, when the segment is at rest. The leak rate and the
+recorded bends determine the air at the release. The rest bends before and after the
+release separate k from the pressures.
+
+**Intervals.** The scale of the residuals combines the noise with 1 % of the amplitude
+for errors of the model. The damping is viscous, so the loss factor η = 2π f T grows
+with the frequency f. The model error is measured with a simulated material that has an
+almost constant loss factor and the fitted stiffness and loss at f.
 """
 
 from __future__ import annotations
@@ -68,23 +70,28 @@ _CREEP_RATIOS = (3.0, 12.0)
 """Time constants of the recovery, as multiples of 1/ω."""
 
 _MAX_CALM_SAMPLES = 25
-"""Samples at rest that count for the rest bend; further ones share errors of the model.
+"""Maximum number of samples that count for the rest bend.
+
+Further samples share the errors of the model.
 """
 
 _FIRST_LEAK = 0.1
 """Leak rate with which a search starts, 1/s."""
 
 _LEAKS = (-2.0, 30.0)
-"""Bounds of the leak rate, 1/s; a bound of 0 would cut the interval of a small one."""
+"""Bounds of the leak rate, 1/s. A bound of 0 would cut the interval of a small rate."""
 
 _STAGES = (2.0, 4.0, 8.0)
-"""Swings to which the model is fitted first, because a wrong frequency slips by whole swings later on."""
+"""Numbers of swings to which the model is fitted in turn.
+
+A wrong frequency would slip by whole swings if the first search used the whole decay.
+"""
 
 _SEARCH = SearchOptions(step=1e-3, tolerance=1e-8)
-"""Steps across which the kinks of the air's stiffness at zero bend average out."""
+"""Steps of the search, which average over the kinks of the air's stiffness."""
 
 _ERROR_STEP = 1e-3
-"""Step of derivatives of a derived quantity, in standard errors of a parameter."""
+"""Step of the derivatives of a derived quantity, in standard errors of a parameter."""
 
 _UPSAMPLING = 4
 """Points per sample between which measured pressures are interpolated linearly."""
@@ -106,13 +113,13 @@ class HangingBody:
     def of(
         cls, spec: RobotSpec, mass: float | None = None, inertia: float | None = None
     ) -> HangingBody:
-        """Return the first connector of a robot, or a body with another mass or moment of inertia.
+        """Return the first connector of a robot, or a body with other mass or inertia.
 
-        Without `inertia`, the body has the connector's radius of gyration.
+        If only a mass is given, the body has the connector's radius of gyration.
 
         Raises:
-            InputError: a value is not positive, or the robot has no segment of this
-                kind.
+            InputError: a value is not positive, or the robot has a skin or bends in
+                space.
         """
         if spec.skin is not None or spec.chamber.directions is not None:
             raise InputError(
@@ -151,15 +158,15 @@ def fit_damping(
     leak: float | None = None,
     watch: Watch | None = None,
 ) -> FitEstimate:
-    """Estimate stiffness and damping time, with the ringing frequency and the loss factor.
+    """Estimate stiffness, damping time, frequency and loss factor.
 
     Args:
         decays: free swings of the same segment with the same body.
         spec: robot whose geometry and chambers are used.
-        valves: whether the chambers were open to the air or closed.
-        body: hanging body; None: the first connector.
-        leak: leak rate of closed chambers, 1/s; None: fitted.
-        watch: progress callback, see `least_squares`.
+        valves: state of the chambers: "open" to the air or "closed".
+        body: hanging body, by default the first connector.
+        leak: leak rate of closed chambers, 1/s, or None to fit it.
+        watch: progress callback.
 
     Raises:
         InputError: there is no decay, or the valves are unknown or contradict measured
@@ -179,8 +186,8 @@ def fit_damping(
     for swings in _STAGES:
         fit.search(fit.unknowns(coarse=True), watch=watch, swings=swings)
     start = fit.search(fit.unknowns(), watch=watch)
-    # The frequency does not depend on the law of the material, so the bias of k and T
-    # does not widen it.
+    # The fitted frequency is independent of how the material dissipates energy. Its
+    # interval therefore uses the first fit, without the bias of k and T.
     error = fit.frequency_error()
     estimate = fit.search(fit.unknowns(), watch=watch, refit=fit.refit)
     derived: tuple[Parameter, ...] = ()
@@ -198,19 +205,14 @@ def fit_damping(
 
 
 class _Swing(NamedTuple):
-    """Predicted free swing.
-
-    Attributes:
-        bend: bends at the samples, shape (samples,), rad.
-        air: amounts of enclosed air at the end, + chamber before −, shape (2,), J.
-    """
+    """Predicted bends, rad, and p V of the enclosed air at the end, J."""
 
     bend: np.ndarray
     air: np.ndarray
 
 
 class _DampingFit:
-    """Model of several decays, and the best values of its unknowns so far."""
+    """Model of several decays, with the best values of the unknowns so far."""
 
     def __init__(
         self,
@@ -241,10 +243,9 @@ class _DampingFit:
             self.values["leak"] = 0.0
 
     def _first_values(self) -> dict[str, float]:
-        """Return values of the unknowns that follow from the first recording."""
         first = self.decays[0]
-        # The squared frequency is linear in k: the weight adds a constant, the air a
-        # share of k.
+        # The squared frequency is linear in k, because the weight adds a constant and
+        # the stiffness of the air is proportional to k.
         segment = self.body.segment(self.spec, self.closed)
         air = self._air_at_end()
         one, two = (
@@ -263,7 +264,11 @@ class _DampingFit:
         return values
 
     def unknowns(self, *, coarse: bool = False) -> list[FreeParameter]:
-        """Return the unknowns; `coarse` ones exclude leak and recovery, which few swings do not show."""
+        """Return the unknowns.
+
+        Coarse unknowns exclude leak and recovery, because a few swings do not show
+        them.
+        """
 
         def free(
             name: str, unit: str, bounds: tuple[float, float], scale: float
@@ -297,7 +302,11 @@ class _DampingFit:
         refit: Refit | None = None,
         swings: float = math.inf,
     ) -> FitEstimate:
-        """Fit unknowns to the first swings, and keep the values unless `bends` replace the measured ones."""
+        """Fit the unknowns to the first swings.
+
+        The fitted values become the best values, unless `bends` replaces the measured
+        bends.
+        """
         fitted = [decay.bend for decay in self.decays] if bends is None else bends
 
         def residuals(values: Mapping[str, float]) -> list[Residual]:
@@ -308,8 +317,8 @@ class _DampingFit:
                 result.append(
                     Residual(f"{decay.name} bend", "rad", difference, _scale(decay))
                 )
-            # A wrong leak rate, which few swings do not show, would contradict the bend
-            # at rest.
+            # The first swings do not determine the leak rate, and a wrong leak rate
+            # would contradict the bend at rest.
             if swings == math.inf:
                 result += self._rest_residuals(values)
             return result
@@ -322,7 +331,6 @@ class _DampingFit:
         return estimate
 
     def _rest_residuals(self, values: Mapping[str, float]) -> Iterator[Residual]:
-        """Yield the differences of the rest bends before the closed segments are bent and afterwards."""
         for k, calm in enumerate(self.calm):
             decay = self.decays[k]
             bend = float(decay.before[:calm].mean())
@@ -336,7 +344,7 @@ class _DampingFit:
             )
 
     def refit(self, values: Mapping[str, float]) -> Mapping[str, float]:
-        """Return the fit to decays of a material with a constant loss factor."""
+        """Fit simulated decays of a material with a constant loss factor."""
         pulsation = 2 * math.pi * self.small_swing(values).frequency
         bends = [
             self._swing(values, k, pulsation).bend for k in range(len(self.decays))
@@ -345,7 +353,7 @@ class _DampingFit:
         return self.values | dict(values) | fitted
 
     def frequency_error(self) -> float:
-        """Return ln of the fitted over the true frequency for a material with a constant loss factor."""
+        """Return the logarithmic error of the frequency due to viscous damping."""
         pulsation = 2 * math.pi * self.small_swing(self.values).frequency
         true = self.small_swing(self.values, pulsation).frequency
         return math.log(self.small_swing(self.refit(self.values)).frequency / true)
@@ -358,11 +366,8 @@ class _DampingFit:
     ) -> Ringing:
         """Return the small oscillation at the end of the first recording.
 
-        Args:
-            values: values of the unknowns; those that are missing have their best value
-                so far.
-            constant_about: frequency about which the loss factor is constant, rad/s;
-                None: viscous damping.
+        A missing value is the best value so far. The loss factor is constant about the
+        frequency `constant_about`, rad/s, unless the damping is viscous (None).
         """
         values = self.values | dict(values)
         material = self._material(values)
@@ -379,7 +384,6 @@ class _DampingFit:
     def _swing(
         self, values: Mapping[str, float], k: int, constant_about: float | None = None
     ) -> _Swing:
-        """Return the free swing of recording k; arguments as in `small_swing`."""
         values = self.values | dict(values)
         decay = self.decays[k]
         grid = self.grids[k]
@@ -403,16 +407,17 @@ class _DampingFit:
         return _Swing(path[:: len(grid) // len(decay.time)], end[2:4])
 
     def _enclosed_air(self, decay: Decay, leak: float) -> np.ndarray:
-        """Return the amounts of air at the start of the free swing, + chamber before −, J."""
+        """Return p V of the air at the start of the free swing, J."""
         volumes = self._volumes(decay.before)
-        # The air tends to that of ambient pressure, which changes with the volume.
+        # The amount of air approaches its value at ambient pressure, which changes with
+        # the volume.
         kept = np.exp(-leak * (decay.time[0] - decay.before_time))
         weights = np.append(np.diff(kept), 0.0)
         amounts: np.ndarray = AMBIENT_PA * (kept[0] * volumes[0] + weights @ volumes)
         return amounts
 
     def _air_at_end(self) -> np.ndarray:
-        """Return the amounts of air for the mean pressures at the end of the first recording, J."""
+        """Return p V of the air at the mean final pressure of the first decay, J."""
         first = self.decays[0]
         end = slice(-(len(first.time) // 4), None)
         pressure = 0.0 if first.pressure is None else first.pressure[end].mean(axis=0)
@@ -422,13 +427,11 @@ class _DampingFit:
         return amounts
 
     def _volumes(self, bend: np.ndarray) -> np.ndarray:
-        """Return the volumes of the chambers, + before −, shape (…, 2), m³."""
         chamber = self.spec.chamber
         grown = np.maximum(0.0, np.stack([bend, np.negative(bend)], axis=-1))
         return np.asarray(chamber.dead_volume + chamber.displacement * grown)
 
     def held(self) -> dict[str, float]:
-        """Return the values on which the estimates depend."""
         held = {"mass_kg": self.body.mass, "inertia_kg_m2": self.body.inertia}
         if self.closed:
             held["air_stiffness_nm_per_rad"] = self.small_swing(
@@ -451,7 +454,6 @@ def _grid(decay: Decay) -> np.ndarray:
 
 
 def _measured_air(decay: Decay, spec: RobotSpec, grid: np.ndarray) -> np.ndarray:
-    """Return the bends due to measured pressures on a grid, shape (points,), rad."""
     if decay.pressure is None:
         return np.zeros(len(grid))
     pressure = np.zeros((len(decay.time), spec.segments, 2))
@@ -470,15 +472,9 @@ def _derived(
     unit: str,
     model_error: float = 0.0,
 ) -> Parameter:
-    """Return a quantity of the small oscillation with an interval by linear propagation of errors.
+    """Return an attribute of `Ringing`, with errors propagated linearly.
 
-    Args:
-        estimate: estimate with all unknowns.
-        fit: model.
-        name: attribute of `Ringing`; it is positive, and its interval is that of its
-            logarithm.
-        unit: unit of the quantity.
-        model_error: further error of the logarithm.
+    The interval is symmetric in the logarithm, whose model error is `model_error`.
     """
 
     def logarithm(changes: Mapping[str, float]) -> float:

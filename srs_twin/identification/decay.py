@@ -1,12 +1,16 @@
 """Recordings of decays: the free swing of a segment that is held bent and released.
 
-A recording is a CSV file with ``time_s`` and ``bend_rad`` (or ``bend_deg``), at 100 Hz
-or more. Optional ``pressure_plus_kpa`` and ``pressure_minus_kpa`` are gauge pressures
-of closed chambers. The free swing begins at the largest speed, about a quarter of a
-swing after the release. It ends after twice the time in which half swings are visible.
+A recording is a CSV file with ``time_s`` and ``bend_rad`` (or ``bend_deg``), sampled at
+100 Hz or more. The optional columns ``pressure_plus_kpa`` and ``pressure_minus_kpa``
+are gauge pressures of closed chambers.
 
-The noise follows from the smallest singular values of the trajectory matrix:
-neighbouring samples of a swing satisfy a linear recurrence, which only noise disturbs.
+The free swing begins at the maximum speed, about a quarter of a swing after the
+release. The part that is used is twice as long as the part in which half swings exceed
+the noise.
+
+The noise is estimated from the smallest singular values of the trajectory matrix.
+Neighbouring samples of a noise-free swing satisfy a linear recurrence, so these
+singular values are due to noise.
 """
 
 from __future__ import annotations
@@ -37,7 +41,10 @@ _MIN_TURN = 6.0
 """Smallest visible half swing, in standard deviations of the noise."""
 
 _MIN_SIZE = 12.0
-"""Smallest range of the bends, in standard deviations of the noise, which alone has a range of about 6."""
+"""Smallest range of the bends, in standard deviations of the noise.
+
+Noise alone has a range of about 6 standard deviations.
+"""
 
 _MIN_TURN_SHARE = 0.02
 """Smallest visible half swing, as a fraction of the range of the bends."""
@@ -46,10 +53,10 @@ _LEAST_DECREMENT = 0.01
 """Smallest logarithmic decrement with which a search starts."""
 
 _WINDOW = 12
-"""Columns of the trajectory matrix, more than the exponentials of a swing."""
+"""Number of columns of the trajectory matrix, more than a swing has exponentials."""
 
 _KEPT_SPANS = 2.0
-"""Length of the used part, in lengths of the visible swing."""
+"""Length of the used part, relative to the length of the visible swing."""
 
 _MIN_CALM_SAMPLES = 5
 
@@ -59,15 +66,15 @@ class Decay:
     """Free swing of a released segment.
 
     Attributes:
-        name: name of the data.
-        sha256: SHA-256 of the file.
-        time: times of the free swing, shape (samples,), s.
-        bend: measured bends, shape (samples,), rad.
-        before: bends recorded before the free swing, and its first one, shape (earlier
-            samples + 1,), rad.
-        before_time: times of these bends, s.
-        pressure: measured gauge pressures, + before −, shape (samples, 2), Pa; None if
-            not measured.
+        name: data name.
+        sha256: file hash (SHA-256).
+        time: times of the free swing, s, shape (samples,).
+        bend: measured bends, rad, shape (samples,).
+        before: bends recorded before the free swing, followed by its first bend, rad,
+            shape (earlier samples + 1,).
+        before_time: sample times of `before`, s.
+        pressure: measured gauge pressures, (+ chamber, − chamber), Pa, shape (samples,
+            2); None if not measured.
         noise: standard deviation of a bend, rad.
         half_period: mean time between two turning points, s.
         log_decrement: mean logarithm of the ratio of two successive half swings.
@@ -90,7 +97,10 @@ class Decay:
         return math.pi / self.half_period
 
     def first_state(self) -> tuple[float, float]:
-        """Return bend (rad) and rate (rad/s) at the first time, estimated by a sine in the first swing."""
+        """Return the bend (rad) and bend rate (rad/s) at the first sample.
+
+        Both are estimated by fitting a sine to the first swing.
+        """
         since = (
             self.time[self.time <= self.time[0] + 2 * self.half_period] - self.time[0]
         )
@@ -102,14 +112,14 @@ class Decay:
         return float(mean + at_start), float(forward) * self.pulsation
 
     def text(self) -> str:
-        """Return what was found in the recording, one line."""
+        """Return one line that describes the swing found in the recording."""
         return (
             f"{self.name}: free swing from {self.time[0]:.3f} to {self.time[-1]:.3f} s,"
             f" about {0.5 / self.half_period:.3g} Hz, noise {self.noise:.2g} rad"
         )
 
     def data_set(self, role: Role) -> DataSet:
-        """Return name, hash and size of the data."""
+        """Return the name, hash and size of the data."""
         return DataSet(
             self.name,
             self.sha256,
@@ -127,13 +137,13 @@ def read_decay(
 
     Args:
         path: CSV file.
-        start: time from which the segment swings freely, s; None: the time of its
-            largest speed, about a quarter of a swing after the release.
-        noise: standard deviation of a bend, rad; None: estimated.
+        start: time from which the segment swings freely, s, by default the time of the
+            maximum speed.
+        noise: standard deviation of a bend, rad, or None to estimate it.
 
     Raises:
-        InputError: a column is missing, or the recording does not show a swing that
-            tells k and T apart.
+        InputError: a column is missing, or the recording does not determine k and T
+            separately.
     """
     pressures = dict.fromkeys(("pressure_plus", "pressure_minus"), PRESSURES)
     table = read_table(read_file(path), CLOCK | {"bend": ANGLES} | pressures)
@@ -179,7 +189,9 @@ def free_swing(
     start: float | None = None,
     noise: float | None = None,
 ) -> Decay:
-    """Return the free swing in recorded bends; the arguments are those of `Decay` and `read_decay`.
+    """Return the free swing in recorded bends.
+
+    The arguments are described in `Decay` and `read_decay`.
 
     Raises:
         InputError: the swing is too small, too short, overdamped or too fast for the
@@ -228,11 +240,6 @@ def free_swing(
 
 
 def _visible_turns(name: str, bend: np.ndarray, first: int, noise: float) -> list[int]:
-    """Return the samples of the turning points of the free swing that starts at sample `first`.
-
-    Raises:
-        InputError: the swing is within the noise, or overdamped.
-    """
     size = float(np.ptp(bend[max(first - 1, 0) :]))
     threshold = max(_MIN_TURN * noise, _MIN_TURN_SHARE * size)
     if size <= _MIN_SIZE * noise:
@@ -257,7 +264,6 @@ def _noise(bend: np.ndarray) -> float:
 
 
 def _turning_points(bend: np.ndarray, threshold: float) -> list[int]:
-    """Return the samples at which the bend turns back by more than a threshold."""
     turns: list[int] = []
     extreme = 0
     direction = 0.0

@@ -1,21 +1,23 @@
-r"""Optimal experimental design: choose recordings that determine parameters to a requested accuracy.
+r"""Optimal experimental design: choose recordings for a requested accuracy.
 
-Each candidate is an experiment that the fits can use, with its predicted observations
-and their noise. Let J be the derivatives of the predictions with respect to the
-coordinates z, the logarithms of all uncertain parameters, and R the covariance of the
-noise. Then an experiment changes the information matrix Λ to
+Each candidate is an experiment whose results a fit can use, with predicted observations
+and their noise. Let z be the logarithms of all uncertain parameters, J the Jacobian of
+the predictions with respect to z, and R the covariance of the noise. The experiment
+changes the information matrix Λ to
 
 $$ \Lambda' = \Lambda + J^T R^{-1} J, \qquad \mathrm{sd}(z_i) = \sqrt{(\Lambda'^{-1})_{ii}}. $$
 
-The initial Λ is that of the `uncertain` parameters of the robot file. The design is
-greedy. The next experiment minimises the mean logarithm of the ratio of interval to
-requested interval, over the intervals that are still too wide. It ends if no experiment
-narrows one of them by 2 %. For a parameter of value 0, such as drag, z is its value
-divided by a tenth of the robot's axial friction.
+The initial Λ comes from the `uncertain` parameters of the robot file. The coordinate z
+of a parameter with value 0, such as drag, is its value divided by a tenth of the
+robot's axial friction.
 
-Model discrepancy is not included, except for gait runs: their noise contains 2 % of
-speed and turning rate, the difference between `compliant` and the twin, however long
-the run is.
+The design is greedy. For all intervals that are still too wide, the next experiment
+minimises the mean logarithm of the ratio of the interval to the requested interval. The
+design ends if no experiment narrows an interval by 2 %.
+
+Model discrepancy is only included for gait runs, as 2 % of the speed and of the turning
+rate. This is the difference between the model `compliant` and the twin, regardless of
+the length of a run.
 """
 
 from __future__ import annotations
@@ -57,16 +59,19 @@ RUN_DISCREPANCY = 0.02
 """Relative difference between `compliant` and the twin in speed and turning rate."""
 
 _MAX_REPETITIONS = 3
-"""Largest number of times that an experiment is chosen."""
+"""Maximum number of times that an experiment is chosen."""
 
 _MIN_NARROWING = 0.98
-"""Ratio of interval widths that an experiment must reach to be worthwhile."""
+"""Ratio of interval widths below which an experiment is worthwhile."""
 
 _STEP = 0.05
-"""Step of finite differences in z; large, because metrics of runs are not smooth in their third digit."""
+"""Step of finite differences in z, which must be large.
+
+Metrics of runs are not smooth in their third digit.
+"""
 
 _PRIOR_STD = 3.0
-"""Standard deviation of z of a parameter that the robot file does not list as uncertain."""
+"""Standard deviation of z of a parameter without a prior in the robot file."""
 
 
 @dataclass(frozen=True)
@@ -75,9 +80,9 @@ class CandidateExperiment:
 
     Attributes:
         description: instruction for the lab sheet.
-        minutes: duration.
-        predict: function robot → predicted observations.
-        noise: function predictions → their standard deviations.
+        minutes: duration, minutes.
+        predict: function of a robot that returns the predicted observations.
+        noise: function of the predictions that returns their standard deviations.
     """
 
     description: str
@@ -103,8 +108,6 @@ def _relative_noise(share: float) -> Callable[[Array], Array]:
 
 
 def _measurements(spec: RobotSpec) -> Iterator[CandidateExperiment]:
-    """Yield measurements of lengths and masses."""
-
     def lengths(robot: RobotSpec) -> Array:
         return np.array(
             [
@@ -126,7 +129,6 @@ def _measurements(spec: RobotSpec) -> Iterator[CandidateExperiment]:
 
 
 def _pulls(spec: RobotSpec) -> Iterator[CandidateExperiment]:
-    """Yield pulls along and across, without and with an additional load."""
     for load in (0.0, 2.0 * spec.mass.total):
         words = f" with {1000 * load:.0f} g on it" if load else ""
 
@@ -151,7 +153,6 @@ def _pulls(spec: RobotSpec) -> Iterator[CandidateExperiment]:
 
 
 def _actuator_tests(spec: RobotSpec) -> Iterator[CandidateExperiment]:
-    """Yield constant pressures and pressure steps of lifted segments."""
     supply = spec.supply.nominal
     levels = np.linspace(0.2, 1.0, 5) * supply
 
@@ -190,7 +191,6 @@ def _actuator_tests(spec: RobotSpec) -> Iterator[CandidateExperiment]:
 
 
 def _gait_runs(spec: RobotSpec) -> Iterator[CandidateExperiment]:
-    """Yield gait runs at several frequencies and offsets."""
     supply = spec.supply.nominal
 
     def noise(predicted: Array) -> Array:
@@ -232,9 +232,11 @@ class ExperimentDesign:
 
     Attributes:
         chosen: experiments in order.
-        after: requested parameter → half its 95 % interval after each experiment,
-            relative to its value (in its unit if the value is 0).
-        before: the same before the first experiment.
+        after: for each requested parameter, half the 95 % interval after each
+            experiment, relative to the value (in the parameter's unit if the value is
+            0).
+        before: half the 95 % interval before the first experiment, in the units of
+            `after`.
         targets: requested accuracy.
     """
 
@@ -276,8 +278,8 @@ def calibrate_design(robot: StrPath, want: Mapping[str, float]) -> ExperimentDes
 
     Args:
         robot: name or path of the robot, whose file states what is known.
-        want: parameter → half the requested 95 % interval, relative to its value: 0.05
-            for 5 %.
+        want: half the requested 95 % interval of each parameter, relative to its value
+            (0.05 is 5 %).
 
     Raises:
         InputError: the robot is not valid, or no parameter is requested.
@@ -304,10 +306,11 @@ def choose_experiments(
     """Choose experiments until the requested accuracy is reached (module docstring).
 
     Args:
-        spec: robot with its present values.
-        known: uncertain parameter → its value and standard deviation, from the robot
+        spec: robot with its current values.
+        known: value and standard deviation of each uncertain parameter, from the robot
             file.
-        targets: parameter → half the requested 95 % interval, relative to its value.
+        targets: half the requested 95 % interval of each parameter, relative to its
+            value.
 
     Raises:
         InputError: no parameter is requested.
@@ -368,7 +371,7 @@ def _information(
     values: Mapping[str, float],
     scale: Array,
 ) -> Array:
-    """Return the information JᵀR⁻¹J of an experiment by central differences, one-sided at 0."""
+    """Return the information JᵀR⁻¹J by central differences, one-sided at 0."""
     predicted = experiment.predict(spec)
     columns = []
     for name, size in zip(names, scale, strict=True):

@@ -1,22 +1,25 @@
 r"""Result of a fit: parameter values with verdicts, and residuals.
 
-The verdicts of `identifiability` assume that the model is right. If the weighted
-residuals, all or those of one kind of signal, exceed their noise by more than
-`MAX_RESIDUAL_SCALE`, no parameter is identified. The interval is then only the scatter
-about the best value under a wrong model, and the verdict is "cannot tell".
+The verdicts of `identifiability` assume that the model is right. No parameter is
+identified if the weighted residuals exceed the noise by more than `MAX_RESIDUAL_SCALE`.
+This applies to all residuals together and to each kind of signal. The verdict is then
+"cannot tell", since an interval only shows the scatter about the best value under a
+wrong model.
 
 **Independent samples.** Residuals of neighbouring samples are correlated, because
-cameras and filters smooth the noise and because of model errors. With their
-autocorrelation ρ_k, n samples determine a mean as well as n/τ independent ones,
+cameras and filters smooth the noise and because the model has errors. With the
+autocorrelation ρ_k of the residuals, n samples determine a mean as well as n/τ
+independent samples, where
 
-$$ \tau = 1 + 2 \sum_{k \ge 1} \rho_k , $$
+$$ \tau = 1 + 2 \sum_{k \ge 1} \rho_k . $$
 
-summed while the pairs ρ_{2m} + ρ_{2m+1} are positive (initial positive sequence; Geyer
-1992, Statistical Science 7). A fit of p parameters removes the slow part of the noise
-from the residuals, a fraction of about c = p τ/n of their power at all short lags. This
-is corrected by ρ_k → (ρ_k + c)/(1 + c), iterated because c depends on τ. All series are
-pooled, weighted by their power. Series that are too short, such as pulls or averages of
-runs, count as independent samples.
+The sum ends where the pairs ρ_{2m} + ρ_{2m+1} cease to be positive (initial positive
+sequence; Geyer 1992, Statistical Science 7). A fit of p parameters removes slow noise
+from the residuals, about a fraction c = p τ/n of their power at all short lags. This is
+corrected by ρ_k → (ρ_k + c)/(1 + c), which is iterated because c depends on τ.
+
+All series are pooled, weighted by their power. The values of a series that is too
+short, such as pulls or averages of runs, count as independent samples.
 """
 
 from __future__ import annotations
@@ -32,13 +35,13 @@ from srs_twin.errors import InputError
 from srs_twin.trajectory import HtmlResult
 
 IDENTIFIED_ERROR = 0.1
-"""Largest standard error in z of an identified parameter."""
+"""Maximum standard error in z of an identified parameter."""
 
 UNIDENTIFIABLE_ERROR = 1.0
 """Standard error in z from which a parameter is not identifiable."""
 
 MAX_RESIDUAL_SCALE = 2.0
-"""Largest RMS of weighted residuals, per kind of signal, with which a model explains the data."""
+"""Maximum RMS of the weighted residuals of a signal that the model explains."""
 
 LEVEL = 0.95
 """Level of the confidence intervals."""
@@ -54,10 +57,10 @@ class Residual:
     """Measured minus predicted values of one signal.
 
     Attributes:
-        name: names of data set and signal, ``"step_1 bend_2"``.
+        name: names of data set and signal, such as ``"step_1 bend_2"``.
         unit: unit of the values.
         values: residuals, shape (samples,), in the order of time for a time series.
-        scale: standard deviation of the expected noise, in the unit; the inverse weight
+        scale: standard deviation of the expected noise, in `unit`; the inverse weight
             in the fit.
         role: "fit", or "validation" for data that the fit does not use.
     """
@@ -80,14 +83,15 @@ class Residual:
 class Parameter:
     """Estimated value of one parameter.
 
+    A parameter is "identified" if its standard error is at most a tenth of its value or
+    scale. It is "weakly identified" if the standard error is at most the value or
+    scale. The verdict is "cannot tell" if the model does not explain the data. A
+    parameter that these data do not determine is "not identifiable" and has no value.
+
     Attributes:
         name: name, see `parameters`.
         unit: unit of all values here.
-        verdict: "identified": the standard error is at most a tenth of the value or
-            scale. "weakly identified": it is at most once the value or scale. "cannot
-            tell": the model does not explain the data, and the interval is only the
-            scatter about the best value under a wrong model. "not identifiable": these
-            data do not determine it; such a parameter has no values.
+        verdict: verdict on the parameter, see above.
         value: estimate.
         standard_error: standard error of the estimate.
         low: lower end of the 95 % confidence interval.
@@ -117,8 +121,8 @@ def half_width(error: float, freedom: float) -> float:
     """Return half the width of a confidence interval.
 
     Args:
-        error: standard error.
-        freedom: degrees of freedom of its estimate.
+        error: standard error of an estimate.
+        freedom: degrees of freedom of the standard error.
     """
     from scipy import stats  # the import takes long, so only fits pay for it
 
@@ -126,7 +130,7 @@ def half_width(error: float, freedom: float) -> float:
 
 
 def verdict_on(error: float, scale: float) -> Verdict:
-    """Return the verdict on a value with a standard error; `scale` is a significant difference."""
+    """Return the verdict on a standard error; `scale` is a significant difference."""
     if error <= IDENTIFIED_ERROR * scale:
         return "identified"
     return "weakly identified"
@@ -148,17 +152,17 @@ def with_value(parameters: Sequence[Estimated]) -> list[int]:
 def correlation_matrix(
     covariance: np.ndarray, parameters: Sequence[Parameter]
 ) -> np.ndarray:
-    """Return the correlation of parameters with values, NaN elsewhere, shape (parameters, parameters).
+    """Return the correlation matrix, with NaN for parameters that have no value.
 
     Args:
-        covariance: covariance of the parameters, same shape; not used where a parameter
-            has no value.
+        covariance: covariance of the parameters, shape (parameters, parameters);
+            entries of parameters without a value are ignored.
         parameters: parameters.
     """
     matrix = np.full(covariance.shape, np.nan)
     rows = with_value(parameters)
     known = covariance[np.ix_(rows, rows)]
-    # Without noise all errors are 0; the floor avoids 0/0.
+    # Without noise all errors are 0, so a lower limit avoids 0/0.
     errors = np.maximum(np.sqrt(np.diag(known)), 1e-150)
     matrix[np.ix_(rows, rows)] = np.clip(known / np.outer(errors, errors), -1.0, 1.0)
     matrix[rows, rows] = 1.0
@@ -172,17 +176,16 @@ class FitEstimate(HtmlResult):
     Attributes:
         parameters: estimated parameters, in the requested order.
         correlation: correlation of the estimates, shape (parameters, parameters); NaN
-            without a value.
+            for a parameter without a value.
         residuals: residuals of all data, fit and validation.
-        cancels: unidentifiable directions, each as name → component in the coordinates
-            of `parameters`; {mass: 0.71, stiffness: 0.71} means that only their ratio
-            has an effect.
+        cancels: unidentifiable directions, each a mapping of names to components in the
+            coordinates of `parameters`. With {mass: 0.71, stiffness: 0.71}, only the
+            ratio of mass and stiffness has an effect.
         samples: number of fitted samples.
         independent: equivalent number of independent samples, see `correlation_time`.
         residual_scale: standard deviation of the weighted residuals; 1 if they are as
             large as expected.
-        held: values that were fixed in the fit and on which the estimates depend, by
-            name.
+        held: values by name that were fixed in the fit and affect the estimates.
         converged: whether the search converged.
         derived: quantities that follow from the parameters, such as a frequency.
     """
@@ -217,14 +220,14 @@ class FitEstimate(HtmlResult):
 
     @property
     def misfit(self) -> tuple[str, ...]:
-        """One line per kind of signal that the model does not explain; empty if it explains the data."""
+        """One line per kind of signal that the model does not explain."""
         explained = explains_data(self.residuals, self.residual_scale)
         if explained:
             return ()
         return (MISFIT_MESSAGE, *describe_misfit(self.residuals))
 
     def with_fixed(self, known: Sequence[Parameter]) -> FitEstimate:
-        """Return the estimate with additional measured parameters, uncorrelated with the fitted ones."""
+        """Return the estimate with additional measured and uncorrelated parameters."""
         size = len(self.parameters)
         count = len(known)
         correlation = np.eye(size + count)
@@ -237,7 +240,7 @@ class FitEstimate(HtmlResult):
         )
 
     def rms(self, role: Role) -> float | None:
-        """Return the RMS of the weighted residuals of a role; None without data."""
+        """Return the RMS of the weighted residuals of a role, or None without data."""
         squares = [
             (r.values / r.scale) ** 2
             for r in self.residuals
@@ -265,15 +268,17 @@ class FitEstimate(HtmlResult):
 
 
 _MIN_SERIES = 20
-"""Number of values from which a signal is treated as a time series."""
+"""Minimum number of values of a signal that is treated as a time series."""
 
 _GROWTH = 1.5
-"""Ratio of the RMS of the second half of a series to that of the first half above which residuals count as
-growing."""
+"""Ratio of RMS values above which residuals count as growing.
+
+It compares the second half of a series with the first half.
+"""
 
 
 def residuals_by_kind(residuals: Sequence[Residual]) -> dict[str, list[Residual]]:
-    """Return the residuals of the fit by kind of signal, such as bend; the largest weighted RMS first."""
+    """Return the fit's residuals per kind of signal, sorted by weighted RMS."""
     kinds: dict[str, list[Residual]] = {}
     for residual in residuals:
         if residual.role == "fit" and len(residual.values):
@@ -288,10 +293,10 @@ def _weighted_rms(residuals: Sequence[Residual]) -> float:
 
 
 def explains_data(residuals: Sequence[Residual], scale: float) -> bool:
-    """Return whether a model explains the data, all together and each kind of signal.
+    """Return whether the model explains the data, all together and each kind of signal.
 
     Args:
-        residuals: residuals of all data.
+        residuals: all residuals.
         scale: standard deviation of the weighted residuals.
     """
     scales = map(_weighted_rms, residuals_by_kind(residuals).values())
@@ -299,7 +304,7 @@ def explains_data(residuals: Sequence[Residual], scale: float) -> bool:
 
 
 def describe_misfit(residuals: Sequence[Residual]) -> Iterator[str]:
-    """Yield a line for each kind of signal that exceeds its noise, the largest first."""
+    """Yield a line for each kind of signal whose residuals exceed the noise."""
     for kind, signals in residuals_by_kind(residuals).items():
         if (scale := _weighted_rms(signals)) <= 1:
             break
@@ -317,21 +322,21 @@ def describe_misfit(residuals: Sequence[Residual]) -> Iterator[str]:
 
 
 MIN_CORRELATED_SAMPLES = 20
-"""Length of a series from which its autocorrelation is estimated."""
+"""Minimum length of a series from which the autocorrelation is estimated."""
 
 _ITERATIONS = 5
 """Iterations of the correction for fitted parameters; τ converges within three."""
 
 _MAX_REMOVED_SHARE = 0.5
-"""Largest c of the correction; beyond it the residuals no longer show the noise."""
+"""Maximum c of the correction, beyond which the residuals no longer show the noise."""
 
 
 def correlation_time(series: Sequence[np.ndarray], unknowns: int = 0) -> float:
-    """Return the correlation time τ in samples, 1 or more (module docstring).
+    """Return the correlation time τ in samples, at least 1 (module docstring).
 
     Args:
-        series: residuals over time, each of shape (samples,), in comparable units.
-        unknowns: p, the number of fitted parameters.
+        series: residuals over time in comparable units, each of shape (samples,).
+        unknowns: number p of fitted parameters.
     """
     long = [
         residuals for residuals in series if len(residuals) >= MIN_CORRELATED_SAMPLES

@@ -1,8 +1,8 @@
-"""Excursions: largest distance of a follower's body beyond its footprint, over runs along random paths.
+"""Maximum distance of a follower's body beyond its footprint, over random paths.
 
-The runs use the conditions of a scenario, but follow random paths without obstacles of
-length `LENGTH_M` after the scenario's run-up. The seed of a run draws the modules, the
-camera noise and the path.
+The runs use the conditions of a scenario. They follow random paths of length `LENGTH_M`
+without obstacles, after the scenario's straight run-up. The seed of a run draws the
+modules, the camera noise and the path.
 """
 
 from __future__ import annotations
@@ -42,16 +42,22 @@ LENGTH_M = 3.5
 """Length of a random path."""
 
 _ARC_LENGTHS_M = (0.3, 0.8)
-"""Smallest and largest length of an arc."""
+"""Minimum and maximum length of an arc."""
 
 _MIN_ARC_M = 0.05
 """Remaining length below which no further arc is added."""
 
 _MAX_HEADING = 1.4
-"""Largest heading of a random path relative to its start, rad; beyond it a path might cross itself."""
+"""Maximum heading of a random path relative to its start, rad.
+
+Beyond this heading a path might cross itself.
+"""
 
 _SLOWEST_SHARE = 0.5
-"""Mean speed, relative to the lowest of the footprint, below which a run counts as not arrived."""
+"""Mean speed below which a run counts as not arrived.
+
+It is relative to the lowest speed of the footprint.
+"""
 
 _DIGITS = 4
 """Decimals of excursions in a footprint file."""
@@ -59,12 +65,12 @@ _DIGITS = 4
 
 @dataclass(frozen=True)
 class FollowerRun:
-    """Run of a scenario's follower along a random path; picklable.
+    """Run of a scenario's follower along a random path.
 
     Attributes:
         document: scenario with a straight path to follow, as plain data.
         run_up: straight length at the start of the path, m.
-        plant: plant that runs.
+        plant: simulated plant.
         seed: random seed of modules, noise and path.
     """
 
@@ -74,7 +80,7 @@ class FollowerRun:
     seed: int
 
     def run(self) -> tuple[float, float]:
-        """Return the largest excursions during the run-up and after it, m."""
+        """Return the maximum excursions during the run-up and after it, m."""
         scenario = parse_scenario(self.document | {"seed": self.seed})
         planner = scenario.planner
         follower = scenario.build_controller()
@@ -130,9 +136,10 @@ class FollowerRun:
 def _random_arcs(
     rng: np.random.Generator, low: float, high: float
 ) -> list[tuple[float, float]]:
-    """Return curvature and length of the arcs of a random path, straight or of extreme curvature as in plans.
+    """Return the curvature and length of each arc of a random path.
 
-    The first arc is curved, as it is in plans after a run-up.
+    As in plans, an arc is straight or has an extreme curvature. The first arc is
+    curved.
     """
     arcs = []
     left = LENGTH_M
@@ -143,8 +150,8 @@ def _random_arcs(
             rng.choice([value for value in (low, 0.0, high) if value != curvature])
         )
         length = min(float(rng.uniform(*_ARC_LENGTHS_M)), left)
-        # Limit the heading: on a path that crosses itself, the nearest part would be
-        # ambiguous.
+        # The heading is limited, because the nearest point is ambiguous on a path that
+        # crosses itself.
         if curvature and abs(heading + curvature * length) > _MAX_HEADING:
             length = (math.copysign(_MAX_HEADING, curvature) - heading) / curvature
         if length > _MIN_ARC_M:
@@ -155,7 +162,7 @@ def _random_arcs(
 
 
 NO_MARGIN = Override("a margin to be measured", ("planner", "margin_probability"), None)
-"""Removes the margin of a scenario, which would hide the excursions to be measured."""
+"""Override that removes the margin of a scenario, which would hide the excursions."""
 
 
 @checked
@@ -169,15 +176,15 @@ def calibrate_margin(
     workers: int | None = None,
     progress: Callable[[int, int], object] = max,
 ) -> tuple[ExcursionsFile, ...]:
-    """Measure excursions from random paths that a follower follows, as `srs-twin calibrate margin`.
+    """Measure excursions from random paths, as `srs-twin calibrate margin`.
 
     Args:
         scenario: name or path of a scenario that follows a plan, or a loaded scenario.
-        out: folder of the footprint file that gets the excursions; None: not written.
+        out: folder of the footprint file that receives the excursions, or None.
         set: values that override fields of the scenario, see `load_scenario`.
-        runs: number of runs on each plant.
-        plants: plants; None: those of the scenario.
-        workers: number of processes; None: one per processor.
+        runs: runs per plant.
+        plants: plants to run, by default the plants of the scenario.
+        workers: number of processes, by default one per processor.
         progress: function called with the numbers of finished and of all runs.
 
     Returns:
@@ -233,8 +240,8 @@ def measure_excursions(
         scenario: scenario that follows a plan.
         plant: "analytical" or "twin".
         runs: number of runs; their seeds start at 0.
-        workers: number of processes; None: one per processor.
-        progress: called after each run.
+        workers: number of processes, by default one per processor.
+        progress: function called after each run.
 
     Returns:
         Entry of a footprint file.

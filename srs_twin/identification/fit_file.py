@@ -1,7 +1,7 @@
-"""Fit files: result of a fit with its data, command and versions; calibration/fits/*.yaml.
+"""Fit files, which store a fit with its data, command line and package versions.
 
-Each data set is listed with its hash and its role, fit or validation. A file that uses
-the same samples for both is refused. A parameter that is not identifiable has no value.
+The files are calibration/fits/*.yaml. Each data set is listed with its hash and its
+role, fit or validation. A file that uses the same samples for both is refused.
 """
 
 from __future__ import annotations
@@ -40,12 +40,11 @@ class DataSet:
 
     Attributes:
         name: file name, or a label.
-        sha256: SHA-256 of the file, or of the numbers if there is no file; hexadecimal.
+        sha256: SHA-256 of the file, or of the numbers if there is no file.
         role: "fit", or "validation" for data that the fit does not use.
         samples: number of samples.
-        from_s: start of the part that is used, s; None: the data set is used
-            completely.
-        to_s: end of the part that is used, s.
+        from_s: start of the used part, s, or None if everything is used.
+        to_s: end of the used part, s, or None.
     """
 
     name: str
@@ -85,9 +84,9 @@ def assign_roles(
     """Return all data of a fit with their roles.
 
     Args:
-        label: name of the data in messages, plural.
-        fitted: data of the fit.
-        validation: data for validation.
+        label: plural name of the data in messages.
+        fitted: fitted data.
+        validation: validation data.
 
     Raises:
         InputError: there are no data to fit, or data of both roles have samples in
@@ -135,7 +134,7 @@ def array_hash(*arrays: np.ndarray) -> str:
 
 
 def trajectory_hash(trajectory: Trajectory) -> str:
-    """Return the SHA-256 of the recorded file, or of the columns if there is no file."""
+    """Return the SHA-256 of the recorded file, or of the columns without a file."""
     source = trajectory.metadata.get("source")
     if isinstance(source, dict) and isinstance(source.get("sha256"), str):
         return str(source["sha256"])
@@ -161,7 +160,7 @@ Method = Literal[
 ]
 
 _MAX_COMMAND_LENGTH = 2000
-"""Largest length of a command in a fit file, characters."""
+"""Maximum length of a command in a fit file, characters."""
 
 
 def short_command(command: str) -> str:
@@ -188,7 +187,7 @@ class DataEntry(StrictModel):
     ]
     """SHA-256 of the data, hexadecimal."""
     role: Role
-    """fit: used by the fit; validation: not used by it."""
+    """fit: used by the fit; validation: not used by the fit."""
     samples: Count
     """Number of samples, 0 to 1e9."""
     from_s: Number | None = None
@@ -198,7 +197,7 @@ class DataEntry(StrictModel):
     measured: Averages | None = None
     """Measured averages, by name with unit."""
     predicted: Averages | None = None
-    """The same averages of the plant with the fitted values."""
+    """Averages predicted by the plant with the fitted values."""
 
     def data_set(self) -> DataSet:
         """Return the data set of the entry."""
@@ -265,7 +264,7 @@ class FitFile(StrictModel, HtmlResult):
     data: Annotated[list[DataEntry], Field(min_length=1, max_length=200)]
     """Data sets of fit and validation."""
     held: Annotated[dict[str, Number], Field(max_length=100)]
-    """Values that were fixed in the fit and on which the estimates depend."""
+    """Values that were fixed in the fit and affect the estimates."""
     parameters: Annotated[list[ParameterEntry], Field(min_length=1, max_length=100)]
     """Fitted parameters."""
     correlation: Annotated[
@@ -307,7 +306,7 @@ class FitFile(StrictModel, HtmlResult):
         )
 
     def unidentified(self) -> list[str]:
-        """Return the parameters without a fitted or fixed value; these prevent predictions."""
+        """Return the parameters without a value, which prevent predictions."""
         return [
             parameter.name
             for parameter in self.parameters
@@ -345,7 +344,7 @@ def fit_file(
     """Return the fit file of an estimate.
 
     Args:
-        estimate: result of the fit.
+        estimate: fit result.
         data: all data with their roles.
         **about: name, title, robot, method, command and versions of the `FitFile`.
 
@@ -376,7 +375,7 @@ def fit_file(
 
 
 def check_fit_suffix(option: str, path: Path) -> None:
-    """Check that a path names a fit file; `option` is its name in the message.
+    """Check that a path names a fit file, given the name of its option.
 
     Raises:
         InputError: the path has another suffix.
@@ -400,7 +399,7 @@ def load_fit(path: StrPath) -> FitFile:
 
     Raises:
         InputError: the file does not exist or cannot be read.
-        InputFileError: the file is invalid; lists all problems.
+        InputFileError: the file is invalid; all problems are listed.
     """
     return load_model(FitFile, require_file(Path(path)), {("robot",): "robot"})
 

@@ -20,20 +20,20 @@ if TYPE_CHECKING:
 
 
 _MAX_PANELS = 10
-"""Largest number of signals in a plot."""
+"""Maximum number of signals in a plot."""
 
 _MAX_BARS = 3
-"""Largest number of samples drawn as bars; longer series are drawn as a line."""
+"""Maximum number of samples drawn as bars. A longer series is drawn as a line."""
 
 _COLORS = {"fit": "#0072B2", "validation": "#D55E00"}
 
 
 def fit_report(fit: FitFile, estimate: FitEstimate) -> str:
-    """Return the HTML page of a fit, self-contained.
+    """Return the self-contained HTML page of a fit.
 
     Args:
         fit: fit file.
-        estimate: the same result with residuals of all data.
+        estimate: fit result with the residuals of all data.
     """
     quality = fit.quality
     validated = (
@@ -74,7 +74,7 @@ def fit_page(fit: FitEstimate | FitFile) -> str:
 
 @drawing
 def residual_plot(residuals: Sequence[Residual]) -> Figure:
-    """Return a plot with one panel per signal: residuals over samples, and the expected noise as a band.
+    """Plot residuals over samples, with the expected noise as a band.
 
     Args:
         residuals: residuals of one or more signals, of which at most ten are shown.
@@ -110,7 +110,6 @@ def _panel(axes: Axes, residual: Residual) -> None:
 
 
 def _pictures(residuals: Sequence[Residual]) -> Iterator[Picture]:
-    """Yield a plot for each data set, those of the fit first."""
     ordered = sorted(
         (residual for residual in residuals if len(residual.values)),
         key=lambda residual: residual.role,
@@ -124,12 +123,11 @@ def _pictures(residuals: Sequence[Residual]) -> Iterator[Picture]:
 
 
 def _data_name(residual: Residual) -> str:
-    """Return the name of a residual's data set."""
     return residual.name.rpartition(" ")[0] or residual.name
 
 
 def parameter_table(parameters: Sequence[Parameter | ParameterEntry]) -> Table:
-    """Return a table of parameters; the last column has the reason for a verdict."""
+    """Return a table of parameters with the reasons for their verdicts."""
     rows = []
     for parameter in parameters:
         numbers = ["–", ""]
@@ -146,7 +144,6 @@ def parameter_table(parameters: Sequence[Parameter | ParameterEntry]) -> Table:
 
 
 def _details(fit: FitFile) -> dict[str, Table]:
-    """Return title → table for the folded part of the page; empty tables are not shown."""
     known = [
         parameter.name for parameter in fit.parameters if parameter.value is not None
     ]

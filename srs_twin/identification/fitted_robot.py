@@ -1,4 +1,4 @@
-"""Robots from fits: a base robot with the fitted parameters of one or more fits.
+"""Robots with the fitted parameters of one or more fits.
 
 The result is the `robot: {base: …}` block of a scenario, or a robot file. Later fits
 override earlier ones.
@@ -41,25 +41,28 @@ _MIN_CORRELATION = 0.05
 """Magnitude of a correlation below which it is not written."""
 
 _MAX_CORRELATION = 0.99
-"""Largest magnitude of a written correlation; 1 would make the correlation matrix singular."""
+"""Maximum magnitude of a written correlation.
+
+A value of 1 would make the correlation matrix singular.
+"""
 
 _ROUNDING = 1e-7
-"""Tolerance for equal values; fit files have nine digits."""
+"""Tolerance for equal values, since fit files have nine digits."""
 
 
 def robot_override(
     fit: FitFile, *, weak: bool = True, over: RobotSpec | None = None
 ) -> dict[str, Any]:
-    """Return the robot block of a scenario with the result of a fit: base, and records by section.
+    """Return the robot block of a scenario with the result of a fit.
 
-    Parameters that are not identifiable keep the value of the base, or that at which
-    the fit fixed them.
+    A parameter that is not identifiable keeps the value of the base, or the value at
+    which the fit fixed it.
 
     Args:
         fit: fit, whose robot becomes the base.
         weak: whether weakly identified parameters are included.
-        over: base with the results of other fits; its list elements remain where this
-            fit has none. None: the base alone.
+        over: base with the results of other fits, by default the base alone. It keeps
+            list elements that this fit does not have.
 
     Raises:
         InputError: the base robot does not exist or draws a fitted parameter at random,
@@ -103,12 +106,9 @@ def robot_override(
 def _changes(
     fit: FitFile, used: Sequence[ParameterEntry], changed: Iterable[str]
 ) -> Iterator[tuple[str, str, str]]:
-    """Yield name, status and source of the values that change; the first of a record counts.
+    """Yield the name, status and source of the values that change.
 
-    Args:
-        fit: fit.
-        used: parameters whose fitted values are used.
-        changed: fixed values that differ from the base.
+    If several values change one record, the first determines its status and source.
     """
     for parameter in used:
         record = _record_key(parameter.name)
@@ -124,7 +124,7 @@ def _changes(
 
 
 def apply_fit(fit: FitFile, robot: RobotSpec, *, weak: bool = True) -> RobotSpec:
-    """Return a robot with the fitted and the fixed values of a fit; see `robot_override`."""
+    """Return a robot with the fitted and fixed values of a fit."""
     used = _used_parameters(fit, weak)
     values = {parameter.name: parameter.value or 0.0 for parameter in used}
     base = load_robot_file(fit.robot).spec()
@@ -132,7 +132,6 @@ def apply_fit(fit: FitFile, robot: RobotSpec, *, weak: bool = True) -> RobotSpec
 
 
 def _changed_fixed_values(fit: FitFile, base: RobotSpec) -> dict[str, float]:
-    """Return the fixed values of a fit that differ from the base; the fitted values depend on them."""
     held = {name: value for name, value in fit.held.items() if is_parameter(name)}
     return {
         parameter.name: held[parameter.name]
@@ -144,7 +143,6 @@ def _changed_fixed_values(fit: FitFile, base: RobotSpec) -> dict[str, float]:
 
 
 def _used_parameters(fit: FitFile, weak: bool) -> list[ParameterEntry]:
-    """Return the parameters of a fit that change the robot."""
     return [
         parameter
         for parameter in fit.parameters
@@ -153,7 +151,6 @@ def _used_parameters(fit: FitFile, weak: bool) -> list[ParameterEntry]:
 
 
 def _records(spec: RobotSpec, section: str, key: str) -> dict[str, dict[str, Any]]:
-    """Return the records of a robot file that a parameter changes, by key."""
     if section == "modules":
         name = _record_key(key)
         values = spec.modules.array(name.removesuffix("_rad")).tolist()
@@ -183,12 +180,11 @@ def _records(spec: RobotSpec, section: str, key: str) -> dict[str, dict[str, Any
 
 
 def _record_key(name: str) -> str:
-    """Return the record of a robot file that contains a parameter."""
     return re.sub(r"(_plus|_minus)?_\d+$", "", name)
 
 
 def _prior(parameter: ParameterEntry) -> dict[str, object]:
-    """Return the `uncertain` entry of a robot file's record; list elements have none."""
+    """Return the `uncertain` entry of a record, or an empty one for list elements."""
     numbers = (parameter.value, parameter.low, parameter.high)
     if parameter.name.startswith(("modules.", "mass.")) or None in numbers:
         return {}
@@ -204,7 +200,6 @@ def _prior(parameter: ParameterEntry) -> dict[str, object]:
 
 
 def _correlations(fit: FitFile, names: Sequence[str]) -> list[dict[str, object]]:
-    """Return the `correlated` entries of a robot file."""
     known = [
         parameter.name for parameter in fit.parameters if parameter.value is not None
     ]
@@ -232,8 +227,8 @@ def merge_overrides(
     """Return the robot block of a scenario with the results of several fits.
 
     Args:
-        fits: paths of fit files; later ones override earlier ones.
-        base: robot to change; None: that of the fits.
+        fits: paths of fit files; later files override earlier ones.
+        base: robot to change, by default the robot of the fits.
         weak: whether weakly identified parameters are included.
 
     Raises:
@@ -272,11 +267,11 @@ def merge_overrides(
 
 
 def fitted_robot(fits: Sequence[StrPath], name: str, *, weak: bool = True) -> RobotFile:
-    """Return a complete robot: the base of the fits with their results.
+    """Return the base robot of the fits with their results, as a complete robot file.
 
     Args:
-        fits: paths of fit files.
-        name: name of the new robot.
+        fits: fit files.
+        name: robot name.
         weak: whether weakly identified parameters are included.
 
     Raises:
@@ -297,12 +292,14 @@ def calibrate_robot(
     weak: bool = True,
     overwrite: bool = False,
 ) -> RobotFile:
-    """Return a robot with the results of fits, as `srs-twin calibrate robot`; `spec()` is for the plants.
+    """Return a robot with the results of fits, as `srs-twin calibrate robot`.
+
+    `RobotFile.spec` turns the result into a robot for the plants.
 
     Args:
-        fits: fit files of one robot; later ones override earlier ones.
-        name: name of the new robot.
-        out: robot file; None: not written.
+        fits: fit files of one robot; later files override earlier ones.
+        name: robot name.
+        out: path of the robot file, or None to write nothing.
         weak: whether weakly identified parameters are included.
         overwrite: whether an existing file is replaced.
 

@@ -1,4 +1,4 @@
-"""Shared parts of the fitting commands: options, progress on stderr, output files, printed results."""
+"""Options, progress display, output files and tables of the fitting commands."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class FitOptions:
 
 
 class FitProgress(Display):
-    """Progress of a search: number of model runs and best fit so far; a `Watch`."""
+    """Progress display of a search: number of model runs and best fit so far."""
 
     def __init__(self, title: str, *, quiet: bool = False) -> None:
         super().__init__(title, quiet=quiet)
@@ -96,7 +96,7 @@ class FitProgress(Display):
         self._smallest_rms = 0.0
 
     def __call__(self, runs: int, smallest_rms: float) -> None:
-        """Show a model run; `smallest_rms` is the best weighted RMS so far."""
+        """Show a model run and the best weighted RMS so far."""
         self._runs = runs
         self._smallest_rms = smallest_rms
         self._show()
@@ -112,22 +112,22 @@ class FitProgress(Display):
 
 
 _TABLE_WIDTH = 100
-"""Smallest width of a printed table, characters."""
+"""Minimum width of a printed table, characters."""
 
 _STRONG_CORRELATION = 0.5
-"""Smallest magnitude of a correlation that is printed."""
+"""Minimum magnitude of a correlation that is printed."""
 
 _MAX_PAIRS = 6
-"""Largest number of correlations that are printed."""
+"""Maximum number of correlations that are printed."""
 
 _MAX_SIGNALS = 24
-"""Largest number of signals whose residuals are printed."""
+"""Maximum number of signals whose residuals are printed."""
 
 
 def print_table(
     headings: Sequence[str], rows: Iterable[Sequence[str]], left: Collection[int] = ()
 ) -> None:
-    """Print a table; columns are right-aligned except those with the given indices."""
+    """Print a table, whose columns in `left` are left-aligned."""
     table = new_table(*headings, left=left)
     for row in rows:
         table.add_row(*row)
@@ -139,7 +139,7 @@ def print_table(
 
 
 def print_estimate(estimate: FitEstimate) -> None:
-    """Print the parameters, correlations, unidentifiable directions and residuals of a fit."""
+    """Print the parameters, correlations and residuals of a fit."""
     from srs_twin.identification.fit_report import parameter_table
 
     table = parameter_table((*estimate.parameters, *estimate.derived))
@@ -184,7 +184,6 @@ def direction_lines(estimate: FitEstimate) -> Iterator[str]:
 
 
 def _residual_lines(estimate: FitEstimate) -> str:
-    """Return the residuals of fit and validation, by signal."""
     lines = []
     roles: tuple[Role, ...] = ("fit", "validation")
     for role in roles:
@@ -213,9 +212,9 @@ class FitOutput:
     """Output files of a fit and how it is reported.
 
     Attributes:
-        name: name of the fit.
-        path: path of the fit file; the report is in the same folder.
-        robot: robot at the start of the search, as given.
+        name: fit name.
+        path: fit file; the report is written to the same folder.
+        robot: initial robot, as given.
         command: command line.
         quiet: whether only errors are printed.
         as_json: whether the fit is printed as JSON.
@@ -268,7 +267,7 @@ class FitOutput:
     ) -> None:
         """Fit with a function of `calibration`, write its files, and print the result.
 
-        An interrupt of the search ends the command, and nothing is written.
+        If the user interrupts the search, nothing is written.
         """
         with (
             interruptible(NOTHING_WRITTEN),
@@ -291,11 +290,6 @@ class FitOutput:
 
 
 def _check_same_command(path: Path, command: str) -> None:
-    """Check that an existing file is a fit by the same command, which may be replaced.
-
-    Raises:
-        InputError: another command wrote the file.
-    """
     from srs_twin.identification.fit_file import load_fit
 
     remedy = "--overwrite replaces it; --name or --out choose another file"
@@ -313,7 +307,7 @@ def _check_same_command(path: Path, command: str) -> None:
 
 
 def command_line(context: typer.Context) -> str:
-    """Return the command line of a command, without options that have their default value."""
+    """Return the command line, without options that have their default value."""
     words = ["srs-twin", *context.command_path.split()[1:]]
     arguments: list[str] = []
     for parameter in context.command.params:
@@ -337,7 +331,7 @@ def command_line(context: typer.Context) -> str:
 
 
 def parse_names(text: str | None) -> list[str] | None:
-    """Return the names in a list such as friction.mu_t,friction.mu_n; None for None.
+    """Split a list such as friction.mu_t,friction.mu_n; None stays None.
 
     Raises:
         InputError: the list is empty.

@@ -1,10 +1,9 @@
-"""Measurement of footprints: the area that a robot sweeps at each offset, and when the offset changes.
+"""Measurement of footprints: the area that a robot sweeps while it crawls.
 
 Section 5.3 measured the curvature of the path, the speed and the circles that bound the
-body at seven offsets (Fig. 58, Table 8). Here a simulated plant is run instead.
-`GaitSetup` specifies robot, gait and plant, `FootprintStudy` the runs, and
-`FootprintMeasurement` their result. Each offset is run several times with different
-initial phases of the gait, and each change of offset at several phases.
+body at seven offsets (Fig. 58, Table 8). Here the measurements are made on a simulated
+plant. Each offset is run with several initial phases of the gait, and each change of
+offset occurs at several phases.
 """
 
 from __future__ import annotations
@@ -42,8 +41,10 @@ from srs_twin.trajectory import Trajectory
 PLANTS = ("twin", "analytical")
 CONTROLLERS = ("gait", "ilc")
 TICK = 0.005
-"""Control tick, s; learning must resolve the peaks of the ripple, and changes of offset must fall on
-ticks."""
+"""Control tick, s.
+
+Learning must resolve the peaks of the ripple, and changes of offset must fall on ticks.
+"""
 
 RECORD_HZ = 100.0
 """Sampling rate of the runs, Hz."""
@@ -52,7 +53,7 @@ FREQUENCY_HZ = {"gait": 2.0, "ilc": 1.5}
 """Default gait frequency of a footprint, by controller, Hz."""
 
 _MIN_SAMPLES = 25
-"""Smallest number of samples per gait period that resolves the edges."""
+"""Minimum number of samples per gait period that resolves the edges."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,8 @@ class GaitSetup:
             creates a plant with the tick `TICK`.
         steering: steering of the learning, see `ILC`.
         chambers: "lag" or "orifice", for a plant given by name.
-        contact: contact of the twin; None: its default. Other plants have none.
+        contact: contact of the twin, or None for the default of the twin or another
+            plant.
     """
 
     spec: RobotSpec
@@ -139,17 +141,20 @@ class GaitSetup:
 
     @property
     def settling_periods(self) -> int:
-        """Number of gait periods until pressures or learnt duties are steady after a start."""
+        """Number of gait periods until a run is steady after its start."""
         return 16 if self.controller == "ilc" else 8
 
     @property
     def transient_periods(self) -> int:
-        """Gait periods allowed for the transient after a change of offset."""
+        """Number of gait periods allowed for the transient after a change of offset."""
         return 12 if self.controller == "ilc" else 6
 
     @property
     def offsets(self) -> tuple[float, ...]:
-        """Default offsets: those of Table 8 with learning, otherwise to ±0.4 as in Fig. 33."""
+        """Default offsets, from Table 8 with learning, otherwise from Fig. 33.
+
+        They reach ±0.3 with learning and ±0.4 otherwise.
+        """
         count = 3 if self.controller == "ilc" else 4
         return tuple(k / 10 for k in range(-count, count + 1))
 
@@ -170,7 +175,7 @@ class GaitSetup:
         return Gait(self.frequency, offset, phase=phase)
 
     def plant_factory(self) -> Callable[[], Plant]:
-        """Return a function that creates the plant, in which the heavy imports are done."""
+        """Return a function that creates the plant, after heavy imports."""
         if callable(self.plant):
             return self.plant
         return partial(_make_plant, self)
@@ -178,7 +183,7 @@ class GaitSetup:
     def steady_job(
         self, factory: Callable[[], Plant], offset: float, phase: float, periods: int
     ) -> Job:
-        """Return a run at one offset, with `periods` gait periods to measure at its end."""
+        """Return a run at one offset, measured in its last `periods` gait periods."""
         duration = next_sample((self.settling_periods + periods) * self.period)
         return Job(
             factory,
@@ -188,7 +193,7 @@ class GaitSetup:
         )
 
     def change_time(self, phase: float) -> float:
-        """Return the time (s) of a change of offset at a phase in periods, after the path has settled."""
+        """Return the time of a change of offset, s, at a phase in gait periods."""
         return next_sample((self.settling_periods + phase) * self.period)
 
     def change_job(
@@ -198,9 +203,9 @@ class GaitSetup:
         time: float,
         periods: int,
     ) -> Job:
-        """Return a run with a change of offset (before, after) at a time (s).
+        """Return a run with a change of offset (before, after) at a time, s.
 
-        It ends with `periods` gait periods after the longest allowed transient.
+        The run ends `periods` gait periods after the longest allowed transient.
         """
         before, after = change
 
@@ -212,7 +217,7 @@ class GaitSetup:
 
 
 def next_sample(time: float) -> float:
-    """Return the time (s) of the next sample; there is one every other tick."""
+    """Return the time of the next sample, s, on the grid of every other tick."""
     return round(math.ceil(time * RECORD_HZ - 1e-6) / RECORD_HZ, 9)
 
 
@@ -242,10 +247,10 @@ class FootprintMeasurement:
         setup: robot, gait and plant.
         offsets: offsets in ascending order.
         steady: path at each offset.
-        spread: half the range over the repeats, of each value of `steady`.
+        spread: half the range over the repeats, for each value of `steady`.
         transients: measured changes of offset.
-        repeats: runs per offset and per change.
-        periods: measured gait periods of each steady run.
+        repeats: number of runs per offset and per change.
+        periods: number of measured gait periods of each steady run.
     """
 
     setup: GaitSetup
@@ -258,11 +263,10 @@ class FootprintMeasurement:
 
 
 _OFFSETS = (3, 101)
-"""Smallest and largest number of offsets; a planner interpolates between three or more.
-"""
+"""Minimum and maximum number of offsets; a planner interpolates between them."""
 
 _LIMITS = {"periods": (3, 200), "phases": (1, 64)}
-"""Smallest and largest number of measured gait periods, and of phases of the gait."""
+"""Minimum and maximum number of measured gait periods and of phases of the gait."""
 
 
 @dataclass(frozen=True)
@@ -272,9 +276,10 @@ class FootprintStudy:
     Attributes:
         setup: robot, gait and plant.
         offsets: three or more offsets on both sides of 0, in ascending order.
-        changes: (before, after) of each change of offset to measure.
-        periods: measured gait periods of each steady run.
-        phases: runs per offset and per change, at equidistant phases of the gait.
+        changes: changes of offset to measure, as (before, after).
+        periods: number of measured gait periods of each steady run.
+        phases: number of runs per offset and per change, at equidistant phases of the
+            gait.
     """
 
     setup: GaitSetup
@@ -328,9 +333,9 @@ class FootprintStudy:
         """Run the plant and measure the footprint.
 
         Args:
-            threads: number of parallel runs, which does not affect the result; default:
-                one per processor.
-            progress: called with the numbers of finished and of all runs.
+            threads: number of parallel runs, by default one per processor. It does not
+                affect the result.
+            progress: function called with the numbers of finished and of all runs.
 
         Raises:
             DivergedError: a run diverged; the message names it.
@@ -402,7 +407,6 @@ class FootprintStudy:
         runs: Sequence[Trajectory],
         paths: Mapping[float, SteadyPath],
     ) -> Transient:
-        """Return the transient after a change of offset, the largest over the phases of the gait."""
         before, after = change
         with named_in_errors(f"offset {before:g} to {after:g}"):
             transients = [
@@ -449,9 +453,9 @@ def footprint_study(
 
     Args:
         setup: robot, gait and plant.
-        offsets: offsets in ascending order; default: −0.3 to 0.3 with learning,
+        offsets: offsets in ascending order, by default −0.3 to 0.3 with learning,
             otherwise −0.4 to 0.4, in steps of 0.1.
-        changes: (before, after) of the changes of offset; default: `default_changes`.
+        changes: changes of offset, as (before, after), by default `default_changes`.
         **counts: periods and phases of the `FootprintStudy`.
 
     Raises:
@@ -465,9 +469,11 @@ def footprint_study(
 
 
 def default_changes(offsets: Sequence[float]) -> tuple[tuple[float, float], ...]:
-    """Return the changes among 0 and the outermost offsets, and between 0 and half of those, if measured.
+    """Return the changes of offset that are measured by default.
 
-    A planner interpolates linearly between measured changes.
+    They connect 0 and the outermost offsets, as well as 0 and half of the outermost
+    offsets if these are measured. A planner interpolates linearly between measured
+    changes.
     """
     low = min(offsets)
     high = max(offsets)

@@ -1,4 +1,4 @@
-"""`srs-twin calibrate footprint` and `margin`: footprints, and excursions from followed paths."""
+"""`srs-twin calibrate footprint` and `margin`: measured footprints and excursions."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def footprint(
 ) -> None:
     """Measure the area swept at each offset.
 
-    With --transients, the area swept during changes of offset is measured as well.
+    With --transients, the area swept during changes of offset is also measured.
 
     Options:
         --out DIR: Output folder.
@@ -148,8 +148,8 @@ def margin(
 ) -> None:
     """Measure excursions from a followed path.
 
-    Random paths are followed under the conditions of a scenario. The excursions are
-    written to the footprint file, from which planner.margin_probability derives a
+    The robot follows random paths under the conditions of a scenario. The excursions
+    are written to the footprint file, from which planner.margin_probability derives a
     margin.
 
     Options:
@@ -194,7 +194,10 @@ def margin(
 
 
 def _print_footprint(measured: FootprintMeasurement) -> None:
-    """Print the tables of steady paths, with half the range over the repeats, and of transients."""
+    """Print the tables of steady paths and transients.
+
+    Steady values are followed by half the range over the repeats.
+    """
     paths = zip(measured.offsets, measured.steady, measured.spread, strict=True)
     rows = []
     for offset, path, spread in paths:

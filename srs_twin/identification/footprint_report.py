@@ -1,4 +1,4 @@
-"""Footprint files of measurements, and the identity of a study in their header."""
+"""Footprint files of measurements. A header identifies the study."""
 
 from __future__ import annotations
 
@@ -45,11 +45,14 @@ _SPREADS = {
     "left_m": "left",
     "right_m": "right",
 }
-"""Key of a footprint file's spread → attribute of `SteadyPath`."""
+"""Attribute of `SteadyPath` for each key of a footprint file's spread."""
 
 
 def footprint_file(measured: FootprintMeasurement, name: str) -> FootprintFile:
-    """Return a measurement as the content of a file, with unit, status and source of each column."""
+    """Return a measurement as the content of a footprint file.
+
+    Each column has a unit, a status and a source.
+    """
     setup = measured.setup
     paths = measured.steady
     phases = f"{measured.repeats} phases of the gait"
@@ -127,21 +130,21 @@ def calibrate_footprint(
 
     Args:
         robot: name or path of the robot, or a loaded robot.
-        out: folder of the footprint file; None: not written.
-        name: name of the footprint and its file; None: robot and controller.
+        out: folder of the footprint file, or None to write nothing.
+        name: name of the footprint and its file, by default robot and controller.
         overwrite: whether the file of another measurement is replaced.
         controller: "gait" (open loop) or "ilc" (learning).
-        frequency_hz: gait frequency, Hz; None: `FREQUENCY_HZ`.
-        supply_pa: supply pressure, Pa; None: the nominal pressure of the robot.
+        frequency_hz: gait frequency, Hz, by default `FREQUENCY_HZ`.
+        supply_pa: supply pressure, Pa, by default the nominal pressure of the robot.
         target_rad: target bend amplitude of the learning, rad.
-        plant: simulated plant, "twin" or "analytical".
-        contact: contact of the twin; None: its default.
+        plant: "twin" or "analytical".
+        contact: contact of the twin, or None for its default.
         chambers: "lag" or "orifice".
-        offsets: offsets; None: see `footprint_study`.
+        offsets: offsets, by default as in `footprint_study`.
         transients: whether changes of offset are measured.
-        periods: measured gait periods of each run.
-        phases: runs per offset, with different initial phases.
-        threads: number of parallel runs; None: one per processor.
+        periods: number of measured gait periods of each run.
+        phases: number of runs per offset, with different initial phases.
+        threads: number of parallel runs, by default one per processor.
         progress: function called with the numbers of finished and of all runs.
 
     Raises:
@@ -182,9 +185,9 @@ def calibrate_command(study: FootprintStudy, robot: str, name: str) -> str:
     """Return the command that repeats a measurement.
 
     Args:
-        study: study of the footprint.
+        study: footprint study.
         robot: robot as given, a name or a path.
-        name: name of the footprint.
+        name: footprint name.
     """
     setup = study.setup
     words = [
@@ -211,7 +214,7 @@ def calibrate_command(study: FootprintStudy, robot: str, name: str) -> str:
 def header_lines(
     study: FootprintStudy, robot: str, name: str, versions: Mapping[str, str]
 ) -> list[str]:
-    """Return the comment lines of a footprint file; the first two identify the study."""
+    """Return the comment lines of a footprint file; the first two name the study."""
     with_versions = ", ".join(
         f"{package} {version}" for package, version in versions.items()
     )
@@ -219,9 +222,9 @@ def header_lines(
 
 
 def robot_hash(spec: RobotSpec) -> str:
-    """Return the SHA-256 of a robot's values in SI units that differ from their defaults.
+    """Return the SHA-256 of the robot's non-default values in SI units.
 
-    A new parameter whose default has no effect does not change the hash.
+    A new parameter whose default has no effect therefore does not change the hash.
     """
 
     def non_defaults(section: object) -> object:
@@ -238,11 +241,6 @@ def robot_hash(spec: RobotSpec) -> str:
 
 
 def _check_writable(path: Path, identity: list[str], overwrite: bool) -> None:
-    """Check that a file may be written: it is new, of the same study, or to be replaced.
-
-    Raises:
-        InputError: the file is of another study, or cannot be read or written.
-    """
     if os.path.lexists(path) and not overwrite:
         first = read_text(path).splitlines()[: len(identity)]
         if [line.removeprefix("# ") for line in first] != identity:

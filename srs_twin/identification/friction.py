@@ -1,38 +1,43 @@
-r"""Friction of the wheels from pulls with a spring car (Eq. 17, Table 2) and from coasting tests.
+r"""Friction coefficients of the wheels from pulls (Eq. 17, Table 2) and coasting tests.
 
-**Pulls.** Each pull gives one coefficient from the largest deformation of the spring as
-motion begins,
+**Pulls.** A spring car pulls the robot along the body with rolling wheels, or across it
+with blocked wheels. Each pull gives one static coefficient from the maximum deformation
+of the spring as motion begins,
 
-$$ \mu = \frac{k\,\Delta L_{max}}{m g}, $$
+$$ \mu = \frac{k\,\Delta L_{max}}{m g}. $$
 
-along the body with rolling wheels, and across it with blocked wheels. The estimate is
-the mean over the pulls. Its standard error includes the errors of k and m, which all
-pulls share. This is the static coefficient; the kinetic one may be smaller. A table of
-pulls is a CSV file with one pull per row: ``along_mm`` or ``across_mm``, the largest
-deformation of the spring (m without a unit; an empty cell: no pull in that direction).
-``spring_n_per_m`` and ``mass_kg`` are the same in all rows that have them, as are their
-optional standard errors ``spring_error_n_per_m`` and ``mass_error_kg``.
+The kinetic coefficient may be smaller. The estimate is the mean over the pulls. Its
+standard error includes the errors of k and m, which all pulls share.
+
+A table of pulls is a CSV file with one pull per row. ``along_mm`` or ``across_mm`` is
+the maximum deformation of the spring (m without a unit), and an empty cell means that
+there was no pull in this direction. ``spring_n_per_m``, ``mass_kg`` and their optional
+standard errors ``spring_error_n_per_m`` and ``mass_error_kg`` must not change between
+rows.
 
 **Coasting tests.** The robot with vented chambers is pushed and released on the floor.
-If it is straight, it decelerates by μ_t g/(1 + s) along its wheels and by μ_n g across
-them; in other directions the friction law determines the deceleration (`floor.slide`,
-which also defines s). Initial position and velocity of each run are fitted together
-with μ_t and μ_n. If the motion of a run in one direction is within the noise, its
-initial velocity in that direction is set to 0.
+A straight robot decelerates by μ_t g/(1 + s) along its wheels and by μ_n g across them.
+In other directions the friction law determines the deceleration (`floor.slide`, which
+also defines s). The initial position and velocity of each run are fitted together with
+μ_t and μ_n. A velocity component is set to 0 if the motion in its direction is within
+the noise.
 
 **Bent bodies.** The wheels of a bent body cannot all roll. The body follows the
-circular arc that takes the least power, on which its wheels are misaligned by
+circular arc that dissipates the least power, on which the wheels have the mean
+misalignment
 
-$$ ε = \min_{a, b} \sum_i \frac{m_i}{M}\,\lvert δ_i - a - b\,i \rvert $$
+$$ ε = \min_{a, b} \sum_i \frac{m_i}{M}\,\lvert δ_i - a - b\,i \rvert , $$
 
-on average, where δ_i is the heading of connector i. Slip across the wheels adds to the
-drag, whose coefficient is μ_t + ε √(μ_n² − μ_t²) under the law `wheel`. The motion is
-measured in a frame that turns with the body, and the angle between the mean heading and
-the direction of rolling is fitted. The fit computes ε from the recorded bends, or from
-the rest bends of the robot file if none are recorded. Errors of the bends
-(`_BEND_ERROR_RAD`, `_UNSEEN_BEND_RAD`) change ε by at most the ε of the errors, because
-ε is a seminorm. In two further fits, ε is smaller and larger by the 95 % quantile of
-this bound. The interval of a coefficient includes the intervals of these fits.
+where δ_i is the heading of connector i. Slip across the wheels increases the drag
+coefficient to μ_t + ε √(μ_n² − μ_t²) under the law `wheel`. The motion is measured in a
+frame that turns with the body. The angle between the mean heading and the direction of
+rolling is fitted.
+
+The fit computes ε from the recorded bends, or from the rest bends of the robot file if
+no bends are recorded. Because ε is a seminorm, errors of the bends (`_BEND_ERROR_RAD`,
+`_UNSEEN_BEND_RAD`) change it by at most the ε of the errors. Two further fits change ε
+by the 95 % quantile of this bound. The interval of a coefficient includes the intervals
+of these fits.
 """
 
 from __future__ import annotations
@@ -91,14 +96,14 @@ class Pulls:
     """Measurements with a spring car.
 
     Attributes:
-        along: largest deformation of the spring in each pull with rolling wheels, m.
-        across: the same across the body or with blocked wheels, m.
-        stiffness: stiffness k of the spring, N/m.
+        along: maximum deformation of the spring in each pull with rolling wheels, m.
+        across: maximum deformation across the body or with blocked wheels, m.
+        stiffness: spring stiffness k, N/m.
         mass: mass m of the pulled robot, kg.
         stiffness_error: standard error of k, N/m.
         mass_error: standard error of m, kg.
-        name: name of the data.
-        sha256: SHA-256 of the file; empty if there is none.
+        name: data name.
+        sha256: SHA-256 of the file, or an empty string without a file.
     """
 
     along: Sequence[float]
@@ -139,7 +144,7 @@ class Pulls:
 
     @property
     def factor(self) -> float:
-        """Friction coefficient per deformation, 1/m."""
+        """Ratio of friction coefficient to deformation, 1/m."""
         return self.stiffness / (self.mass * GRAVITY)
 
     def coefficients(self, direction: str) -> np.ndarray:
@@ -157,7 +162,9 @@ class Pulls:
 
 
 def fit_pulls(pulls: Pulls, *, validation: Sequence[Pulls] = ()) -> FitEstimate:
-    """Estimate μ_t and μ_n from pulls; a coefficient without pulls in its direction is not identifiable.
+    """Estimate μ_t and μ_n from pulls.
+
+    A coefficient without pulls in its direction is not identifiable.
 
     Args:
         pulls: measured pulls.
@@ -217,8 +224,8 @@ def _parameter(
     if error >= UNIDENTIFIABLE_ERROR * mean:
         why = f"the scatter of the pulls {_DIRECTIONS[k]} is as large as their mean"
         return Parameter(_NAMES[k], "1", "not identifiable", why=why)
-    # Welch-Satterthwaite formula; the shared errors of k and m get many degrees of
-    # freedom, as if exactly known.
+    # The Welch-Satterthwaite formula gives the degrees of freedom. The shared errors of
+    # k and m get many degrees of freedom, as if they were exactly known.
     freedom = np.inf
     if variance > 0:
         freedom = (len(values) - 1) * (error**2 / variance) ** 2
@@ -238,7 +245,7 @@ _CONSTANTS = ("spring_n_per_m", "mass_kg", "spring_error_n_per_m", "mass_error_k
 """Columns of constants that all pulls of a table share; the errors are optional."""
 
 _MAX_DEFORMATION_M = 10.0
-"""Largest plausible deformation; a larger one has the wrong unit."""
+"""Maximum plausible deformation. A larger deformation has the wrong unit."""
 
 PULL_COLUMNS = "along_mm,across_mm,spring_n_per_m,mass_kg"
 """First line of a table of pulls."""
@@ -309,7 +316,6 @@ def read_pull_table(path: StrPath) -> Pulls:
 def _deformations(
     table: CsvTable, column: CsvColumn, values: np.ndarray
 ) -> list[float]:
-    """Return the deformations in a column, m, without empty cells."""
     wrong = np.flatnonzero((values < 0) | (values > _MAX_DEFORMATION_M))
     if wrong.size:
         row = int(wrong[0])
@@ -323,7 +329,6 @@ def _deformations(
 
 
 def _constant(table: CsvTable, column: CsvColumn, values: np.ndarray) -> float:
-    """Return the single value of a constant column."""
     rows = np.flatnonzero(np.isfinite(values))
     if not rows.size:
         raise table.error(column, f"{column.text}: the column has no number", 0)
@@ -340,37 +345,43 @@ def _constant(table: CsvTable, column: CsvColumn, values: np.ndarray) -> float:
 
 
 _MAX_TURN_RAD = 0.2
-"""Largest change of heading during coasting; with a larger one the robot does not slide like a point mass."""
+"""Maximum change of heading during coasting.
+
+With a larger change the robot does not slide like a point mass.
+"""
 
 _MIN_SAMPLES = 8
-"""Smallest number of samples of a coasting test."""
+"""Minimum number of samples of a coasting test."""
 
 _MIN_SPEED_M_S = 0.02
-"""Smallest initial speed of a coasting test."""
+"""Minimum initial speed of a coasting test."""
 
 _NOISE_M = 1e-3
 """Standard deviation of the measured position."""
 
 _MIN_TRAVEL = 3.0
-"""Smallest travel in a direction, in standard deviations, for its initial velocity to be fitted."""
+"""Minimum travel for fitting an initial velocity, in standard deviations."""
 
 _MAX_ROLL_ANGLE_RAD = 0.1
-"""Largest angle between the mean heading of a bent body and the direction in which it rolls."""
+"""Maximum angle between mean heading and direction of rolling of a bent body."""
 
 _HEADING_DEGREE = 3
 """Degree of the polynomial in time that smooths the heading."""
 
 _BEND_ERROR_RAD = 0.01
-"""Standard deviation of the mean recorded bend of a segment: markers are not exactly on the centre line."""
+"""Standard deviation of the mean recorded bend of a segment.
+
+The error arises because markers are not exactly on the centre line.
+"""
 
 _UNSEEN_BEND_RAD = 0.03
-"""Standard deviation of a bend from the rest bend in the robot file, if bends are not recorded."""
+"""Standard deviation of a rest bend in the robot file, used without recorded bends."""
 
 _BEND_DRAWS = 1000
 """Number of random draws of the errors of the bends."""
 
 _MAX_HALF_WIDTH = 0.1
-"""Largest distance between an identified coefficient and an end of its interval, as a fraction of it."""
+"""Maximum relative half width of the interval of an identified coefficient."""
 
 
 @dataclass(frozen=True)
@@ -378,14 +389,14 @@ class CoastingTest:
     """Recorded deceleration of the vented robot after a push.
 
     Attributes:
-        name: name of the data.
-        sha256: SHA-256 of the data.
-        time: time from the first used sample, shape (samples,), s.
-        position: path of the centre of mass along and across the heading, from the
-            first sample, (samples, 2), m.
-        velocity: first guess of the initial velocity, along and across, m/s.
-        span: begin and end of the used samples on the recording's clock, s.
-        bends: mean recorded bends, shape (segments,), rad; None if bends are not
+        name: data name.
+        sha256: data hash (SHA-256).
+        time: time since the first used sample, s, shape (samples,).
+        position: displacement of the centre of mass along and across the heading, m,
+            shape (samples, 2).
+        velocity: first guess of the initial velocity along and across the heading, m/s.
+        span: first and last used time on the recording's clock, s.
+        bends: mean recorded bends, rad, shape (segments,); None if bends are not
             recorded.
     """
 
@@ -405,9 +416,9 @@ class CoastingTest:
 
         Args:
             trajectory: recording or simulation.
-            name: name of the data.
-            start: time from which the robot is not touched, s; None: the time of its
-                largest speed.
+            name: data name.
+            start: time from which the robot is not touched, s, by default the time of
+                maximum speed.
 
         Raises:
             InputError: the test is too short or too slow, or the robot turns.
@@ -472,7 +483,8 @@ def fit_coasting(
     """Estimate μ_t and μ_n from coasting tests.
 
     Args:
-        runs: coasting tests; in both directions to determine both coefficients.
+        runs: coasting tests, which must cover both directions to determine both
+            coefficients.
         spec: robot, whose wheels and masses determine the effect of the wheels'
             rotational inertia.
         validation: coasting tests for validation; only their initial velocities are
@@ -480,7 +492,7 @@ def fit_coasting(
         law: friction law, one of `robot.friction.LAWS` except "viscous".
         wheel_inertia: whether the wheels have rotational inertia, as in the robot and
             the twin; skids and the wheels of the analytical plant have none.
-        watch: progress callback, see `least_squares`.
+        watch: progress callback.
 
     Raises:
         InputError: there is no run, the law is unknown, or a validation run is also
@@ -517,14 +529,20 @@ _STDS_IN_HALF_WIDTH = 1.96
 
 
 def misalignment(bends: np.ndarray, spec: RobotSpec) -> np.ndarray:
-    """Return ε (module docstring) of bodies with bends of shape (..., segments), shape (...), rad."""
+    """Return the misalignment ε of bent bodies (module docstring), rad.
+
+    Args:
+        bends: bends, rad, shape (..., segments).
+        spec: robot.
+    """
     weights = spec.mass.array() / spec.mass.total
     number = np.arange(len(weights))
     headings = np.concatenate(
         [np.zeros_like(bends[..., :1]), np.cumsum(bends, axis=-1)], axis=-1
     )
     smallest = np.full(bends.shape[:-1], np.inf)
-    # A line with the least sum of absolute deviations passes through two of its points.
+    # The best line in the sense of absolute deviations passes through two of the
+    # points.
     for i, j in itertools.combinations(number, 2):
         slope = (headings[..., j] - headings[..., i]) / (j - i)
         line = headings[..., i, None] + slope[..., None] * (number - i)
@@ -533,7 +551,6 @@ def misalignment(bends: np.ndarray, spec: RobotSpec) -> np.ndarray:
 
 
 def _widened(parameter: Parameter, ends: Sequence[FitEstimate]) -> Parameter:
-    """Return a parameter whose interval includes the intervals of fits with other misalignments."""
     fits = [parameter, *(end[parameter.name] for end in ends)]
     for fit in fits:
         if fit.value is None:
@@ -554,12 +571,8 @@ def _widened(parameter: Parameter, ends: Sequence[FitEstimate]) -> Parameter:
 class _CoastingModel:
     """Prediction of coasting tests.
 
-    Attributes:
-        spec: robot.
-        law: friction law.
-        share: s of `floor.slide`.
-        mu_n: friction coefficient for the slip of a bent body across its wheels; None:
-            the fitted μ_n.
+    `share` is the fraction s of `floor.slide`. `mu_n` is the coefficient for slip of a
+    bent body across its wheels, by default the fitted μ_n.
     """
 
     spec: RobotSpec
@@ -570,13 +583,10 @@ class _CoastingModel:
     def fit(
         self, runs: Sequence[CoastingTest], side: float, watch: Watch | None
     ) -> FitEstimate:
-        """Fit the coefficients.
+        """Fit the coefficients at one value of ε.
 
-        Args:
-            runs: coasting tests.
-            side: −1 or 1 for the lower or the upper end of the interval of ε; 0 for the
-                best estimate of ε.
-            watch: see `fit_coasting`.
+        `side` is −1 or 1 for the lower or upper end of the interval of ε, and 0 for the
+        best estimate.
         """
         angles = [self._misalignment(run, side) for run in runs]
 
@@ -594,7 +604,6 @@ class _CoastingModel:
         )
 
     def _misalignment(self, run: CoastingTest, side: float) -> float:
-        """Return ε of a run; `side` has the meaning of `fit`."""
         known = run.bends
         error = _BEND_ERROR_RAD
         if known is None:
@@ -607,7 +616,10 @@ class _CoastingModel:
     def _residuals(
         self, run: CoastingTest, k: int, values: Mapping[str, float], angle: float
     ) -> list[Residual]:
-        """Return the residuals of run k by direction; subtracting their mean fits the initial position."""
+        """Return the residuals of run k in both directions.
+
+        Subtracting their mean fits the initial position.
+        """
         velocity = values.get(f"along_{k}", 0.0), values.get(f"across_{k}", 0.0)
         mu_t, mu_n = (values[name] for name in _NAMES)
         slip_law = getattr(friction, self.law)
@@ -628,7 +640,6 @@ class _CoastingModel:
     def validation_residuals(
         self, run: CoastingTest, fitted: Mapping[str, float]
     ) -> Sequence[Residual]:
-        """Return the residuals of a run with fitted coefficients; only its motion is fitted."""
         angle = self._misalignment(run, 0.0)
         motion = _motion(run, 0)
 
@@ -641,11 +652,11 @@ class _CoastingModel:
 
 
 _SHARP_SLIP = 1e-12
-"""Slip speed relative to a speed of 1; it is negligible and only avoids 0/0."""
+"""Slip speed, relative to a speed of 1, that is negligible and avoids 0/0."""
 
 
 def _motion(run: CoastingTest, k: int) -> list[FreeParameter]:
-    """Return the initial velocities of run k and its angle of rolling as nuisance parameters.
+    """Return the nuisance parameters of run k: initial velocities and rolling angle.
 
     A direction in which the body does not move has no initial velocity to fit.
     """

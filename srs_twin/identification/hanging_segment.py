@@ -1,26 +1,26 @@
 r"""Motion of a body that hangs on one bent segment, after it is released.
 
-One end of a segment is clamped so that the segment hangs straight down. A body of mass
-m and moment of inertia J about its centre is at the other end. With the bend q and the
-chord L(q) of `robot.geometry` at the angle q/2, Lagrange's equation is
+One end of the segment is clamped so that the segment hangs straight down. The other end
+carries a body of mass m and moment of inertia J about its centre. Let q be the bend and
+L(q) the chord of `robot.geometry`, which has the angle q/2. Lagrange's equation is
 
 $$ M \ddot q + \tfrac12 M' \dot q^2 - m g\,\frac{d}{dq}\bigl(L \cos\tfrac q2\bigr)
    = k\,d + k T \dot d + \sum_i e_i, \qquad M = m \Bigl(L'^2 + \frac{L^2}{4}\Bigr) + J, \qquad
    d = b(t) + \varphi(x) - q . $$
 
 The bend law φ(x) of `pneumatics.chambers` turns the pressures into a bend, and b is the
-rest bend without pressure. A real material still recovers slowly from having been held,
-so b contains decaying exponentials.
+rest bend without pressure. Because a real material recovers slowly after it was held, b
+contains decaying exponentials.
 
 **Air.** Open chambers have φ = 0. The air of a closed chamber has a constant
-temperature, the absolute pressure P and the amount n = P V, and leaks at the rate λ to
+temperature and the absolute pressure P. Its amount n = P V leaks at the rate λ towards
 the ambient pressure p₀:
 
 $$ \dot n = -\lambda\,(n - p_0 V) . $$
 
-**Material.** A material is viscous (damping time T) and may have Maxwell branches with
-the moments e_i: ė_i = g_i ḋ − e_i/τ_i. Five branches whose τ are spread over two
-decades about the ringing period have a nearly constant loss factor.
+**Material.** A material is viscous with the damping time T. It may also have Maxwell
+branches with moments e_i that satisfy ė_i = g_i ḋ − e_i/τ_i. Five branches whose τ are
+spread over two decades about the ringing period have a nearly constant loss factor.
 """
 
 from __future__ import annotations
@@ -48,16 +48,16 @@ _LARGEST_REST_RAD = 3.0
 """Bound of the search for the bend at rest."""
 
 _SMALL_BEND_RAD = 1e-4
-"""Step of derivatives by the bend."""
+"""Step of derivatives with respect to the bend."""
 
 _MAX_ANGLE_STEP = 0.06
-"""Largest product of the ringing frequency (rad/s) and a time step."""
+"""Maximum product of the ringing frequency (rad/s) and a time step."""
 
 _SHORTEST_S = 1e-3
-"""Time scale far below that of a swing, at which no branch has relaxed, s."""
+"""Time far below the period of a swing, at which no branch has relaxed, s."""
 
 _SLOWEST_RAD_S = 1e-6
-"""Frequency of an overdamped swing, whose root has none, rad/s."""
+"""Frequency assigned to an overdamped swing, which does not oscillate, rad/s."""
 
 NO_BRANCHES = np.empty((0, 2))
 """Branches of a viscous material."""
@@ -66,7 +66,7 @@ _BRANCH_RATIOS = 10.0 ** np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
 """Relaxation times of the branches as multiples of 1/ω."""
 
 _SMALLEST_RELAXED_SHARE = 0.02
-"""Smallest fraction of the stiffness that remains after all branches have relaxed."""
+"""Minimum fraction of the stiffness that remains after all branches have relaxed."""
 
 
 class HangingSegment(NamedTuple):
@@ -82,7 +82,7 @@ class HangingSegment(NamedTuple):
         law: parameters of φ.
         dead_volume: dead volume V₀ of a chamber, m³.
         displacement: increase A of the volume per bend, m³/rad.
-        encloses_air: whether the pressures follow from enclosed air.
+        encloses_air: whether the pressures are computed from enclosed air.
     """
 
     length: float
@@ -150,21 +150,23 @@ def _slopes(state, creep, creep_slope, material, segment, branches, result):  # 
 
 @allocating
 def swing(time, start, rest, frequency, material, segment, branches):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return the bends at given times, shape (samples,), rad, and the last state, of shape `start`.
-
-    The Runge-Kutta method has order 4.
+    """Integrate the free swing with the Runge-Kutta method of order 4.
 
     Args:
-        time: ascending times, shape (samples,), s.
-        start: bend (rad), its rate (rad/s), amounts of air P V in the + and − chamber
-            (J) and moments of the branches (N·m) at the first time, shape (4 +
-            branches,).
-        rest: rest bend b without pressure at the times, shape (samples,), rad.
-        frequency: approximate ringing frequency, rad/s, from which the steps follow.
+        time: ascending times, s, shape (samples,).
+        start: initial state, shape (4 + branches,). It consists of bend (rad), bend
+            rate (rad/s), amounts P V of air in the + and − chamber (J), and moments of
+            the branches (N·m).
+        rest: rest bend b without pressure at each time, rad, shape (samples,).
+        frequency: approximate ringing frequency, rad/s, which sets the step size.
         material: a `Material`.
         segment: a `HangingSegment`.
-        branches: stiffness g_i (N·m/rad) and relaxation time τ_i (s) of the branches,
+        branches: stiffness g_i (N·m/rad) and relaxation time τ_i (s) of each branch,
             shape (branches, 2).
+
+    Returns:
+        Bends at the times, rad, shape (samples,), and the final state with the layout
+        of `start`.
     """
     result = np.empty(len(time))
     state = start.copy()
@@ -199,18 +201,21 @@ def swing(time, start, rest, frequency, material, segment, branches):  # type: i
 
 
 def weight_moment(segment: HangingSegment, bend: float) -> float:
-    """Return the moment of the weight that increases the bend, N·m; it is negative for a positive bend."""
+    """Return the moment due to weight that increases the bend, N·m.
+
+    The moment is negative for a positive bend.
+    """
     chord, slope, _ = chord_derivatives(bend, segment.length, segment.gap)
     change = slope * math.cos(bend / 2) - chord * math.sin(bend / 2) / 2
     return segment.mass * GRAVITY * change
 
 
 class Ringing(NamedTuple):
-    """Small oscillation about the rest.
+    """Small oscillation about the rest position.
 
     Attributes:
         frequency: damped frequency, Hz.
-        loss_factor: loss factor of the material and the air at the frequency.
+        loss_factor: loss factor of material and air at this frequency.
         air_stiffness: stiffness of the enclosed air, N·m/rad.
     """
 
@@ -231,19 +236,19 @@ def ringing(
     The linear equation has the complex stiffness of material and air
 
     $$ K(s) = k\,(1 + s T)\Bigl(1 + \frac{r s}{s + \lambda}\Bigr), \qquad
-       r = \varphi'(x)\,G\,P\,\frac{A}{V}, $$
+       r = \varphi'(x)\,G\,P\,\frac{A}{V}. $$
 
-    and the ringing is the complex root of M s² + K(s) + w = 0 with the slope w of the
-    weight. The loss factor is Im K/Re K at the frequency of that root. Branches add g s
-    τ/(1 + s τ) to the material.
+    The oscillation is the complex root of M s² + K(s) + w = 0, where w is the stiffness
+    due to weight. The loss factor is Im K/Re K at the frequency of this root. Branches
+    add g s τ/(1 + s τ) to the material.
 
     Args:
         segment: hanging segment.
         material: material and leak.
         rest: rest bend b, rad.
-        air: amounts of enclosed air, + before −, shape (2,), J; not used with open
-            valves.
-        branches: Maxwell branches, see `swing`.
+        air: amounts of enclosed air in the + and − chamber, J, shape (2,); not used
+            with open valves.
+        branches: Maxwell branches.
     """
     k, damping_time, leak = material
     gains = (segment.gain_plus, -segment.gain_minus)
@@ -290,12 +295,12 @@ def ringing(
 
 
 class Branches(NamedTuple):
-    """Material with Maxwell branches, and their state when the swing first passes its rest.
+    """Material with Maxwell branches, and their state when the swing passes its rest.
 
     Attributes:
         material: stiffness and viscous part beside the branches.
         branches: stiffness and relaxation time of each branch, shape (branches, 2).
-        moments: moments of the branches, shape (branches,), N·m.
+        moments: moments of the branches, N·m, shape (branches,).
     """
 
     material: Material
@@ -304,13 +309,14 @@ class Branches(NamedTuple):
 
 
 def constant_loss(material: Material, pulsation: float, rate: float) -> Branches:
-    """Return a material with a nearly constant loss factor, and equal stiffness and loss at a frequency.
+    """Return a material with a nearly constant loss factor.
+
+    At the given frequency it has the stiffness and loss of the viscous material.
 
     Args:
         material: viscous material.
-        pulsation: frequency of equal stiffness and loss, rad/s.
-        rate: rate of the bend at the start, after a quarter of a swing from a long
-            hold, rad/s.
+        pulsation: angular frequency at which both materials agree, rad/s.
+        rate: bend rate at the start, rad/s, a quarter of a swing after a long hold.
     """
     x = _BRANCH_RATIOS
     storage = x**2 / (1 + x**2)

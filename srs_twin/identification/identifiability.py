@@ -1,17 +1,17 @@
 r"""Identifiability of the parameters of a fit, and the accuracy of their values.
 
-Let J be the Jacobian of the weighted residuals by the coordinates z of `parameters`,
-s_k its singular values with directions v_k, and E the difference between two Jacobians
-with steps h and 2h, an estimate of the error of J. A direction is *unidentifiable* if
-the effect of moving along it is within the error of the derivatives:
+Let J be the Jacobian of the weighted residuals with respect to the coordinates z of
+`parameters`, and s_k its singular values with directions v_k. The error of J is
+estimated by the difference E between two Jacobians with steps h and 2h. A direction is
+*unidentifiable* if moving along it has no effect beyond the error of the derivatives:
 
 $$ s_k \le 2\,\lVert E v_k \rVert \quad\text{or}\quad s_k \le 10^{-6} s_1 . $$
 
 The other directions have the standard error σ/s_k. A parameter is not identifiable if
-more than a tenth of it lies in the unidentifiable directions, or if its standard error
-in z is 1 or more (a factor e in either direction), as the data then add little to its
-bounds. Up to a standard error of 0.1 it is identified, in between weakly identified. A
-smaller component in an unidentifiable direction adds the variance within the bounds.
+its component in the unidentifiable directions exceeds 0.1. A smaller component adds the
+variance within the bounds. A parameter is also not identifiable if its standard error
+in z is 1 or more, because the data then add little to its bounds. It is identified if
+the standard error is at most 0.1, and weakly identified in between.
 """
 
 from __future__ import annotations
@@ -31,17 +31,16 @@ from srs_twin.identification.estimate import (
 from srs_twin.identification.parameters import FreeParameter
 
 MAX_UNIDENTIFIABLE_SHARE = 0.1
-"""Component in the unidentifiable directions above which a parameter is not identifiable."""
+"""Maximum component of an identifiable parameter in unidentifiable directions."""
 
 _DERIVATIVE_ERRORS = 2.0
-"""Singular value, as a multiple of the error of the derivatives, up to which a direction is
-unidentifiable."""
+"""Factor of the derivative error in the criterion for unidentifiable directions."""
 
 _RELATIVE_CUTOFF = 1e-6
-"""Singular value relative to the largest up to which a direction is unidentifiable (rounding)."""
+"""Relative singular value at which a direction is unidentifiable due to rounding."""
 
 _MIN_COMPONENT = 0.05
-"""Component of a unit direction below which a parameter is not listed."""
+"""Minimum component of a parameter that is listed in a unit direction."""
 
 _SPREAD_ONLY = "the spread about the best value under a wrong model"
 
@@ -54,7 +53,7 @@ class Identifiability:
         covariance: covariance of the parameters, shape (n, n).
         share: component of each parameter in the unidentifiable directions, shape (n,).
         directions: unidentifiable directions, shape (directions, n).
-        names: names of the parameters, n.
+        names: parameter names, n.
     """
 
     covariance: np.ndarray
@@ -89,7 +88,7 @@ class Identifiability:
 
     @property
     def cancels(self) -> tuple[dict[str, float], ...]:
-        """Unidentifiable directions as name → component, the largest component positive."""
+        """Unidentifiable directions as name → component."""
         rows = []
         for row in self.directions:
             positive = row * np.sign(row[np.argmax(np.abs(row))])
@@ -113,12 +112,12 @@ def identifiability(
     """Return the identifiability of parameters from a Jacobian (module docstring).
 
     Args:
-        jacobian: J, shape (samples, n).
-        error: E, same shape.
-        noise: σ of a weighted residual, multiplied by the square root of the
-            correlation time.
+        jacobian: Jacobian J, shape (samples, n).
+        error: estimated error E of the Jacobian, shape (samples, n).
+        noise: standard deviation σ of a weighted residual, multiplied by the square
+            root of the correlation time.
         widths: distance between the bounds of each parameter in z, shape (n,).
-        names: names of the parameters, n.
+        names: parameter names, n.
     """
     _, singular, directions = np.linalg.svd(jacobian, full_matrices=False)
     derivative_error = np.linalg.norm(error @ directions.T, axis=0)
@@ -128,8 +127,8 @@ def identifiability(
     determined = directions[~undetermined]
     unidentifiable = directions[undetermined]
     covariance = (determined.T * (noise / singular[~undetermined]) ** 2) @ determined
-    # Without data the prior remains: uniform between the bounds, with the variance
-    # width²/12.
+    # Without data the prior remains, which is uniform between the bounds and has the
+    # variance width²/12.
     prior_std = (np.abs(unidentifiable) @ widths) / np.sqrt(12)
     covariance += (unidentifiable.T * prior_std**2) @ unidentifiable
     share = np.linalg.norm(unidentifiable, axis=0)
@@ -145,9 +144,9 @@ class Accuracy:
         z: estimate, shape (n,).
         converged: whether the search converged.
         inside: indices of the parameters that did not end at a bound.
-        known: covariance and unidentifiable directions of those.
-        bias: bias by model error in z, shape (n,).
-        spread: largest distance in z to a minimum that fits as well, shape (n,).
+        known: identifiability of the parameters in `inside`.
+        bias: bias due to model error in z, shape (n,).
+        spread: maximum distance in z to a minimum that fits equally well, shape (n,).
         quantile: half width of a confidence interval in standard errors.
         explained: whether the model explains the data.
     """
@@ -196,7 +195,6 @@ class Accuracy:
         )
 
     def _verdict(self, error: float, spread: float) -> tuple[Verdict, str]:
-        """Return the verdict on a parameter with a value, and its reason."""
         if spread > max(IDENTIFIED_ERROR, 2 * self.quantile * error):
             return (
                 "weakly identified",
@@ -209,14 +207,13 @@ class Accuracy:
         return "identified", ""
 
     def covariance(self, kept: Sequence[int]) -> np.ndarray:
-        """Return the covariance in z of some of the parameters, NaN at bounds, shape (kept, kept)."""
+        """Return the covariance in z of the parameters `kept`; NaN at bounds."""
         matrix = np.full((len(self.unknowns), len(self.unknowns)), np.nan)
         matrix[np.ix_(self.inside, self.inside)] = self.known.covariance
         return matrix[np.ix_(kept, kept)]
 
 
 def _describe_bound(parameter: FreeParameter, z: float) -> str:
-    """Return the reason why a parameter whose search ended at a bound has no value."""
     above = z - parameter.coordinate(parameter.low)
     below = parameter.coordinate(parameter.high) - z
     if above < below:

@@ -1,35 +1,40 @@
-r"""Weighted nonlinear least squares, with confidence intervals and identifiability of the parameters.
+r"""Weighted nonlinear least squares with confidence intervals and identifiability.
 
 **Search.** SciPy's trust-region method minimises the sum of squared weighted residuals
 within bounds, in the coordinates z of `parameters`. The Jacobian uses central
-differences, which keeps the number of model runs small. For a model with kinks the
-search is repeated with a coarse step from its end point. An optional first stage uses
-only residuals that vary monotonically over a large range of the parameters. For a
-crawling robot these are the bends: path and heading are informative only within a few
-per cent, because with larger errors the simulated robot turns in another direction. The
-search is deterministic; further starts are drawn with a fixed seed.
+differences. For a model with kinks the search is repeated with a coarse step from its
+end point. The search is deterministic, as further starts are drawn with a fixed seed.
 
-**Intervals.** With S the sum at the estimate, n samples equivalent to n/τ independent
-ones (`correlation_time`) and p parameters, the covariance is
+An optional first stage uses only residuals that are monotonic over a large range of the
+parameters. For a crawling robot these are the bends. Path and heading are informative
+only within a few per cent, because with larger errors the simulated robot turns in
+another direction.
 
-$$ C = s^2\,\tau\,(J^\top J)^{-1}, \qquad s^2 = \frac{S}{n}\,\frac{n/\tau}{n/\tau - p}, $$
+**Intervals.** Let S be the sum of squares at the estimate, p the number of parameters,
+and n the number of samples, equivalent to n/τ independent ones (`correlation_time`).
+The covariance is
 
-and intervals use Student's t with n/τ − p degrees of freedom in z, so intervals of
-logarithms are asymmetric. This is exact for parameters whose effect is slower than the
-correlation of the residuals, and overestimates the error of others.
+$$ C = s^2\,\tau\,(J^\top J)^{-1}, \qquad s^2 = \frac{S}{n}\,\frac{n/\tau}{n/\tau - p}.
+$$
 
-**Model error.** Errors of the model bias the estimate, and residuals need not show it.
-A better model, the *reference*, reveals the bias: the search is applied to data that
-the reference simulates with values z₀, and b(z₀) is the difference between its result
-and z₀ (indirect inference: Gouriéroux, Monfort and Renault 1993, Journal of Applied
-Econometrics 8). The relevant bias is that at the unknown true values. With b₁ = b(z),
-the iteration b_{k+1} = b(z − b_k) approaches it, and the covariance becomes
+Intervals use Student's t with n/τ − p degrees of freedom in z, so intervals of
+logarithms are asymmetric. They are exact for parameters whose effect varies slowly
+compared with the correlation of the residuals, and too wide for other parameters.
 
-$$ C \to C + b_n b_n^\top + (b_n - b_{n-1})(b_n - b_{n-1})^\top ; $$
+**Model error.** Errors of the model bias the estimate even if the residuals look right.
+A better model, the *reference*, reveals the bias by indirect inference (Gouriéroux,
+Monfort and Renault 1993, Journal of Applied Econometrics 8). The reference simulates
+data with values z₀, to which the model is fitted. The result minus z₀ is the bias
+b(z₀).
 
-the last term is the uncertainty of b. The iteration ends when no element of b changes
-by more than the standard error of its parameter (from C), or after five searches. The
-estimate itself is not corrected: it remains the best fit.
+The relevant bias is the bias at the unknown true values. The iteration b_{k+1} = b(z −
+b_k) with b₁ = b(z) approaches it, and the covariance becomes
+
+$$ C \to C + b_n b_n^\top + (b_n - b_{n-1})(b_n - b_{n-1})^\top , $$
+
+where the last term is the uncertainty of b. The iteration ends when b changes by less
+than the standard errors, or after five searches. The estimate itself is not corrected,
+so it remains the best fit.
 """
 
 from __future__ import annotations
@@ -62,29 +67,28 @@ Residuals = Callable[[Values], Sequence[Residual]]
 ResidualFilter = Callable[[Residual], bool]
 
 Refit = Callable[[Values], Values]
-"""Function that fits data simulated by a reference with given values; returns the result by name."""
+"""Function that fits data simulated by a reference with given values."""
 
 Watch = Callable[[int, float], None]
-"""Progress callback of a search: number of model runs, and smallest weighted RMS so far."""
+"""Progress callback that receives the number of runs and the best weighted RMS."""
 
 _START_RANGE = 1.5
 """Range in z about the first start from which further starts are drawn."""
 
 _MIN_START_DISTANCE = 0.7
-"""Smallest distance in z between two starts; closer ones converge to the same minimum.
-"""
+"""Minimum distance in z between two starts, as closer ones reach the same minimum."""
 
 _CANDIDATES_PER_START = 12
 """Number of points drawn for each further start, of which the best is used."""
 
 _MAX_COARSE_SEARCHES = 4
-"""Largest number of repetitions with the coarse step."""
+"""Maximum number of repetitions with the coarse step."""
 
 _IMPROVEMENT = 0.99
 """Ratio of the sums of squares below which another repetition is worthwhile."""
 
 _MAX_ITERATIONS = 100
-"""Largest number of iterations of SciPy's search."""
+"""Maximum number of iterations of SciPy's search."""
 
 
 @dataclass(frozen=True)
@@ -92,18 +96,18 @@ class SearchOptions:
     """Settings of a search, chosen for a model.
 
     Attributes:
-        step: step of the differences, in z; larger for models that are not smooth.
+        step: step of the differences in z; larger for models that are not smooth.
         coarse_step: larger step with which a finished search is repeated, for models
-            with kinks; with `first_stage` the step of that stage, without repetition.
-        tolerance: relative change of the sum of squares, or of z, that ends the search;
-            None: derived from `step`.
-        first_stage: filter for residuals that vary monotonically over a large range of
-            the parameters. The search uses only these first, then all.
-        identifiability_step: step for the Jacobian of the identifiability, used if the
-            data leave a larger uncertainty than `step`; None: `step`.
+            with kinks; with `first_stage`, the step of this stage.
+        tolerance: relative change of the sum of squares, or of z, that ends the search,
+            by default derived from `step`.
+        first_stage: filter for residuals that are monotonic over a large range of the
+            parameters, which the search uses first.
+        identifiability_step: step for the Jacobian of the identifiability, by default
+            `step`. It is used if the data leave a larger uncertainty than `step`.
         target_rms: RMS of the weighted residuals at which the search ends early.
-        max_runs: largest number of model runs; then the search returns its best point
-            as not converged. None: unlimited.
+        max_runs: maximum number of model runs, or None for no limit. After them the
+            search returns its best point as not converged.
     """
 
     step: float = 1e-4
@@ -116,7 +120,7 @@ class SearchOptions:
 
     @property
     def effective_tolerance(self) -> float:
-        """Tolerance after defaults."""
+        """Tolerance, or its default derived from `step`."""
         if self.tolerance is None:
             return max(1e-12, 1e-3 * self.step**2)
         return self.tolerance
@@ -182,11 +186,11 @@ class Search:
         }
 
     def residuals(self, z: Array) -> tuple[Residual, ...]:
-        """Return all residuals at z; runs the model."""
+        """Run the model, and return all residuals at z."""
         return tuple(self._residuals(self.values(z)))
 
     def weighted(self, z: Array, only: ResidualFilter | None = None) -> Array:
-        """Return the weighted residuals of the fitted data, shape (samples,), optionally filtered.
+        """Return the weighted residuals of the fitted data, optionally filtered.
 
         Raises:
             _SearchStoppedError: the runs are used up, or the target RMS is reached.
@@ -203,7 +207,6 @@ class Search:
         return _weighted([residual for residual in fitted if only(residual)])
 
     def _record_run(self, z: Array, weighted: Array) -> None:
-        """Count a model run, keep the best point, and report the progress."""
         self._runs_left -= 1
         cost = 0.5 * float(weighted @ weighted)
         rms = float(np.sqrt(2 * cost / max(len(weighted), 1)))
@@ -215,7 +218,7 @@ class Search:
             self._watch(self._runs, self._smallest_rms)
 
     def jacobian(self, z: Array, h: float, only: ResidualFilter | None = None) -> Array:
-        """Return the Jacobian by central differences of step h, one-sided at bounds, shape (samples, n)."""
+        """Return the Jacobian by central differences of step h, one-sided at bounds."""
         columns = []
         for i in range(len(z)):
             up = z.copy()
@@ -243,18 +246,18 @@ class Search:
         coarse = self.jacobian(z, 2 * step)
         if wide is None:
             return fine, coarse - fine
-        # If the model is not smooth, both Jacobians are equally accurate; half their
+        # If the model is not smooth, both Jacobians are equally accurate. Half their
         # difference is the error of their mean.
         return (fine + coarse) / 2, (coarse - fine) / 2
 
     def bias(self, z: Array, refit: Refit) -> Array:
-        """Return the bias b(z): the result of a search in simulated data minus z, shape (n,)."""
+        """Return the bias b(z), computed from a search in data simulated at z."""
         values = refit(self.values(z))
         found = [unknown.coordinate(values[unknown.name]) for unknown in self.unknowns]
         return np.array(found) - z
 
     def run(self, start: Array) -> SearchResult:
-        """Search from a start, with the first stage if there is one; if stopped, return the best point."""
+        """Search from a start; a stopped search returns its best point."""
         options = self._options
         self._best = SearchResult(start, np.inf, False)
         self._is_searching = True
@@ -272,11 +275,11 @@ class Search:
             self._is_searching = False
 
     def start_cost(self, z: Array) -> float:
-        """Return the sum of squares by which starts are ranked, that of the first stage if there is one."""
+        """Return the sum of squares by which starts are ranked."""
         return float(np.sum(self.weighted(z, self._options.first_stage) ** 2))
 
     def _minimize_with_kinks(self, start: Array) -> SearchResult:
-        """Minimise with all residuals; a coarse step, then a fine one, leaves local minima at kinks."""
+        """Minimise with coarse and fine steps, which leaves local minima at kinks."""
         fine = self._options.step
         coarse = self._options.coarse_step
         end = self._minimize(start, fine)
@@ -325,7 +328,10 @@ def _weighted(residuals: Sequence[Residual]) -> Array:
 
 
 def select_starts(search: Search, count: int) -> list[Array]:
-    """Return the first start and the best of many points drawn about it, at a minimum distance."""
+    """Return the first start and the best of many points drawn about it.
+
+    The starts have a minimum distance from each other.
+    """
     size = (_CANDIDATES_PER_START * (count - 1), len(search.start))
     shifts = np.random.default_rng(0).uniform(-_START_RANGE, _START_RANGE, size)
     candidates = [
@@ -358,17 +364,16 @@ def least_squares(
     """Fit parameters to data (module docstring).
 
     Args:
-        residuals: residuals of all data as a function of the parameter values; their
-            number and lengths must not change. Residuals with another role than "fit"
-            are evaluated only at the end.
+        residuals: function that returns the residuals of all data for given values;
+            their number and lengths must not change. Residuals with another role than
+            "fit" are evaluated only at the end.
         unknowns: free parameters.
-        options: settings of the search; default: those of a smooth model.
-        starts: number of searches; the first from the parameters' own starts, the
-            others from the best of many points drawn about them.
+        options: settings of the search, by default for a smooth model.
+        starts: number of searches; further starts are the best of many random points.
         held: values that the estimates depend on, to be stored in the result.
         watch: progress callback.
         validation: residuals that are evaluated only at the end, for slow models.
-        refit: fit of data from a reference, for the model error; used if the model
+        refit: fit of data from a reference, which measures the model error if the model
             explains the data.
 
     Raises:
@@ -393,7 +398,6 @@ def _estimate(
     held: Values,
     refit: Refit | None,
 ) -> FitEstimate:
-    """Return the values of the best search with their accuracy."""
     from scipy import stats
 
     z = best.z
@@ -437,7 +441,6 @@ def _estimate(
 def _identify(
     search: Search, z: Array, noise: float
 ) -> tuple[np.ndarray, Identifiability]:
-    """Return the indices of the parameters that did not end at a bound, and their identifiability."""
     jacobian, error = search.jacobian_and_error(z, noise)
     # A parameter without effect may end anywhere, so a bound at its end means nothing.
     has_effect = np.linalg.norm(jacobian, axis=0) > 2 * np.linalg.norm(error, axis=0)
@@ -454,7 +457,6 @@ def _identify(
 def _count_samples(
     residuals: Sequence[Residual], unknowns: int
 ) -> tuple[int, float, float]:
-    """Return the number of fitted samples, of independent ones, and of degrees of freedom."""
     fitted = [
         residual.values / residual.scale
         for residual in residuals
@@ -468,13 +470,9 @@ def _count_samples(
 def _iterate_bias(
     search: Search, z: Array, refit: Refit, errors: Array
 ) -> tuple[Array, Array]:
-    """Return the bias of an estimate and its change in the last iteration, shape (n,) each.
+    """Return the bias of an estimate and its change in the last iteration.
 
-    Args:
-        search: search of the estimate.
-        z: estimate.
-        refit: fit of data from the reference.
-        errors: standard errors in z; smaller changes end the iteration.
+    The iteration ends when the change is below the standard errors in z.
     """
     bias = search.bias(z, refit)
     change = np.full(len(z), np.inf)
@@ -488,18 +486,15 @@ def _iterate_bias(
 
 
 _MAX_REFITS = 5
-"""Largest number of fits to data of the reference; the bias of gait fits converges within three to five."""
+"""Maximum number of fits to data of the reference; gait fits need three to five."""
 
 
 def _spread_of_minima(
     best: SearchResult, ends: Sequence[SearchResult], limit: float
 ) -> Array:
-    """Return the largest distance in z, per parameter, to a minimum that fits as well as the best.
+    """Return each parameter's distance in z to the farthest equivalent minimum.
 
-    Args:
-        best: result with the smallest sum of squares.
-        ends: results of all searches.
-        limit: difference of the sums of squares up to which both fit equally well.
+    Two minima fit equally well if their sums of squares differ by at most `limit`.
     """
     minima = [end.z for end in ends if 2 * (end.cost - best.cost) <= limit]
     return np.asarray(np.abs(np.array(minima) - best.z).max(axis=0))

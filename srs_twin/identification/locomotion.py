@@ -1,11 +1,12 @@
 """Fits of friction, lengths, masses or stiffness to runs of the crawling robot.
 
 Either plant is driven by the recorded valve states. Its motion is compared with the
-measured one by period-averaged speed and yaw rate (`averages`), by path, heading and
-bends over time (`shapes`), or by both. Masses affect the motion only through their
-ratios, and stiffness and damping only relative to the masses. With prescribed bends
-(`complete`) the stiffness has no effect. Such parameters are reported as not
-identifiable.
+measured motion. The compared signals are the period-averaged speed and yaw rate
+(`averages`), or the path, heading and bends over time (`shapes`), or both.
+
+Some parameters cannot be identified from these data. Only ratios of masses affect the
+motion, and stiffness and damping have an effect only relative to the masses. With
+prescribed bends (`complete`) the stiffness has no effect.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ from srs_twin.trajectory import Trajectory
 
 
 def gait_run(recording: Recording, name: str, supply_pa: float) -> GaitRun:
-    """Return a recording as a gait run with its valve states, or with its pressures if these were logged.
+    """Create a gait run from a recording with valve states or measured pressures.
 
     Raises:
         InputError: the recording has no log, or only bends.
@@ -73,7 +74,7 @@ def _recorded_pressures(
 
 
 MEASURED_LENGTHS = ("geometry.rigid_gap_m", "geometry.segment_length_m")
-"""Lengths that markers determine; their sum is the pitch."""
+"""Lengths that markers determine. Their sum is the pitch."""
 
 FROM_MARKERS = "measured from the markers, not from the walk"
 
@@ -81,24 +82,23 @@ FROM_MARKERS = "measured from the markers, not from the walk"
 def measured_length(
     recordings: Sequence[Recording], spec: RobotSpec, names: Sequence[str]
 ) -> Parameter | None:
-    r"""Return the rigid gap or segment length from markers; None if they do not determine it.
+    r"""Measure the rigid gap or segment length from markers, if possible.
 
-    The pitch is the sum of rigid gap and segment length of a straight segment. Each
-    follows from the pitch and the other one in the robot file. With the arc lengths ℓ
-    that the markers give for the gap g of the file,
+    The pitch is the sum of rigid gap and segment length of a straight segment. One
+    length follows from the pitch and the other length in the robot file. If the markers
+    give the arc lengths ℓ for the gap g of the file, then
 
     $$ \ell = a + b\,q^2, \qquad \text{pitch} = a + g . $$
 
-    b contains the elongation of segments and the effect of a wrong g, which vanishes if
-    the recordings are read with the measured gap. The standard error includes the
-    scatter over segments, whose markers are placed differently, and the noise of the
-    two outermost markers.
+    The coefficient b contains the elongation of segments and the effect of a wrong g.
+    The standard error includes the scatter over segments, due to the placement of
+    markers, and the noise of the two outermost markers.
 
     Args:
         recordings: recordings, some or all with markers.
         spec: robot with which they were read.
-        names: requested parameters; with both lengths nothing is measured, as markers
-            show only their sum.
+        names: requested parameters; if both lengths are requested, nothing is measured,
+            because markers show only their sum.
     """
     requested = [name for name in names if name in MEASURED_LENGTHS]
     marked = [
@@ -144,8 +144,10 @@ NOISE = {
     "heading": (2e-2, "rad"),
     "bend": (2e-2, "rad"),
 }
-"""Expected standard deviation and unit of a signal; for bends, a larger error from the markers takes
-precedence."""
+"""Expected standard deviation and unit of a signal.
+
+A larger error of a bend, computed from the markers, takes precedence.
+"""
 
 _STEP = 3e-2
 """Step of differences in z for the analytical plants, which have kinks."""
@@ -154,13 +156,14 @@ _COARSE_STEP = 0.1
 """Coarse step in z for the analytical plants."""
 
 MAX_TWIN_RUNS = 150
-"""Largest number of simulations of all recordings with the twin in one search."""
+"""Maximum number of simulations of all recordings with the twin in one search."""
 
 _CLOSE_STEPS = {"tolerance": 2e-5}  # m/s at a time unit of 1 (`robot.scale`)
 """Settings of an analytical plant in a fit.
 
-The tolerance of the friction is a tenth of the default, because with the default the
-step control dominates the differences between runs."""
+The friction tolerance is a tenth of the default, because with the default the step size
+control would dominate the differences between runs.
+"""
 
 _COMPLIANT_STEPS = _CLOSE_STEPS | {
     "timestep": 0.0005,
@@ -168,15 +171,16 @@ _COMPLIANT_STEPS = _CLOSE_STEPS | {
 }  # s, m/s at a time unit of 1
 """Settings of `compliant` in a fit, which has a fixed time step.
 
-With the default (2 ms, 0.25 mm/s) the sum of squares has many local minima a few
-standard errors apart, and derivatives contain this ripple. The slip speed is that of
-the twin."""
+With the defaults (2 ms, 0.25 mm/s) the sum of squares has many local minima a few
+standard errors apart. Its derivatives contain this ripple. The slip speed is equal to
+the twin's.
+"""
 
 _DIVERGED_RESIDUAL = 1e3
-"""Residual of all samples of a run that diverges; large, so that the search avoids such values."""
+"""Residual of each sample of a run that diverges, which keeps the search away."""
 
 _MAX_RATE_HZ = 50.0
-"""Largest sampling rate at which shapes are compared, Hz."""
+"""Maximum sampling rate at which shapes are compared, Hz."""
 
 
 @dataclass(frozen=True)
@@ -186,10 +190,10 @@ class GaitRun:
     Attributes:
         trajectory: measured motion from rest, with the gait frequency in its metadata.
         controller: controller that replays the recorded valve states.
-        supply_pa: gauge pressure of the supply, Pa.
-        name: name of the data.
-        chambers: pneumatic model for a robot, if pressures were recorded instead of
-            valves; else None.
+        supply_pa: supply pressure, Pa.
+        name: data name.
+        chambers: pneumatic model that replays recorded pressures; None if valve states
+            were recorded.
     """
 
     trajectory: Trajectory
@@ -211,8 +215,8 @@ class PlantModel:
 
     Attributes:
         plant: "analytical" or "twin".
-        settings: settings of the plant, such as model="compliant", friction="wheel";
-            they replace the finer steps that fits use for the analytical plant.
+        settings: plant settings such as model="compliant", which replace the finer
+            steps that fits use for the analytical plant.
     """
 
     plant: str = "analytical"
@@ -226,10 +230,10 @@ class PlantModel:
         """Return the settings of a search with this plant.
 
         The twin's motion is smooth down to 1e-3 in z. Its path and heading are
-        monotonic in the parameters only within 1e-2, but its bends are monotonic within
-        1, so the first stage uses the bends. Identifiability is judged over the few per
-        cent that the data leave undetermined. `compliant` has finer kinks than the
-        twin, and all its signals are monotonic.
+        monotonic in the parameters only within 1e-2, but its bends within 1, so the
+        first stage uses only the bends. Identifiability is judged over the few per cent
+        that the data leave undetermined. `compliant` has finer kinks than the twin, and
+        all its signals are monotonic.
         """
         if self.plant == "twin":
             options = SearchOptions(
@@ -287,8 +291,6 @@ class PlantModel:
 
 
 class _Data(NamedTuple):
-    """Run with its measured signals and its role."""
-
     run: GaitRun
     measured: dict[str, np.ndarray]
     role: Role
@@ -296,27 +298,18 @@ class _Data(NamedTuple):
 
 @dataclass(frozen=True)
 class _Comparison:
-    """Comparison of runs with a plant.
-
-    Attributes:
-        model: plant.
-        spec: robot before changes of its parameters.
-        against: compared signals, one of `AGAINST`.
-    """
-
     model: PlantModel
     spec: RobotSpec
     against: str
 
     def data(self, run: GaitRun, role: Role) -> _Data:
-        """Return a run with its measured signals."""
         measured = signals(run.trajectory, None, self.against, run.name)
         return _Data(run, measured, role)
 
     def simulated(
         self, data: Sequence[_Data], plant: PlantModel, values: Mapping[str, float]
     ) -> list[_Data]:
-        """Return data of the same runs as simulated by another plant."""
+        """Return runs of another plant in place of the measured runs."""
         robot = with_values(self.spec, values)
         return [
             self.data(replace(run, trajectory=plant.simulate(run, robot)), role)
@@ -326,7 +319,6 @@ class _Comparison:
     def residuals(
         self, data: Sequence[_Data], values: Mapping[str, float]
     ) -> list[Residual]:
-        """Return the residuals of data for parameters of the robot."""
         robot = with_values(self.spec, values)
         result: list[Residual] = []
         for run, measured, role in data:
@@ -370,18 +362,17 @@ def fit_locomotion(
 
     Args:
         runs: measured runs.
-        spec: robot whose values are the start of the search and of the fixed
-            parameters.
-        names: names of the free parameters, see `parameters`.
-        model: plant with which the robot is simulated; default: the analytical one.
+        spec: robot that gives the start values and the fixed values.
+        names: free parameters, see `parameters`.
+        model: plant with which the robot is simulated, by default the analytical plant.
         against: compared signals: "averages", "shapes" or "both".
         validation: runs for validation.
-        starts: number of searches; a single one may end in a local minimum with a large
-            residual. With shapes and the twin one is enough.
-        watch: progress callback, see `least_squares`.
+        starts: number of searches; a single search may end in a local minimum with a
+            large residual, except with shapes and the twin.
+        watch: progress callback.
         reference: better model of the robot, which reveals the bias due to model
-            errors, see `least_squares`; None: the intervals assume that the model is
-            right.
+            errors, see `least_squares`. Without it, the intervals assume that the model
+            is right.
         known: measured parameters, which are fixed at their values.
 
     Raises:
@@ -431,14 +422,14 @@ def fit_locomotion(
 def signals(
     trajectory: Trajectory, measured: Trajectory | None, against: str, name: str
 ) -> dict[str, np.ndarray]:
-    """Return the signals by which runs are compared, name → shape (samples,).
+    """Return the signals by which runs are compared, each of shape (samples,).
 
     Args:
         trajectory: run.
-        measured: measured run to whose times and pose the run is aligned; None: the run
-            itself is measured.
+        measured: measured run to whose times and pose the run is aligned, or None if
+            the run itself is measured.
         against: signals to compare, one of `AGAINST`.
-        name: name of the run for messages.
+        name: run name.
 
     Raises:
         InputError: averages are requested of a run without a complete gait period.
@@ -463,7 +454,6 @@ def signals(
 def _shapes(
     trajectory: Trajectory, measured: Trajectory, *, is_aligned: bool
 ) -> dict[str, np.ndarray]:
-    """Return path, heading and bends at equidistant times of a measured run, aligned by a rigid motion."""
     span = measured.time[-1] - measured.time[0]
     count = min(len(measured), int(span * _MAX_RATE_HZ) + 1)
     clock = np.linspace(0.0, span, count)
@@ -478,8 +468,8 @@ def _shapes(
     path = resample(trajectory, trajectory.com)
     heading = resample(trajectory, trajectory["heading"])[:, 0]
     if is_aligned:
-        # Align the paths, because a plant starts at the origin: only the shape of the
-        # path is compared.
+        # A plant starts at the origin, so the paths are aligned and only their shapes
+        # are compared.
         target = resample(measured, measured.com)
         target_heading = resample(measured, measured["heading"])[:, 0]
         turn = float((target_heading - heading).mean())

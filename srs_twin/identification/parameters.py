@@ -1,15 +1,14 @@
-"""Free parameters: robot parameters that a fit estimates, by their names in a robot file.
+"""Free parameters: robot parameters that a fit estimates, named as in a robot file.
 
-A name is `section.key` of a robot file, followed by the number of a connector or
-segment where the file has a list: ``mass.connectors_kg_5``, ``modules.gain_plus_2``,
-``modules.bias_rad_1``. Values are in the unit that the key names.
-``mass.connectors_kg`` without a number is the mean; changing it scales all masses,
-including the wheels. ``actuator.bend_rad`` is the bend at the nominal supply pressure;
+A name is `section.key` of a robot file. If the file has a list, the number of a
+connector or segment follows: ``mass.connectors_kg_5``, ``modules.gain_plus_2``,
+``modules.bias_rad_1``. Values have the unit that the key names. ``mass.connectors_kg``
+without a number is the mean mass, which scales all masses including the wheels.
+``actuator.bend_rad`` is the bend at the nominal supply pressure.
 ``modules.sensor_bias_rad`` is one value for the sensors of all modules.
 
-A search does not use the value itself but a coordinate z: ln(value), or value/scale if
-the value may be 0 or negative. One unit of z, a factor e or one scale, is a significant
-difference.
+A search uses the coordinate z = ln(value), or z = value/scale if the value may be 0 or
+negative. One unit of z, i.e. a factor e or one scale, is a significant difference.
 """
 
 from __future__ import annotations
@@ -30,13 +29,13 @@ class FreeParameter:
     """Free parameter of a search.
 
     Attributes:
-        name: see the module docstring; any name for a nuisance parameter.
+        name: parameter name (module docstring), or any name of a nuisance parameter.
         unit: unit of the value.
         start: initial value of the search.
         low: lower bound.
         high: upper bound.
-        scale: significant difference, in the unit; None: the value is positive and z is
-            its logarithm.
+        scale: significant difference, in `unit`, or None if the value is positive and z
+            is its logarithm.
         nuisance: whether the value is not a result, such as the initial velocity of a
             coasting test.
     """
@@ -71,7 +70,7 @@ class FreeParameter:
         return min(max(value, self.low), self.high)
 
     def slope(self, value: float) -> float:
-        """Return the derivative of the value by z."""
+        """Return the derivative of the value with respect to z."""
         if self.scale is None:
             return value
         return self.scale
@@ -79,7 +78,10 @@ class FreeParameter:
 
 @dataclass(frozen=True)
 class _Accessor:
-    """Getter and setter of a parameter in a robot; k is the index of the connector or segment, from 0."""
+    """Getter and setter of a parameter in a robot.
+
+    Their argument k is the index of the connector or segment, counted from 0.
+    """
 
     unit: str
     low: float
@@ -98,7 +100,7 @@ def free_parameters(
 
     Args:
         spec: robot.
-        names: names of the parameters.
+        names: parameter names.
         starts: other initial values, by name.
 
     Raises:
@@ -124,10 +126,10 @@ def free_parameters(
 
 
 def with_values(spec: RobotSpec, values: Mapping[str, float]) -> RobotSpec:
-    """Return a robot with other parameter values; other names are ignored.
+    """Return a robot with other parameter values, ignoring names of other values.
 
-    The result keeps the scale of `spec`: numerical settings must not jump between the
-    candidates of a fit.
+    The result keeps the scale of `spec`, so that numerical settings do not jump between
+    the candidates of a fit.
 
     Raises:
         InputError: a robot cannot have these values.
@@ -158,7 +160,7 @@ def parameter_unit(name: str) -> str:
 
 
 def parameter_names() -> list[str]:
-    """Return the names of all fittable parameters, with N for a connector or segment number."""
+    """Return the names of all fittable parameters, with N for a number."""
     return list(_ACCESSORS)
 
 
@@ -168,7 +170,6 @@ def per_segment(spec: RobotSpec, *names: str) -> tuple[str, ...]:
 
 
 def _key(name: str) -> tuple[str, int]:
-    """Return a name with N for its number, and the number counted from 0; 0 if it has none."""
     match = re.fullmatch(r"(.+_)([1-9]\d?)", name, flags=re.ASCII)
     if match is not None:
         return f"{match[1]}N", int(match[2]) - 1
@@ -177,11 +178,6 @@ def _key(name: str) -> tuple[str, int]:
 
 
 def _accessor(name: str) -> tuple[_Accessor, int]:
-    """Return the accessor of a parameter and its index, from 0.
-
-    Raises:
-        UnknownNameError: the parameter does not exist.
-    """
     key, k = _key(name)
     if key not in _ACCESSORS:
         raise UnknownNameError(
@@ -191,7 +187,6 @@ def _accessor(name: str) -> tuple[_Accessor, int]:
 
 
 def _checked_accessor(spec: RobotSpec, name: str) -> tuple[_Accessor, int]:
-    """Return the accessor and index of a parameter that this robot has."""
     accessor, k = _accessor(name)
     count = {"connector": spec.geometry.connectors, "segment": spec.segments}.get(
         accessor.numbered or "", 1
@@ -207,8 +202,6 @@ def _checked_accessor(spec: RobotSpec, name: str) -> tuple[_Accessor, int]:
 def _scalar(
     section: str, attribute: str, unit: str, low: float, high: float, **more: Any
 ) -> _Accessor:
-    """Return the accessor of a scalar parameter of a section."""
-
     def get(spec: RobotSpec, k: int) -> float:
         return float(getattr(getattr(spec, section), attribute))
 
@@ -222,7 +215,7 @@ def _scalar(
 def _module(
     attribute: str, side: int | None, unit: str, low: float, high: float, **more: Any
 ) -> _Accessor:
-    """Return the accessor of a parameter of single modules; side 0 is the + chamber."""
+    """Return the accessor of a module parameter, where side 0 is the + chamber."""
     place = () if side is None else (side,)
 
     def get(spec: RobotSpec, k: int) -> float:
@@ -260,7 +253,7 @@ def _set_mass(spec: RobotSpec, value: float, k: int) -> RobotSpec:
 
 
 def _lightest(spec: RobotSpec) -> float:
-    """Return the smallest mass of a connector, kg: just above that of its wheels, so its body has mass."""
+    """Return the minimum mass of a connector, kg, just above the mass of its wheels."""
     return 2.01 * spec.mass.wheel / WHEEL_SHARE
 
 

@@ -1,27 +1,24 @@
 r"""Period-averaged path of a crawling snake: speed, curvature, edges and transients.
 
-A pose is a point of the path and the direction of the path there. An arc of curvature κ
-and length L is the motion
+A pose is a point of the path and the direction of the path there. Motion along an arc
+of curvature κ and length L is
 
 $$ A_κ(L) = \Bigl(L\,\mathrm{sinc}\tfrac{κL}{2},\; \text{at the angle}\; \tfrac{κL}{2};\;\; κL\Bigr), $$
 
-and P ∘ A is the pose at the end of the arc that starts at P. Arrays of poses have one
+and P ∘ A is the pose at the end of an arc that starts at P. Arrays of poses have one
 leading axis.
 
 `SteadyPath` describes crawling at a constant offset (Fig. 58, Table 8).
-`measure_transient` measures the effect of a change of offset relative to the
-dissertation's assumption of an instant change. At the time t_s of the change the path
-is at the pose P, which is extrapolated from the steady arc before it. After an instant
-change the snake would follow the steady arc of the new offset, P ∘ A(v (t − t_s)). The
-real path, once settled, is
+`measure_transient` measures a change of offset at the time t_s, relative to the
+dissertation's assumption of an instant change. The pose P at t_s is extrapolated from
+the steady arc before the change. After an instant change the snake would follow the
+steady arc P ∘ A(v (t − t_s)) of the new offset. The settled path of a real snake is
 
-$$ P ∘ D ∘ A(v (t − t_s)) $$
+$$ P ∘ D ∘ A(v (t − t_s)), $$
 
-with a constant displacement D, as if the snake had jumped by D at the change and then
-followed the new arc. The path has settled when the turn of every later period equals
-that of the new offset, within 10 % of the difference between the two offsets. Learning
-continues to vary, so twice the variation between the last periods is allowed if that is
-larger.
+as if the snake had jumped by the constant displacement D. The path has settled when the
+turn per period differs from the turn of the new offset by at most 10 % of the change.
+If learning still varies the turn, twice this variation is allowed.
 """
 
 from __future__ import annotations
@@ -48,7 +45,7 @@ _STRAIGHT_PER_M = 1e-9
 """Curvature below which an arc is a line, within rounding."""
 
 _SMALL_TURN_RAD = 1e-4
-"""Turn below which a series is more accurate than a quotient of two small numbers."""
+"""Turn below which a series replaces a quotient of two small numbers."""
 
 
 @dataclass(frozen=True)
@@ -56,8 +53,8 @@ class Poses:
     """Poses, or motions from one pose to another.
 
     Attributes:
-        place: position x + i y, shape (n,) or (), m.
-        heading: heading, same shape, rad.
+        place: position x + i y, m, shape (n,) or ().
+        heading: heading, rad, in the shape of `place`.
     """
 
     place: np.ndarray
@@ -65,12 +62,12 @@ class Poses:
 
     @classmethod
     def arc(cls, curvature: float, length: np.ndarray | float) -> Poses:
-        """Return the motions A_κ(L); a negative length (m) is a motion backward."""
+        """Return the motions A_κ(L), where a negative length (m) moves backward."""
         half = curvature * np.asarray(length, dtype=float) / 2
         return cls(length * np.sinc(half / np.pi) * np.exp(1j * half), 2 * half)
 
     def compose(self, other: Poses) -> Poses:
-        """Return self ∘ other, the end of the other motion when it starts at this pose."""
+        """Return self ∘ other, the end of the other motion from this pose."""
         return Poses(
             self.place + np.exp(1j * self.heading) * other.place,
             self.heading + other.heading,
@@ -87,15 +84,15 @@ class Poses:
     def coordinates(
         self, points: np.ndarray, curvature: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the coordinates of points relative to arcs through these poses, as in `planning.swept`.
+        """Return the coordinates of points relative to arcs through these poses.
 
         Args:
-            points: points, shape (n, points, 2), m; with a single pose n is arbitrary.
-            curvature: curvature of the arcs, 1/m.
+            points: points, m, shape (n, points, 2); with a single pose n is arbitrary.
+            curvature: arc curvature, 1/m.
 
         Returns:
             Position along the arc from the pose, and distance to the left of the arc,
-            each (n, points), m.
+            m, shape (n, points) each.
         """
         relative = points[..., 0] + 1j * points[..., 1] - self.place[..., None]
         relative = relative * np.exp(-1j * self.heading)[..., None]
@@ -114,19 +111,19 @@ class Poses:
 def period_averaged_path(
     trajectory: Trajectory, window: GaitWindow
 ) -> tuple[np.ndarray, Poses]:
-    """Return times (s) and poses of the period-averaged path of the centre of mass in a window.
+    """Return the period-averaged path of the centre of mass in a window.
 
-    Each pose is that at the middle of a period, with the direction of the period's
-    chord. The mean over an arc lies inside it, by (1 − sinc(φ/2))/κ for a turn φ per
-    period; this is corrected. Single poses still contain the sway of the body within a
-    period, but means of them over whole periods do not.
+    A pose is placed at the middle of a period and has the direction of the period's
+    chord. The mean over an arc with turn φ per period lies inside the arc by (1 −
+    sinc(φ/2))/κ, which is corrected. Means of poses over whole periods do not contain
+    the sway of the body.
 
     Args:
         trajectory: run.
-        window: K periods, in which the turning rate is taken as constant.
+        window: window of K periods, with an approximately constant turning rate.
 
     Returns:
-        Times and poses, (instants,) each, over K − 1 periods.
+        Times, s, and poses over K − 1 periods, shape (instants,) each.
     """
     mean, velocity = window.running_mean(trajectory, trajectory.com)
     turn = (
@@ -151,10 +148,10 @@ class SteadyPath:
     Attributes:
         speed: speed of the centre of mass along the arc, m/s.
         curvature: curvature of the arc, 1/m, positive to the left.
-        left: farthest extent of the body to the left of the arc, m.
-        right: farthest extent to the right of the arc, m.
-        ahead: farthest extent in front of the centre of mass along the arc, m.
-        behind: farthest extent behind the centre of mass along the arc, m.
+        left: maximum extent of the body to the left of the arc, m.
+        right: maximum extent to the right of the arc, m.
+        ahead: maximum extent in front of the centre of mass along the arc, m.
+        behind: maximum extent behind the centre of mass along the arc, m.
     """
 
     speed: float
@@ -170,13 +167,12 @@ class SteadyPath:
     ) -> SteadyPath:
         """Measure the steady path over whole periods of a run.
 
-        The body is the band of the robot's width about its centre line, with round
-        ends. The connectors alone are not sufficient, because the band bulges between
-        them.
+        The body is a band of the robot's width about its centre line, with round ends.
+        The band also includes the bulges between connectors.
 
         Args:
             trajectory: run.
-            geometry: geometry of its robot.
+            geometry: robot geometry.
             window: three or more periods.
 
         Raises:
@@ -222,7 +218,7 @@ class SteadyPath:
 
 
 def average_repeats(repeats: Sequence[SteadyPath]) -> tuple[SteadyPath, SteadyPath]:
-    """Return one path for repeated measurements, and half their range.
+    """Combine repeated measurements, and return half their range as well.
 
     Speed and curvature are means; the extents of the body are maxima.
     """
@@ -237,14 +233,13 @@ def average_repeats(repeats: Sequence[SteadyPath]) -> tuple[SteadyPath, SteadyPa
 
 BothPaths = tuple[SteadyPath, SteadyPath]
 STEADY_PERIODS = 4
-"""Number of periods over which the path is averaged, before a change and after it has settled."""
+"""Number of periods of the average before a change and after settling."""
 
 SETTLED = 0.1
-"""Error of the turn per period, relative to its change, below which a change is complete."""
+"""Relative error of the turn per period below which a change is complete."""
 
 MAX_UNREST = 0.1
-"""Largest such error at the end of a run; with a larger one the path has not settled.
-"""
+"""Maximum relative error of the turn at the end of a run whose path has settled."""
 
 
 @dataclass(frozen=True)
@@ -253,8 +248,8 @@ class OffsetChange:
 
     Attributes:
         time: time of the change, s.
-        before: offset before it.
-        after: offset after it.
+        before: old offset.
+        after: new offset.
     """
 
     time: float
@@ -271,13 +266,13 @@ def measure_transient(
 ) -> Transient:
     """Measure one change of offset.
 
-    The part of the body that is still on the arc before the change is excluded, because
-    a planner includes it in that arc.
+    The part of the body that is still on the old arc is excluded, because a planner
+    includes it in that arc.
 
     Args:
         trajectory: run with some periods before the change and some after the path has
             settled.
-        geometry: geometry of its robot.
+        geometry: robot geometry.
         period: gait period, s.
         change: change of offset.
         paths: steady paths of the old and the new offset.
@@ -319,21 +314,11 @@ def _excess(
     begin: Poses,
     paths: BothPaths,
 ) -> tuple[float, float]:
-    """Return how far the body reaches beyond the new arc during a transient, m.
+    """Return how far the body reaches beyond the new arc to the left and right, m.
 
     The area that the old arc sweeps up to the change, at most one body length before
-    it, is excluded.
-
-    Args:
-        trajectory: run.
-        geometry: geometry of its robot.
-        time: time of the change, s.
-        settled: end of the transient, s.
-        begin: pose at the change.
-        paths: steady paths of the old and the new offset.
-
-    Returns:
-        Excess to the left and to the right.
+    it, is excluded. `begin` is the pose at the change, and `settled` is the end of the
+    transient, s.
     """
     before, after = paths
     during = (trajectory.time >= time - 1e-9) & (trajectory.time <= settled + 1e-9)
@@ -354,11 +339,6 @@ def _excess(
 def _settling_time(
     trajectory: Trajectory, period: float, time: float, paths: BothPaths
 ) -> float:
-    """Return the time (s) from which the turn of each period is that of the new offset.
-
-    Raises:
-        InputError: the run ends before the path has settled.
-    """
     heading = interpolant(trajectory, trajectory["heading"])
     begins = trajectory.time[trajectory.time >= time - 1e-9]
     begins = begins[begins <= trajectory.time[-1] - period + 1e-9]
@@ -378,7 +358,7 @@ def _settling_time(
 
 
 def combine_transients(repeats: Sequence[Transient]) -> Transient:
-    """Return one transient for a change at several phases of the gait: largest extents, mean displacement."""
+    """Combine transients at several phases: maximum extents, mean displacement."""
     first = repeats[0]
     left, right, length = (
         max(getattr(t, name) for t in repeats) for name in ("left", "right", "length")
@@ -393,6 +373,5 @@ def combine_transients(repeats: Sequence[Transient]) -> Transient:
 def _extrapolate(
     trajectory: Trajectory, window: GaitWindow, time: float, path: SteadyPath
 ) -> Poses:
-    """Return the pose of a steady path at a time (s), extrapolated from each pose in a window."""
     times, poses = period_averaged_path(trajectory, window)
     return poses.compose(Poses.arc(path.curvature, path.speed * (time - times)))

@@ -1,13 +1,13 @@
 r"""Prior distributions of the uncertain parameters of a robot, with correlations.
 
-A robot file gives the distribution of a number in `Uncertain`. The numbers are
-functions of standard normal variables ζ with the correlations R of the file (a Gaussian
-copula), by their quantile functions:
+A robot file gives the distribution of a number in `Uncertain`. The numbers are quantile
+functions of standard normal variables ζ with the correlations R of the file (Gaussian
+copula):
 
 $$ x_i = F_i^{-1}(\Phi(\zeta_i)), \qquad \zeta = L z, \quad L L^T = R, \quad z_i = \Phi^{-1}(u_i), $$
 
-with u uniform and independent. Normal and lognormal distributions are truncated at the
-bounds of robot files.
+where u is uniform and independent. Normal and lognormal distributions are truncated at
+the bounds of robot files.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Prior:
         value: value in the robot file.
         unit: unit of the value.
         uncertain: distribution.
-        bounds: lowest and highest value allowed in a robot file.
+        bounds: minimum and maximum in a robot file.
         source: source of the distribution.
     """
 
@@ -49,12 +49,15 @@ class Prior:
         return self.uncertain.quantile(self.value, self.bounds, probabilities)
 
     def cdf(self, values: Array) -> Array:
-        """Return the cumulative probabilities of values, interpolated; 0 or 1 outside the distribution."""
+        """Return the interpolated cumulative probabilities of values.
+
+        They are 0 or 1 outside the distribution.
+        """
         table = np.linspace(0.0, 1.0, 4001)
         return np.interp(values, self.quantile(table), table)
 
     def with_measurement(self, value: float, sd: float) -> Prior:
-        """Return a normal distribution around a measured value with the standard deviation `sd`."""
+        """Return a normal distribution with a measured mean and standard deviation."""
         return replace(
             self,
             value=value,
@@ -79,11 +82,11 @@ class Priors:
         """Return the prior distribution in a robot file.
 
         Args:
-            robot: the robot file.
+            robot: robot file.
             without: paths of parameters to treat as exact.
 
         Raises:
-            UnknownNameError: a path is not that of an uncertain parameter.
+            UnknownNameError: a path does not belong to an uncertain parameter.
             InputError: no parameter is uncertain, or the correlations contradict each
                 other.
         """
@@ -133,7 +136,7 @@ class Priors:
         return bool((self.correlation == np.eye(len(self.parameters))).all())
 
     def quantile(self, probabilities: Array) -> Array:
-        """Return the parameters for independent uniform probabilities u, shape (…, d)."""
+        """Return the parameters for independent uniform probabilities u."""
         inside = np.clip(probabilities, MIN_PROBABILITY, 1 - MIN_PROBABILITY)
         normal = ndtri(inside) @ np.linalg.cholesky(self.correlation).T
         columns = [

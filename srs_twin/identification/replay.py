@@ -1,4 +1,4 @@
-"""Scenario that compares a recorded run of the robot with both plants under the same valve states."""
+"""Scenario that compares a recorded run with both plants."""
 
 from __future__ import annotations
 
@@ -53,18 +53,17 @@ def replay_scenario(
 
     Args:
         motion: motion capture, or bends on a bench.
-        robot: name or path of the robot.
+        robot: robot to simulate.
         recording: further keys of the section `recording` of a scenario, such as
             `valves`.
         set: values that override fields of the scenario, see `load_scenario`.
         fits: fit files of this robot.
         expect: file of expectations, as in a scenario.
-        bench: whether the robot is clamped at its head on a bench, instead of on the
-            floor.
-        supply_pa: supply pressure, Pa; None: the nominal pressure of the robot.
-        plants: plants that run; None: both.
-        model: model of the analytical plant.
-        law: friction law of the analytical plant; None: "wheel".
+        bench: whether the robot is clamped at its head on a bench.
+        supply_pa: supply pressure, Pa, by default the nominal pressure of the robot.
+        plants: plants that run, by default both.
+        model: analytical model.
+        law: friction law of the analytical plant, by default "wheel".
         notify: function called with a summary of the recording.
 
     Raises:
@@ -91,7 +90,6 @@ def replay_scenario(
 
 
 def _load_robot(robot: StrPath, fits: Sequence[StrPath]) -> RobotFile:
-    """Return a robot with the results of fits."""
     if not fits:
         return load_robot_file(robot)
     return robot_in(Document("--fit", merge_overrides(fits, base=os.fspath(robot))))
@@ -100,7 +98,6 @@ def _load_robot(robot: StrPath, fits: Sequence[StrPath]) -> RobotFile:
 def _duration(
     recording: Mapping[str, Any], robot: RobotFile, notify: Callable[[str], object]
 ) -> float:
-    """Return the duration of the recording in whole ticks, s."""
     settings = dict(recording)
     motion = settings.pop("motion")
     valves = settings.pop("valves", None)
@@ -125,10 +122,5 @@ def _plants(
 
 
 def _expectations(path: StrPath) -> list[Any]:
-    """Return the expectations of a file.
-
-    Raises:
-        InputFileError: the file is invalid; lists all problems.
-    """
     file = load_model(ExpectationsFile, require_file(Path(path)))
     return [entry.model_dump(mode="json", exclude_none=True) for entry in file.expect]

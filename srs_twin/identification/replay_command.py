@@ -1,4 +1,4 @@
-"""`srs-twin replay`: a recorded run of the robot compared with both plants under the same valve states."""
+"""`srs-twin replay`, which compares a recorded run with both plants."""
 
 from __future__ import annotations
 

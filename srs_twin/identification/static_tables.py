@@ -1,25 +1,25 @@
-r"""Gains, rest bends and dead zones of free segments from static tables and plateaus of recordings.
+r"""Gains, rest bends and dead zones of free segments, fitted to static measurements.
 
-**Tables.** Constant pressures and the bends at which free segments come to rest, as a
-CSV file with ``pressure_plus_1,pressure_minus_1,bend_1,…`` (``pressure_plus_1_kpa``,
-``bend_1_deg``; Pa and rad without a unit). A missing pressure is 0; an empty bend was
-not measured. Gain, rest bend and bend limit can be estimated, but no time constants or
-masses. ``bend_error_1`` is the optional standard error of a bend.
+**Tables.** A CSV file has constant pressures and the bends at which free segments come
+to rest. Its columns are ``pressure_plus_1,pressure_minus_1,bend_1,…``
+(``pressure_plus_1_kpa``, ``bend_1_deg``; Pa and rad without a unit), and optional
+standard errors ``bend_error_1``. A missing pressure is 0, and an empty bend was not
+measured. Static data do not determine time constants or masses.
 
 **Plateaus** of a recording form such a table. A plateau starts where all pressures
 begin to stay within ±1 kPa (or ±5 standard deviations of their noise). Its first 5 τ,
-with τ the largest time constant of the robot, its last 50 ms and pressure outliers are
-discarded. Of the remainder, the first quarter is discarded repeatedly, for each
-segment, until the drift of a line through the bends is less than twice its standard
-error, or less than 0.1 mrad over the frames. Bends and pressures are averaged over the
-rest. The standard error of a mean bend is
+where τ is the maximum time constant of the robot, its last 50 ms and outliers of the
+pressures are discarded. Then each segment repeatedly loses the first quarter of its
+frames until its bend has settled. A bend has settled if the drift of a fitted line is
+less than twice its standard error, or less than 0.1 mrad. The mean bend has the
+standard error
 
 $$ \sigma = \max\bigl(s / \sqrt{n/\tau_c},\; e/10\bigr), $$
 
-with s the scatter of n frames about the line, τ_c its `correlation_time`, and e the
-standard error of one frame, if the recording has it (``bend_error_1``). This error is
-nearly white from frame to frame. A tenth of it is assumed to be common to all frames,
-such as by marker offsets, and is not reduced by averaging.
+where s is the scatter of n frames about the line, τ_c its `correlation_time`, and e the
+standard error of one frame, if recorded (``bend_error_1``). A tenth of e is assumed to
+be common to all frames, for example due to marker offsets, and is not reduced by
+averaging.
 """
 
 from __future__ import annotations
@@ -62,19 +62,19 @@ from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 
 _PLATEAU_BAND_PA = 1e3
-"""Largest deviation from the mean of a constant pressure."""
+"""Maximum deviation from the mean of a constant pressure."""
 
 _OUTLIER_MEDIANS = 7.5
 """Deviation of a pressure, in median deviations, above which it is an outlier."""
 
 _OUTLIER_MARGIN_PA = 100.0
-"""Additional allowed deviation, for pressures without noise."""
+"""Additional allowed deviation of pressures without noise."""
 
 _MAX_PRESSURE_PA = 2e6
-"""Largest plausible pressure; a larger one has the wrong unit."""
+"""Maximum plausible pressure. A larger pressure has the wrong unit."""
 
 _MAX_BEND_RAD = 2 * math.pi
-"""Largest plausible bend; a larger one has the wrong unit."""
+"""Maximum plausible bend. A larger bend has the wrong unit."""
 
 _BEND_LIMIT = "actuator.bend_limit_rad"
 _ONSET_SHARE = "actuator.onset_share"
@@ -83,7 +83,7 @@ _ONSET_WIDTH = "actuator.onset_width_rad"
 _DEAD_ZONE = (_ONSET, _ONSET_WIDTH, _ONSET_SHARE)
 
 _SHARP_WIDTH_RAD = 0.02
-"""Width of a dead zone if the data do not determine it: the smallest allowed value."""
+"""Width of a dead zone that the data do not determine: the minimum allowed value."""
 
 
 @dataclass(frozen=True)
@@ -92,10 +92,11 @@ class StaticTable:
 
     Attributes:
         name: file name.
-        sha256: SHA-256 of the file.
-        pressure: gauge pressures, shape (points, segments, 2), Pa.
-        bend: bends, shape (points, segments), rad; NaN if not measured.
-        bend_error: standard errors of the bends, same shape, rad; NaN if unknown.
+        sha256: file hash (SHA-256).
+        pressure: gauge pressures, Pa, shape (points, segments, 2).
+        bend: bends, rad, shape (points, segments); NaN if not measured.
+        bend_error: standard errors of the bends, rad, shape (points, segments); NaN if
+            unknown.
     """
 
     name: str
@@ -110,9 +111,9 @@ class StaticTable:
     ) -> StaticTable:
         """Return the plateaus of a recording joined with its log (module docstring).
 
-        With a log of valves, filling chambers have the supply pressure after 5 τ, and
-        venting ones have 0. The pressure of a chamber that holds is unknown, so such
-        times give no plateau.
+        With a log of valves, a filling chamber is assumed to have the supply pressure
+        after 5 τ, and a venting chamber zero pressure. Times at which a chamber holds
+        its pressure give no plateau, because this pressure is unknown.
 
         Raises:
             InputError: the recording has no log or no plateau.
@@ -173,7 +174,6 @@ class StaticTable:
 def _chamber_pressures(
     trajectory: Trajectory, log: ValveLog, supply_pa: float
 ) -> np.ndarray:
-    """Return the settled pressures of a log, shape (samples, segments, 2), Pa; NaN if unknown."""
     values = np.stack(
         [trajectory.stack(f"{log.kind}_{side}") for side in SIDES], axis=-1
     )
@@ -190,14 +190,14 @@ def _settled_frames(
     end: int,
     wait: float,
 ) -> np.ndarray | None:
-    """Return the frames of a plateau to average; None if they are too few, or the pressures rise slowly."""
+    """Return the frames of a plateau to average, or None if it is not usable."""
     span = float(time[end - 1] - time[begin])
     deviation = np.abs(pressure[begin:end] - np.median(pressure[begin:end], axis=0))
     limit = _OUTLIER_MEDIANS * np.median(deviation, axis=0) + _OUTLIER_MARGIN_PA
     is_near = (deviation <= limit).all(axis=(1, 2))
     since = time[begin:end] - time[begin]
-    # Discard the end: the next step may already have begun within the band, and clocks
-    # may differ a little.
+    # The end is discarded, because the next step may already have begun within the
+    # band, and clocks may differ.
     frames = begin + np.flatnonzero(
         is_near & (since >= wait) & (since <= span - CLOCK_ERROR_S)
     )
@@ -216,7 +216,6 @@ def _settled_frames(
 def _constant_intervals(
     pressure: np.ndarray, band: np.ndarray
 ) -> Iterator[tuple[int, int]]:
-    """Yield (first frame, last frame + 1) of intervals with all pressures within ±band and none NaN."""
     begin = 0
     low = pressure[0]
     high = pressure[0]
@@ -232,15 +231,12 @@ def _constant_intervals(
 
 
 def _noise_scale(values: np.ndarray) -> np.ndarray:
-    """Return the median magnitude of a log's second differences, 1.65 σ of white noise, shape (…).
+    """Return the noise scale of a log, 1.65 σ for white noise.
 
-    It is the smaller of two estimates, as steps and slow changes of pressure are not
-    noise. A step changes one first difference but two second differences; a ramp
-    changes all first differences but no second one. First differences of white noise
-    are smaller than second differences by √3.
-
-    Args:
-        values: log, shape (rows, …), at least 2 rows.
+    The scale is a median magnitude of differences. Steps and slow changes of pressure
+    are not noise, so it is the smaller of two estimates. A step changes only one first
+    difference, and a ramp changes no second difference. First differences of white
+    noise are smaller than second differences by √3.
     """
     medians = [
         scale * np.median(np.abs(np.diff(values, order, axis=0)), axis=0)
@@ -253,7 +249,10 @@ def _noise_scale(values: np.ndarray) -> np.ndarray:
 def _settled_mean(
     time: np.ndarray, pressure: np.ndarray, bend: np.ndarray, frame_error: np.ndarray
 ) -> list[float]:
-    """Return a segment's mean pressures, settled mean bend and its error; NaN if the bend does not settle."""
+    """Return a segment's mean pressures, settled mean bend and error of this mean.
+
+    The bend is NaN if it does not settle.
+    """
     kept = np.flatnonzero(np.isfinite(bend))
     while len(kept) >= MIN_FRAMES:
         since = time[kept] - time[kept].mean()
@@ -276,7 +275,7 @@ def _settled_mean(
 
 
 NamedRecordings = Sequence[tuple[str, Recording]]
-"""Names, and recordings joined with their logs."""
+"""Names and recordings, which have been joined with their logs."""
 
 
 def plateau_tables(
@@ -333,7 +332,7 @@ def write_static_table(table: StaticTable, path: StrPath) -> None:
 
 
 def is_static_table(path: StrPath) -> bool:
-    """Return whether the first line of a file names bends but no time, as a static table does.
+    """Return whether the first line of a file names bends but no time.
 
     Raises:
         InputError: the file cannot be read.
@@ -392,18 +391,18 @@ def fit_static(
 ) -> FitEstimate:
     """Estimate gains, rest bends and the bend limit from static tables.
 
-    If a dead zone improves the fit significantly (F-test, 1 %), its parameters are
-    estimated as well: first onset and width with a slope of zero in the zone, then also
-    the missing share of the slope.
+    A dead zone is included if it improves the fit significantly (F-test, 1 %). The
+    first fit has an onset, a width and no response in the zone. A second fit also
+    estimates the response in the zone.
 
     Args:
         tables: measured tables; the residual of each point is in the estimate.
         spec: robot whose values are the start of the search; `actuator.bend_rad` is
             fixed as in `fit_actuator`.
-        names: free parameters, see `parameters`; default: gains, rest bends, bend limit
+        names: names of the free parameters, by default gains, rest bends, bend limit
             and a dead zone.
         validation: tables for validation.
-        watch: progress callback, see `least_squares`.
+        watch: progress callback.
 
     Raises:
         InputError: there is no table, or a validation table is also fitted.
@@ -456,7 +455,7 @@ def fit_static(
 _StaticSearch = Callable[
     [Sequence[str], Mapping[str, float], Mapping[str, float]], FitEstimate
 ]
-"""Search of a static fit: names of the free parameters, fixed values, start values."""
+"""Search of a static fit, given the free parameters, fixed values and start values."""
 
 
 def _fit_dead_zone(
@@ -466,16 +465,6 @@ def _fit_dead_zone(
     starts: Mapping[str, float],
     largest: float,
 ) -> FitEstimate:
-    """Return the best significant fit with a dead zone, or the one without.
-
-    Args:
-        search: search of the static fit.
-        linear: estimate without a dead zone.
-        searched: its free parameters.
-        starts: its start values.
-        largest: largest measured bend, rad.
-    """
-
     def with_dead_zone(
         zone_starts: Mapping[str, float], fixed: Mapping[str, float]
     ) -> FitEstimate:
@@ -483,7 +472,7 @@ def _fit_dead_zone(
         estimate = search(names, fixed, {**starts, **zone_starts})
         if estimate[_ONSET_WIDTH].value is not None:
             return estimate
-        # The data do not determine the width: use the smallest one.
+        # The data do not determine the width, so the minimum width is used.
         names.remove(_ONSET_WIDTH)
         sharp = {**fixed, _ONSET_WIDTH: _SHARP_WIDTH_RAD}
         return search(names, sharp, {**starts, _ONSET: zone_starts[_ONSET]})
@@ -508,7 +497,6 @@ def _fit_dead_zone(
 
 
 def _is_significant(more: FitEstimate, less: FitEstimate) -> bool:
-    """Return whether additional parameters improve a fit significantly (F-test, 1 %) and have values."""
     if any(more[p.name].value is None for p in more.parameters if p.name in _DEAD_ZONE):
         return False
     added = max(len(more.values) - len(less.values), 1)

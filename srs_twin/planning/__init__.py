@@ -1,11 +1,10 @@
 """Path planning with footprints, and following of plans (Section 5.2).
 
-`plan(problem)` returns a `Plan`. The planner searches over arcs and Dubins paths
-(`moves`, `dubins`) with exact collision checks of the footprint (`arcs`, `collision`).
-Trees (`search_kernels`, `search_tree`) grow from start and goal (`best_first`). If that
-does not succeed at once, `free_space` tries to prove that no path exists, and
+`plan(problem)` returns a `Plan`. The planner (`best_first`) grows trees of arcs and
+Dubins paths from start and goal. The collision checks of the footprint are exact. If
+the first search does not succeed, `free_space` tries to prove that no path exists, and
 `guidance` leads a tree around obstacles and through narrow passages. `follower` and
-`steering` follow a plan by the offset of a gait.
+`steering` follow a plan with the offset of a gait.
 """
 
 from typing import TYPE_CHECKING

@@ -1,27 +1,26 @@
-r"""Arcs of constant curvature: poses along them, and exact checks of the area that the body sweeps.
+r"""Arcs of constant curvature, and exact checks of the area that the body sweeps.
 
-Path coordinates relative to the middle of an arc of curvature κ: for a point at
-distance u ahead of the middle and w to its left,
+A point at distance u ahead of the middle of an arc of curvature κ and w to its left has
+the path coordinates
 
 $$ n = \frac{2w - κ(u^2 + w^2)}{1 + \sqrt{(κu)^2 + (1 - κw)^2}}, \qquad
-   s = \frac{1}{κ}\,\mathrm{atan2}(κu, 1 - κw) $$
+   s = \frac{1}{κ}\,\mathrm{atan2}(κu, 1 - κw) , $$
 
-are the signed distance from the arc, positive to the left, and the position along it.
-Both formulas stay accurate as κ approaches 0. While the centre of mass moves along the
-arc from -h to h, the body sweeps the annular sector |s| ≤ h, -r ≤ n ≤ l (Fig. 52 and
-58). The distance of a point from this region is its distance in n if |s| ≤ h, otherwise
-its distance from the nearer end, a straight line of length l + r across the path. A
-circle is free of the region if the distance of its centre is at least its radius.
+where n is the signed distance from the arc, positive to the left, and s the position
+along it. Both formulas stay accurate as κ approaches 0. While the centre of mass moves
+along the arc from -h to h, the body sweeps the annular sector |s| ≤ h, -r ≤ n ≤ l (Fig.
+52 and 58). If |s| ≤ h, the distance of a point from this region is its distance in n.
+Otherwise it is the distance from the nearer end, a straight line of length l + r across
+the path. A circle is free if the distance of its centre is at least its radius.
 
 A side of a polygon is cut where it crosses n = l, n = -r (quadratic equations) and s =
 ±h (linear equations). It is free if no midpoint of its pieces is in the region. A
-polygon that contains the whole region is not detected: the regions of a plan are
-connected and start outside all polygons, so the first region inside one would cross a
-side.
+polygon that contains the whole region needs no check. The regions of a plan are
+connected and start outside all polygons, so an earlier region would cross a side.
 
-Motion primitives are the arcs from a search node to its children. Section 5.2.1: N
-turns α from -α_max to α_max, each over one step of length v Δt. With θ' = θ + α and r =
-vΔt/α (Eq. 33 with corrected signs, E7),
+Motion primitives are the arcs from a search node to its children (Section 5.2.1). They
+have N turns α from -α_max to α_max over a length v Δt. With θ' = θ + α and r = vΔt/α
+(Eq. 33 with corrected signs, E7),
 
 $$ x' = x + r(\sin θ' - \sin θ), \qquad y' = y - r(\cos θ' - \cos θ) $$
 """
@@ -40,18 +39,21 @@ from srs_twin.errors import InputError
 from srs_twin.robot.world import Pose
 
 ROUNDING_MARGIN = 1e-7
-"""Distance added to all checks, m; rounding errors are below 1e-11 m in worlds of a kilometre."""
+"""Distance added to all checks, m.
+
+Rounding errors are below 1e-11 m in worlds of a kilometre.
+"""
 
 ArcSequence = list[tuple[float, float]]
-"""Consecutive arcs: curvature, 1/m, and length, m."""
+"""Curvature (1/m) and length (m) of consecutive arcs."""
 
 _STRAIGHT = 1e-9
-"""Curvature (1/m) or half turn (rad) below which an arc is treated as straight, to avoid 0/0."""
+"""Curvature (1/m) or half turn (rad) below which an arc is straight, to avoid 0/0."""
 
 
 @compiled
 def arc_end(x, y, heading, curvature, length):  # type: ignore[no-untyped-def]
-    """Return the pose after a length (m) along an arc: corrected Eq. 33 (E7) by chord and half turn."""
+    """Return the pose after a length (m) along an arc (Eq. 33, corrected by E7)."""
     half = curvature * length / 2
     # Chord and half turn avoid the cancellation of Eq. 33 for small curvatures.
     chord = length
@@ -81,12 +83,12 @@ class Extent(NamedTuple):
 
 
 class Frame(NamedTuple):
-    """Place and direction of a point of an arc.
+    """Position and direction of a point of an arc.
 
     Attributes:
-        x: m.
-        y: m.
-        heading: rad.
+        x: position, m.
+        y: position, m.
+        heading: heading, rad.
         cosine: cosine of the heading.
         sine: sine of the heading.
     """
@@ -102,11 +104,11 @@ class Region(NamedTuple):
     """Swept region of an arc, relative to the middle of the arc.
 
     Attributes:
-        curvature: curvature of the arc, 1/m.
+        curvature: arc curvature, 1/m.
         half: half the length h of the region along the arc, m.
         left: distance of the left edge from the arc, m.
         right: distance of the right edge from the arc, m.
-        reach: distance of the middle within which the region lies, m.
+        reach: radius of a circle about the middle that contains the region, m.
         end: end of the arc, with u and w as its x and y.
     """
 
@@ -120,14 +122,12 @@ class Region(NamedTuple):
 
 @kernel_only
 def _frame(x, y, heading, curvature, s):  # type: ignore[no-untyped-def]
-    """Return the frame at a distance s along an arc from its start."""
     x, y, heading = arc_end(x, y, heading, curvature, s)
     return Frame(x, y, heading, np.cos(heading), np.sin(heading))
 
 
 @kernel_only
 def _local(frame, x, y):  # type: ignore[no-untyped-def]
-    """Return the distances of a point ahead of a frame and to its left, m."""
     dx = x - frame.x
     dy = y - frame.y
     return (
@@ -138,12 +138,12 @@ def _local(frame, x, y):  # type: ignore[no-untyped-def]
 
 @compiled
 def arc_collides(pose, curvature, length, extent, grid):  # type: ignore[no-untyped-def]
-    """Return whether the swept region of an arc touches an obstacle or leaves the bounds.
+    """Return whether the swept region of an arc collides or leaves the bounds.
 
     Args:
-        pose: x, y and heading of the centre of mass at the start, m and rad.
-        curvature: curvature of the arc, 1/m.
-        length: length of the arc, m.
+        pose: x, y (m) and heading (rad) of the centre of mass at the start.
+        curvature: arc curvature, 1/m.
+        length: arc length, m.
         extent: extent of the body, see `Extent`.
         grid: obstacles and bounds, see `collision.ObstacleGrid`.
     """
@@ -157,7 +157,8 @@ def arc_collides(pose, curvature, length, extent, grid):  # type: ignore[no-unty
     )
     left = extent.left + ROUNDING_MARGIN
     right = extent.right + ROUNDING_MARGIN
-    # A long region is divided, so that each piece overlaps few cells of the grid.
+    # A long region is divided, because each piece then overlaps only a few cells of the
+    # grid.
     count = max(1, int(np.ceil(h / max(grid.cell, left + right))))
     half = h / count
     end = _frame(0.0, 0.0, 0.0, curvature, half)
@@ -173,7 +174,6 @@ def arc_collides(pose, curvature, length, extent, grid):  # type: ignore[no-unty
 
 @kernel_only
 def _touches_obstacle(middle, region, grid):  # type: ignore[no-untyped-def]
-    """Return whether a region with its middle at a frame touches a circle or a polygon side."""
     reach = region.reach + ROUNDING_MARGIN
     columns, rows = grid.cell_ranges.shape[:2]
     first, last = _cell_range(middle.x - grid.west, reach, grid.cell, columns)
@@ -197,7 +197,6 @@ def _touches_obstacle(middle, region, grid):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _cell_range(position, reach, cell, count):  # type: ignore[no-untyped-def]
-    """Return the range of cells (end exclusive) along an axis within `reach` of a position."""
     first = np.floor((position - reach) / cell)
     last = np.floor((position + reach) / cell)
     return np.int64(min(max(first, 0), count)), np.int64(min(max(last + 1, 0), count))
@@ -205,11 +204,11 @@ def _cell_range(position, reach, cell, count):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _touches_circle(middle, region, circle):  # type: ignore[no-untyped-def]
-    """Return whether a region touches a circle, given by x, y and radius."""
     radius = circle[2] + ROUNDING_MARGIN
     dx = circle[0] - middle.x
     dy = circle[1] - middle.y
-    # Test bounding circles first: they are cheap and exclude most obstacles.
+    # Bounding circles are tested first, since this is cheap and excludes most
+    # obstacles.
     if dx * dx + dy * dy >= (region.reach + radius) * (region.reach + radius):
         return False
     u, w = _local(middle, circle[0], circle[1])
@@ -220,7 +219,6 @@ def _touches_circle(middle, region, circle):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _touches_side(middle, region, side):  # type: ignore[no-untyped-def]
-    """Return whether a region touches a line segment, given by x and y of both ends."""
     distance = _distance_from_origin(
         side[0] - middle.x, side[1] - middle.y, side[2] - middle.x, side[3] - middle.y
     )
@@ -233,7 +231,7 @@ def _touches_side(middle, region, side):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def path_coordinates(u, w, curvature):  # type: ignore[no-untyped-def]
-    """Return n and s of a point u ahead and w to the left of a point on an arc, m (module docstring)."""
+    """Return n and s (module docstring) of a point u ahead and w to the left, m."""
     ku = curvature * u
     kw = 1 - curvature * w
     n = (2 * w - curvature * (u * u + w * w)) / (1 + np.sqrt(ku * ku + kw * kw))
@@ -244,7 +242,7 @@ def path_coordinates(u, w, curvature):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _region_distance(u, w, region):  # type: ignore[no-untyped-def]
-    """Return the distance of a point (u ≥ 0) from the region, m; 0 inside."""
+    # n is the signed distance from the arc, and s the position along it.
     n, s = path_coordinates(u, w, region.curvature)
     if abs(s) <= region.half:
         return max(n - region.left, -region.right - n, 0.0)
@@ -255,7 +253,6 @@ def _region_distance(u, w, region):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _distance_from_origin(ax, ay, bx, by):  # type: ignore[no-untyped-def]
-    """Return the distance of a line segment from the origin, m."""
     dx = bx - ax
     dy = by - ay
     # The lower limit avoids 0/0 for a segment without length.
@@ -267,12 +264,12 @@ def _distance_from_origin(ax, ay, bx, by):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _side_crosses(au, aw, bu, bw, region):  # type: ignore[no-untyped-def]
-    """Return whether a line segment from (au, aw) to (bu, bw) enters the region."""
     curvature = region.curvature
     end = region.end
     du = bu - au
     dw = bw - aw
-    # n = e where κ(u² + w²) - 2w + 2e - κe² = 0, with u and w linear in t.
+    # An edge n = e is the circle κ(u² + w²) - 2w + 2e - κe² = 0. On the side, u and w
+    # are linear in t, so this is a quadratic equation a t² + 2 b t + c = 0.
     a = curvature * (du * du + dw * dw)
     b = curvature * (au * du + aw * dw) - dw
     c = curvature * (au * au + aw * aw) - 2 * aw
@@ -302,7 +299,6 @@ def _side_crosses(au, aw, bu, bw, region):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _fraction(numerator, denominator):  # type: ignore[no-untyped-def]
-    """Return a quotient if it is between 0 and 1, otherwise 0."""
     if denominator == 0:
         return 0.0
     t = numerator / denominator
@@ -313,12 +309,12 @@ def _fraction(numerator, denominator):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _roots(a, b, c):  # type: ignore[no-untyped-def]
-    """Return the roots of a t² + 2 b t + c between 0 and 1, and 0 instead of other roots; a may be 0."""
+    """Return the roots of a t² + 2 b t + c between 0 and 1, or 0 for a missing root."""
     square = b * b - a * c
     if square < 0:
         return 0.0, 0.0
-    # Add terms of equal sign, which avoids cancellation, and get the other root from
-    # the product of both.
+    # Adding terms of equal sign avoids cancellation. The other root follows from the
+    # product of both roots.
     if b >= 0:
         q = -(b + np.sqrt(square))
     else:
@@ -332,7 +328,7 @@ def _leaves_bounds(middle, region, bounds):  # type: ignore[no-untyped-def]
 
     It does so at a corner, or where an edge is parallel to an axis.
     """
-    # Test a bounding square first: most regions are far from the bounds.
+    # A bounding square is tested first, since most regions are far from the bounds.
     if (
         bounds.west <= middle.x - region.reach
         and middle.x + region.reach <= bounds.east
@@ -345,6 +341,7 @@ def _leaves_bounds(middle, region, bounds):  # type: ignore[no-untyped-def]
             return True
     if region.curvature == 0:
         return False
+    # An edge extends farthest in x or y where it is parallel to an axis.
     for quarter in range(4):
         turn = quarter * np.pi / 2 - middle.heading
         turn -= 2 * np.pi * np.round(turn / (2 * np.pi))
@@ -356,7 +353,6 @@ def _leaves_bounds(middle, region, bounds):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _edge_is_outside(middle, region, s, bounds):  # type: ignore[no-untyped-def]
-    """Return whether the left or the right edge is outside the bounds at s."""
     at = _frame(middle.x, middle.y, middle.heading, region.curvature, s)
     for n in (region.left, -region.right):
         x = at.x - n * at.sine
@@ -371,8 +367,8 @@ class Primitives:
     """Motion primitives: arcs of equal length with evenly spaced curvatures.
 
     Attributes:
-        count: number N of arcs, odd, so that the middle one is straight; at least 3.
-        turn: α_max, largest turn of one arc, rad; below π.
+        count: number N of arcs, odd and at least 3, so that the middle arc is straight.
+        turn: maximum turn α_max of one arc, rad; below π.
         length: length v Δt of each arc, m.
     """
 
@@ -394,7 +390,7 @@ class Primitives:
 
     @cached_property
     def curvatures(self) -> np.ndarray:
-        """Curvatures from the tightest right turn to the tightest left turn, 1/m, shape (count,)."""
+        """Curvatures from the tightest right to the tightest left turn, 1/m."""
         return np.linspace(-self.turn, self.turn, self.count) / self.length
 
     def children(self, pose: Pose) -> list[Pose]:

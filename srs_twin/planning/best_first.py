@@ -1,8 +1,8 @@
-"""Default planner: best-first search from both ends at increasing resolution, then shortening of the path.
+"""Best-first search from both ends at increasing resolution.
 
-Cheap searches come first: a tree from the start and, without transients, one from the
-goal. A proof that no path exists and a tree with guidance (`guidance`) follow only if
-these do not succeed at once. The path found is shortened by Dubins paths between its poses.
+The first searches are a tree from the start and, without transients, one from the goal.
+If they do not succeed at once, a proof that no path exists and a tree with `guidance`
+follow. Dubins paths between the poses of the path shorten it.
 """
 
 from __future__ import annotations
@@ -39,31 +39,35 @@ from srs_twin.planning.search_tree import (
 from srs_twin.robot.world import Goal
 
 _CURVATURES = 5
-"""Curvatures at the coarsest level."""
+"""Number of curvatures at the coarsest level."""
 _COARSEST_TURN = 0.5
-"""Largest turn of an arc at the coarsest level, rad."""
+"""Maximum turn of an arc at the coarsest level, rad."""
 _CELL_SHARE = 0.35
-"""Side of a cell divided by the length of an arc; small enough that the children of a node lie in different
-cells."""
-_SECTORS = 48
-"""Number of heading sectors at the coarsest level; a sector is half of the smallest heading change of an
-arc."""
-_GUIDED_WEIGHT = 1.5
-"""Weight of the cost-to-go with guidance; large, to find some path quickly even if it is longer."""
-_FIRST_TURN_NODES = 1000
-"""Number of nodes that each tree expands in its first turn; it doubles with every turn.
+"""Side of a cell divided by the length of an arc.
+
+It is small enough that the children of a node lie in different cells.
 """
+_SECTORS = 48
+"""Number of heading sectors at the coarsest level.
+
+A sector is half of the minimum heading change of an arc.
+"""
+_GUIDED_WEIGHT = 1.5
+"""Weight of the cost-to-go with guidance.
+
+A large weight finds some path quickly, even if it is longer.
+"""
+_FIRST_TURN_NODES = 1000
+"""Number of nodes that each tree expands in its first turn; later it doubles."""
 _MAX_TURN_NODES = 16_000
-"""Largest number of nodes in a turn, so that time limits are checked often enough."""
+"""Maximum number of nodes in a turn, so that time limits are checked often enough."""
 
 
 class _LevelResult(NamedTuple):
     """Result of the search at one resolution.
 
-    Attributes:
-        path: collision-free path, if found.
-        reason: reason why there is no path; empty if the budget is spent.
-        proven: whether no path exists at any resolution.
+    `reason` explains why there is no path, and is empty if the budget is spent.
+    `proven` tells whether no path exists at any resolution.
     """
 
     path: ArcSequence | None = None
@@ -108,15 +112,6 @@ def best_first(problem: Problem, settings: Settings) -> Plan:
 
 @dataclass
 class _Search:
-    """Search for a path at increasing resolution.
-
-    Attributes:
-        problem: the problem.
-        settings: budget and options.
-        nodes: remaining nodes.
-        begun: begin of the search on the clock, s.
-    """
-
     problem: Problem
     settings: Settings
     nodes: int = field(init=False)
@@ -128,17 +123,19 @@ class _Search:
 
     @property
     def is_spent(self) -> bool:
-        """Whether the nodes or the time are used up."""
         seconds = self.settings.seconds
         return self.nodes <= 0 or (
             seconds is not None and time.perf_counter() - self.begun > seconds
         )
 
     def start_trees(self, level: int) -> list[SearchTree]:
-        """Return the tree from the start and, for a footprint without transients, the tree from the goal.
+        """Return the tree from the start and the tree from the goal.
 
-        The primitives of the problem, if given, are those of the first level. Each
-        level halves arcs and cells; the third and later ones have more curvatures.
+        Transients depend on the direction of travel, so there is no tree from the goal
+        with them.
+
+        The primitives of the problem, if given, belong to the first level. Each level
+        halves arcs and cells, and the third and later levels have more curvatures.
         """
         problem = self.problem
         body = self.problem.footprint
@@ -163,14 +160,15 @@ class _Search:
             NO_PASSAGES,
         )
         trees = [SearchTree([problem.start], spec)]
-        # Transients depend on the direction of a path.
+        # A tree from the goal would need the transients of the reversed path, which
+        # differ.
         if not body.transients:
             end = turned_around(problem.start)
             home = make_target(
                 Goal(end.x, end.y, end.heading, radius=0.0, heading_tolerance=0.0), body
             )
             roots = [turned_around(pose) for pose in goal_poses(problem.goal, sector)]
-            # Both trees share the obstacles; only the target and the direction differ.
+            # Both trees share the obstacles, but differ in target and direction.
             backward = spec._replace(
                 moves=make_move_set(arcs, body.backward), target=home
             )
@@ -178,7 +176,6 @@ class _Search:
         return trees
 
     def guided_tree(self, spec: SearchSpec) -> SearchTree:
-        """Return a tree from the start that uses grid distances and narrow passages."""
         heuristic, passages = self.guidance
         weight = max(spec.weight, _GUIDED_WEIGHT)
         spec = spec._replace(heuristic=heuristic, weight=weight, passages=passages)
@@ -186,7 +183,7 @@ class _Search:
 
     @cached_property
     def guidance(self) -> tuple[GridHeuristic, np.ndarray]:
-        """Grid distances and narrow passages, which are the same at all levels."""
+        """Grid distances and narrow passages, which do not depend on the level."""
         problem = self.problem
         body = self.problem.footprint
         margin = 4 / min(body.tightest)
@@ -198,17 +195,12 @@ class _Search:
     def search_level(
         self, trees: list[SearchTree], best: float, *, prove: bool
     ) -> _LevelResult:
-        """Search at one resolution.
+        """Search at one resolution, optionally with a proof that no path exists.
 
         The trees take turns with growing numbers of nodes. The tree from the goal
-        rarely finds a path first. But if no arc leads to the goal, it is exhausted at
-        once, while the other tree must first fill all its cells. After the first turn,
-        a guided tree joins; its path may be longer than necessary.
-
-        Args:
-            trees: trees of the level; the guided tree is appended.
-            best: length of the best path so far, m.
-            prove: whether to try to prove that no path exists.
+        rarely finds a path first, but it is exhausted at once if no arc leads to the
+        goal. After the first turn a guided tree joins, whose path may be longer than
+        necessary.
         """
         for turn in count():
             if self.is_spent:
@@ -235,7 +227,6 @@ class _Search:
         return _LevelResult()
 
     def proof(self) -> str:
-        """Return the reason why no path of any shape exists; empty without a proof."""
         problem = self.problem
         clearance = problem.footprint.narrowest
         if is_disconnected(problem.start, problem.goal, problem.world, clearance):
@@ -247,7 +238,6 @@ class _Search:
         return ""
 
     def finish(self, arcs: ArcSequence, moves: MoveSet) -> tuple[Segment, ...]:
-        """Return the path as segments, shortened if the settings ask for it."""
         start = self.problem.start
         body = self.problem.footprint
         path = path_from_arcs(start, arcs, body)

@@ -1,8 +1,8 @@
-"""Motion capture of the snake pose, and its mean over one gait period.
+"""Motion capture of the snake pose, and the mean pose over one gait period.
 
 Undulation makes the mean heading of the connectors oscillate by some tenths of a radian
-about the direction of travel. A mean over exactly one gait period does not contain this
-oscillation. It belongs to the middle of its period, so it is half a period old.
+about the direction of travel. A mean over exactly one gait period removes this
+oscillation, but it is half a period old.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from srs_twin.plants.base import SnakeState
 
 _TIME_ROUNDING = 1e-9
-"""Tolerance for comparing times, s, and frame numbers, 1: ticks are summed with rounding errors."""
+"""Tolerance of times (s) and frame numbers for rounding errors of summed ticks."""
 
 
 @dataclass(frozen=True)
@@ -30,8 +30,7 @@ class Camera:
 
     Attributes:
         rate_hz: frame rate, Hz.
-        position_noise: RMS error of the x and of the y coordinate of the centre of
-            mass, m.
+        position_noise: RMS error of each coordinate of the centre of mass, m.
         heading_noise: RMS error of the mean heading, rad.
     """
 
@@ -51,7 +50,7 @@ class CameraFrames(Stateful):
         self._next_frame = 0
 
     def restart(self) -> None:
-        """Restart the frames at time 0; the noise sequence continues."""
+        """Restart the frames at time 0 without restarting the noise sequence."""
         self._next_frame = 0
 
     @property
@@ -63,10 +62,11 @@ class CameraFrames(Stateful):
         self._rng.bit_generator.state = state
 
     def capture(self, state: SnakeState) -> Pose | None:
-        """Return the measured pose of the centre of mass if a frame is due, else None."""
+        """Return the measured pose if a frame is due, otherwise None."""
         if float(state.time) * self._camera.rate_hz < self._next_frame - _TIME_ROUNDING:
             return None
-        # Several frames due in one tick show the same state; only one is returned.
+        # If several frames are due in one tick, they show the same state, so one is
+        # enough.
         self._next_frame = (
             math.floor(float(state.time) * self._camera.rate_hz + _TIME_ROUNDING) + 1
         )
@@ -81,7 +81,7 @@ class CameraFrames(Stateful):
 
 
 class PeriodMean(Stateful):
-    """Running mean of poses over one period, exact if the pose is linear between frames.
+    """Running mean of poses over one period, assumed linear between frames.
 
     Attributes:
         time: middle of the averaging interval, s.
@@ -93,8 +93,8 @@ class PeriodMean(Stateful):
 
     def __init__(self, period: float) -> None:
         self._period = period
-        # Frame time, and the integrals of x, y and heading from the first frame until
-        # then.
+        # Each entry has the frame time and the integrals of x, y and heading since the
+        # first frame.
         self._integrals: deque[tuple[float, np.ndarray]] = deque()
         self._last = np.zeros(3)
         self.time = 0.0
@@ -102,10 +102,10 @@ class PeriodMean(Stateful):
         self.complete = False
 
     def add(self, time: float, pose: Pose) -> None:
-        """Add a frame; its heading is unwrapped with respect to the previous frame.
+        """Add a frame, and unwrap its heading with respect to the previous frame.
 
         Args:
-            time: time of the frame, s.
+            time: frame time, s.
             pose: measured pose.
         """
         integrals = self._integrals
@@ -126,7 +126,8 @@ class PeriodMean(Stateful):
             integrals.popleft()
         begin, begin_integral = integrals[0]
         if begin < period_start:
-            # The period begins between two frames: interpolate the integral linearly.
+            # The period begins between two frames, so the integral is interpolated
+            # linearly.
             next_time, next_integral = integrals[1]
             fraction = (period_start - begin) / (next_time - begin)
             begin_integral = begin_integral + fraction * (

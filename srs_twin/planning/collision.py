@@ -20,19 +20,19 @@ if TYPE_CHECKING:
     import shapely
 
 MAX_CLEARANCE_M = 1.0
-"""Largest clearance that is measured, m."""
+"""Maximum clearance that is measured, m."""
 CLEARANCE_ERROR_M = 1e-4
-"""Error of `Checker.clearance`, m; the bisection stops there."""
+"""Error of `Checker.clearance` at which the bisection stops, m."""
 
 _MAX_GRID_CELLS = 256
-"""Largest number of grid cells along a side: 256² cells of two integers take 1 MB."""
+"""Maximum number of grid cells along a side: 256² cells of two integers take 1 MB."""
 
 _MIN_CELL_M = 1e-9
-"""Smallest side of a cell, m, for obstacles without extent."""
+"""Minimum side of a cell, m, for obstacles without extent."""
 
 
 class Box(NamedTuple):
-    """Bounds of a world, m; infinite where there are none."""
+    """Bounds of a world, m. A missing bound is infinite."""
 
     west: float = -math.inf
     east: float = math.inf
@@ -46,14 +46,14 @@ class ObstacleGrid(NamedTuple):
     Attributes:
         circles: x, y and radius of the circles, m, shape (n, 3).
         sides: x, y of both ends of the polygon sides, m, shape (m, 4).
-        bounds: bounds of the world.
+        bounds: world bounds.
         west: x of the grid's left edge, m.
         south: y of the grid's lower edge, m.
-        cell: side of a cell of the grid, m.
+        cell: cell size, m.
         cell_ranges: start and end of the items of each cell in `cell_items`, shape
             (columns, rows, 2).
-        cell_items: numbers of the items that overlap each cell; circles first, then
-            sides, shape (k,).
+        cell_items: numbers of the items that overlap each cell, shape (k,); circles are
+            numbered before sides.
     """
 
     circles: np.ndarray
@@ -83,7 +83,7 @@ def obstacle_grid(world: World) -> ObstacleGrid:
 
 
 def build_grid(circles: np.ndarray, sides: np.ndarray, bounds: Box) -> ObstacleGrid:
-    """Return obstacles and bounds with the grid that holds them; see `ObstacleGrid`."""
+    """Sort obstacles into a grid, and return it as an `ObstacleGrid`."""
     radius = circles[:, 2:]
     ends = sides.reshape(-1, 2, 2)
     low = np.vstack([circles[:, :2] - radius, ends.min(axis=1)])
@@ -146,12 +146,12 @@ class Checker:
         length: float,
         wider: tuple[float, float] = (0.0, 0.0),
     ) -> bool:
-        """Return whether the body touches no obstacle and stays within the bounds along an arc.
+        """Return whether the body stays free of obstacles and bounds on an arc.
 
         Args:
             pose: pose of the centre of mass at the start, outside all polygons.
-            curvature: curvature of the arc, 1/m.
-            length: length of the arc, m.
+            curvature: arc curvature, 1/m.
+            length: arc length, m.
             wider: widths added to the left and right edges, m.
         """
         body = self.footprint
@@ -162,12 +162,12 @@ class Checker:
         return not arc_collides(tuple(pose), curvature, length, extent, self.grid)
 
     def is_path_free(self, segments: Sequence[Segment]) -> bool:
-        """Return whether a path is free, with edges widened by the transients after changes of offset."""
+        """Return whether a path is free, with the transients of its offset changes."""
         wider = (0.0, 0.0)
         lasting = 0.0
         none = (0.0, 0.0)
         for before, segment in zip((None, *segments), segments, strict=False):
-            # A change of offset starts a transient; overlapping transients combine to
+            # A change of offset starts a transient. Overlapping transients combine to
             # the larger values.
             if before is not None:
                 left, right, length = self.footprint.transient(
@@ -190,7 +190,7 @@ class Checker:
         return True
 
     def clearance(self, segments: Sequence[Segment]) -> float:
-        """Return the largest width (m) by which both edges may grow, at most `MAX_CLEARANCE_M`."""
+        """Return the width by which both edges may grow, m, up to `MAX_CLEARANCE_M`."""
         free, touching = (
             0.0,
             MAX_CLEARANCE_M,
@@ -208,15 +208,18 @@ class Checker:
     def first_collision(
         self, pose: Pose, length: float = 0.0, wider: float = 0.0
     ) -> str:
-        """Describe an obstacle or bound that a straight path touches; return an empty string without one.
+        """Describe an obstacle or bound that a straight path touches.
+
+        The result is an empty string if the path is free.
 
         Args:
             pose: pose of the centre of mass at the start.
-            length: length of the straight path, m.
+            length: path length, m.
             wider: width added to both edges, m.
         """
         both = (wider, wider)
-        # Test the whole world first; only a collision needs the name of the obstacle.
+        # The whole world is tested first, since only a collision needs the obstacle's
+        # name.
         if self.is_arc_free(pose, 0.0, length, both):
             return ""
         parts = (
@@ -234,7 +237,10 @@ class Checker:
 
 
 def obstacle_shapes(world: World) -> list[tuple[str, shapely.Geometry, float]]:
-    """Return name, core and radius of each obstacle: all points within the radius (m) of the core."""
+    """Return the name, core and radius of each obstacle.
+
+    An obstacle contains all points within the radius (m) of its core.
+    """
     import shapely
 
     shapes: list[tuple[str, shapely.Geometry, float]] = [
@@ -248,9 +254,9 @@ def obstacle_shapes(world: World) -> list[tuple[str, shapely.Geometry, float]]:
 
 
 def obstacle_at(world: World, x: float, y: float) -> str:
-    """Return a description of the obstacle that contains a point, or of the bounds if it is outside.
+    """Describe the obstacle that contains a point, or the bounds it exceeds.
 
-    An empty string if the point is free.
+    The result is an empty string if the point is free.
     """
     import shapely
 
@@ -267,7 +273,6 @@ def obstacle_at(world: World, x: float, y: float) -> str:
 
 
 def _named_obstacles(world: World) -> list[tuple[str, World]]:
-    """Return the description of each obstacle and of the bounds, each with a world that contains only it."""
     named: list[tuple[str, World]] = []
     if (bounds := world.bounds) is not None:
         (west, east), (south, north) = bounds.x, bounds.y

@@ -72,7 +72,6 @@ def plan(
 def _check_expectations(
     scenario: Scenario, metrics: Mapping[str, object]
 ) -> list[ExpectationRow]:
-    """Return the results of the scenario's expectations of its plan, without duplicates."""
     expected = {
         (item.metric, item.allowed): item
         for item in scenario.expect
@@ -84,7 +83,6 @@ def _check_expectations(
 
 
 def _print_plan(planned: ScenarioPlan) -> None:
-    """Print the outcome of a plan, with its length and quality if there is a path."""
     result = planned.plan
     quality = planned.quality
     print(f"{planned.scenario.label}: {result.outcome.value}: {result.reason}")
@@ -115,7 +113,6 @@ def _counted(count: int, noun: str) -> str:
 
 
 def _quality_words(quality: PathQuality, edges: str) -> str:
-    """Return the quality of a path as a sentence; `edges` names the edges with the clearance."""
     from srs_twin.planning.collision import CLEARANCE_ERROR_M, MAX_CLEARANCE_M
 
     ratio = quality.length_over_least
@@ -123,7 +120,7 @@ def _quality_words(quality: PathQuality, edges: str) -> str:
     length = "least length 0: the start is within the goal's radius"
     if ratio is not None:
         length = f"{ratio:.2f} times the least length around the obstacles"
-    # Clearances above the largest one are not measured.
+    # Larger clearances are not measured.
     if clearance > MAX_CLEARANCE_M - CLEARANCE_ERROR_M:
         more = "at least "
     else:

@@ -1,20 +1,20 @@
-r"""Dubins paths: shortest forward paths between two poses with a minimum turning radius.
+r"""Dubins paths: shortest forward paths with a minimum turning radius.
 
-Dubins (1957): with minimum radius r, the shortest path has three pieces, arcs of radius
-r to the left (L) or right (R) and straight lines (S), in one of the six words LSL, LSR,
-LRL and their mirror images. Below, lengths are in units of r and angles are relative to
-the line between the poses. With distance d and headings a and b, the words that begin
-with L are
+The shortest path with minimum radius r has three pieces (Dubins 1957). The pieces are
+arcs of radius r to the left (L) or right (R) and straight lines (S). The six possible
+words are LSL, LSR, LRL and their mirror images. In units of r and with angles relative
+to the line between the poses, let d be the distance and a and b the headings. The words
+that begin with L satisfy
 
 $$ LSL: p^2 = 2 + d^2 - 2\cos(a-b) + 2d(\sin a - \sin b) \qquad
    LSR: p^2 = d^2 - 2 + 2\cos(a-b) + 2d(\sin a + \sin b) $$
 
-and LRL with cos p = (6 - d² + 2 cos(a-b) + 2d(sin b - sin a))/8, p > π. With a free
-arrival heading, the shortest path is an arc and a straight line, or two arcs if the end
-is inside a turning circle (Bui et al., 1994).
+and LRL satisfies cos p = (6 - d² + 2 cos(a-b) + 2d(sin b - sin a))/8, p > π. With a
+free arrival heading, the shortest path is an arc and a straight line (Bui et al.,
+1994). It has two arcs if the end is inside a turning circle.
 
-Own code because the packages for this (`dubins`, wrappers of one C file) are
-unmaintained and have no wheels.
+The available packages (`dubins`, wrappers of one C file) are unmaintained and have no
+wheels.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _FULL_TURN = 2 * math.pi
 """rad."""
 
 _ROUNDING = 1e-9
-"""Distances (in radii) and angles (rad) below this are rounding errors."""
+"""Rounding error of distances (in radii) and angles (rad)."""
 
 
 class DubinsPath(NamedTuple):
@@ -40,8 +40,8 @@ class DubinsPath(NamedTuple):
 
     Attributes:
         turns: direction of each piece: 1 left, 0 straight, -1 right.
-        lengths: length of each piece, m.
-        length: length of the path, m.
+        lengths: piece lengths, m.
+        length: path length, m.
     """
 
     turns: tuple[float, float, float]
@@ -52,13 +52,15 @@ class DubinsPath(NamedTuple):
 def shortest_path(
     start: Pose, x: float, y: float, heading: float | None, radius: float
 ) -> ArcSequence:
-    """Return the three arcs of the shortest path from a pose to a pose or point; lengths may be 0.
+    """Return the three arcs of the shortest path from a pose to a pose or point.
+
+    An arc may have length 0.
 
     Args:
-        start: pose at the start.
+        start: start pose.
         x: x of the end, m.
         y: y of the end, m.
-        heading: heading at the end, rad; None: any.
+        heading: heading at the end, rad, or None for any heading.
         radius: turning radius, m.
     """
     path = dubins_path(
@@ -73,10 +75,10 @@ def dubins_path(x, y, heading, to_x, to_y, to_heading, any_heading, radius):  # 
     """Return a shortest path, see `DubinsPath`.
 
     Args:
-        x, y, heading: pose at the start, m and rad.
-        to_x, to_y, to_heading: pose at the end, m and rad.
-        any_heading: whether the heading at the end is free; `to_heading` is ignored
-            then.
+        x, y, heading: start pose, m and rad.
+        to_x, to_y, to_heading: end pose, m and rad.
+        any_heading: whether the heading at the end is free, so that `to_heading` is
+            ignored.
         radius: turning radius, m.
     """
     dx = (to_x - x) / radius
@@ -96,8 +98,8 @@ def dubins_path(x, y, heading, to_x, to_y, to_heading, any_heading, radius):  # 
         d = np.sqrt(dx * dx + dy * dy)
         line = np.arctan2(dy, dx)
         if d < _ROUNDING:
-            # The line between coinciding points has no direction; rounding could add a
-            # full turn.
+            # The line between coinciding points has no direction, and rounding could
+            # add a full turn.
             d = 0.0
             line = heading
         for side in (1.0, -1.0):
@@ -111,38 +113,37 @@ def dubins_path(x, y, heading, to_x, to_y, to_heading, any_heading, radius):  # 
 
 @kernel_only
 def _shortest_to_pose(best, side, d, a, b):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return the shortest of `best` and the words that begin with L (`side` 1) or R (`side` -1).
+    """Return the shortest of `best` and the words that begin with L or R.
 
-    Args:
-        best: shortest path so far, lengths in radii.
-        side: 1, or -1 for the mirror image.
-        d: distance between the poses in radii.
-        a, b: headings at start and end relative to the line between them, rad.
+    The words begin with L if `side` is 1, and with R if it is -1. The distance d is in
+    radii, and the headings a and b are relative to the line between the poses.
     """
     sa = np.sin(a)
     sb = np.sin(b)
     ca = np.cos(a)
     cb = np.cos(b)
     cab = np.cos(a - b)
-    # LSL: the straight line is an outer tangent of both turning circles.
+    # LSL: The straight line is an outer tangent of both turning circles.
     square = 2 + d * d - 2 * cab + 2 * d * (sa - sb)
     turn = np.arctan2(cb - ca, d + sa - sb)
     if np.sqrt((d + sa - sb) ** 2 + (cb - ca) ** 2) < _ROUNDING:
-        # The turning circles coincide: the direction of the straight line is undefined,
-        # one arc is the path.
+        # If the turning circles coincide, the straight line has no direction, and one
+        # arc is the path.
         square = 0.0
         turn = b
     p = np.sqrt(max(square, 0.0))
     lengths = (_wrapped(turn - a), p, _wrapped(b - turn))
     best = _shorter(best, (side, 0.0, side), lengths)
-    # LSR: an inner tangent, which exists only if the circles do not overlap.
+    # LSR: The straight line is an inner tangent, which exists only if the circles do
+    # not overlap.
     square = d * d - 2 + 2 * cab + 2 * d * (sa + sb)
     if square >= 0:
         p = np.sqrt(square)
         turn = np.arctan2(-ca - cb, d + sa + sb) - np.arctan2(-2.0, p)
         lengths = (_wrapped(turn - a), p, _wrapped(turn - b))
         best = _shorter(best, (side, 0.0, -side), lengths)
-    # LRL: a third circle touches both, which needs close circles.
+    # LRL: A third circle touches both turning circles, which must be close to each
+    # other.
     cosine = (6 - d * d + 2 * cab + 2 * d * (sb - sa)) / 8
     if abs(cosine) <= 1:
         p = _FULL_TURN - np.arccos(cosine)
@@ -154,18 +155,18 @@ def _shortest_to_pose(best, side, d, a, b):  # type: ignore[no-untyped-def]  # n
 
 @kernel_only
 def _shortest_to_point(best, side, u, w):  # type: ignore[no-untyped-def]
-    """Return the shortest of `best`, LS and RL (`side` -1: RS and LR) to a point (u, w), in radii.
+    """Return the shortest of `best`, LS and RL (`side` -1: RS and LR) to a point.
 
-    u is the distance ahead of the start, w the distance to its left (`side` -1: to its
-    right).
+    The point is u ahead of the start and w to its left (`side` -1: to its right), in
+    radii.
     """
     away = u * u + (w - 1) * (w - 1)
     if away >= 1:
         tangent = np.arctan2(u, 1 - w) - np.arccos(1 / np.sqrt(away))
         lengths = (_wrapped(tangent), np.sqrt(away - 1), 0.0)
         return _shorter(best, (side, 0.0, 0.0), lengths)
-    # The point is inside the left turning circle: turn right about (0, -1), then left
-    # on a tangent circle.
+    # If the point is inside the left turning circle, the path turns right about (0,
+    # -1), then left on a tangent circle.
     far = np.sqrt(u * u + (w + 1) * (w + 1))
     opening = np.arccos(min(1.0, (3 + far * far) / (4 * far)))
     for sign in (1.0, -1.0):
@@ -179,7 +180,6 @@ def _shortest_to_point(best, side, u, w):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _shorter(best, turns, lengths):  # type: ignore[no-untyped-def]
-    """Return the shorter of a path and that of three pieces."""
     length = lengths[0] + lengths[1] + lengths[2]
     if length < best.length:
         return DubinsPath(turns, lengths, length)
@@ -188,7 +188,7 @@ def _shorter(best, turns, lengths):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _wrapped(angle):  # type: ignore[no-untyped-def]
-    """Return an angle in [0, 2 pi); a full turn within rounding is 0."""
+    """Return an angle in [0, 2 pi), where a full turn within rounding is 0."""
     angle = angle - _FULL_TURN * np.floor(angle / _FULL_TURN)
     if angle < _FULL_TURN - _ROUNDING:
         return max(angle, 0.0)

@@ -38,7 +38,7 @@ class CameraFile(Section):
 
 
 class FollowFile(ControllerSection):
-    """Follower of a plan by the offset of a gait (Section 5.2.2); requires a planner."""
+    """Follower of a plan by the offset of a gait (Section 5.2.2); needs a planner."""
 
     constructors = (PathLaw, BearingLaw, Conditions)
     only = {
@@ -49,8 +49,8 @@ class FollowFile(ControllerSection):
     kind: Literal["follow"]
     """Controller."""
     follower: Literal["bearing", "path"] = "path"
-    """Steering law; bearing: that of the dissertation, towards one node after the other; path: feedback of
-    the cross-track error with curvature feedforward."""
+    """Steering law. bearing is the law of the dissertation, from node to node.
+    path is feedback of the cross-track error with curvature feedforward."""
     gait: Annotated[GaitFile | LearningFile, Field(discriminator="kind")]
     """Gait that is steered."""
     delay_s: float = quantity(0.0, 10.0, 0.1)
@@ -66,12 +66,12 @@ class FollowFile(ControllerSection):
     lookahead_m: float | None = quantity(0.001, 100.0, None)
     """Path length over which a cross-track error decays (path; default {default:g})."""
     settle_m: float | None = quantity(0.0, 100.0, None)
-    """Response length of the curvature to a change of offset (path; default: from the transients of the
-    footprint, {default:g} without any)."""
+    """Response length of the curvature to a change of offset (path; default: from
+    the transients of the footprint, {default:g} without any)."""
     replan_beyond_m: float | None = quantity(0.001, 100.0, None)
     """Cross-track error at which a new plan is requested (default: no new plans)."""
     replans: int = quantity(0, 1000)
-    """Largest number of new plans."""
+    """Maximum number of new plans."""
 
     @model_validator(mode="after")
     def _leaves_the_offset_alone(self) -> FollowFile:
@@ -147,7 +147,7 @@ class FollowFile(ControllerSection):
             contact: contact of the twin; None for the analytical model.
             chambers: kind of pneumatics.
             robot: robot file, with the spreads of its modules.
-            planner: section of the scenario.
+            planner: planner section.
         """
         spreads = {name: getattr(robot.modules, name, None) for name in SPREADS}
         return ConditionsFile.model_validate(

@@ -1,10 +1,20 @@
-"""Follower: controller that steers a snake along a plan by the offset of a gait (Section 5.2.2).
+"""Follower: controller that steers a snake along a plan with the offset of a gait.
 
-Signal flow: camera → mean pose over a gait period → prediction (`Predictor`) → steering
-law (`Steering`) → offset, with a command delay → gait or ILC. The follower ends at the
-goal, or earlier with a reason (`ENDINGS`). If the snake deviates too far from its path
-or its body approaches an obstacle, the follower requests a new plan: with the margin of
-the first plan, or with a part of it if no such plan exists.
+The follower implements Section 5.2.2. The camera measures poses, which are averaged
+over a gait period. A `Predictor` extrapolates the mean pose, and a steering law
+(`Steering`) computes the offset. The offset reaches the gait or ILC after a command
+delay. The run ends at the goal, or earlier with a reason (`ENDINGS`).
+
+If the snake deviates too far from its path or its body approaches an obstacle, the
+follower requests a new plan. This plan has the margin of the first plan or, if
+necessary, a fraction of it.
+
+Symbols:
+    s: position along the path from its start, m.
+    n: cross-track error, i.e. signed distance from the path, positive to the left, m.
+    κ: path curvature, positive to the left, 1/m.
+    ℓ: response length of the curvature to a change of offset, m (`Conditions.settle`).
+    d, g: disturbance (1/m) and gain of the turning, estimated by the `Predictor`.
 """
 
 from __future__ import annotations
@@ -44,18 +54,24 @@ ENDINGS = {
     "no_room": "no path with the required margin",
     "gait_ended": "the gait has ended",
 }
-"""Endings of a run and their explanations; the first one is success."""
+"""Endings of a run with their explanations. The first ending is success."""
 
 STUCK_SHARE = 0.1
-"""Fraction of the footprint's speed; a snake that is slower than this for `STUCK_PERIODS` is stuck."""
+"""Fraction of the footprint's speed below which a snake counts as slow.
+
+A snake that is slow for `STUCK_PERIODS` is stuck.
+"""
 STUCK_PERIODS = 6
-"""Duration of slow motion after which a snake is stuck, in gait periods; see `STUCK_SHARE`."""
+"""Duration of slow motion after which a snake is stuck, in gait periods."""
 RETRY_PERIODS = 2
-"""Smallest time between requests for a new plan, in gait periods."""
+"""Minimum time between requests for a new plan, in gait periods."""
 _MIN_CHANGE = 1e-3
-"""Smallest change of the offset that is sent."""
+"""Minimum change of the offset that is sent."""
 _WINDOW_M = 0.3
-"""Distance along the path within which the next nearest point is searched, m, because paths may cross."""
+"""Distance along the path within which the next nearest point is searched, m.
+
+The search is local because paths may cross.
+"""
 
 _UNKNOWN = (
     Pose(math.nan, math.nan, math.nan),
@@ -64,14 +80,14 @@ _UNKNOWN = (
 """Pose and path coordinates before the first frame."""
 
 Replan = Callable[[Pose, float], Plan]
-"""Planner from a pose with a share of the margin."""
+"""Planner that receives a pose and a fraction of the margin."""
 
 
 class Renewal(NamedTuple):
     """Result of a request for a new plan.
 
     Attributes:
-        plan: new plan; None: not found.
+        plan: new plan, or None if no plan was found.
         reason: reason why there is no plan with the full margin.
         share: fraction of the margin in the new plan.
     """
@@ -84,18 +100,18 @@ class Renewal(NamedTuple):
 _HORIZON_M = 0.6
 """Distance ahead along which the body is checked for obstacles, m."""
 _CHECKED_PIECES = 8
-"""Pieces into which this distance is divided."""
+"""Number of pieces into which `_HORIZON_M` is divided."""
 _RESERVE_SHARE = 0.3
 """Clearance, as a fraction of the margin, below which a new plan is requested."""
 _MARGIN_SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
 """Fractions of the margin that are tried in turn for a new plan."""
 _OPTIONAL = ("close", "run_up", "fault", "start")
-"""Optional reasons for a new plan: if none is found, the snake continues along the old one."""
+"""Reasons for new plans without which the snake may continue along the old plan."""
 _UNCOUNTED = ("run_up", "fault", "start")
 """Reasons for new plans that are not counted by `Conditions.replans`."""
 
 _PLANNED_IN = ("obstacles", "bounds", "goal", "polygons")
-"""Fields of a world that affect plans; the floor affects the plants only."""
+"""Fields of a world that affect plans. The floor affects only the plants."""
 
 
 @dataclass(frozen=True)
@@ -105,13 +121,14 @@ class Conditions:
     Attributes:
         camera: camera.
         delay: command delay, s.
-        settle: response length ℓ, m.
-        stray: cross-track error at which a new plan is requested, m; None: never.
-        replans: largest number of new plans.
-        run_up: length of the straight run-up of the first path, m; at its end, the rest
-            is planned again from the actual pose if new plans are possible.
-        lag: additional delay until the frames show the effect of a command, s, for
-            robots with transport delay.
+        settle: response length ℓ of the curvature, m.
+        stray: cross-track error at which a new plan is requested, m, or None for no
+            request.
+        replans: maximum number of new plans.
+        run_up: length of the straight run-up of the first path, m. At its end the rest
+            is planned again from the actual pose, if possible.
+        lag: transport delay of the robot, s, until the frames show the effect of a
+            command.
     """
 
     camera: Camera
@@ -130,18 +147,18 @@ class Follower(Controller):
     Attributes:
         gait: controller with an `offset`: a `Gait` or an `ILC`.
         law: steering law.
-        plan: plan to follow; a plan that is not found ends the run at once.
+        plan: plan to follow; a plan without a path ends the run at once.
         goal: goal.
-        footprint: footprint of the snake; limits the offset.
+        footprint: footprint of the snake, which limits the offset.
         conditions: camera, delays and limits.
-        body: footprint of the plan, recorded with the run; None: the same.
+        body: footprint of the plan, recorded with the run, by default `footprint`.
         world: world, recorded with the run.
-        replan: planner for new plans; None: no new plans.
-        submit: runs the planner in another thread while the snake moves; None: the
-            snake waits.
-        least_margin: smallest fraction of the margin in a new plan. Above 0, the run
-            ends (`no_room`) if no such plan exists, or if the body approaches an
-            obstacle and no new plan is left.
+        replan: planner for new plans, or None for no new plans.
+        submit: function that runs the planner in another thread while the snake moves.
+            Without it the snake waits.
+        least_margin: minimum fraction of the margin in a new plan. If it is above 0,
+            the run ends (`no_room`) without such a plan. It also ends if the body
+            approaches an obstacle and no new plan is left.
         leans: whether the body may lean on obstacles, so that approaching one requires
             no new plan.
         finished: whether the run has ended.
@@ -216,7 +233,7 @@ class Follower(Controller):
         self._mean = PeriodMean(period)
         shows = conditions.delay + conditions.lag
         self._predictor = Predictor(self.footprint, period, shows, conditions.settle)
-        # Distance in one gait period below which the snake is stuck.
+        # A snake is stuck if it moves less than this distance per gait period.
         self._stuck_distance = STUCK_SHARE * min(self.footprint.speeds) * period
         self._moved_at = 0.0
         self._pending: deque[tuple[float, float]] = deque()
@@ -262,11 +279,18 @@ class Follower(Controller):
         return valves
 
     def renew(self, reason: str) -> None:
-        """Request a new plan at the next frame; if none is found, the old plan remains in force."""
+        """Request a new plan at the next frame.
+
+        If none is found, the old plan remains in force.
+        """
         self._requested = reason
 
     def load_state_dict(self, memory: Mapping[str, Any]) -> None:
-        """See `Stateful.load_state_dict`; the law first starts on the path of the last plan."""
+        """See `Stateful.load_state_dict`.
+
+        The steering law first starts on the path of the last plan, and then gets its
+        state.
+        """
         segments = memory["plans"][-1][1].segments
         if segments:
             self._path = ReferencePath(segments)
@@ -274,7 +298,7 @@ class Follower(Controller):
         super().load_state_dict(memory)
 
     def signals(self) -> dict[str, Any]:
-        """Return the signals of the gait and of the follower; NaN before the first frame."""
+        """Return the signals of gait and follower; NaN before the first frame."""
         pose, point = self._position
         return self.gait.signals() | {
             "offset_commanded": self._commanded,
@@ -287,13 +311,13 @@ class Follower(Controller):
         }
 
     def events(self) -> list[Event]:
-        """Return the events since the last call: those of the gait, new plans, and the ending."""
+        """Return the events of the gait and the follower since the last call."""
         events = self.gait.events() + self._events
         self._events = []
         return events
 
     def describe(self) -> dict[str, object]:
-        """Return the description of the gait, with plans, footprint, world and ending."""
+        """Return the gait's description with plans, footprint, world and ending."""
         goal = asdict(self.goal)
         conditions = asdict(self.conditions)
         return self.gait.describe() | {
@@ -314,7 +338,6 @@ class Follower(Controller):
         }
 
     def _update_offset(self, time: float) -> None:
-        """Estimate the pose and send a new offset."""
         mean = self._mean
         predictor = self._predictor
         assert mean.pose is not None
@@ -326,7 +349,8 @@ class Follower(Controller):
             return
         law = self.law
         later = time + self.conditions.delay
-        # Predict to the time at which the frames show the effect of the command.
+        # The pose is predicted for the time at which the frames show the effect of the
+        # command.
         shows = later + self.conditions.lag
         if law.predicts:
             pose = predictor.predict(mean.time, mean.pose, shows)
@@ -335,7 +359,7 @@ class Follower(Controller):
         turning = predictor.turning, predictor.disturbance, predictor.gain
         offset = law.offset(SteeringInput(pose, self._locate(pose), *turning))
         offset = min(max(offset, self._low), self._high)
-        # Send the limits themselves even after a small change.
+        # The limits of the offset are sent even after a small change.
         if abs(offset - self._commanded) >= _MIN_CHANGE or offset in (
             self._low,
             self._high,
@@ -346,15 +370,14 @@ class Follower(Controller):
             self._commanded = offset
 
     def _check_progress(self, time: float, here: Pose) -> None:
-        """Check whether the snake has arrived, deviates too far, or is stuck."""
         point = self._locate(here)
         self._s = max(point.s, 0.0)
         self._position = (here, point)
         moved = self._predictor.moved
         goal = self.goal
         stray = self.conditions.stray
-        # Distances over whole periods, because a snake moves back and forth within
-        # each.
+        # Only distances over whole periods show progress, because a snake moves back
+        # and forth within each period.
         if moved is None or moved > self._stuck_distance:
             self._moved_at = time
         if time - self._moved_at > STUCK_PERIODS * self._period:
@@ -379,7 +402,6 @@ class Follower(Controller):
                 self._request_plan(time, here, "close")
 
     def _approaches_obstacle(self, here: Pose, point: PathPoint) -> bool:
-        """Return whether the body approaches an obstacle on its expected return to the path."""
         if not self.world.has_obstacles or self._reserve == 0 or self.leans:
             return False
         slope = math.remainder(here.heading - point.heading, 2 * math.pi)
@@ -408,12 +430,9 @@ class Follower(Controller):
         return False
 
     def _request_plan(self, time: float, pose: Pose, reason: str) -> None:
-        """Request a new plan from a pose, unless one is being made.
+        """Request a new plan from a pose, unless one is being computed.
 
-        Args:
-            time: present time, s.
-            pose: start of the new plan.
-            reason: key of `ENDINGS` or one of `_OPTIONAL`.
+        `reason` is a key of `ENDINGS` or one of `_OPTIONAL`.
         """
         if self._coming:
             return
@@ -435,8 +454,8 @@ class Follower(Controller):
                 self._events.append(Event(time, "no_new_plan", text))
             return
         self._tries += reason not in _UNCOUNTED
-        # A new plan changes the motion only after some gait periods, so an earlier
-        # request would be useless.
+        # A new plan changes the motion only after some gait periods, so there is no
+        # earlier request.
         self._not_before = time + RETRY_PERIODS * self._period
         job = partial(_new_plan, self.replan, pose, self.least_margin)
         if self.submit is None:
@@ -445,7 +464,6 @@ class Follower(Controller):
             self._coming = reason, self.submit(job)
 
     def _receive_plan(self, time: float, reason: str, renewal: Renewal) -> None:
-        """Start on a new plan; if none was found, continue on the old plan if the reason allows it."""
         plan = renewal.plan
         if plan is not None:
             if renewal.share == 1:
@@ -468,7 +486,6 @@ class Follower(Controller):
             )
 
     def _start_plan(self, time: float, plan: Plan) -> None:
-        """Start on a plan, or end the run if it has no path."""
         self.plans.append((time, plan))
         if not plan.segments:
             self._finish(
@@ -480,7 +497,6 @@ class Follower(Controller):
         self._s = 0.0
 
     def _locate(self, pose: Pose) -> PathPoint:
-        """Return the path coordinates of a pose, with s near the last one."""
         return self._path.nearest(
             pose.x, pose.y, self._s - _WINDOW_M, self._s + _WINDOW_M
         )
@@ -495,7 +511,6 @@ class Follower(Controller):
 
 
 def _new_plan(replan: Replan, pose: Pose, least: float) -> Renewal:
-    """Return the plan from a pose with the largest fraction of the margin, at least `least`."""
     reasons = []
     for share in [share for share in _MARGIN_SHARES if share >= least]:
         try:
@@ -510,7 +525,6 @@ def _new_plan(replan: Replan, pose: Pose, least: float) -> Renewal:
 
 
 def _recorded(time: float, plan: Plan) -> dict[str, object]:
-    """Return a plan as JSON values for `planning.metrics`."""
     return {
         "time": time,
         "outcome": plan.outcome.value,

@@ -1,17 +1,15 @@
-"""Footprint: area that the body covers along the path of its centre of mass, and the footprint file.
+"""Footprint: area that the body covers along the path of its centre of mass.
 
-Section 5.2.1 (Fig. 52 and 58): at a constant offset the centre of mass follows an arc
-of curvature κ. Two concentric arcs bound the body: at every point of the path it stays
-within
+At a constant offset the centre of mass follows an arc of curvature κ, and two
+concentric arcs bound the body (Section 5.2.1, Fig. 52 and 58). At every point of the
+path the body stays within
 
-$$ -r(κ) ≤ n ≤ l(κ) $$
+$$ -r(κ) ≤ n ≤ l(κ), $$
 
 where n is the distance to the left of the path, l the left and r the right edge. Along
 the arc, the footprint extends from `behind` the centre of mass (the tail) to `ahead` of
-it (the head).
-
-Offset, speed and edges are tabulated by curvature, with linear interpolation between
-the rows.
+it (the head). Offset, speed and edges are tabulated by curvature and interpolated
+linearly.
 """
 
 from __future__ import annotations
@@ -52,16 +50,16 @@ class FootprintRow:
 class Transient:
     """Deviation from the steady footprint after a change of offset.
 
-    In the long term, the path is that of a snake that jumps at the change by (dx, dy)
-    relative to its heading, turns by dheading, and follows the new arc from there.
+    The long-term effect is a jump by (dx, dy) relative to the heading and a turn by
+    dheading. The snake then follows the new arc.
 
     Attributes:
-        before: offset before the change.
-        after: offset after the change.
+        before: old offset.
+        after: new offset.
         left: extra width of the left edge, m.
         right: extra width of the right edge, m.
         length: length of the path after the change on which the edges are wider, m.
-        dx: jump ahead, m.
+        dx: forward jump, m.
         dy: jump to the left, m.
         dheading: turn to the left, rad.
     """
@@ -78,21 +76,21 @@ class Transient:
 
 @dataclass(frozen=True)
 class Footprint:
-    """Footprint of a robot for one gait and pressure; columns have shape (rows,), ordered by offset.
+    """Footprint of a robot for one gait and supply pressure, in order of offset.
 
     Attributes:
         name: short name.
-        title: title of one line.
-        offsets: gait offsets, rising.
-        curvatures: curvatures of the path of the centre of mass, rising, positive to
-            the left, 1/m.
+        title: one-line title.
+        offsets: gait offsets in ascending order, shape (rows,).
+        curvatures: curvatures of the path of the centre of mass in ascending order,
+            positive to the left, 1/m.
         speeds: speeds of the centre of mass, m/s.
         left: distances of the left edge from the path, m.
         right: distances of the right edge from the path, m.
         ahead: distance from the centre of mass to the head along the path, m.
         behind: distance from the centre of mass to the tail along the path, m.
-        transients: measured changes of offset; empty: none, as the dissertation
-            assumes.
+        transients: measured changes of offset, empty if the offset acts at once, as the
+            dissertation assumes.
     """
 
     name: str
@@ -118,10 +116,10 @@ class Footprint:
         ahead: float = 0.0,
         behind: float = 0.0,
     ) -> Footprint:
-        """Return the box of the dissertation: constant width, shifted outward in turns (Fig. 54, Table 9).
+        """Return the box of the dissertation with a constant width (Fig. 54, Table 9).
 
-        The shift is outward because in Table 8 the inner edge approaches the path in a
-        turn, while the outer edge hardly moves.
+        In turns the box is shifted outward, because the inner edge approaches the path
+        while the outer edge hardly moves (Table 8).
 
         Args:
             width: distance between the edges, m.
@@ -149,17 +147,17 @@ class Footprint:
 
     @property
     def tightest(self) -> tuple[float, float]:
-        """Largest curvatures to the right and to the left, both positive, 1/m."""
+        """Maximum curvatures to the right and to the left, both positive, 1/m."""
         return -self.curvatures[0], self.curvatures[-1]
 
     @property
     def narrowest(self) -> float:
-        """Smallest distance of an edge from the path at any curvature, m."""
+        """Minimum distance of an edge from the path at any curvature, m."""
         return min(*self.left, *self.right)
 
     @property
     def backward(self) -> Footprint:
-        """Footprint of a body without transients that follows the same paths in the opposite direction."""
+        """Footprint without transients for the same paths in the opposite direction."""
         return replace(
             self,
             offsets=tuple(-value for value in reversed(self.offsets)),
@@ -175,8 +173,8 @@ class Footprint:
     def reduced(self, turn_share: float = 1.0, margin: float = 0.0) -> Footprint:
         """Return the footprint with a smaller range of curvatures and wider edges.
 
-        On a plan with a reduced footprint, a follower can correct errors by tighter
-        turns, and the margin allows for the remaining errors.
+        The follower of a plan with a reduced footprint can correct errors with tighter
+        turns. The margin allows for the remaining errors.
 
         Args:
             turn_share: fraction of the tightest curvatures, at most 1.
@@ -184,7 +182,7 @@ class Footprint:
         """
         low = turn_share * self.curvatures[0]
         high = turn_share * self.curvatures[-1]
-        # Rows almost at the limits would give intervals of almost no width.
+        # Rows too close to the limits would give intervals of almost no width.
         inner = [
             k
             for k in self.curvatures
@@ -202,7 +200,7 @@ class Footprint:
         )
 
     def at(self, curvature: float) -> FootprintRow:
-        """Return the row of a curvature (1/m), interpolated.
+        """Return the interpolated row of a curvature (1/m).
 
         Raises:
             InputError: the curvature is outside the table.
@@ -223,11 +221,11 @@ class Footprint:
         )
 
     def transient(self, before: float, after: float) -> tuple[float, float, float]:
-        """Return extra left and right width and length (m) of the transient after a change of offset.
+        """Return the extra left and right width and the length of a transient, m.
 
-        The widths are interpolated by the size of the change. A change larger than all
-        measured ones in its direction has the widths of the largest measured change. Of
-        several measured changes of equal size the widest one is used.
+        The widths are interpolated by the size of the change. A change beyond the
+        measured range has the widths of the largest measured change. If several
+        measured changes have equal size, the widest transient is used.
         """
         measured = self._measured(after - before)
         if not measured:
@@ -236,18 +234,20 @@ class Footprint:
         for size, t in measured:
             left, right = widest.get(size, (0.0, 0.0))
             widest[size] = max(left, t.left), max(right, t.right)
-        # The length does not depend on the size of the change, because the response is
-        # that of a linear system.
+        # The response is linear, so its length does not depend on the size of the
+        # change.
         return *_interpolated(abs(after - before), widest), max(
             t.length for _, t in measured
         )
 
     @property
     def settle(self) -> float | None:
-        """Response length ℓ of the curvature to a change of offset, m; None without transients.
+        """Response length ℓ of the curvature to a change of offset, m.
+
+        It is None without transients.
 
         After a change Δκ of the curvature, a first-order response lags in heading by Δκ
-        ℓ = −dheading. ℓ is the least-squares estimate over all measured changes.
+        ℓ = −dheading. The value is a least-squares estimate over all measured changes.
         """
         changes = np.array(
             [
@@ -261,10 +261,11 @@ class Footprint:
         return None
 
     def lag(self, before: float, after: float) -> tuple[float, float]:
-        """Return delay δ and length T (m) of the transition arc after a change of offset (see `planner`).
+        """Return the delay δ and length T of a transition arc, m.
 
-        Both are interpolated by the size of the change, constant beyond the measured
-        sizes; (0, 0) without measured changes in that direction.
+        Both are defined in `planner` and interpolated by the size of the change. They
+        are constant beyond the measured sizes, and 0 without measured changes in this
+        direction.
         """
         known: dict[float, list[tuple[float, float]]] = {}
         for size, t in self._measured(after - before):
@@ -272,7 +273,8 @@ class Footprint:
             if t.dheading * step < 0:
                 delay = -t.dheading / step
                 moment = 2 * t.dy / step
-                # The arc cannot be shorter than its delay, see the curvature κ_t.
+                # The arc cannot be shorter than its delay, because of the curvature κ_t
+                # in `planner`.
                 known.setdefault(size, []).append((delay, max(moment / delay, delay)))
         if not known:
             return 0.0, 0.0
@@ -280,8 +282,7 @@ class Footprint:
         return _interpolated(abs(after - before), means)
 
     def _measured(self, change: float) -> list[tuple[float, Transient]]:
-        """Return size and transient of the measured changes in the direction of a change."""
-        # Round the sizes, because 0.3 − 0.2 is not exactly 0.1.
+        # The sizes are rounded, because 0.3 − 0.2 is not exactly 0.1.
         return [
             (round(abs(t.after - t.before), 9), t)
             for t in self.transients
@@ -295,7 +296,6 @@ class Footprint:
 def _interpolated(
     size: float, values: Mapping[float, Sequence[float] | np.ndarray]
 ) -> tuple[float, float]:
-    """Return two quantities, tabulated by the size of a change, at another size."""
     sizes = sorted(values)
     columns = zip(*(values[known] for known in sizes), strict=True)
     first, second = (float(np.interp(size, sizes, column)) for column in columns)
@@ -337,7 +337,7 @@ def find_problems(footprint: Footprint) -> list[tuple[str, str]]:
         # An edge on the inner side must not reach the centre of curvature, where κ n =
         # 1.
         turn = (1 if name == "left" else -1) * np.array(footprint.curvatures)
-        # Include the largest transient after any change to this offset.
+        # The edges include the largest transient after any change to this offset.
         extra = [
             max(
                 footprint.transient(before, after)[side] for before in footprint.offsets

@@ -1,14 +1,14 @@
-"""Footprint files: tables of footprints with sources, and the excursions of followers beyond them.
+"""Footprint files: tables of footprints with sources, and excursions of followers.
 
-A file contains the table of a `Footprint` in the form of Table 8; each column has a
-unit, a status and a source. The published footprints are in calibration/footprints;
-`srs-twin calibrate footprint` measures new ones.
+A file contains the table of a `Footprint` in the form of Table 8, where each column has
+a unit, a status and a source. The published footprints are in calibration/footprints,
+and `srs-twin calibrate footprint` measures new ones.
 
-Margins with a probability: for each condition of following, the file contains the
-largest excursions of n runs on random paths beyond the edges of their footprint. With a
-probability of at least k/(n + 1), the excursion of a new run from the same distribution
-is at most the k-th smallest of them, for any distribution (split conformal prediction:
-Vovk et al. 2005; Lei et al. 2018). The margin of probability p has k = ⌈(n + 1) p⌉.
+For margins with a probability, the file contains the maximum excursion beyond the
+footprint in each of n runs on random paths. The excursion of a new run is at most the
+k-th smallest value with a probability of at least k/(n + 1), for any distribution. This
+is split conformal prediction (Vovk et al. 2005; Lei et al. 2018). The margin of
+probability p has k = ⌈(n + 1) p⌉.
 """
 
 from __future__ import annotations
@@ -73,11 +73,11 @@ class ConditionsFile(StrictModel):
     gain_spread: Share = 0.0
     """Spread of the modules' gains, 0 to 1."""
     tau_spread: Share = 0.0
-    """Spread of their time constants, 0 to 1."""
+    """Spread of the modules' time constants, 0 to 1."""
     bias_spread_rad: Share = 0.0
-    """Spread of their rest bends, rad, 0 to 1."""
+    """Spread of the modules' rest bends, rad, 0 to 1."""
     turn_share: Share
-    """Share of the tightest turns in plans, 0 to 1."""
+    """Fraction of the tightest turns in plans, 0 to 1."""
     delay_s: Annotated[float, bounded(0.0, 10.0)]
     """Command delay, s, 0 to 10."""
     position_noise_m: Share
@@ -108,7 +108,7 @@ class ConditionsFile(StrictModel):
         return self
 
     def covers(self, other: ConditionsFile) -> bool:
-        """Return whether results under these conditions are also bounds for other conditions.
+        """Return whether results under these conditions are bounds for others.
 
         The other conditions must agree in plant, contact, chambers, follower and
         run-up, and must not be more difficult in any other number.
@@ -142,16 +142,16 @@ _DIFFICULTIES = (
 
 
 class ExcursionsFile(StrictModel):
-    """Largest excursion of each run, m; 1000: the run did not arrive."""
+    """Maximum excursion of each run, m; 1000 if the run did not arrive."""
 
     conditions: ConditionsFile
     """Conditions of the runs."""
     source: str = Field(min_length=1, max_length=1000)
     """Source of the measurements."""
     path_m: Runs
-    """Largest excursion of each run, rising, m."""
+    """Maximum excursion of each run, rising, m."""
     run_up_m: Runs | None = None
-    """Largest excursion of each run on the straight run-up, rising, m."""
+    """Maximum excursion of each run on the straight run-up, rising, m."""
 
 
 class TransientFile(StrictModel):
@@ -212,11 +212,11 @@ _KEYS = dict(
         strict=True,
     )
 )
-"""Columns of `Footprint` → keys in the file."""
+"""Keys in the file for the columns of `Footprint`."""
 
 
 class FootprintFile(StrictModel):
-    """Footprint file; its columns have one value per offset."""
+    """Footprint file, whose columns have one value per offset."""
 
     name: str = Field(pattern=r"^[a-z][a-z0-9_]*$", min_length=1, max_length=60)
     """Short name."""
@@ -250,12 +250,12 @@ class FootprintFile(StrictModel):
 
     @property
     def twin_contact(self) -> ContactName | None:
-        """Contact of the twin of the measurement; None: not measured on a twin."""
+        """Contact of the twin that was measured, or None without a twin."""
         measured = self.curvature_per_m.source.startswith(MEASURED_ON_TWIN)
         return self.contact or (UNSTATED_CONTACT if measured else None)
 
     def mismatch(self, contact: ContactName) -> str | None:
-        """Return a warning if the contact of a twin differs from that of the measurement, or None."""
+        """Return a warning if the contact differs from the measurement."""
         own = self.twin_contact
         if own in (None, contact):
             return None
@@ -294,7 +294,7 @@ def load_footprint_file(name_or_path: StrPath) -> FootprintFile:
 
     Raises:
         InputError: the file is not found or cannot be read.
-        InputFileError: the file is not valid; lists all problems.
+        InputFileError: the file is not valid; all problems are listed.
     """
     return load_model(FootprintFile, find_file("footprint", name_or_path))
 
@@ -314,8 +314,8 @@ def save_footprint(
     """Write a footprint file atomically.
 
     Args:
-        file: the footprint file.
-        path: path of the file.
+        file: footprint file.
+        path: output path.
         header: lines of a comment at the top.
 
     Raises:
@@ -348,7 +348,7 @@ class Margin:
 
 
 def excursion_quantile(excursions: Sequence[float], probability: float) -> float:
-    """Return the excursion of a new run that is not exceeded with a probability, m; at least 0.
+    """Return the excursion that a new run does not exceed with a probability, m (≥ 0).
 
     Raises:
         InputError: too few runs, or too many of them did not arrive.
@@ -379,7 +379,7 @@ def margin_for(
     """Return the margin for a run under each of several conditions.
 
     Args:
-        measured: excursions of a footprint file.
+        measured: measured excursions.
         probability: probability that a whole run stays within the margin.
         conditions: conditions of the run, one per plant.
 
@@ -397,8 +397,8 @@ def margin_for(
                 f"no excursions are measured for {text}; `srs-twin calibrate margin`"
                 " measures them"
             )
-        # Use one block only: the smallest quantile of several blocks would be exceeded
-        # more often than stated.
+        # Only one block is used, because the minimum over several blocks would be
+        # exceeded more often than stated.
         block = min(
             covering, key=lambda block: block.conditions.excess_difficulty(condition)
         )

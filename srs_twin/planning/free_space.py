@@ -1,14 +1,16 @@
-"""Free space regardless of turns: proof that no path exists, and a lower bound on path lengths.
+"""Proof that no path exists, and a lower bound on path lengths, regardless of turns.
 
-Consider a point o of an obstacle whose distance from a smooth path is below the
-clearance w, the smallest distance of an edge from the path. If the nearest point of the
-path is not an end of it, o is straight across from that point and within the edges: a
-collision. So the nearest point is an end, at most w from o, and all other points of the
-path within w of o are within 2 w of that end. Hence a collision-free path is contained
-in the free space. This is the complement of the obstacles grown by w, within the bounds
-reduced by w, together with discs of radius 2 w around both ends. If start and goal are
-in different connected components, no path exists; otherwise the shortest line in the
-component is a lower bound on the path length.
+Let w be the clearance, i.e. the minimum distance of an edge from the path. Consider a
+point o of an obstacle that is closer than w to a smooth path. If the nearest point of
+the path is not an end, then o is straight across from it and within the edges, which is
+a collision. Therefore the nearest point is an end, and all points of the path within w
+of o are within 2 w of this end.
+
+Hence a collision-free path is contained in the free space. The free space consists of
+the bounds reduced by w, without the obstacles grown by w, and of discs of radius 2 w
+around both ends. No path exists if start and goal are in different connected
+components. Otherwise the shortest line in the component is a lower bound on the path
+length.
 """
 
 from __future__ import annotations
@@ -26,11 +28,12 @@ if TYPE_CHECKING:
     import shapely
 
 _FINE_CHORDS = 32
-"""Chords per quarter circle of the proof.
+"""Number of chords per quarter circle in the proof.
 
-Chords lie inside the circle, which only widens gaps."""
+Chords lie inside the circle, which only widens gaps.
+"""
 _COARSE_CHORDS = 4
-"""Chords per quarter circle of the length bound: fewer corners, a faster search."""
+"""Number of chords per quarter circle in the length bound; few save time."""
 _ROUNDING_M = 1e-9
 """Tolerance for lines along the boundary of the free space, m."""
 
@@ -39,7 +42,7 @@ def is_disconnected(start: Pose, goal: Goal, world: World, clearance: float) -> 
     """Return whether start and goal are in different components of the free space.
 
     Args:
-        start: start of the path.
+        start: start pose.
         goal: goal; the path may end anywhere within its radius.
         world: obstacles and bounds.
         clearance: `Footprint.narrowest`, m.
@@ -48,10 +51,10 @@ def is_disconnected(start: Pose, goal: Goal, world: World, clearance: float) -> 
 
 
 def min_path_length(start: Pose, goal: Goal, world: World, clearance: float) -> float:
-    """Return a lower bound on the length of any path from start to goal, m; infinite if there is none.
+    """Return a lower bound on the length of any path, m; infinite if there is no path.
 
     Args:
-        start: start of the path.
+        start: start pose.
         goal: goal; the path may end anywhere within its radius.
         world: obstacles and bounds.
         clearance: `Footprint.narrowest`, m.
@@ -61,8 +64,9 @@ def min_path_length(start: Pose, goal: Goal, world: World, clearance: float) -> 
     component = _free_component(start, goal, world, clearance, _COARSE_CHORDS)
     if component is None:
         return math.inf
-    # A* on the visibility graph: shortest lines bend at corners of the free space only.
-    # Visibility is tested late, when a line reaches the front of the queue.
+    # This is A* on the visibility graph, since shortest lines bend only at corners of
+    # the free space. Visibility is tested late, when a line reaches the front of the
+    # queue.
     free = component.buffer(_ROUNDING_M, join_style="mitre")
     shapely.prepare(free)
     corners = np.array(
@@ -95,7 +99,6 @@ def min_path_length(start: Pose, goal: Goal, world: World, clearance: float) -> 
 
 
 def _reflex_corners(polygon: shapely.Polygon) -> list[tuple[float, float]]:
-    """Return the corners with an interior angle above π, at which shortest lines may bend."""
     import shapely
 
     corners: list[tuple[float, float]] = []
@@ -111,13 +114,16 @@ def _reflex_corners(polygon: shapely.Polygon) -> list[tuple[float, float]]:
 def _free_component(
     start: Pose, goal: Goal, world: World, clearance: float, chords: int
 ) -> shapely.Polygon | None:
-    """Return the connected component of the free space with start and goal; None if they differ."""
+    """Return the component of the free space that contains start and goal.
+
+    The result is None if start and goal are in different components.
+    """
     import shapely
 
     here = shapely.Point(start.x, start.y)
     there = shapely.Point(goal.x, goal.y)
-    # Discs are drawn as polygons around the circle: the free space must not be too
-    # small.
+    # The polygons contain the discs around both ends, because the free space must not
+    # be too small.
     around = 1 / math.cos(math.pi / (4 * chords))
     ends = [
         here.buffer(2 * clearance * around, quad_segs=chords),
@@ -147,7 +153,6 @@ def _free_component(
 def _reduced_bounds(
     world: World, extent: tuple[float, float, float, float], clearance: float
 ) -> shapely.Polygon:
-    """Return the bounds reduced by the clearance; without bounds a box with room around all obstacles."""
     import shapely
 
     if world.bounds is None:

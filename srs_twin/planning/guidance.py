@@ -1,16 +1,16 @@
-"""Guidance of the search in cluttered worlds: grid distances to the goal, and narrow passages.
+"""Guidance of the search in cluttered worlds: grid distances and narrow passages.
 
 The first search uses the Dubins length as heuristic, which ignores obstacles. If it
-does not succeed at once, a second tree uses in addition
+does not succeed at once, a second tree also uses
 
-- the distance to the goal on a grid around obstacles. It is an estimate, not a lower
-  bound: grid paths are up to 8 % longer than straight lines, and passages narrower than
-  a cell may be missing or too wide. The tree finds some path quickly, not necessarily
-  the shortest.
+- the distance to the goal on a grid around obstacles. This is an estimate and not a
+  lower bound. Grid paths are up to 8 % longer than straight lines, and passages
+  narrower than a cell may be missing or too wide. Therefore the tree finds some path
+  quickly, not necessarily the shortest.
 - entry poses of narrow passages. Poses on arcs of fixed length rarely hit a passage
-  that is hardly wider than the body. Its centre is known: two obstacles have their
-  shortest distance there, and no other obstacle is nearer. The tree tries Dubins paths
-  to an entry pose far enough ahead of the passage for the last transient to end.
+  that is hardly wider than the body. At the centre of a passage, two obstacles have
+  their shortest distance, and no other obstacle is nearer. The tree tries Dubins paths
+  to an entry pose far enough ahead for the last transient to end.
 """
 
 from __future__ import annotations
@@ -25,20 +25,22 @@ from srs_twin.planning.footprint import Footprint
 from srs_twin.robot.world import Bounds, Goal, Pose, World
 
 _GRID_CELLS = 160
-"""Cells along the longer side of the grid."""
+"""Number of cells along the longer side of the grid."""
 
 NO_PASSAGES = np.empty((0, 4))
 """Empty result of `find_passages`."""
 
 _MAX_WIDTH = 2.0
-"""Largest width of a narrow passage, in widths of the straight body; the search finds wider ones without
-guidance."""
+"""Maximum width of a narrow passage, in widths of the straight body.
+
+The search finds wider passages without guidance.
+"""
 
 _ENTRY_CLEARANCE_M = 1e-3
-"""Distance of the straight body's head from the narrowest point when the straight path begins, m."""
+"""Distance from the head to the narrowest point when the straight path begins, m."""
 
 _ROUND_CLEARANCE = 0.3
-"""Additional distance in body widths: round obstacles narrow the passage ahead of its narrowest point."""
+"""Additional distance in body widths, because round obstacles narrow the approach."""
 
 _DISTANCE_TOLERANCE_M = 1e-6
 """Distances closer than this count as equal, m."""
@@ -51,11 +53,12 @@ class GridHeuristic(NamedTuple):
     """Distance to the goal on a grid.
 
     Attributes:
-        distance: distance to the goal from each cell, m, shape (columns, rows), x
-            first; infinite: no path; empty: no heuristic.
+        distance: distance from each cell to the goal, m, shape (columns, rows), x
+            first. It is infinite without a path. The array is empty without a
+            heuristic.
         west: x of the grid's left edge, m.
         south: y of the grid's lower edge, m.
-        cell: side of a cell, m.
+        cell: cell size, m.
     """
 
     distance: np.ndarray
@@ -109,7 +112,7 @@ def grid_heuristic(
     row = int((goal.y - south) / cell)
     column = min(column, len(x) - 1)
     row = min(row, len(y) - 1)
-    # From the goal, so that one search gives the distances of all cells.
+    # The search starts at the goal, so that it gives the distances of all cells.
     distance = dijkstra(
         _grid_graph(free, cell), directed=False, indices=column * len(y) + row
     )
@@ -117,7 +120,6 @@ def grid_heuristic(
 
 
 def _bounding_box(goal: Goal, start: Pose, world: World, margin: float) -> Bounds:
-    """Return the bounding box of obstacles, start and goal, widened by a margin (m)."""
     corners = [corner for p in world.polygons for corner in p.corners]
     for c in world.obstacles:
         corners += [(c.x - c.radius, c.y - c.radius), (c.x + c.radius, c.y + c.radius)]
@@ -130,7 +132,6 @@ def _bounding_box(goal: Goal, start: Pose, world: World, margin: float) -> Bound
 def _free_cells(
     x: np.ndarray, y: np.ndarray, cell: float, world: World, clearance: float
 ) -> np.ndarray:
-    """Return a mask of the cells whose centres are free, shape (columns, rows)."""
     import shapely
 
     free = np.ones((len(x), len(y)), dtype=bool)
@@ -156,13 +157,11 @@ def _free_cells(
 def _cell_window(
     centres: np.ndarray, middle: float, reach: float, cell: float
 ) -> slice:
-    """Return the cells whose centres may lie within `reach` of a position."""
     first = math.floor((middle - reach - centres[0]) / cell)
     return slice(max(0, first), max(0, first + 2 + math.ceil(2 * reach / cell)))
 
 
 def _grid_graph(free: np.ndarray, cell: float):  # type: ignore[no-untyped-def]
-    """Return the sparse graph of distances (m) between free neighbours, diagonal ones included."""
     from scipy.sparse import coo_array
 
     number = np.arange(free.size).reshape(free.shape)
@@ -184,15 +183,17 @@ def _grid_graph(free: np.ndarray, cell: float):  # type: ignore[no-untyped-def]
 
 
 def find_passages(world: World, body: Footprint) -> np.ndarray:
-    """Return the narrow passages of a world, in both directions and with several entry poses.
+    """Return the narrow passages of a world, in both directions.
+
+    A passage may have several entry poses.
 
     Args:
         world: obstacles and bounds.
-        body: footprint of the snake.
+        body: snake footprint.
 
     Returns:
-        x, y (m), heading (rad) of the entry pose and length of the straight path
-        through (m), shape (n, 4).
+        x, y (m) and heading (rad) of the entry pose, and length of the straight path
+        through the passage (m), shape (n, 4).
     """
     straight = body.at(0.0)
     width = straight.left + straight.right
@@ -200,12 +201,7 @@ def find_passages(world: World, body: Footprint) -> np.ndarray:
 
 
 def _gap_centres(world: World, width: float) -> list[tuple[list[float], list[float]]]:
-    """Return centre and direction across of each narrow gap, the narrowest first.
-
-    Args:
-        world: obstacles and bounds.
-        width: width of the straight body, m.
-    """
+    """Return the centre and direction across of each narrow gap, narrowest first."""
     import shapely
 
     ends, radii = _thick_lines(world)
@@ -222,7 +218,7 @@ def _gap_centres(world: World, width: float) -> list[tuple[list[float], list[flo
     one, other = tree.query(
         lines, predicate="dwithin", distance=_MAX_WIDTH * width + radii + largest
     )
-    # Keep each pair of obstacles once.
+    # Each pair of obstacles is kept once.
     one, other = one[one < other], other[one < other]
     near = shapely.get_coordinates(
         shapely.shortest_line(lines[one], lines[other])
@@ -238,7 +234,8 @@ def _gap_centres(world: World, width: float) -> list[tuple[list[float], list[flo
     normal = across / distance[:, None]
     centre = near[:, 0] + normal * (radii[one[kept]] + gap / 2)[:, None]
     points = shapely.points(centre)
-    # Drop pairs with another obstacle between them, and those inside a polygon.
+    # Pairs with another obstacle between them are dropped, and so are those inside a
+    # polygon.
     at, obstacle = tree.query(points, predicate="dwithin", distance=gap / 2 + largest)
     nearer = (
         shapely.distance(points[at], lines[obstacle]) - radii[obstacle]
@@ -248,7 +245,8 @@ def _gap_centres(world: World, width: float) -> list[tuple[list[float], list[flo
     is_open = ~(
         np.isin(np.arange(len(gap)), at[nearer]) | shapely.contains(solid, points)
     )
-    # Sort by width, so that of several close passages the narrowest is kept.
+    # The passages are sorted by width, so that the narrowest of several close passages
+    # is kept.
     ordered = sorted(
         zip(
             gap[is_open],
@@ -261,7 +259,6 @@ def _gap_centres(world: World, width: float) -> list[tuple[list[float], list[flo
 
 
 def _thick_lines(world: World) -> tuple[np.ndarray, np.ndarray]:
-    """Return obstacles and bounds as line segments, shape (n, 2, 2), with half widths, shape (n,), m."""
     segments = [((c.x, c.y), (c.x, c.y)) for c in world.obstacles]
     rings = [polygon.corners for polygon in world.polygons]
     if world.bounds is not None:
@@ -277,11 +274,11 @@ def _thick_lines(world: World) -> tuple[np.ndarray, np.ndarray]:
 def _entry_poses(
     centres: list[tuple[list[float], list[float]]], body: Footprint, spacing: float
 ) -> np.ndarray:
-    """Return the entry poses of passages with given centres and directions across, as `find_passages`."""
     straight = body.at(0.0)
     transient = max((change.length for change in body.transients), default=0.0)
     width = straight.left + straight.right
-    # The middle of the body, not the centre of mass, follows the middle of the passage.
+    # The middle of the body follows the middle of the passage, unlike the centre of
+    # mass.
     lateral = (straight.right - straight.left) / 2
     ahead = body.ahead + _ENTRY_CLEARANCE_M
     passages: list[tuple[float, float, float, float]] = []
@@ -291,8 +288,8 @@ def _entry_poses(
             continue
         kept.append((x, y))
         for sign in (1.0, -1.0):
-            # Perpendicular to the shortest line between the obstacles, in both
-            # directions.
+            # The snake passes perpendicular to the shortest line between the obstacles,
+            # in either direction.
             heading = math.atan2(-sign * across_x, sign * across_y)
             c = math.cos(heading)
             s = math.sin(heading)

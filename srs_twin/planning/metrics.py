@@ -1,4 +1,4 @@
-"""Metrics of runs that follow a plan: deviation from the path, excursions, arrival and contacts."""
+"""Metrics of runs that follow a plan: deviation, excursions, arrival and contacts."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ PLAN_UNITS = units_of(("plan_found", "plan_length_m", "plan_nodes", "plan_kink_r
 """Metrics of a plan without a run."""
 
 PLANNING_UNITS = PLAN_UNITS | units_of(["plan_s"])
-"""Metrics of planning without a run: those of the plan, and its wall time."""
+"""Metrics of planning without a run, including its wall time."""
 
 _MEANINGS = {
     "plan_found": "1 if a path was found, else 0",
@@ -57,13 +57,13 @@ FOLLOWING_UNITS = units_of(_MEANINGS)
 DISSERTATION_HALF_WIDTH_M = 0.025
 """Half the width of the box of Section 5.2, m."""
 DISSERTATION_SHIFT_M = 0.01
-"""Shift of this box in the tightest turn, m."""
+"""Shift of the dissertation's box in the tightest turn, m."""
 DISSERTATION_TIGHTEST = math.pi / 3 / 0.2
 """Curvature of the tightest turn of Section 5.2, 60 degrees in 0.2 m, 1/m."""
 
 
 def following(trajectory: Trajectory) -> Mapping[str, Any] | None:
-    """Return the metadata of a follower (`Follower.describe`); None for a run without one."""
+    """Return the metadata of a follower, or None for a run without one."""
     control = trajectory.metadata.get("control")
     if isinstance(control, Mapping):
         metadata = control.get("following")
@@ -79,8 +79,8 @@ class Leg:
     """Part of a run under one plan.
 
     Attributes:
-        samples: samples of the trajectory.
-        segments: segments of the plan.
+        samples: trajectory samples.
+        segments: plan segments.
     """
 
     samples: slice
@@ -129,28 +129,29 @@ def footprint_of(metadata: Mapping[str, Any]) -> Footprint:
 
 
 def following_metrics(trajectory: Trajectory) -> dict[str, float | None]:
-    """Return the metrics of a run that followed a plan; all None for other runs.
+    """Return the metrics of a run that followed a plan; all are None for other runs.
 
-    Relative to the plan in force at each sample:
+    The following metrics refer to the current plan at each sample:
 
     - ``cross_track_rms_m``, ``cross_track_max_m``: distance of the centre of mass from
       the path.
     - ``inside_share``: fraction of samples at which the whole body is between the edges
-      of the planned footprint. The body is represented by connectors and middles of
-      segments, with half the width to both sides. Beyond both ends of the path, where
-      head or tail may be, the path is straight.
-    - ``inside_50mm_share``: the same for the box of 50 mm of the dissertation.
+      of the planned footprint. Connectors and middles of segments represent the body,
+      with half the width to both sides. The path continues straight beyond its ends,
+      where head or tail may be.
+    - ``inside_50mm_share``: fraction of samples inside the 50 mm box of the
+      dissertation.
 
-    At the end of the run:
+    Metrics at the end of the run:
 
     - ``goal_reached``: 1 if the centre of mass is within the goal's radius and the body
-      never overlapped an obstacle, which is possible on the analytical plant only;
-      otherwise 0.
+      never overlapped an obstacle, otherwise 0. Overlap is possible only on the
+      analytical plant.
     - ``arrival_error_m``: distance of the centre of mass from the goal.
     - ``arrival_heading_error_rad``: error of the heading, averaged over a gait period
       and extrapolated to the end; None without an arrival heading.
 
-    Of the whole run:
+    Metrics of the whole run:
 
     - ``following_time_s``: duration; ``replans``: number of new plans; ``plan_…``:
       metrics of the first plan.
@@ -187,7 +188,6 @@ def plan_metrics(
 def _arrival(
     trajectory: Trajectory, metadata: Mapping[str, Any], *, overlapped: bool
 ) -> dict[str, float | None]:
-    """Return the metrics of arrival at the goal."""
     goal = metadata["goal"]
     error = float(np.hypot(*(trajectory.com[-1] - (goal["x"], goal["y"]))))
     heading = None
@@ -203,7 +203,7 @@ def _arrival(
 
 
 def _mean_heading(trajectory: Trajectory) -> float:
-    """Return the heading at the end: mean of the last gait period, extrapolated by half a period."""
+    """Return the mean heading of the last gait period, extrapolated to the end."""
     frequency = positive_number(trajectory, "gait_frequency_hz")
     time = trajectory.time
     heading = trajectory["heading"]
@@ -211,7 +211,7 @@ def _mean_heading(trajectory: Trajectory) -> float:
     if period <= 0:
         return float(heading[-1])
     at = np.linspace(time[-1] - period, time[-1], 201)
-    # The heading oscillates with the gait; its mean over a whole period does not.
+    # The heading oscillates with the gait, but its mean over a whole period does not.
     values = np.interp(at, time, heading)
     return float(np.trapezoid(values, at) / period + (values[-1] - values[0]) / 2)
 
@@ -219,7 +219,6 @@ def _mean_heading(trajectory: Trajectory) -> float:
 def _deviation(
     trajectory: Trajectory, metadata: Mapping[str, Any]
 ) -> dict[str, float | None]:
-    """Return the metrics of deviation from the path."""
     deviations = list(_path_deviations(trajectory))
     if not deviations:
         return dict.fromkeys(
@@ -246,9 +245,9 @@ def _deviation(
 
 
 def beyond(trajectory: Trajectory) -> np.ndarray:
-    """Return the distance of the body beyond the planned footprint's edges, shape (samples,), m.
+    """Return the distance of the body beyond the planned footprint's edges, m.
 
-    Negative inside the edges. The edges are those of the recorded footprint, as for
+    The distance has shape (samples,) and is negative inside the edges, as for
     `inside_share`.
     """
     metadata = following(trajectory)
@@ -270,9 +269,9 @@ def _path_deviations(
     """Yield the deviations from the path of each plan.
 
     Yields:
-        Cross-track error of the centre of mass, m, shape (samples,); of the body
-        points, m, shape (samples, k); and the curvature of the path at these points,
-        1/m, shape (samples, k).
+        Cross-track errors of the centre of mass, m, shape (samples,), and of the body
+        points, m, shape (samples, k), and the path curvature at these points, 1/m,
+        shape (samples, k).
     """
     from srs_twin.planning.path import ReferencePath
 
@@ -296,14 +295,17 @@ def _path_deviations(
 
 
 def body_points(trajectory: Trajectory) -> np.ndarray:
-    """Return points on both sides of connectors and of the middles of segments, shape (samples, k, 2), m."""
+    """Return points beside connectors and the middles of segments, m.
+
+    The array has shape (samples, k, 2).
+    """
     half = (positive_number(trajectory, "body_width_m") or 0.0) / 2
     centres, heading = centre_points(trajectory)
     return offset_to_sides(centres, heading, half)
 
 
 def centre_points(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Return connectors and middles of segments, shape (samples, 2N − 1, 2), m, and the headings there."""
+    """Return connectors and middles of segments, m, and the headings there."""
     position = trajectory.position
     theta = trajectory.stack("theta")
     chord = position[:, :-1] - position[:, 1:]
@@ -322,7 +324,7 @@ def centre_points(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _why_undefined(metric: str, trajectory: Trajectory) -> str:
-    """Return the reason why a metric is undefined; empty if None describes the outcome of the run."""
+    """Return why a metric is undefined, or "" if None describes the outcome."""
     if following(trajectory) is None:
         return "the run follows no plan"
     if metric == "arrival_heading_error_rad":

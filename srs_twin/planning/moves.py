@@ -1,4 +1,4 @@
-"""Moves of a search: arcs with edges that are widened by transients, and shortening of paths by them."""
+"""Moves of a search: arcs with edges that are widened by transients, and short cuts."""
 
 from __future__ import annotations
 
@@ -21,35 +21,39 @@ from srs_twin.planning.footprint import Footprint
 from srs_twin.robot.world import Pose
 
 _RADIUS_FACTORS = (1.0, 2.0, 5.0)
-"""Turning radii for the approach to narrow passages, relative to the smallest; wide turns have small
-transients."""
+"""Turning radii for the approach to narrow passages, relative to the minimum radius.
+
+Wide turns have small transients.
+"""
 
 _SHORTENING_ROUNDS = 4
-"""Largest number of shortening rounds."""
+"""Maximum number of shortening rounds."""
 _MIN_SAVING = 1e-4
 """Saved fraction of the path length below which shortening ends."""
 _RETREAT = 0.97
-"""Ratio of the distances of successive tries; their number then grows only with the logarithm of the
-distance."""
+"""Ratio of the distances of successive tries.
+
+The number of tries grows only with the logarithm of the distance.
+"""
 
 
 class MoveSet(NamedTuple):
     """Arcs that the snake can follow.
 
     Attributes:
-        curvatures: curvatures, rising, 1/m, shape (n,).
+        curvatures: curvatures in ascending order, 1/m, shape (n,).
         left: left edge of the footprint for each curvature, m, shape (n,).
         right: right edge of the footprint for each curvature, m, shape (n,).
         transients: extra left width, extra right width and length (m) of the transient
-            after a change from one curvature to another, shape (n + 1, n, 3); row n: at
-            the start.
+            after a change of curvature, shape (n + 1, n, 3). Row n applies at the
+            start.
         primitives: indices of the curvatures that lead to a node's children, shape
             (m,).
-        radius_factors: turning radii of the tested Dubins paths relative to the
-            smallest one, 1 first, shape (k,).
-        dubins_moves: for each factor the indices of right turn, straight line and left
-            turn, shape (k, 3).
-        length: length of a primitive, m.
+        radius_factors: turning radii of the tested Dubins paths relative to the minimum
+            radius, shape (k,), starting with 1.
+        dubins_moves: indices of right turn, straight line and left turn for each
+            factor, shape (k, 3).
+        length: primitive length, m.
         ahead: extent of the body ahead of the centre of mass, m.
         behind: extent of the body behind the centre of mass, m.
     """
@@ -70,10 +74,11 @@ class ArcState(NamedTuple):
     """End of an arc, with the transient of the last changes of offset.
 
     Attributes:
-        x: m.
-        y: m.
-        heading: rad.
-        move: index of the curvature of the arc; the number of curvatures at the start.
+        x: position, m.
+        y: position, m.
+        heading: heading, rad.
+        move: index of the curvature of the arc, or the number of curvatures at the
+            start.
         left: extra width of the left edge, m.
         right: extra width of the right edge, m.
         lasting: remaining length of the wider edges, m.
@@ -89,7 +94,7 @@ class ArcState(NamedTuple):
 
 
 def make_move_set(primitives: Primitives, footprint: Footprint) -> MoveSet:
-    """Return the arcs of a search: the primitives, the tightest and wider turns, and straight ahead.
+    """Return the primitives, the tightest and wider turns, and the straight line.
 
     Raises:
         InputError: a primitive is tighter than the footprint allows.
@@ -101,7 +106,7 @@ def make_move_set(primitives: Primitives, footprint: Footprint) -> MoveSet:
         footprint.at(float(tightest))
     own = [*primitives.curvatures, -right, -both, 0.0, both, left]
     wide = [side * both / factor for factor in _RADIUS_FACTORS for side in (-1, 1)]
-    # Rounding merges equal curvatures; clipping keeps them within the footprint.
+    # Rounding merges equal curvatures, and clipping keeps them within the footprint.
     curvatures = np.unique(np.round([*own, *wide], 12))
     curvatures = np.clip(curvatures, -right, left)
     rows = [footprint.at(float(k)) for k in curvatures]
@@ -135,12 +140,12 @@ def initial_state(x, y, heading, moves):  # type: ignore[no-untyped-def]
 
 @compiled
 def follow_dubins_path(state, path, factor, moves, grid):  # type: ignore[no-untyped-def]
-    """Return whether a path of `dubins.dubins_path` is free, and the arc state at its end.
+    """Return whether a path of `dubins.dubins_path` is free, and its final arc state.
 
     Args:
-        state: arc state at its start.
-        path: the path.
-        factor: index of its turning radius in `MoveSet.radius_factors`.
+        state: initial arc state.
+        path: Dubins path.
+        factor: index of the turning radius in `MoveSet.radius_factors`.
         moves: arcs that the snake can follow.
         grid: obstacles and bounds.
     """
@@ -160,9 +165,9 @@ def follow_arc(state, move, length, moves, grid):  # type: ignore[no-untyped-def
     """Return whether an arc is free, and the arc state at its end.
 
     Args:
-        state: arc state at its start.
-        move: index of its curvature.
-        length: its length, m.
+        state: initial arc state.
+        move: curvature index.
+        length: arc length, m.
         moves: arcs that the snake can follow.
         grid: obstacles and bounds.
     """
@@ -174,13 +179,13 @@ def follow_arc(state, move, length, moves, grid):  # type: ignore[no-untyped-def
     right = change[1]
     lasting = change[2]
     if state.lasting > 0:
-        # Overlapping transients: the larger width and length of each.
+        # Overlapping transients combine to the larger width and length.
         left = max(state.left, left)
         right = max(state.right, right)
         lasting = max(state.lasting, lasting)
     curvature = moves.curvatures[move]
     steady = Extent(moves.ahead, moves.behind, moves.left[move], moves.right[move])
-    # The first part of the arc has the wider edges, the rest the steady ones.
+    # The edges are wider on the first part of the arc only.
     first = min(lasting, length)
     free = True
     if first > 0:
@@ -202,11 +207,11 @@ def shorten_path(
     """Return a collision-free path with the same ends that is not longer.
 
     Args:
-        start: pose at the start.
+        start: start pose.
         path: collision-free path, with curvatures of the moves.
         moves: arcs that the snake can follow.
         grid: obstacles and bounds.
-        radius: turning radius of Dubins paths, m.
+        radius: turning radius, m.
     """
     arcs = [(c, length) for c, length in path if length > 0]
     indices = np.array(
@@ -215,8 +220,8 @@ def shorten_path(
     lengths = np.array([length for _, length in arcs])
     for turn in range(_SHORTENING_ROUNDS):
         before = math.fsum(lengths)
-        # Divide the path more finely in each round, so that short cuts can begin and
-        # end at other poses.
+        # The path is divided more finely in each round, so that short cuts can begin
+        # and end at other poses.
         counts = np.ceil(lengths * (2 + turn) / radius).astype(np.int64)
         pieces = np.repeat(indices, counts), np.repeat(lengths / counts, counts)
         indices, lengths = _cut_corners(*start, *pieces, moves, grid, radius)
@@ -227,14 +232,7 @@ def shorten_path(
 
 @allocating
 def _cut_corners(x, y, heading, indices, lengths, moves, grid, radius):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Follow a path and take the longest free short cut from each pose; return moves and lengths (m).
-
-    Args:
-        x, y, heading: pose at the start, m and rad.
-        indices: move of each piece, shape (n,).
-        lengths: length of each piece, m, shape (n,).
-        moves, grid, radius: as for `shorten_path`.
-    """
+    """Follow a path, and take the longest free short cut from each pose."""
     count = len(indices)
     state = initial_state(x, y, heading, moves)
     distances = np.zeros(count + 1)
@@ -264,13 +262,13 @@ def _cut_corners(x, y, heading, indices, lengths, moves, grid, radius):  # type:
             )
             if path.length < distances[last] - distances[k] - 1e-9:
                 free, end = follow_dubins_path(state, path, 0, moves, grid)
-                # The transient of the last change widens the edges on the path that
-                # follows.
+                # The transient of the last change also widens the edges on the
+                # following path.
                 if free and _stays_free(
                     end, last, indices, lengths, states, moves, grid
                 ):
                     break
-            # Try nearer poses, in steps that shrink with the distance.
+            # Nearer poses are tried in steps that shrink with the distance.
             last = k + min(last - k - 1, int(_RETREAT * (last - k)))
         if last > k:
             for piece in range(3):
@@ -289,7 +287,6 @@ def _cut_corners(x, y, heading, indices, lengths, moves, grid, radius):  # type:
 
 @kernel_only
 def _append_arc(indices, lengths, size, move, length):  # type: ignore[no-untyped-def]
-    """Append an arc to a path or extend its last arc if the moves are equal; return the number of arcs."""
     if size > 0 and indices[size - 1] == move:
         lengths[size - 1] += length
         return size
@@ -300,7 +297,7 @@ def _append_arc(indices, lengths, size, move, length):  # type: ignore[no-untype
 
 @allocating
 def _stays_free(state, k, indices, lengths, states, moves, grid):  # type: ignore[no-untyped-def]
-    """Return whether the path from piece k on stays free if it begins with another arc state."""
+    """Return whether the path from piece k on stays free after another arc state."""
     while k < len(indices):
         original = states[k]
         covered = (

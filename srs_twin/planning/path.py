@@ -1,8 +1,8 @@
 """Paths of arcs, and path coordinates relative to them.
 
-Path coordinates as in `arcs`: s along the path from its start, n to its left, m. The
-path is extended by a straight line at both ends, so that a body whose centre of mass is
-at an end has coordinates as well.
+The coordinate s is the position along the path from its start, and n the distance to
+the left, m (see `arcs`). Straight lines extend the path at both ends, because the body
+reaches beyond the centre of mass.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from srs_twin.planning.footprint import Footprint
 from srs_twin.robot.world import Pose
 
 EXTENSION_M = 2.0
-"""Length of the straight extensions, m; longer than any body."""
+"""Length of the straight extensions, m, longer than any body."""
 
 
 @dataclass(frozen=True)
@@ -28,9 +28,9 @@ class Segment:
     """Arc of a plan.
 
     Attributes:
-        start: pose of the centre of mass at its start.
+        start: pose of the centre of mass at the start.
         curvature: curvature, positive to the left, 1/m.
-        length: length, m.
+        length: arc length, m.
         offset: gait offset that follows the curvature.
         speed: speed of the centre of mass, m/s.
     """
@@ -54,7 +54,7 @@ class Segment:
 def make_segment(
     start: Pose, curvature: float, length: float, footprint: Footprint
 ) -> Segment:
-    """Return an arc with the offset and speed of its curvature in a footprint."""
+    """Return an arc with the offset and speed that belong to its curvature."""
     row = footprint.at(curvature)
     return Segment(start, curvature, length, row.offset, row.speed)
 
@@ -62,10 +62,10 @@ def make_segment(
 def path_from_arcs(
     start: Pose, arcs: ArcSequence, footprint: Footprint
 ) -> tuple[Segment, ...]:
-    """Return the path of consecutive arcs; neighbours of equal curvature are merged.
+    """Return the path of consecutive arcs, merging neighbours of equal curvature.
 
     Args:
-        start: pose at the start.
+        start: start pose.
         arcs: curvature (1/m) and length (m) of each arc; arcs without length are
             dropped.
         footprint: source of offsets and speeds.
@@ -91,7 +91,7 @@ class Steps(NamedTuple):
 
     Attributes:
         poses: x, y (m) and heading (rad) in the middle of each step, shape (n, 3).
-        lengths: length of each step, m, shape (n,).
+        lengths: step lengths, m, shape (n,).
         left: left edge of the footprint, m, shape (n,).
         right: right edge of the footprint, m, shape (n,).
     """
@@ -125,7 +125,7 @@ def path_steps(
 
 
 class PathPoint(NamedTuple):
-    """Position relative to a path: s and n, m; heading and curvature of the path at s, rad and 1/m."""
+    """Position s and n (m), with the path's heading (rad) and curvature (1/m)."""
 
     s: float
     n: float
@@ -137,9 +137,9 @@ class ReferencePath:
     """Path of a plan with lookup by position and by path length.
 
     Attributes:
-        length: length of the path, m.
-        arcs: x, y, heading, curvature, initial s and length of each arc, extensions
-            included, shape (n, 6).
+        length: path length, m.
+        arcs: x, y, heading, curvature, initial s and length of each arc including the
+            extensions, shape (n, 6).
     """
 
     def __init__(self, segments: Sequence[Segment]) -> None:
@@ -176,16 +176,16 @@ class ReferencePath:
     def nearest(
         self, x: float, y: float, low: float = -EXTENSION_M, high: float = math.inf
     ) -> PathPoint:
-        """Return the path coordinates of a point (x, y), m, with s between `low` and `high`, m."""
+        """Return the path coordinates of a point, with s in a range, m."""
         return PathPoint(*map(float, _nearest(x, y, self.arcs, low, high)))
 
     def coordinates(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return s and n of points of shape (k, 2); shape (k,) each, m."""
+        """Return s and n of points of shape (k, 2), m, shape (k,) each."""
         rows = _nearest_of_all(np.ascontiguousarray(points, dtype=float), self.arcs)
         return rows[:, 0], rows[:, 1]
 
     def curvature(self, s: float) -> float:
-        """Return the curvature at s (m), 1/m; 0 on the extensions."""
+        """Return the curvature at s (m), 1/m, which is 0 on the extensions."""
         return float(self.arcs[self._arc_index(s), 3])
 
     def pose(self, s: float) -> Pose:
@@ -199,7 +199,6 @@ class ReferencePath:
 
 @compiled
 def _nearest(x, y, arcs, low, high):  # type: ignore[no-untyped-def]
-    """Return s, n, heading and curvature of the path's nearest point with low ≤ s ≤ high."""
     best = np.inf
     s_best = 0.0
     n_best = 0.0
@@ -219,8 +218,8 @@ def _nearest(x, y, arcs, low, high):  # type: ignore[no-untyped-def]
         dx = x - arcs[k, 0]
         dy = y - arcs[k, 1]
         n, s = path_coordinates(c * dx + sn * dy, c * dy - sn * dx, curvature)
-        # s is between -π/|κ| and π/|κ|; on arcs of more than half a turn, add a full
-        # turn.
+        # The formula gives s between -π/|κ| and π/|κ|, so a full turn is added on arcs
+        # of more than half a turn.
         if s < 0 and curvature != 0 and s + 2 * np.pi / abs(curvature) <= last:
             s += 2 * np.pi / abs(curvature)
         s = min(max(s, first), last)
@@ -238,7 +237,6 @@ def _nearest(x, y, arcs, low, high):  # type: ignore[no-untyped-def]
 
 @allocating
 def _nearest_of_all(points, arcs):  # type: ignore[no-untyped-def]
-    """Return s and n of each point, shape (k, 2)."""
     rows = np.empty((len(points), 2))
     for k in range(len(points)):
         s, n, _, _ = _nearest(points[k, 0], points[k, 1], arcs, -np.inf, np.inf)

@@ -1,4 +1,4 @@
-"""Plots, notebook pages and Rerun recordings of plans and of the runs that follow them."""
+"""Plots, notebook pages and Rerun recordings of plans and following runs."""
 
 from __future__ import annotations
 
@@ -48,10 +48,10 @@ _EDGE_COLOUR = "#78a5cd"
 def segment_points(
     segment: Segment, offset: float = 0.0, behind: float = 0.0, ahead: float = 0.0
 ) -> np.ndarray:
-    """Return points along a segment of a plan, about a centimetre apart, m, shape (n, 2).
+    """Return points along a segment, about a centimetre apart, m, shape (n, 2).
 
     Args:
-        segment: segment of the plan.
+        segment: plan segment.
         offset: distance of the points to the left of the segment, m.
         behind: extension before the start, m.
         ahead: extension beyond the end, m.
@@ -74,13 +74,13 @@ def segment_points(
 def following_plot(
     trajectories: Mapping[str, Trajectory], spec: RobotSpec
 ) -> Figure | None:
-    """Return a plot of the plan with the paths and bodies of the runs; None if no run follows a plan.
+    """Plot a plan with the paths and bodies of the runs, or return None without a plan.
 
     The first plan is the same for all runs. Later plans of each run are thin lines.
 
     Args:
-        trajectories: plant → run.
-        spec: robot of the runs.
+        trajectories: run of each plant.
+        spec: simulated robot.
     """
     followers = {
         plant: metadata
@@ -105,12 +105,12 @@ def following_plot(
 
 @drawing
 def plan_plot(problem: Problem, segments: Sequence[Segment], title: str) -> Figure:
-    """Return a plot of a plan without runs.
+    """Plot a plan without runs.
 
     Args:
         problem: world, goal and footprint of the plan.
-        segments: path; empty without one.
-        title: title of the plot.
+        segments: path, possibly empty.
+        title: plot title.
     """
     figure, axes = _sheet(_metadata(problem), segments, problem.footprint)
     axes.set_title(title, fontsize=10, wrap=True)
@@ -118,14 +118,12 @@ def plan_plot(problem: Problem, segments: Sequence[Segment], title: str) -> Figu
 
 
 def _metadata(problem: Problem) -> dict[str, Any]:
-    """Return world and goal as in the metadata of a follower."""
     return {"world": asdict(problem.world), "goal": asdict(problem.goal)}
 
 
 def _sheet(
     metadata: Mapping[str, Any], segments: Sequence[Segment], footprint: Footprint
 ) -> tuple[Figure, Axes]:
-    """Return a plot of the world with the path and footprint of a plan."""
     figure, (axes,) = panels(6.0)
     for segment in segments:
         # Footprints are drawn first, so that obstacles that they touch remain visible.
@@ -174,7 +172,6 @@ def _sheet(
 
 
 def _band(segment: Segment, footprint: Footprint) -> np.ndarray:
-    """Return the outline of the footprint along a segment, m, shape (k, 2)."""
     motion = footprint.at(segment.curvature)
     beyond = (footprint.behind, footprint.ahead)
     left, right = (
@@ -210,7 +207,7 @@ def plan_page(plan: Plan) -> str:
 def plan_lines(
     segments: Sequence[Segment], footprint: Footprint, goal: Mapping[str, Any]
 ) -> list[FloorLine]:
-    """Return path, edges of the footprint and goal of a plan as lines on the floor."""
+    """Return the path, the footprint's edges and the goal as lines on the floor."""
     lines = []
     if segments:
         lines.append(

@@ -1,4 +1,4 @@
-"""`plan_scenario`: plan of a scenario without a simulation, its quality and its files."""
+"""Plan of a scenario without a simulation, with its quality and its files."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from srs_twin.scenario.loading import load_scenario
 from srs_twin.scenario.scenario import Scenario
 
 _ROUNDING = 1e-9
-"""Lengths below this count as 0, m."""
+"""Length below which a distance counts as 0, m."""
 
 PLAN = "plan.json"
 """File of the plan."""
@@ -33,8 +33,8 @@ class PathQuality:
     """Quality of a planned path.
 
     Attributes:
-        length_over_least: length relative to the least length around the obstacles,
-            dimensionless; None if the least length is 0, because the start is within
+        length_over_least: length relative to the minimum length around the obstacles,
+            dimensionless; None if the minimum length is 0, because the start is within
             the goal's radius.
         clearance_m: clearance beyond the edges that must stay free, m.
     """
@@ -48,9 +48,9 @@ class ScenarioPlan:
     """Plan of a scenario.
 
     Attributes:
-        scenario: scenario with its planner.
-        plan: the plan.
-        files: names of the written files; empty without an output folder.
+        scenario: planned scenario.
+        plan: plan.
+        files: names of the written files, empty without an output folder.
     """
 
     scenario: Scenario
@@ -64,7 +64,7 @@ class ScenarioPlan:
 
     @cached_property
     def quality(self) -> PathQuality | None:
-        """Quality of the path; None if none was found."""
+        """Quality of the path, or None if no path was found."""
         result = self.plan
         if not result.found:
             return None
@@ -112,7 +112,7 @@ def plan_scenario(
 
     Args:
         scenario: name or path of a scenario with a planner, or a loaded scenario.
-        out: output folder; None: nothing is written.
+        out: output folder, or None to write nothing.
         set: values that override fields of the scenario, see `load_scenario`.
 
     Raises:
@@ -138,7 +138,6 @@ def plan_scenario(
 
 
 def _write(folder: Path, planned: ScenarioPlan) -> None:
-    """Write the plan and its values as a JSON document, and a picture."""
     from srs_twin.planning.pictures import plan_plot
     from srs_twin.viewing.plots.style import save
 

@@ -1,14 +1,14 @@
-r"""The function `plan`, and `plan_with_transitions` for paths with transition arcs between curvatures.
+r"""The function `plan`, and `plan_with_transitions` for paths with transition arcs.
 
-Transition arcs replace jumps of the curvature by the measured response to a change of
-offset. After a change from curvature κ_a to κ_b the path lags: it turns by Δκ δ less
-than after an instant change, and is displaced by Δκ m/2 to the side (`Transient`:
-dheading = −Δκ δ, dy = Δκ m/2). To first order, one arc of length T and curvature
+A transition arc replaces a jump of the curvature by the measured response to a change
+of offset. A change of curvature from κ_a to κ_b is not instant. The path turns by Δκ δ
+less than after an instant change (`Transient.dheading` = −Δκ δ), and is displaced by
+`Transient.dy` = Δκ m/2 to the side. To first order, one arc of length T and curvature
 
 $$ κ_t = κ_a + \Bigl(1 - \frac{δ}{T}\Bigr) Δκ, \qquad T = \frac{m}{δ}, $$
 
 has the same effect. If it begins δ before the planned change, the heading of the plan
-is unchanged and the path is displaced by Δκ (m − δ²)/2. The search therefore aims at a
+is unchanged and the path is displaced by Δκ (m − δ²)/2. Therefore the search aims at a
 goal that is displaced to the other side. A follower that sends each offset δ ahead
 keeps the body on the path.
 """
@@ -34,17 +34,19 @@ from srs_twin.planning.touch import narrowed, plan_with_touch
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 
 _WIDTH_STEPS = (0.1, 0.2, 0.4, 0.8, 1.6)
-"""Widths added to both edges to find paths with more clearance, in widths of the straight body."""
+"""Widths added to both edges for more clearance, in widths of the straight body."""
 _MAX_WIDER_NODES = 4000
-"""Largest number of nodes of the search for a wider body."""
+"""Maximum number of nodes of the search for a wider body."""
 _COST_SPACING_M = 0.02
-"""Largest distance between the points at which the clearance of a path is evaluated, m.
-"""
+"""Maximum distance between points at which the clearance is evaluated, m."""
 
 _AIM_ITERATIONS = 6
-"""Largest number of corrections of the goal in `plan_with_transitions`."""
+"""Maximum number of corrections of the goal in `plan_with_transitions`."""
 _SHAPING_MARGINS_M = (0.0, 0.01, 0.02, 0.03)
-"""Widths added to both edges in turn, m; the path with transitions must be free with the original edges."""
+"""Widths added to both edges in turn, m.
+
+The path with transitions must be free with the original edges.
+"""
 
 
 @checked
@@ -52,8 +54,8 @@ def plan(problem: Problem, settings: Settings | None = None) -> Plan:
     """Find a collision-free path.
 
     Args:
-        problem: start, goal, world and body.
-        settings: budget and options of the search.
+        problem: planning problem.
+        settings: search settings.
 
     Raises:
         InputError: start or goal is in an obstacle or outside the bounds, or a number
@@ -75,12 +77,9 @@ def plan(problem: Problem, settings: Settings | None = None) -> Plan:
 
 
 def _lowest_cost(first: Plan, problem: Problem, settings: Settings) -> Plan:
-    """Return the plan with the lowest cost (`Settings.clearance_weight`) of those for wider bodies.
+    """Return the plan with the lowest cost, including plans for wider bodies.
 
-    Args:
-        first: plan for the body itself.
-        problem: the problem.
-        settings: settings of the search.
+    `Settings.clearance_weight` defines the cost.
     """
     straight = problem.footprint.at(0.0)
     width = straight.left + straight.right
@@ -101,7 +100,6 @@ def _lowest_cost(first: Plan, problem: Problem, settings: Settings) -> Plan:
 
 
 def _cost(result: Plan, problem: Problem, width: float, weight: float) -> float:
-    """Return the length of a path plus the cost of small clearances, m."""
     import shapely
 
     steps = path_steps(result.segments, problem.footprint, _COST_SPACING_M)
@@ -109,16 +107,16 @@ def _cost(result: Plan, problem: Problem, width: float, weight: float) -> float:
     distance = np.full(len(points), np.inf)
     for _, core, radius in obstacle_shapes(problem.world):
         distance = np.minimum(distance, shapely.distance(points, core) - radius)
-    # Use the distance of the wider edge on both sides: a simple bound.
+    # The distance of the wider edge is used on both sides as a simple bound.
     clearance = np.maximum(distance - np.maximum(steps.left, steps.right), 0.0)
     return float(np.dot(steps.lengths, 1 + weight * np.exp(-clearance / width)))
 
 
 @functools.cache
 def _compile() -> None:
-    """Compile the kernels or load them from the cache, so that neither counts against a time limit."""
-    # A problem with obstacles in the way and a transient, because a straight path would
-    # not compile all kernels.
+    """Load or compile the kernels, so that neither counts against a time limit."""
+    # The problem has obstacles in the way and a transient, because a straight path
+    # would not compile all kernels.
     circles = (Circle(0.6, 0.05, 0.1), Circle(1.7, 0.1, 0.1))
     square = Polygon(((1.1, -0.3), (1.2, -0.3), (1.2, 0.05), (1.1, 0.05)))
     world = World(circles, Bounds((-1.0, 4.0), (-2.0, 2.0)), polygons=(square,))
@@ -134,10 +132,12 @@ def _compile() -> None:
 def with_transitions(
     segments: Sequence[Segment], footprint: Footprint
 ) -> tuple[Segment, ...]:
-    """Return a path with transition arcs; without room for an arc, a change remains a jump.
+    """Return a path with transition arcs.
+
+    A change without room for an arc remains a jump.
 
     Args:
-        segments: arcs of the path.
+        segments: path segments.
         footprint: footprint with the transients; without any, the path is unchanged.
     """
     if not segments:
@@ -145,7 +145,7 @@ def with_transitions(
     arcs: list[tuple[float, float]] = []
     remaining = segments[0].length
     for here, after in zip(segments, segments[1:], strict=False):
-        # δ and T of the module docstring.
+        # See δ and T in the module docstring.
         delay, length = footprint.lag(here.offset, after.offset)
         if length == 0 or delay > remaining or length - delay > after.length:
             delay = 0.0
@@ -165,16 +165,15 @@ def plan_with_transitions(
     """Plan a path with transition arcs.
 
     The path is free with its transients and ends within the goal's tolerances. If no
-    such path is found, the plan is the one without transition arcs, and its reason says
-    so.
+    such path is found, the plan has no transition arcs, and its reason says so.
 
     Args:
-        problem: the problem; its start is the end of `begin`.
-        settings: budget and options of each search.
+        problem: problem that starts at the end of `begin`.
+        settings: search settings.
         begin: fixed first segments of the path.
 
     Returns:
-        The plan, with the total nodes and time of all searches.
+        Plan with the total nodes and time of all searches.
 
     Raises:
         InputError: as `plan`.
@@ -196,7 +195,6 @@ def plan_with_transitions(
 def _search_with_transitions(
     problem: Problem, search: Callable[..., Plan], begin: Sequence[Segment]
 ) -> Plan:
-    """Return the first path with transition arcs that is free and arrives, trying wider bodies in turn."""
     body = problem.footprint
     first = search(problem)
     if not first.found:
@@ -204,7 +202,7 @@ def _search_with_transitions(
     if not first.segments or not body.transients:
         return replace(first, segments=(*begin, *first.segments))
     checker = Checker(problem.world, body)
-    # Paths that are not shortened stay farther from obstacles.
+    # A path that is not shortened stays farther from obstacles.
     for smooth, margin in product((True, False), _SHAPING_MARGINS_M):
         wide = replace(problem, footprint=body.reduced(margin=margin))
         aim = problem.goal
@@ -222,7 +220,7 @@ def _search_with_transitions(
                 if checker.is_path_free(path):
                     return replace(result, segments=path)
                 break
-            # Fixed-point iteration: displace the goal by the remaining error.
+            # Fixed-point iteration: the goal is displaced by the remaining error.
             aim = _corrected_aim(aim, problem.goal, end)
     reason = (
         f"{first.reason}; without transition arcs, because no path with them was free"
@@ -231,7 +229,6 @@ def _search_with_transitions(
 
 
 def _is_within(end: Pose, goal: Goal) -> bool:
-    """Return whether a pose is within a goal's tolerances."""
     near = math.hypot(end.x - goal.x, end.y - goal.y) <= goal.radius
     if goal.heading is None:
         return near
@@ -243,7 +240,6 @@ def _is_within(end: Pose, goal: Goal) -> bool:
 
 
 def _corrected_aim(aim: Goal, goal: Goal, end: Pose) -> Goal:
-    """Return the aim moved by the distance between the end of the path and the goal."""
     heading = None
     if goal.heading is not None and aim.heading is not None:
         heading = aim.heading - math.remainder(end.heading - goal.heading, 2 * math.pi)

@@ -20,13 +20,13 @@ from srs_twin.robot.world import Goal, Pose, World
 from srs_twin.trajectory import HtmlResult
 
 _MAX_LEVELS = 5
-"""Largest number of levels; arcs of the fifth level are 16 times shorter than those of the first."""
+"""Maximum number of levels; the fifth has arcs 16 times shorter than the first."""
 
 _MAX_COORDINATE_M = 2000.0
-"""Largest coordinate of start and goal, m; cell indices of the search are limited."""
+"""Maximum coordinate of start and goal, m; the search's cell indices are limited."""
 
 _KINK_ROUNDING = 1e-6
-"""Largest heading jump that is a rounding error, rad."""
+"""Maximum heading jump that is a rounding error, rad."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class TouchLimits:
     Attributes:
         hard: footprint whose edges must stay free of obstacles.
         core: half the width of the body, m.
-        stiffness: force that displaces one connector by a unit length, N/m.
+        stiffness: force per displacement of one connector, N/m.
         floor: friction of the body on the floor across its heading, N.
     """
 
@@ -52,10 +52,10 @@ class Touch:
 
     Attributes:
         obstacle: name of the obstacle, such as "obstacle 2".
-        begin: path length at the beginning, m.
-        end: path length at the end, m.
-        depth: largest overlap, m.
-        force: estimated contact force, mean over time, N.
+        begin: path length at the start of the contact, m.
+        end: path length at the end of the contact, m.
+        depth: maximum overlap, m.
+        force: estimated contact force, averaged over time, N.
     """
 
     obstacle: str
@@ -70,20 +70,22 @@ class Settings:
     """Budget and options of a search.
 
     Attributes:
-        nodes: largest number of expanded nodes.
-        seconds: limit on the wall time, s, checked at least every 16,000 nodes; None:
-            no limit. With a limit, the result may differ between machines.
-        weight: weight of the cost-to-go bound. 1: shortest path; above 1: fewer nodes,
-            and a path at most this many times longer.
-        levels: number of resolutions to try, 1 to 5; each halves the arcs and cells of
-            the previous one.
+        nodes: maximum number of expanded nodes.
+        seconds: limit on the wall time, s, or None for no limit. It is checked at least
+            every 16,000 nodes, and makes the result depend on the machine.
+        weight: weight of the lower bound on the remaining length. With 1 the path is
+            the shortest; a larger weight expands fewer nodes, and the path is at most
+            this many times longer.
+        levels: number of resolutions, 1 to 5; each halves the arcs and cells of the
+            previous resolution.
         smooth: whether to shorten the path afterwards.
         clearance_weight: extra cost of one metre of path that touches an obstacle, m.
-            The cost falls by a factor e per body width of clearance. Above 0, the
-            search is repeated for wider bodies.
+            The cost falls by a factor e per body width of clearance. With a cost above
+            0, the search is repeated for wider bodies.
         improve: whether to continue at finer levels for a shorter path while the budget
             lasts.
-        touch_limits: limits and cost of leaning on obstacles; None: keep clear.
+        touch_limits: limits and cost of leaning on obstacles, or None to keep clear of
+            them.
     """
 
     nodes: int = 200_000
@@ -123,7 +125,7 @@ class Problem:
         goal: goal of the centre of mass.
         world: obstacles and bounds.
         footprint: area that the body covers, and its tightest turns.
-        primitives: motion primitives; None: chosen by the planner.
+        primitives: motion primitives, by default chosen by the planner.
     """
 
     start: Pose
@@ -214,7 +216,7 @@ def _check_world(world: World) -> None:
 
 
 class Outcome(StrEnum):
-    """Outcome of planning; `Plan.reason` explains it.
+    """Outcome of planning, explained by `Plan.reason`.
 
     - FOUND: a collision-free path.
     - NOT_FOUND: neither a path nor a proof, within the budget or at the tested poses.
@@ -228,17 +230,17 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True)
 class Plan(HtmlResult):
-    """Result of a planner; equal for equal problems on all machines.
+    """Result of a planner, equal for equal problems on all machines.
 
     Attributes:
         outcome: outcome of planning.
         reason: explanation of the outcome, with a remedy.
-        segments: arcs of the path; empty unless found.
+        segments: arcs of the path, empty unless a path was found.
         expanded: number of expanded nodes.
         touches: parts of the path that lean on obstacles; None unless
             `Settings.touch_limits` is set.
         seconds: wall time, s; not compared.
-        problem: the problem, with the edges that must stay free; not compared.
+        problem: problem with the edges that must stay free; not compared.
     """
 
     page: ClassVar[str] = "plan"
@@ -253,7 +255,7 @@ class Plan(HtmlResult):
 
     @cached_property
     def least_length(self) -> float:
-        """Lower bound on the length of any path around the obstacles, regardless of curvature, m."""
+        """Lower bound on the length of any path, regardless of curvature, m."""
         assert self.problem is not None, "set by plan()"
         problem = self.problem
         return min_path_length(
@@ -284,7 +286,7 @@ class Plan(HtmlResult):
 
     @property
     def kink(self) -> float:
-        """Largest heading jump between segments, rad; 0 for a path that the snake can follow."""
+        """Maximum heading jump between segments, rad; 0 for a path without jumps."""
         pairs = zip(self.segments, self.segments[1:], strict=False)
         jumps = (
             abs(math.remainder(b.start.heading - a.end.heading, 2 * math.pi))
@@ -305,14 +307,14 @@ class Plan(HtmlResult):
         return replace(self, segments=(*begin, *self.segments), touches=touches)
 
     def with_edges_of(self, problem: Problem) -> Plan:
-        """Return the plan of a body with other edges, with the offsets and speeds of the problem's body."""
+        """Return the plan with the offsets and speeds of another problem's body."""
         arcs = [(segment.curvature, segment.length) for segment in self.segments]
         return replace(
             self, segments=path_from_arcs(problem.start, arcs, problem.footprint)
         )
 
     def samples(self, spacing: float = 0.01) -> np.ndarray:
-        """Return poses (x, y, heading) along the path at most `spacing` (m) apart, shape (n, 3)."""
+        """Return poses (x, y, heading) at most `spacing` (m) apart, shape (n, 3)."""
         rows = []
         for segment in self.segments:
             steps = max(1, math.ceil(segment.length / spacing))

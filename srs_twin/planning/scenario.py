@@ -51,7 +51,7 @@ class PrimitivesFile(Section):
     count: int = quantity(3, 201)
     """Number N of arcs, odd."""
     turn_rad: float = quantity(0.001, 3.14)
-    """Largest turn of an arc."""
+    """Maximum turn of an arc."""
     length_m: float = quantity(0.001, 100.0)
     """Length of each arc."""
 
@@ -66,12 +66,13 @@ class PlannerSection(ExtensionSection):
     footprint: PathOrName
     """Footprint of the body: a shipped name or the path of a footprint file."""
     turn_share: float = quantity(0.05, 1.0, 1.0)
-    """Fraction of the tightest curvature that plans use; the follower needs the rest for corrections."""
+    """Fraction of the tightest curvature that plans use.
+    The follower needs the rest for corrections."""
     margin_m: float | None = quantity(0.0, 10.0, None)
     """Margin added to both edges of the footprint (default 0)."""
     margin_probability: float | None = quantity(0.5, 0.999, None)
-    """Probability that a whole run stays within the margin, by the excursions in the footprint file;
-    instead of margin_m."""
+    """Probability that a whole run stays within the margin, from the excursions in the
+    footprint file. It replaces margin_m."""
 
     @model_validator(mode="after")
     def _keys_agree(self) -> PlannerSection:
@@ -116,12 +117,6 @@ class PlannerSection(ExtensionSection):
             return None
 
     def _planner(self, footprint: FootprintFile, loading: Loading) -> ScenarioPlanner:
-        """Return the planner.
-
-        Raises:
-            InputError: a turn is tighter than the footprint allows, the edges are too
-                wide, there is no goal, or no margin of the given probability.
-        """
         robot = footprint.footprint()
         start = loading.file.start.build()
         world = loading.world
@@ -138,7 +133,6 @@ class PlannerSection(ExtensionSection):
         return ScenarioPlanner(self, robot, problem, margin)
 
     def _conditions(self, loading: Loading) -> list[ConditionsFile]:
-        """Return the conditions of following on each plant."""
         follow = loading.file.controller
         chambers = loading.file.pneumatics.kind
         return [
@@ -149,7 +143,7 @@ class PlannerSection(ExtensionSection):
         ]
 
     def check_run(self, product: ScenarioPlanner) -> None:
-        """See `ExtensionSection.check_run`: plan."""
+        """See `ExtensionSection.check_run`. The check computes the plan."""
         product.plan()
 
     def goal(self, start: Pose, goal: Goal | None, footprint: Footprint) -> Goal:
@@ -169,9 +163,9 @@ class PlannerSection(ExtensionSection):
         """Return the plan of a problem.
 
         Args:
-            problem: the problem.
+            problem: planning problem.
             wider: additional width of the footprint on the straight run-up, m.
-            limits: limits of leaning on obstacles; None: keep clear.
+            limits: limits of leaning on obstacles, or None to keep clear of them.
 
         Raises:
             InputError: start or goal is not possible.
@@ -184,27 +178,33 @@ class BestFirstFile(PlannerSection):
     constructors = (Settings,)
 
     touch: Literal["allowed"] | None = None
-    """allowed: the path may lean on obstacles where the body can pass (default: keep clear)."""
+    """allowed: the path may lean on obstacles where the body can pass
+    (default: keep clear)."""
     run_up_m: float = quantity(0.0, 100.0, 0.0)
-    """Length of a straight run-up at the start of the path, over which the gait becomes steady."""
+    """Length of a straight run-up at the start of the path,
+    over which the gait becomes steady."""
     primitives: PrimitivesFile | None = None
     """Motion primitives (default: chosen by the planner)."""
     kind: Literal["best_first"]
     """Planner."""
     nodes: int = quantity(1, 100_000_000)
-    """Largest number of expanded nodes."""
+    """Maximum number of expanded nodes."""
     seconds: float | None = quantity(0.001, 3600.0, unit="s")
-    """Limit on the wall time; with a limit, the result may differ between machines (default: none)."""
+    """Limit on the wall time (default: none).
+    With a limit, the result may differ between machines."""
     weight: float = quantity(1.0, 100.0)
-    """Weight of the cost-to-go; values above 1 make the search faster and the path longer."""
+    """Weight of the cost-to-go.
+    A value above 1 makes the search faster and the path longer."""
     levels: int = quantity(1, 5)
     """Number of resolutions to try."""
     clearance_weight: float = quantity(0.0, 100.0)
-    """Extra cost of a metre of path that touches an obstacle, in metres; above 0 paths avoid obstacles."""
+    """Extra cost of a metre of path that touches an obstacle, in metres.
+    With a cost above 0, paths avoid obstacles."""
     smooth: bool = constructor_default()
     """Shorten the path afterwards."""
     shape_changes: bool = False
-    """Plan with transition arcs, the measured response to changes of offset, instead of curvature jumps."""
+    """Plan with transition arcs instead of curvature jumps.
+    They are the measured response to changes of offset."""
     improve: bool = constructor_default()
     """Continue at finer resolutions for a shorter path while the budget lasts."""
 
@@ -233,7 +233,6 @@ class BestFirstFile(PlannerSection):
             yield Contradiction(("plants", "analytical"), text, at_key=True)
 
     def _planner(self, footprint: FootprintFile, loading: Loading) -> ScenarioPlanner:
-        """See `PlannerSection._planner`."""
         planner = super()._planner(footprint, loading)
         if self.primitives:
             problem = replace(planner.problem, primitives=self.primitives.build())
@@ -313,11 +312,11 @@ class ScenarioPlanner:
     """Planner of a scenario.
 
     Attributes:
-        file: section of the scenario.
+        file: planner section.
         footprint: footprint of the robot with all its turns and without margin.
         problem: start, goal, world, and the reduced footprint with margin.
-        margin: margin of the problem's footprint.
-        touch_limits: limits of leaning on obstacles; None: keep clear.
+        margin: footprint margin.
+        touch_limits: limits of leaning on obstacles, or None to keep clear of them.
     """
 
     file: PlannerSection
@@ -335,12 +334,12 @@ class ScenarioPlanner:
         return _plan(self)
 
     def plan_uncached(self) -> Plan:
-        """Compute the plan without the cache; raises as `plan`."""
+        """Compute the plan without the cache; see `plan`."""
         wider = max(self.margin.run_up - self.margin.path, 0.0)
         return self.file.find(self.problem, wider, self.touch_limits)
 
     def plan_from(self, pose: Pose, share: float = 1.0) -> Plan:
-        """Return a plan from another pose, with a fraction of the margin and no run-up; raises as `plan`."""
+        """Return a plan from another pose, with a fraction of the margin."""
         # The gait is already steady, so a new plan needs no run-up.
         file = self.file.model_copy(update={"run_up_m": 0.0})
         body = validate_footprint(
@@ -361,7 +360,6 @@ def _plan(planner: ScenarioPlanner) -> Plan:
 
 
 def _input_files(section: Mapping[str, object]) -> Iterator[str]:
-    """Yield the path of the footprint file; its name if it is not found."""
     if isinstance(name := section.get("footprint"), str):
         try:
             yield str(find_file("footprint", name))

@@ -1,15 +1,17 @@
-"""Compiled kernels of the best-first search over arcs of constant curvature (hybrid A*).
+"""Compiled kernels of the best-first search over arcs (hybrid A*).
 
-A node is a pose that is reached from the start by arcs. Its key is g + w h, where g is the length of the path
-so far and h the Dubins length to the goal at the tightest curvature of the footprint. h is a lower bound on
-the remaining length, and along an arc it decreases by at most the arc's length, so keys never decrease for w
-= 1. For w > 1 the path is at most w times as long as the shortest one on the same arcs and cells.
+A node is a pose that is reached from the start by arcs. Its key is g + w h, where g is
+the length of the path so far, h the Dubins length to the goal at the tightest
+curvature, and w the weight. h is a lower bound on the remaining length, and along an
+arc it decreases by at most the arc's length. Therefore keys never decrease for w = 1.
+For w > 1 the path is at most w times as long as the shortest path on these arcs and
+cells.
 
-When a node is expanded, the Dubins path from it to the goal is tested. If that path is
-free, both together are a plan. The open list is a binary heap. The closed set is a hash
-table with one node per cell of poses: a later node replaces it only if its path is
-shorter. This makes the search finite, and also incomplete: another pose of the same
-cell might have had a free continuation.
+When a node is expanded, the Dubins path from the node to the goal is tested. If it is
+free, it completes a plan. The open list is a binary heap. The closed set is a hash
+table with one node per cell of poses, which only a node with a shorter path replaces.
+This makes the search finite but incomplete, since another pose of the cell might have
+had a free continuation.
 """
 
 from __future__ import annotations
@@ -26,33 +28,35 @@ from srs_twin.planning.guidance import GridHeuristic, grid_distance
 from srs_twin.planning.moves import ArcState, MoveSet, follow_arc, follow_dubins_path
 
 NODES = 0
-"""Index in `Frontier.counts`: created nodes."""
+"""Index of the number of created nodes in `Frontier.counts`."""
 OPEN = 1
-"""Index in `Frontier.counts`: nodes on the heap."""
+"""Index of the number of nodes on the heap in `Frontier.counts`."""
 EXPANDED = 2
-"""Index in `Frontier.counts`: expanded nodes."""
+"""Index of the number of expanded nodes in `Frontier.counts`."""
 
 CONNECTED = 0
-"""Result of `expand`: the Dubins path from a node to the goal is free."""
+"""Result of `expand` if the Dubins path from a node to the goal is free."""
 ARRIVED = 1
-"""Result of `expand`: a node is within the goal's tolerance."""
+"""Result of `expand` if a node is within the goal's tolerance."""
 PAUSED = 2
-"""Result of `expand`: the requested number of nodes is expanded."""
+"""Result of `expand` if the requested number of nodes is expanded."""
 EXHAUSTED = 3
-"""Result of `expand`: no node is open."""
+"""Result of `expand` if no node is open."""
 FULL = 4
-"""Result of `expand`: the arrays are full."""
+"""Result of `expand` if the arrays are full."""
 
 _INDEX_BITS = 26
-"""Bits of the row and of the column in a cell's key; the remaining 11 bits are for the heading sector."""
+"""Number of bits of a row or column in a cell's key; 11 bits are for the sector."""
 _INDEX_OFFSET = 1 << (_INDEX_BITS - 1)
 """Offset that makes rows and columns positive."""
 
 _COST_TOLERANCE = 1e-9
-"""Smallest improvement of a path length that replaces a node, m; above rounding errors.
-"""
+"""Minimum improvement of a path length that replaces a node, m."""
 _PASSAGE_INTERVAL = 4
-"""Interval, in expanded nodes, at which narrow passages are tried; a passage costs far more than an arc."""
+"""Interval at which narrow passages are tried, in expanded nodes.
+
+A passage costs far more computing time than an arc.
+"""
 _PASSAGE_REACH = 6.0
 """Distance beyond which a narrow passage is not tried, in turning radii."""
 
@@ -61,13 +65,13 @@ class Node(NamedTuple):
     """Pose of a search.
 
     Attributes:
-        x: m.
-        y: m.
-        heading: rad.
+        x: position, m.
+        y: position, m.
+        heading: heading, rad.
         cost: length of the path so far, m.
-        bound: lower bound on the length of the rest, m.
-        left: extra width of the left edge by transients, m.
-        right: extra width of the right edge by transients, m.
+        bound: lower bound on the remaining length, m.
+        left: extra width of the left edge due to transients, m.
+        right: extra width of the right edge due to transients, m.
         lasting: remaining length of the wider edges, m.
     """
 
@@ -89,12 +93,13 @@ class Frontier(NamedTuple):
 
     Attributes:
         nodes: fields of each `Node`, shape (capacity, 8).
-        links: parent (-1: root) and move from it, shape (capacity, 2).
+        links: parent (-1 for a root) and move from the parent, shape (capacity, 2).
         keys: keys in heap order, m, shape (capacity,).
         heap: nodes in heap order, shape (capacity,).
-        cells: cell key of each slot of the hash table, shape (slots,); slots is a power
-            of 2.
-        owners: 1 + node that represents the cell, 0 for an empty slot, shape (slots,).
+        cells: cell key of each slot of the hash table, shape (slots,), where slots is a
+            power of 2.
+        owners: 1 + index of the node that represents the cell, or 0 for an empty slot,
+            shape (slots,).
         counts: created, open and expanded nodes, shape (3,).
     """
 
@@ -153,7 +158,7 @@ def push(frontier, node, key):  # type: ignore[no-untyped-def]
 
 @compiled
 def pop(frontier):  # type: ignore[no-untyped-def]
-    """Remove and return the node with the smallest key from a heap that is not empty."""
+    """Remove and return the node with the minimum key; the heap must not be empty."""
     keys = frontier.keys
     heap = frontier.heap
     frontier.counts[OPEN] -= 1
@@ -180,10 +185,10 @@ def pop(frontier):  # type: ignore[no-untyped-def]
 
 @compiled
 def cell_slot(frontier, x, y, heading, cell, sector):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return the hash table slot of a pose's cell; a new cell is entered without an owner.
+    """Return the hash table slot of a pose's cell, and enter the cell if it is new.
 
     Args:
-        cell: side of a cell, m.
+        cell: cell size, m.
         sector: heading width of a cell, rad; 2π is a multiple of it.
     """
     row = np.int64(np.floor(x / cell)) + _INDEX_OFFSET
@@ -198,9 +203,8 @@ def cell_slot(frontier, x, y, heading, cell, sector):  # type: ignore[no-untyped
 
 @kernel_only
 def _key_slot(frontier, key):  # type: ignore[no-untyped-def]
-    """Return the slot of a cell's key by linear probing."""
-    # Fibonacci hashing (the constant is 2⁶⁴ divided by the golden ratio); the product
-    # may overflow.
+    # Fibonacci hashing multiplies by 2⁶⁴ divided by the golden ratio. The product may
+    # overflow.
     last = frontier.cells.shape[0] - 1
     slot = ((key * np.int64(-7046029254386353131)) >> 20) & last
     while frontier.owners[slot] != 0 and frontier.cells[slot] != key:
@@ -211,7 +215,6 @@ def _key_slot(frontier, key):  # type: ignore[no-untyped-def]
 
 @compiled
 def _copy_cells(frontier, larger):  # type: ignore[no-untyped-def]
-    """Copy the occupied cells into a larger hash table."""
     for old in range(frontier.cells.shape[0]):
         if frontier.owners[old] != 0:
             larger.owners[_key_slot(larger, frontier.cells[old])] = frontier.owners[old]
@@ -221,13 +224,13 @@ class Target(NamedTuple):
     """Goal of a search.
 
     Attributes:
-        x: m.
-        y: m.
-        heading: rad; ignored if `any_heading` is set.
+        x: position, m.
+        y: position, m.
+        heading: heading, rad; ignored if `any_heading` is set.
         any_heading: whether the arrival heading is free.
         radius: position tolerance, m.
-        heading_tolerance: rad.
-        bound_radius: turning radius for the lower bound, that of the tightest turn to
+        heading_tolerance: heading tolerance, rad.
+        bound_radius: turning radius for the lower bound, from the tightest turn to
             either side, m.
         dubins_radius: turning radius of the Dubins paths, possible to both sides, m.
     """
@@ -252,10 +255,10 @@ class SearchSpec(NamedTuple):
         cell: side of a cell of poses, m.
         sector: heading width of a cell, rad; 2π is a multiple of it.
         weight: weight w of the lower bound.
-        heuristic: grid distances that may increase the key, or `guidance.NO_HEURISTIC`.
-            Nodes are pruned by the lower bound only.
-        passages: entry poses and lengths of narrow passages, as
-            `guidance.find_passages` returns them.
+        heuristic: grid distances that may increase the key, or `guidance.NO_HEURISTIC`;
+            only the lower bound prunes nodes.
+        passages: entry poses and lengths of narrow passages, see
+            `guidance.find_passages`.
     """
 
     moves: MoveSet
@@ -301,21 +304,21 @@ def add_root(frontier, x, y, heading, spec):  # type: ignore[no-untyped-def]
 
 @compiled
 def expand(frontier, spec, best, count):  # type: ignore[no-untyped-def]
-    """Expand nodes until an event; return the event (`CONNECTED` …) and its node.
+    """Expand nodes until an event, and return the event (`CONNECTED` …) and its node.
 
     Args:
         frontier: state of the search, modified in place.
-        spec: parameters of the search.
-        best: length of the best plan so far, m; nodes that cannot lead to a shorter one
-            are dropped.
-        count: largest number of nodes to expand.
+        spec: search parameters.
+        best: length of the best plan so far, m; nodes that cannot lead to a shorter
+            plan are dropped.
+        count: maximum number of nodes to expand.
     """
     moves = spec.moves
     until = frontier.counts[EXPANDED] + count
     while frontier.counts[OPEN] > 0:
         if frontier.counts[EXPANDED] >= until:
             return PAUSED, -1
-        # Make sure that all children fit before the node leaves the heap.
+        # A node leaves the heap only if all its children fit into the arrays.
         children = (
             moves.primitives.shape[0]
             + moves.dubins_moves.shape[0] * spec.passages.shape[0]
@@ -325,7 +328,7 @@ def expand(frontier, spec, best, count):  # type: ignore[no-untyped-def]
         node = pop(frontier)
         at = _node(frontier, node)
         slot = cell_slot(frontier, at.x, at.y, at.heading, spec.cell, spec.sector)
-        # Skip nodes that a shorter path to their cell has replaced.
+        # A node is skipped if a shorter path to its cell has replaced it.
         if frontier.owners[slot] != node + 1 or at.cost + at.bound >= best:
             continue
         frontier.counts[EXPANDED] += 1
@@ -342,7 +345,6 @@ def expand(frontier, spec, best, count):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _try_arc(frontier, node, move, spec, best):  # type: ignore[no-untyped-def]
-    """Add the child at the end of an arc if it is free, improves its cell and may improve the best plan."""
     moves = spec.moves
     state, cost = _arc_state(frontier, node, moves)
     curvature = moves.curvatures[move]
@@ -363,7 +365,6 @@ def _try_arc(frontier, node, move, spec, best):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _try_passages(frontier, node, spec, best):  # type: ignore[no-untyped-def]
-    """Try every narrow passage with every turning radius, see `_try_passage`."""
     for passage in range(len(spec.passages)):
         for factor in range(len(spec.moves.radius_factors)):
             _try_passage(frontier, node, passage, factor, spec, best)
@@ -371,7 +372,7 @@ def _try_passages(frontier, node, spec, best):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _try_passage(frontier, node, passage, factor, spec, best):  # type: ignore[no-untyped-def]
-    """Add the child at the exit of a narrow passage, as `_try_arc` does, if a Dubins path leads into it.
+    """Add the child at the exit of a narrow passage if a Dubins path leads into it.
 
     Its move is −1 − passage n − factor, where n is the number of radius factors.
     """
@@ -414,30 +415,20 @@ def _try_passage(frontier, node, passage, factor, spec, best):  # type: ignore[n
 
 @kernel_only
 def _is_taken(frontier, slot, cost):  # type: ignore[no-untyped-def]
-    """Return whether the node of a cell has a path of at most this length, m."""
     owner = frontier.owners[slot] - 1
     return owner >= 0 and frontier.nodes[owner, _COST] <= cost + _COST_TOLERANCE
 
 
 @kernel_only
 def _open_node(frontier, slot, parent, move, node, spec):  # type: ignore[no-untyped-def]
-    """Add a node and put it on the heap; arguments as for `_add_node`."""
     child = _add_node(frontier, slot, parent, move, node)
+    # The key is g + w h. Grid distances may increase h, which is then no lower bound.
     rest = max(node.bound, grid_distance(spec.heuristic, node.x, node.y))
     push(frontier, child, node.cost + spec.weight * rest)
 
 
 @kernel_only
 def _add_node(frontier, slot, parent, move, node):  # type: ignore[no-untyped-def]
-    """Add a node as the owner of its cell and return its number.
-
-    Args:
-        frontier: state of the search.
-        slot: slot of the cell.
-        parent: number of the parent, -1 for a root.
-        move: move from the parent.
-        node: the node.
-    """
     # The new node replaces the former owner of the cell, which is skipped when it is
     # popped.
     child = frontier.counts[NODES]
@@ -458,7 +449,6 @@ def _node(frontier, node):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _arc_state(frontier, node, moves):  # type: ignore[no-untyped-def]
-    """Return the arc state at a node and the length of the path to it, m."""
     at = _node(frontier, node)
     move = np.int64(frontier.links[node, 1])
     if move < 0:
@@ -472,7 +462,6 @@ def _arc_state(frontier, node, moves):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _in_goal(node, target):  # type: ignore[no-untyped-def]
-    """Return whether a node is within the tolerances of the goal."""
     dx = target.x - node.x
     dy = target.y - node.y
     if dx * dx + dy * dy > target.radius * target.radius:
@@ -484,7 +473,6 @@ def _in_goal(node, target):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _connects_to_goal(frontier, node, spec, best):  # type: ignore[no-untyped-def]
-    """Return whether the Dubins path from a node to the goal is free and improves the best plan."""
     state, cost = _arc_state(frontier, node, spec.moves)
     target = spec.target
     path = _path_to_goal(state.x, state.y, state.heading, target, target.dubins_radius)

@@ -27,17 +27,20 @@ from srs_twin.planning.search_kernels import (
 from srs_twin.robot.world import Goal, Pose
 
 _INITIAL_CAPACITY = 4096
-"""Initial capacity, nodes: enough for easy problems; it is enlarged when needed."""
+"""Initial number of nodes, enough for easy problems. It is increased when needed."""
 
 _BOUND_SLACK = 1e-6
 """Relative reduction of the turning radius for the lower bound.
 
 At the end of a tightest turn, rounding may put the goal inside the turning circle,
-where the Dubins length is larger by a full turn."""
+where the Dubins length is larger by a full turn.
+"""
 
 _GOAL_SPREAD = (0.0, -0.7, 0.7)
-"""Coordinates of backward start positions in units of the goal's radius, so small that corners are within
-it."""
+"""Coordinates of start positions of a backward search, in units of the goal's radius.
+
+They are so small that the corners are within the radius.
+"""
 
 
 def make_target(goal: Goal, footprint: Footprint) -> Target:
@@ -54,7 +57,7 @@ class SearchTree:
 
     Args:
         roots: start poses.
-        spec: parameters of the search.
+        spec: search parameters.
         backward: whether the tree solves the reversed problem, from the goal.
     """
 
@@ -81,9 +84,9 @@ class SearchTree:
         return int(self.frontier.counts[EXPANDED])
 
     def grow(self, count: int, best: float) -> ArcSequence | None:
-        """Expand up to `count` nodes; return the arcs of a plan shorter than `best` (m), or None.
+        """Expand up to `count` nodes, and return a plan shorter than `best` (m).
 
-        The arcs lead from the start to the goal, whatever the direction of the tree.
+        Without such a plan the result is None. The arcs always lead from start to goal.
         """
         until = self.expanded + count
         while True:
@@ -101,14 +104,17 @@ class SearchTree:
         return arcs
 
     def _path(self, node: int, *, connected: bool) -> ArcSequence:
-        """Return the arcs from the root to a node, if connected followed by the Dubins path to the goal."""
+        """Return the arcs from the root to a node.
+
+        If connected, the Dubins path to the goal follows.
+        """
         moves = self.spec.moves
         target = self.spec.target
         arcs: ArcSequence = []  # from the goal to the root
         end = Pose(*map(float, self.frontier.nodes[node, :3]))
         if connected:
             heading = None if target.any_heading else target.heading
-            # The same Dubins path that the kernel has tested.
+            # This is the Dubins path that the kernel has tested.
             arcs = shortest_path(
                 end, target.x, target.y, heading, target.dubins_radius
             )[::-1]
@@ -133,9 +139,12 @@ class SearchTree:
 
 
 def goal_poses(goal: Goal, sector: float) -> list[Pose]:
-    """Return poses within a goal's tolerances, the goal first; with a free heading one per sector (rad)."""
+    """Return poses within a goal's tolerances, the goal first.
+
+    With a free heading there is one pose per sector (rad).
+    """
     if goal.heading is None:
-        # One pose per heading cell.
+        # One pose per heading cell is enough.
         headings = list(np.arange(0.0, 2 * math.pi, sector))
     else:
         headings = [

@@ -1,31 +1,31 @@
-r"""Steering along a path: a Smith predictor for the pose, and the laws that compute the offset.
+r"""Steering along a path: a Smith predictor for the pose, and the steering laws.
 
 The mean pose over a gait period T lags by T/2, and a command takes effect after a
-delay. A model predicts the motion over both: a unicycle whose curvature approaches that
-of the commanded offset in the footprint with a first-order response over the path
-length ℓ (`Footprint.settle`),
+delay. The predictor extrapolates the pose over both with a unicycle model. The
+curvature of the model approaches the curvature of the commanded offset φ in the
+footprint, with a first-order response over the path length ℓ (`Footprint.settle`),
 
 $$ \frac{dκ}{ds} = \frac{κ_{footprint}(φ) - κ}{ℓ}, \qquad \dot θ = v (g κ + d) . $$
 
-The speed v is measured. The turning of a snake with individual modules differs from its
-footprint; a Kalman filter estimates the gain g and the disturbance d (1/m) of this
+The speed v is measured. A snake with individual modules does not turn exactly like its
+footprint. A Kalman filter estimates the gain g and the disturbance d (1/m) of this
 difference.
 
-`BearingLaw`, Section 5.2.2: the snake visits the nodes of the plan in turn. The offset
-is proportional to the bearing of the next node minus the heading, and limited. When the
-snake is within a threshold of a node, it heads for the next one.
+`BearingLaw` is the law of Section 5.2.2. The snake visits the nodes of the plan in
+turn. The offset is proportional to the bearing of the next node minus the heading, and
+limited. When the snake is within a threshold of a node, it heads for the next node.
 
-`PathLaw`, our own law: with the cross-track error n and the heading error e, both
-predicted for the moment at which the command takes effect, the curvature
+`PathLaw` is a law of this project. Let n be the cross-track error and e the heading
+error, both predicted for the time at which the command takes effect. The curvature
 
 $$ κ = \frac{κ_{plan}(s + ℓ)}{1 - κ_{plan} n}
    - \frac{2ζ}{L}\,\bigl(1 + ℓ\tfrac{d}{ds}\bigr)(e - e_n) - d,
    \qquad e_n = -\operatorname{clip}\Bigl(\frac{n}{2ζL}\Bigr) $$
 
-makes n decay over the length L like a second-order system with damping ζ. To compensate
-the response length ℓ, the curvature of the plan is taken ℓ ahead, and the rate of the
-error, which the model provides without noise, is fed back. d and g are estimates of the
-predictor, and the footprint gives the offset for κ/g.
+makes n decay over the length L like a second-order system with damping ζ. Two terms
+compensate the response length ℓ. The planned curvature is taken ℓ ahead, and the
+derivative of the error, which the model provides without noise, is fed back. The
+footprint gives the offset for κ/g.
 """
 
 from __future__ import annotations
@@ -44,25 +44,31 @@ from srs_twin.planning.path import PathPoint, ReferencePath
 from srs_twin.robot.world import Pose
 
 _SPEED_LIMITS = (0.2, 5.0)
-"""Limits of the measured speed relative to that of the footprint."""
+"""Limits of the measured speed relative to the footprint's speed."""
 
 _MAX_DISTURBANCE_SHARE = 0.5
-"""Largest estimate of the disturbance relative to the tightest curvature."""
+"""Maximum estimate of the disturbance relative to the tightest curvature."""
 _GAIN_LIMITS = (0.4, 2.5)
-"""Smallest and largest estimate of the gain."""
+"""Minimum and maximum estimate of the gain."""
 
 _PRIOR_STD = np.array([0.2, 0.3])
-"""Standard deviations at the start: d in tightest curvatures, and g (docs/following.md)."""
+"""Initial standard deviations of d, in tightest curvatures, and g.
+
+The values are explained in docs/following.md.
+"""
 _WALK_STD = np.array([0.1, 0.1])
-"""Standard deviations of their random walk per square root of a gait period."""
+"""Standard deviations of the random walk of d and g per √(gait period)."""
 _CURVATURE_STD = 0.02
-"""Standard deviation of a measured curvature over a gait period, in tightest curvatures."""
+"""Standard deviation of a curvature over a gait period, in tightest curvatures."""
 
 _HISTORY_PERIODS = 2.5
 """Length of the stored history of the model in gait periods."""
 
 _Sample = tuple[float, ...]
-"""Time (s), x, y (m), heading (rad); in the model also the heading change of the footprint alone (rad)."""
+"""Time (s), x, y (m) and heading (rad).
+
+The model's samples also contain the heading change of the footprint alone (rad).
+"""
 _time = itemgetter(0)
 
 
@@ -70,13 +76,13 @@ class Predictor(Stateful):
     """Smith predictor of the pose, with estimates of speed and turning.
 
     Attributes:
-        speed: measured speed, m/s; that of the footprint until means one period apart
+        speed: measured speed, m/s; the footprint's speed until means one period apart
             are available.
         disturbance: estimated disturbance d, 1/m.
         gain: estimated gain g.
-        curvature: present curvature of the model, 1/m.
-        moved: distance between the last mean position and the one a period earlier, m;
-            None until both are available.
+        curvature: current curvature of the model, 1/m.
+        moved: distance between the last mean position and the mean position a period
+            earlier, m; None until both are available.
     """
 
     state_attributes = (
@@ -120,25 +126,25 @@ class Predictor(Stateful):
         self._means: list[_Sample] = []
 
     def reset_turning(self) -> None:
-        """Discard the estimates of gain and disturbance, for example after the gait has learned."""
+        """Discard the estimates of gain and disturbance."""
         self.disturbance = 0.0
         self.gain = 1.0
         self._covariance = np.diag((_PRIOR_STD * self._scale) ** 2)
 
     @property
     def turning(self) -> float:
-        """Curvature of the path when a present command takes effect, 1/m."""
+        """Path curvature at the time when a command sent now takes effect, 1/m."""
         return self.gain * self.curvature + self.disturbance
 
     def command(self, time: float, offset: float) -> None:
-        """Advance the model to a time with the commanded offset; it is ahead of the snake by the delay."""
+        """Advance the model, which is ahead of the snake by the command delay."""
         before, x, y, heading, total_turn = self._model[-1]
         step = time - before
         if step <= 0:
             return
         final = float(np.interp(offset, self._offsets, self._curvatures))
         length = self.speed * step
-        # Exact solution of dκ/ds = (κ_final - κ)/ℓ over the length.
+        # The exact solution of dκ/ds = (κ_final - κ)/ℓ is evaluated over the length.
         if self._settle > 0:
             decay = math.exp(-length / self._settle)
         else:
@@ -147,7 +153,7 @@ class Predictor(Stateful):
         self.curvature = final + (self.curvature - final) * decay
         nominal_turn = length * (mean + self.curvature) / 2
         turn = self.gain * nominal_turn + length * self.disturbance
-        # Midpoint rule for the position of the unicycle.
+        # The midpoint rule gives the position of the unicycle.
         middle = heading + turn / 2
         x = x + length * math.cos(middle)
         y = y + length * math.sin(middle)
@@ -155,11 +161,11 @@ class Predictor(Stateful):
         _drop_before(self._model, time - _HISTORY_PERIODS * self._period - self._delay)
 
     def measure(self, time: float, middle: float, mean: Pose, *, whole: bool) -> None:
-        """Process a mean pose; estimate speed and turning if it covers a whole period.
+        """Process a mean pose, and estimate speed and turning over whole periods.
 
         Args:
-            time: present time, s.
-            middle: time in the middle of the averaging window, s.
+            time: current time, s.
+            middle: middle of the averaging window, s.
             mean: mean pose.
             whole: whether the window covers a whole gait period.
         """
@@ -178,7 +184,8 @@ class Predictor(Stateful):
         duration = middle - begin
         low, high = (share * self._nominal for share in _SPEED_LIMITS)
         self.speed = min(max(self.moved / duration, low), high)
-        # Turn of the footprint over the same time; the model is ahead by the delay.
+        # This is the turn of the footprint over the interval. The model is ahead by the
+        # delay.
         nominal = self._at(middle)[4] - self._at(begin)[4]
         length = max(self.moved, 1e-6 + low * duration)
         periods = (time - self._updated) / self._period
@@ -188,18 +195,16 @@ class Predictor(Stateful):
         self._updated = time
 
     def _update_turning(self, measured: float, nominal: float, periods: float) -> None:
-        """Update gain and disturbance by a Kalman filter for measured = d + g nominal.
+        """Update gain and disturbance with a Kalman filter (measured = d + g nominal).
 
-        Args:
-            measured: measured curvature, 1/m.
-            nominal: curvature of the footprint over the same time, 1/m.
-            periods: gait periods since the last update.
+        `measured` is the measured curvature and `nominal` the curvature of the
+        footprint, 1/m. `periods` is the number of gait periods since the last update.
         """
         if periods <= 0:
             return
         self._covariance += np.diag((_WALK_STD * self._scale) ** 2 * periods)
         row = np.array([1.0, nominal])
-        # Windows of one period overlap: all frames of a period count as one
+        # The averaging windows overlap, so all frames of a period count as one
         # measurement.
         cross = self._covariance @ row
         weights = cross / (
@@ -214,11 +219,11 @@ class Predictor(Stateful):
             max(self.gain + float(weights[1]) * innovation, _GAIN_LIMITS[0]),
             _GAIN_LIMITS[1],
         )
-        # Kalman update of two parameters from one scalar measurement.
+        # This is the Kalman update of two parameters from one scalar measurement.
         self._covariance -= np.outer(weights, cross)
 
     def predict(self, middle: float, mean: Pose, time: float) -> Pose:
-        """Return the pose at a time, given the mean pose at `middle` (s).
+        """Return the pose at a time, given the mean pose at `middle`.
 
         Args:
             middle: time of the mean pose, s.
@@ -235,7 +240,7 @@ class Predictor(Stateful):
         return Pose(mean.x + c * dx - s * dy, mean.y + s * dx + c * dy, heading + turn)
 
     def _at(self, time: float) -> _Sample:
-        """Return the model at a time of the snake; its command was sent a delay earlier."""
+        """Return the model at a time of the snake; its command was sent earlier."""
         time -= self._delay
         model = self._model
         k = bisect_right(model, time, key=_time)
@@ -248,7 +253,10 @@ class Predictor(Stateful):
 
 
 def _drop_before(samples: list[_Sample], before: float) -> None:
-    """Delete samples before a time (s) except the last one, if they are more than half of all samples."""
+    """Delete samples before a time, except the last of them.
+
+    For speed, they are deleted only if they are more than half of all samples.
+    """
     old = bisect_right(samples, before, key=_time) - 1
     if 2 * old > len(samples):
         del samples[:old]
@@ -257,7 +265,7 @@ def _drop_before(samples: list[_Sample], before: float) -> None:
 DAMPING = 1.0
 """Damping ratio ζ of the cross-track error: critical, without overshoot."""
 _MAX_APPROACH = 0.7
-"""Largest heading towards the path, rad."""
+"""Maximum heading towards the path, rad."""
 
 
 @dataclass(frozen=True)
@@ -265,11 +273,11 @@ class SteeringInput:
     """Input of a steering law.
 
     Attributes:
-        pose: predicted pose; for laws without prediction the mean pose over a period.
+        pose: predicted pose, or mean pose over a period for laws without prediction.
         place: path coordinates of the pose.
-        curvature: curvature of the model at that time, 1/m.
-        disturbance: estimated disturbance, see `Predictor`, 1/m.
-        gain: estimated gain, see `Predictor`.
+        curvature: curvature of the model at the time of the pose, 1/m.
+        disturbance: estimated disturbance d, see `Predictor`, 1/m.
+        gain: estimated gain g, see `Predictor`.
     """
 
     pose: Pose
@@ -306,8 +314,8 @@ class Steering(Stateful, ABC):
         """Return the expected cross-track error farther along the path, m.
 
         Args:
-            n: present cross-track error, m.
-            slope: present heading relative to the path, rad.
+            n: current cross-track error, m.
+            slope: current heading relative to the path, rad.
             ahead: distance along the path, m.
         """
         return n + slope * ahead
@@ -319,7 +327,7 @@ class BearingLaw(Steering):
     predicts = False
 
     def __init__(self, gain: float = 0.6, node: float = 0.2, near: float = 0.2) -> None:
-        """Set the parameters; docs/following.md explains the defaults.
+        """Set the parameters, whose defaults are explained in docs/following.md.
 
         Args:
             gain: offset per bearing error, 1/rad.
@@ -357,14 +365,14 @@ class BearingLaw(Steering):
 
 
 class PathLaw(Steering):
-    """Feedback of cross-track and heading error with curvature feedforward (module docstring)."""
+    """Feedback of cross-track and heading error with curvature feedforward."""
 
     predicts = True
 
     def __init__(
         self, footprint: Footprint, lookahead: float = 0.15, settle: float = 0.05
     ) -> None:
-        """Set the parameters; docs/following.md explains the defaults.
+        """Set the parameters, whose defaults are explained in docs/following.md.
 
         Args:
             footprint: offset of each curvature.
@@ -391,11 +399,12 @@ class PathLaw(Steering):
             self.node += 1
         ahead = self._path.curvature(s + self._settle)
         error = math.remainder(state.pose.heading - heading, 2 * math.pi)
+        # The approach angle e_n is the desired heading relative to the path.
         approach = -min(
             max(n / (2 * DAMPING * self._length), -_MAX_APPROACH), _MAX_APPROACH
         )
-        # Rate of the heading error along the path, from the model instead of noisy
-        # differences.
+        # The derivative of the heading error along the path comes from the model
+        # instead of noisy differences.
         rate = (
             state.curvature
             - state.place.curvature
@@ -407,7 +416,10 @@ class PathLaw(Steering):
         return float(np.interp(curvature / state.gain, self._curvatures, self._offsets))
 
     def predict_cross_track(self, n: float, slope: float, ahead: float) -> float:
-        """See `Steering.predict_cross_track`; solution of n'' = −2 n'/L − n/L², the law for ζ = 1."""
+        """See `Steering.predict_cross_track`.
+
+        The result solves n'' = −2 n'/L − n/L², the closed loop for ζ = 1.
+        """
         return (n + (n / self._length + slope) * ahead) * math.exp(
             -ahead / self._length
         )

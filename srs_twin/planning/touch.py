@@ -1,27 +1,27 @@
 r"""Plans that lean on obstacles (`planner: {touch: allowed}`).
 
 A footprint contains the side-to-side motion of the gait. Where its edge overlaps an
-obstacle, the obstacle limits this motion, and the body presses against it. The planner
-may therefore use narrower edges, at least
+obstacle, the obstacle limits this motion, and the body presses against the obstacle.
+The planner may therefore reduce the edges to
 
 $$ e_{hard} = c + (1 - σ)(e - c), $$
 
 where e is the edge of the footprint, c half the width of the body and σ =
 `TOUCH_SHARE`. Since e_hard ≥ c, the body itself never passes through an obstacle.
 
-The overlap is limited by the estimated contact force. A connector that is displaced by
-δ between two neighbours that stay in place bends both adjacent segments by 2δ/L, with
-the distance L between connectors. The elastic energy 4kδ²/L² of both bends gives the
-force Kδ with K = 8k/L². The body is pushed aside as soon as this force exceeds its
-friction on the floor, μ_n m g. The wave of amplitude A = e − c reaches an obstacle that
-it overlaps by δ in a fraction arccos(1 − δ/A)/π of the period. The mean force on one
-side is therefore
+The estimated contact force limits the overlap δ. A connector that is displaced by δ
+between two fixed neighbours bends both adjacent segments by 2δ/L, where L is the
+distance between connectors. The elastic energy 4kδ²/L² of both bends gives the force Kδ
+with K = 8k/L². The obstacle displaces the body as soon as this force exceeds the
+friction on the floor, μ_n m g. The lateral wave of amplitude A = e − c reaches the
+obstacle in a fraction arccos(1 − δ/A)/π of the period. The mean force on one side is
+therefore
 
 $$ F = \frac1π \arccos\Bigl(1 - \frac{δ}{A}\Bigr) \min(Kδ,\, μ_n m g), $$
 
-and a metre of path with the forces of both sides costs 1 + (F_l + F_r)/(μ_n m g)
-metres. Edges and overlaps include the margin of the plan, because the body may leave
-its path by that much.
+and a metre of path with the forces F_l and F_r on both sides costs 1 + (F_l + F_r)/(μ_n
+m g) metres. Edges and overlaps include the margin of the plan, because the body may
+deviate from its path by this margin.
 """
 
 from __future__ import annotations
@@ -39,19 +39,20 @@ from srs_twin.robot.spec import GRAVITY, RobotSpec
 from srs_twin.robot.world import Bounds
 
 TOUCH_SHARE = 0.5
-"""Largest fraction σ of the free space between body and edge that may overlap an obstacle. Generation 2
-passes gaps of 0.75 footprint widths on both plants, but not reliably one of 0.6
-(docs/planning.md)."""
+"""Maximum fraction σ of the space between body and edge that may overlap an obstacle.
+
+Generation 2 passes gaps of 0.75 footprint widths on both plants, but gaps of 0.6 widths
+are not reliable (docs/planning.md).
+"""
 
 _LEVELS = (0.0, 0.25, 0.5, 0.75, 1.0)
-"""Overlaps that are tried in turn, as fractions of the largest one."""
+"""Overlaps that are tried in turn, as fractions of the maximum overlap."""
 _MAX_NODES = 10_000
-"""Largest number of nodes of the search for each overlap below the largest one."""
+"""Maximum number of nodes of the search for each overlap below the maximum."""
 _SPACING_M = 0.01
-"""Largest distance between the points of a path at which the overlap is evaluated, m.
-"""
+"""Maximum distance between points of a path at which the overlap is evaluated, m."""
 _MIN_DEPTH_M = 1e-4
-"""Smallest overlap that is reported, m."""
+"""Minimum overlap that is reported, m."""
 
 Search = Callable[[Problem, Settings], Plan]
 
@@ -71,10 +72,10 @@ def touch_limits(spec: RobotSpec, footprint: Footprint) -> TouchLimits:
 
 
 def narrowed(problem: Problem, limits: TouchLimits, level: float) -> Problem:
-    """Return a problem whose edges overlap by a fraction `level` of the largest overlap.
+    """Return a problem whose edges overlap by a fraction of the maximum overlap.
 
-    The bounds of the world are not obstacles to lean on, so they become narrower by as
-    much. The overlap is therefore equal at all curvatures.
+    The body cannot lean on the bounds of the world, so they are narrowed by the same
+    width. The overlap is therefore equal at all curvatures.
     """
     body = problem.footprint
     world = problem.world
@@ -89,12 +90,12 @@ def narrowed(problem: Problem, limits: TouchLimits, level: float) -> Problem:
 
 
 def plan_with_touch(search: Search, problem: Problem, settings: Settings) -> Plan:
-    """Return the plan with the lowest cost (module docstring) of those with increasing overlap.
+    """Return the plan with the lowest cost among plans with increasing overlap.
 
     Args:
         search: planner for one footprint.
         problem: start, goal, world and body with its full edges.
-        settings: settings of the search, with `touch_limits`.
+        settings: search settings.
     """
     limits = settings.touch_limits
     assert limits is not None, "the caller plans with touch"
@@ -119,7 +120,7 @@ def plan_with_touch(search: Search, problem: Problem, settings: Settings) -> Pla
                     reason = result.reason
                 best = replace(result, touches=touches, reason=reason)
                 lowest = cost
-    # Without a path, the search with the narrowest edges has the reason.
+    # If there is no path, the search with the narrowest edges gives the reason.
     if best is None:
         return replace(result, touches=())
     return best
@@ -132,9 +133,9 @@ class _Overlaps:
     Attributes:
         names: names of the obstacles, as in messages.
         s: path length in the middle of each step, m, shape (steps,).
-        steps: length of each step, m, shape (steps,).
-        depth: overlap with each obstacle, 0 without one, m, shape (obstacles, steps).
-        force: mean force of each obstacle, N, shape (obstacles, steps).
+        steps: step lengths, m, shape (steps,).
+        depth: overlap with each obstacle, m, shape (obstacles, steps).
+        force: mean contact force at each obstacle, N, shape (obstacles, steps).
     """
 
     names: list[str]
@@ -144,7 +145,7 @@ class _Overlaps:
     force: np.ndarray
 
     def touches(self) -> tuple[Touch, ...]:
-        """Return the parts of the path that lean on an obstacle, in their order along the path."""
+        """Return the parts of the path that lean on an obstacle, in path order."""
         found = []
         for name, depth, force in zip(self.names, self.depth, self.force, strict=True):
             edges = np.flatnonzero(np.diff(np.r_[False, depth > _MIN_DEPTH_M, False]))
@@ -164,7 +165,6 @@ class _Overlaps:
 def _overlaps(
     segments: Sequence[Segment], problem: Problem, limits: TouchLimits
 ) -> _Overlaps:
-    """Return the overlaps of the full edges of a problem along a path, and the estimated forces."""
     import shapely
 
     path = path_steps(segments, problem.footprint, _SPACING_M)
