@@ -1,7 +1,7 @@
-"""Facts of a recording as JSON, as text and as a proposed map: the output of `srs-twin inspect`.
+"""Facts that `srs-twin inspect` reports: as JSON, as text and as a proposed map.
 
-The JSON has one object per file that can be read. Keys that do not apply to a file are
-left out. `srs-twin schema inspect` prints the JSON Schema of the list.
+The JSON has one object per readable file and omits keys that do not apply to the file.
+`srs-twin schema inspect` prints the JSON Schema of this list.
 """
 
 from __future__ import annotations
@@ -34,8 +34,7 @@ Pair = Annotated[list[str], Field(min_length=2, max_length=2)]
 
 
 class _Facts(StrictModel):
-    # Converts the numbers of NumPy to those of Python, in constructors and in
-    # assignments.
+    # NumPy scalars are converted to Python numbers, because JSON cannot hold them.
     model_config = ConfigDict(strict=False, frozen=False, validate_assignment=True)
 
 
@@ -184,18 +183,21 @@ class RecordingFacts(_Facts):
     """Notes on results, conversions, assumptions and data that were left out."""
 
     def document(self) -> dict[str, object]:
-        """Return the facts as plain data for JSON, without those that do not apply to the file."""
+        """Return the facts that apply to the file as plain data for JSON."""
         return self.model_dump(mode="json", exclude_unset=True)
 
 
 def facts_json_schema() -> dict[str, object]:
-    """Return the JSON Schema (draft 2020-12) of `inspect --json`, with descriptions and units."""
+    """Return the JSON Schema (draft 2020-12) of `inspect --json`."""
     schema = TypeAdapter(list[RecordingFacts]).json_schema()
     return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | schema
 
 
 def proposed_map(facts: Sequence[RecordingFacts]) -> str:
-    """Return a proposed map (YAML) for the files of one recording, with the reasons as comments."""
+    """Return a proposed map (YAML) for the files of one recording.
+
+    The comments of the map give the reasons.
+    """
     lines = ["# Proposed by srs-twin inspect: check it, then use it as --map."]
     for file in (file for file in facts if file.content == "markers"):
         lines.append(f"# {file.file}: {file.format}, {file.rate_hz:.4g} Hz")
@@ -223,7 +225,6 @@ def proposed_map(facts: Sequence[RecordingFacts]) -> str:
 
 
 def _marker_lines(facts: RecordingFacts) -> list[str]:
-    """Return the lines of the markers in a proposed map, head first if the head is known."""
     order = list(facts.order or ())
     heads = facts.head or ()
     markers = facts.markers or ()
