@@ -61,7 +61,7 @@ _DISTANCE_FRAMES = 2000
 _NEIGHBOUR_FRAMES = 300
 """Number of sampled frames on which neighbours are searched."""
 _SAME_HEIGHT = 0.05
-"""Height difference from most markers up to which a marker is assumed to be on the robot, m."""
+"""Maximum height difference of a robot's marker from most markers, m."""
 _CONSTANT_HEIGHT = 0.02
 """Maximum range of the height of a robot's marker at an unusual height, m."""
 _MAX_DISTANCE_RANGE = 0.5

@@ -87,7 +87,7 @@ class LengthModel(Enum):
     FREE = "free"
     """Lengths may vary, and the markers determine the bends for any lengths."""
     FIXED = "fixed"
-    """Lengths are constant, and the markers determine the bends only because of this."""
+    """Lengths are constant; the markers determine the bends only because of this."""
 
 
 @dataclass(frozen=True)

@@ -222,7 +222,7 @@ class _Tracker:
         self._last, self._velocity = np.zeros((2, MAX_MARKERS, points.shape[-1]))
 
     def assign(self, first: int, slots: np.ndarray, last: np.ndarray) -> None:
-        """Assign the tracklets that begin on a frame to lost tracks, or to new tracks."""
+        """Assign tracklets that begin on a frame to lost tracks, or to new tracks."""
         from scipy.optimize import linear_sum_assignment
 
         reflections = (self._end < first - _VELOCITY_FRAMES) & (
