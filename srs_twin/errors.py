@@ -223,7 +223,6 @@ _SHORTAGE = (
 
 
 def _is_memory_shortage(error: BaseException) -> bool:
-    """Return whether an error means lack of memory; libraries report it differently."""
     return (
         isinstance(error, MemoryError)
         or re.search(_SHORTAGE, str(error), re.IGNORECASE) is not None
@@ -294,7 +293,7 @@ def _exit_cause(exit_code: int) -> str:
 
 
 def _longest_round_divisor(period_s: float, step_s: float) -> float:
-    """Return the longest divisor of a period, up to one step, with four digits or fewer."""
+    """Return the longest divisor, at most one step, with four digits or fewer."""
     fewest = max(1, math.ceil(period_s / step_s))
     divisors = (period_s / n for n in range(fewest, min(20 * fewest, fewest + 1000)))
     short = (
@@ -359,7 +358,6 @@ def did_you_mean(text: str, available: Iterable[str]) -> str:
 
 
 def _split_name(name: str) -> tuple[str, str]:
-    """Return the section or folder of a name and its last component, in lower case."""
     path = PurePath(name.lower())
     if path.suffix in _FILE_SUFFIXES:
         return str(path.parent), path.stem
@@ -368,7 +366,6 @@ def _split_name(name: str) -> tuple[str, str]:
 
 
 def _similarity(text: str, name: str) -> float:
-    """Return the similarity of a text and a name, from 0 to 1."""
     whole = _ratio(text, name)
     if len(text) < 3 or whole == 1.0:
         return whole
@@ -420,7 +417,6 @@ def count_steps(name: str, period_s: float, step_name: str, step_s: float) -> in
 
 
 def _is_whole(ratio: float, tolerance: float = 1e-9) -> bool:
-    """Return whether a number is a positive integer within a relative tolerance."""
     return 0.5 < ratio < math.inf and abs(ratio - round(ratio)) <= tolerance * max(
         1.0, ratio
     )

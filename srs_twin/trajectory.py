@@ -291,11 +291,6 @@ class Trajectory(HtmlResult):
 
 
 def _check_schema(schema: Any) -> None:
-    """Check that a file is a trajectory before its data are read.
-
-    Raises:
-        TypeError: the file is not a trajectory, or a column is not float64.
-    """
     if not {b"srs_twin.events", b"srs_twin.metadata"} <= (schema.metadata or {}).keys():
         raise TypeError("a Parquet file with other content")
     for column in schema:
@@ -304,22 +299,12 @@ def _check_schema(schema: Any) -> None:
 
 
 def _to_array(name: str, column: Any) -> Array:
-    """Return a Parquet column as an array.
-
-    Raises:
-        TypeError: values are missing.
-    """
     if column.null_count:
         raise TypeError(f"column {name} has {column.null_count} missing values")
     return np.asarray(column.to_numpy())
 
 
 def _parse_event(data: Any) -> Event:
-    """Return an event from its JSON object.
-
-    Raises:
-        TypeError, ValueError: a key is missing or unknown, or a value has another type.
-    """
     event = Event(**data)
     if not (isinstance(event.kind, str) and isinstance(event.text, str)):
         raise TypeError("an event's kind and text must be text")

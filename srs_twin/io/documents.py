@@ -72,8 +72,6 @@ class Override:
     Attributes:
         label: origin of the value in messages, such as "--set
             controller.frequency_hz=1.5".
-        loc: path of the field.
-        value: plain data.
     """
 
     label: str
@@ -114,18 +112,13 @@ class Document:
     """Data of one file with the positions of values, and the problems found so far.
 
     Attributes:
-        name: name of the file in messages.
-        data: plain dicts, lists, text, numbers, true, false, None.
         values: path of a value → line and column of its first character; empty for data
             made in memory.
-        keys: path of a value → line and column of its key.
-        problems: position and message of each problem.
         refused: positions of invalid YAML; further problems at these positions are not
             reported.
         override_labels: labels of the applied overrides; values of the k-th override
             have the position (−k, 0).
         folder: folder of the file; None for data made in memory.
-        warnings: warnings about the file with their places.
     """
 
     name: str
@@ -308,7 +301,7 @@ def load_yaml(path: Path, *, limit: int = MAX_BYTES) -> Document:
     """Read and parse a YAML file; see `parse_yaml`.
 
     Args:
-        path: path of the file.
+        path: file path.
         limit: maximum size, bytes.
 
     Raises:
@@ -326,8 +319,8 @@ def parse_yaml(text: str, name: str) -> Document:
     Rejected features that do not stop the parser become `problems` of the document.
 
     Args:
-        text: text of the file.
-        name: name of the file in messages.
+        text: YAML text.
+        name: name for messages.
 
     Raises:
         InputFileError: the text has a syntax error or a second document, or its nesting
@@ -370,7 +363,6 @@ def parse_yaml(text: str, name: str) -> Document:
 
 
 def _explain(problem: str, lines: list[str], mark: yaml.Mark) -> str:
-    """Return a sentence on the probable mistake: a colon in text, or a wrong indent."""
     before = "".join(lines)[: mark.column]
     if "mapping values are not allowed" in problem and ": " in before:
         return "; a text with a colon and a blank must be in quotes"
@@ -444,12 +436,10 @@ class _Reader:
         self._nodes = 0
 
     def fail(self, position: Position, message: str) -> None:
-        """Raise an error with this problem and all earlier ones."""
         self.document.problems.append((position, message))
         self.document.raise_problems()
 
     def read(self) -> Document:
-        """Return the only document of the stream."""
         documents = 0
         while not isinstance(event := self._next(), yaml.StreamEndEvent):
             if isinstance(event, yaml.DocumentStartEvent):
@@ -474,7 +464,6 @@ class _Reader:
         return event
 
     def _value(self, event: yaml.Event, loc: Loc) -> object:
-        """Return the value that begins with an event, and record its position."""
         self._check(event)
         scalar = isinstance(event, yaml.ScalarEvent)
         if scalar and event.implicit[0] and not event.value:
@@ -520,7 +509,6 @@ class _Reader:
         return mapping
 
     def _check(self, event: yaml.Event) -> None:
-        """Count a node, and report an alias, anchor or tag as a problem."""
         self._nodes += 1
         if self._nodes > MAX_NODES:
             self.fail(self.last, f"more than {MAX_NODES} keys and values")
@@ -537,7 +525,6 @@ class _Reader:
             self._refuse(f"tags ({event.tag}) are not allowed; write the plain value")
 
     def _text(self, event: yaml.Event, *, keep: str) -> str:
-        """Return the text of a scalar with escapes, and report forbidden characters."""
         text = escape_unprintable(event.value, keep=keep)
         if text != event.value:
             bad = event.value[len(os.path.commonprefix([text, event.value]))]
@@ -578,13 +565,11 @@ class _CompactDumper(_Dumper):
     def represent_sequence(
         self, tag: str, sequence: Collection[object], flow_style: object = None
     ) -> yaml.Node:
-        """Represent a list; see PyYAML."""
         return super().represent_sequence(tag, sequence, _is_row(sequence))
 
     def represent_mapping(
         self, tag: str, mapping: Mapping[str, object], flow_style: object = None
     ) -> yaml.Node:
-        """Represent a dict; see PyYAML."""
         return super().represent_mapping(tag, mapping, _is_row(mapping.values()))
 
 

@@ -63,7 +63,7 @@ def replace_files(folder: Path, products: Sequence[str]) -> Iterator[Path]:
     process remains.
 
     Args:
-        folder: folder of the set; created if missing.
+        folder: folder, created if missing.
         products: names of all files of the set, or patterns such as ``best/*.yaml``.
             The first is the completion mark: it exists only in a complete set.
 
@@ -104,7 +104,6 @@ def remove_completion_mark(mark: Path) -> None:
 
 @contextmanager
 def _rename_in_errors(folder: Path, staging: Path) -> Iterator[None]:
-    """Replace the staging folder by the final folder in error messages."""
     try:
         yield
     except InputError as error:
@@ -113,13 +112,6 @@ def _rename_in_errors(folder: Path, staging: Path) -> Iterator[None]:
 
 
 def _swap(folder: Path, staging: Path, products: Sequence[str]) -> None:
-    """Replace the earlier set by the files of a staging folder.
-
-    Raises:
-        InputError: a folder has the name of a product, or the earlier set cannot be
-            restored after an error.
-        OSError: a file cannot be moved.
-    """
     check_not_folders(folder, products)
     try:
         (staging / _ASIDE).mkdir()
@@ -141,7 +133,6 @@ def _swap(folder: Path, staging: Path, products: Sequence[str]) -> None:
 
 
 def _existing_products(folder: Path, products: Iterable[str]) -> list[Path]:
-    """Return the relative paths of existing products, in the order of `products`."""
     return [
         path.relative_to(folder)
         for pattern in products
@@ -204,7 +195,6 @@ def _has_saved_files(staging: Path) -> bool:
 
 
 def _clean_up(folder: Path) -> None:
-    """Restore files from the staging folders of killed processes, and remove these."""
     for staging in folder.glob(f"{_STAGING_PREFIX}*"):
         with suppress(OSError, ValueError), _lock(staging, timeout_s=0.0) as locked:
             if locked:

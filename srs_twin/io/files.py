@@ -209,7 +209,7 @@ def read_text(path: Path, *, limit: int = MAX_BYTES) -> str:
     """Return the text of a small UTF-8 file without a byte order mark.
 
     Args:
-        path: path of the file.
+        path: file path.
         limit: maximum size, bytes.
 
     Raises:
@@ -368,7 +368,7 @@ def create_numbered_file(folder: Path, name: str) -> Path:
     Processes that do so at one time get different files.
 
     Args:
-        folder: folder of the file; created if missing.
+        folder: folder, created if missing.
         name: file name with "{}" for the number, such as "journal-{}.mcap".
 
     Raises:

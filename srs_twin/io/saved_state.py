@@ -142,7 +142,7 @@ class Stateful(DeepCopied):
 
         Args:
             base: base class whose own `state_attributes` are not sufficient.
-            label: name of the object in messages.
+            label: name for messages.
 
         Raises:
             InputError: no subclass of `base` has `state_attributes`, or the object was
@@ -214,8 +214,8 @@ class SavedState:
         """Check that an object can restore this state.
 
         Args:
-            label: name of the object in messages.
-            owner: settings of the object.
+            label: name for messages.
+            owner: object settings.
 
         Raises:
             InputError: the settings differ, or the state has another version.

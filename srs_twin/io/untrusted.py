@@ -67,7 +67,7 @@ def parse_json(text: str, name: str) -> Any:
     """Return the data of JSON text.
 
     Args:
-        text: text of a file.
+        text: JSON text.
         name: name for messages.
 
     Raises:
@@ -122,7 +122,6 @@ def _object(pairs: list[tuple[str, object]]) -> dict[str, object]:
 
 
 def _depth(data: object) -> int:
-    """Return the depth of nested lists and objects; counting stops above the limit."""
     layer = [data]
     depth = 0
     while layer and depth <= MAX_DEPTH:
@@ -226,7 +225,6 @@ def _check_size(path: Path) -> None:
 
 
 def _check_bounds(file: ParquetFile) -> None:
-    """Check the sizes that the footer declares, before data are read."""
     footer = file.metadata
     declared_bytes = sum(
         footer.row_group(i).total_byte_size for i in range(footer.num_row_groups)
@@ -247,11 +245,6 @@ def _check_bounds(file: ParquetFile) -> None:
 
 
 def _read(file: ParquetFile) -> pyarrow.Table:
-    """Return the table.
-
-    Raises:
-        ValueError: a column cannot be read; the message names it.
-    """
     import pyarrow as pa
 
     try:
@@ -274,7 +267,7 @@ def read_arrays(path: Path, what: str) -> dict[str, np.ndarray]:
     """Read a NumPy archive (npz) of numbers and texts, name → array.
 
     Args:
-        path: path of the archive.
+        path: archive file.
         what: kind of file in messages, such as "policy file".
 
     Raises:

@@ -60,7 +60,6 @@ _UNION_TAG_ERRORS = ("union_tag_invalid", "union_tag_not_found")
 
 @cache
 def _module_docstrings(module: str) -> dict[str, dict[str, str]]:
-    """Return the attribute docstrings of a module, class → key → text in one line."""
     docstrings: dict[str, dict[str, str]] = {}
     try:
         tree = ast.parse(inspect.getsource(sys.modules[module]))
@@ -122,7 +121,7 @@ def load_model(model: type[Model], path: Path, paths: Mapping[Loc, str] = {}) ->
 
     Args:
         model: subclass of `StrictModel`.
-        path: path of the file.
+        path: file path.
         paths: keys of the file that name other files → kind of shipped files; see
             `Document.locate`.
 
@@ -196,7 +195,7 @@ def describe_schema(schema: Schema, root: Schema, *, brief: bool = False) -> str
     """Describe the values of a JSON schema, such as 'a number from 0.01 to 50'.
 
     Args:
-        schema: schema of one value.
+        schema: value schema.
         root: complete schema with the definitions.
         brief: whether to give the number of choices instead of a long list.
     """
@@ -209,7 +208,6 @@ def describe_schema(schema: Schema, root: Schema, *, brief: bool = False) -> str
 
 
 def _report_block_kind(document: Document, item: ErrorDetails, loc: Loc) -> None:
-    """Report a block whose kind (the discriminator of a union) is invalid."""
     context = item["ctx"]
     block = item["input"]
     key = context["discriminator"].strip("'")
@@ -233,7 +231,6 @@ def _report_block_kind(document: Document, item: ErrorDetails, loc: Loc) -> None
 
 
 def _hint(value: object, names: Iterable[str]) -> str:
-    """Return why a name was retired, or a similar name, or an empty string."""
     if not isinstance(value, str):
         return ""
     if value in RETIRED_KINDS:
@@ -306,7 +303,6 @@ def _suggest_unit(value: object, loc: Loc, options: Iterable[Schema]) -> str:
 
 
 def _existing_path(loc: Loc, data: object) -> Loc:
-    """Remove path components that are not in the data, such as union members."""
     existing: list[str | int] = []
     for key in loc:
         if has_child(data, key):
@@ -316,7 +312,6 @@ def _existing_path(loc: Loc, data: object) -> Loc:
 
 
 def _is_absent(item: ErrorDetails, schema: Schema, loc: Loc, data: object) -> bool:
-    """Return whether the file lacks the key of a problem or the key has its default."""
     last = item["loc"][-1] if item["loc"] else None
     known = (
         item["type"] == "value_error" and isinstance(last, str) and loc[-1:] != (last,)
@@ -343,7 +338,6 @@ def _describe_value(value: Any) -> str:
 
 
 def _format_number(value: float) -> str:
-    """Format integers with all digits and other numbers with six."""
     if abs(value) > 1e300:  # integers too large for a float included
         return "infinity"
     if math.isnan(value):
@@ -433,7 +427,6 @@ def _alternatives(
 
 
 def _schemas_at(root: Schema, loc: Loc, data: object) -> Iterator[Schema]:
-    """Yield the schemas of a value at a path; a discriminator selects among a union."""
     schemas: list[Schema] = [root]
     for key in loc:
         inner_schemas: list[Schema] = []

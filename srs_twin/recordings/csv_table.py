@@ -72,11 +72,9 @@ class CsvColumn:
     """Column of a plain table.
 
     Attributes:
-        place: column index, counted from 0.
         name: base name, for example "x".
         number: number at the end of the name, or 0 if the name has none.
         unit: unit symbol from the name or a map, or an empty string.
-        factor: conversion factor to SI.
     """
 
     place: int
@@ -89,11 +87,7 @@ class CsvColumn:
 
 @dataclass(frozen=True)
 class CsvTable:
-    """Plain table with its columns.
-
-    Attributes:
-        unused: names of unrecognised columns.
-    """
+    """Plain table with its columns; `unused` names the unrecognised columns."""
 
     file: RecordedFile
     columns: tuple[CsvColumn, ...]
@@ -202,7 +196,7 @@ def read_table(
     """Read the header of a plain table.
 
     Args:
-        file: table, with or without a detected layout.
+        file: plain table.
         known: base name → accepted units (name → factor to SI); empty for a quantity
             without a unit.
         meanings: column name → meaning, from a recording map.
@@ -245,7 +239,6 @@ def read_table(
 def _mapped_names(
     file: RecordedFile, meanings: Mapping[str, Meaning], *, timed: bool
 ) -> dict[str, Meaning]:
-    """Return the meanings of a map, with the time column even if the map omits it."""
     mapped = {clean(name): meaning for name, meaning in meanings.items()}
     for name in mapped:
         if name not in file.names:
@@ -260,7 +253,6 @@ def _mapped_names(
 def _own_column(
     place: int, text: str, known: Mapping[str, Mapping[str, float]]
 ) -> CsvColumn | None:
-    """Parse a column with a known name, such as x_1, x_1_mm or bend_1 (deg)."""
     bare, bracket = bracketed(text)
     match = _NAME.fullmatch(bare)
     if match is None:

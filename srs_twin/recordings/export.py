@@ -178,7 +178,6 @@ class _Sample(NamedTuple):
     make: Mapping[str, Callable[..., object]]
 
     def numbered(self, name: str) -> list[float]:
-        """Return the values of the columns name_1, name_2 and so on."""
         keys = (f"{name}_{j}" for j in range(1, len(self.values)))
         return [self.values[key] for key in takewhile(self.values.__contains__, keys)]
 
@@ -194,7 +193,6 @@ class _Message(NamedTuple):
 def _messages(
     runs: Mapping[str, Trajectory], store: Typestore
 ) -> Iterator[tuple[str, str, int, object]]:
-    """Yield topic, type, time (ns) and message in chronological order."""
     make = {name.rsplit("/", 1)[1]: kind for name, kind in store.types.items()}
     times = sorted(
         (round(time * _NS), plant, k)

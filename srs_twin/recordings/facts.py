@@ -44,7 +44,7 @@ class MarkerFacts(_Facts):
     name: str
     """Name of the column."""
     rigid_body: bool
-    """Whether it is a rigid body with a rotation; the position is then that of the body."""
+    """Whether it is a rigid body with a rotation, whose position is then given."""
     coverage: Ratio
     """Fraction of the frames on which it was detected."""
     gaps: Count
@@ -52,7 +52,7 @@ class MarkerFacts(_Facts):
     longest_gap_s: Seconds
     """Duration of the longest gap."""
     noise_mm: Millimetres | None
-    """Standard deviation of the noise of a coordinate; null for a marker that was never detected."""
+    """Standard deviation of the noise of a coordinate; null if it was never detected."""
     noise_m: Metres | None
     """Standard deviation of the noise of a coordinate in m."""
     height_mm: Millimetres | None
@@ -114,7 +114,7 @@ class RobotFacts(_Facts):
     length_mm: list[Millimetres] | None = None
     """Median arc length of each segment, head first."""
     stretch: list[Ratio] | None = None
-    """Range of each length (98 % minus 2 % quantile) relative to that of the robot, head first."""
+    """Range of each length (98 % minus 2 % quantile) relative to the robot, head first."""
 
 
 class RecordingFacts(_Facts):
@@ -129,8 +129,10 @@ class RecordingFacts(_Facts):
     sha256: str
     """Checksum of the file."""
     rate_hz: Hertz | None = None
-    """Frames per second, from the median step, or rows of a log per second of its duration; null if the time
-    does not increase."""
+    """Frames per second from the median step, or rows of a log per second of its duration.
+
+    It is null if the time does not increase.
+    """
     duration_s: Seconds | None = None
     """Time from the first frame or row to the last."""
     starts_s: Seconds | None = None
@@ -158,17 +160,17 @@ class RecordingFacts(_Facts):
     bodies: list[str] | None = None
     """Names of the rigid bodies with a rotation."""
     tracks: Count | None = None
-    """Number of markers that may belong to the robot and were detected on at least 20 % of the frames."""
+    """Number of possible markers of the robot, detected on at least 20 % of the frames."""
     positions_of_nothing: Count | None = None
     """Number of positions that do not belong to a tracked marker."""
     noise_mm: Millimetres | None = None
-    """Standard deviation of the noise of a coordinate over all these markers."""
+    """Standard deviation of the noise of a coordinate over all tracked markers."""
     rigid_pairs: list[Pair] | None = None
     """Pairs of markers on one rigid part."""
     order: list[str] | None = None
-    """Markers from one end of the body to the other; empty if they are not along one line."""
+    """Markers from one end of the body to the other; empty unless they form one line."""
     distances: list[DistanceFacts] | None = None
-    """Distances of neighbours in this order."""
+    """Distances of neighbouring markers, in the order along the body."""
     layouts: dict[str, Count] | None = None
     """Marker layout → number of connectors of a robot with this number of markers."""
     head: list[HeadFacts] | None = None
@@ -176,7 +178,7 @@ class RecordingFacts(_Facts):
     signals: list[SignalFacts] | None = None
     """Signals of a log, or those in a file with positions."""
     robot: RobotFacts | None = None
-    """Only with `--robot`."""
+    """Result of reading the file as a recording of the robot in `--robot`."""
     proposals: list[str]
     """Lines of a proposed map (YAML), to be checked."""
     notes: list[str]

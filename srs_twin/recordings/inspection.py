@@ -112,7 +112,6 @@ class Scene:
     Attributes:
         places: marker positions, shape (frames, markers, 2 or 3), m.
         order: markers in their order along the body; empty if it is unknown.
-        rigid: pairs of markers on one rigid part.
     """
 
     places: np.ndarray
@@ -131,7 +130,7 @@ def inspect(
     """Describe a recording and propose a map, as the command `srs-twin inspect` does.
 
     Args:
-        path: recording of markers, or a log.
+        path: recording or log.
         map: known entries of a recording map, or the path of a map.
         robot: robot whose recording the file may be; None skips this check.
 
@@ -150,7 +149,7 @@ def inspect_file(
     """Return the facts of a file, and the scene of its markers if it has any.
 
     Args:
-        path: recording of markers, or a log.
+        path: recording or log.
         recording_map: known units, frame rate and marker places.
         spec: robot whose recording the file may be; None skips this check.
 
@@ -167,7 +166,6 @@ def inspect_file(
 def _file_facts(
     path: StrPath, recording_map: RecordingMap
 ) -> tuple[RecordingFacts, Scene | None]:
-    """Return the facts that need neither robot nor proposed map, and the markers."""
     start = start_of(path, recording_map.dialect)
     timed = {clean(name) for name in recording_map.meanings(["time"])}
     kind = PlainCsv.name
@@ -266,7 +264,6 @@ def _marker_facts(
 def _body_facts(
     table: MarkerTable, points: np.ndarray, frames: FrameGrid, facts: RecordingFacts
 ) -> Scene | None:
-    """Add order, distances, layouts and head if the markers determine them."""
     slots = in_slots(table, points)
     near = _neighbour_distance(slots.points[..., :2])
     if np.isnan(near):
@@ -323,7 +320,6 @@ def _neighbour_distance(points: np.ndarray) -> float:
 
 
 def _possible_layouts(markers: int, *, bodies: bool) -> dict[str, int]:
-    """Return the possible layouts, each with its number of connectors."""
     if bodies:
         return {"pair": markers}  # each rigid body counts as two points
     connectors = {
@@ -351,7 +347,6 @@ def _rigid_pairs(
 def _marker_names(
     origin: np.ndarray, labels: Sequence[str], facts: RecordingFacts
 ) -> tuple[str, ...]:
-    """Return a unique column name per marker; note it if markers change columns."""
     from scipy.optimize import linear_sum_assignment
 
     counts = np.stack(
@@ -449,10 +444,6 @@ def _log_facts(
     signals: Sequence[SignalFacts],
     time: np.ndarray | None,
 ) -> RecordingFacts:
-    """Return the facts of a log.
-
-    Start, duration, rate and rows need at least two rows.
-    """
     facts = RecordingFacts(
         file=source.name,
         format=kind,
@@ -477,7 +468,6 @@ def _log_facts(
 def _signal_facts(
     name: str, time: np.ndarray | None, values: np.ndarray, recording_map: RecordingMap
 ) -> SignalFacts:
-    """Return range, quantity and switching rate of a signal; the rate needs times."""
     known = values[np.isfinite(values)]
     if not known.size:
         return SignalFacts(name=name, looks_like="nothing", understood=False)
@@ -500,8 +490,6 @@ def _signal_facts(
 
 
 def _stated_quantity(name: str, values: np.ndarray, meaning: Meaning | None) -> str:
-    """Return the quantity stated by the name or the unit of a signal, or by the map."""
-
     def unit_in(units: Mapping[str, float]) -> str:
         given = (meaning.unit or meaning.default) if meaning else ""
         return stated_unit(name, units) or symbol(given, units)

@@ -85,7 +85,6 @@ class Dialect(NamedTuple):
     Attributes:
         columns: column names, for a file whose first line has none.
         separator: cell separator; a space stands for runs of spaces and tabs.
-        decimal: decimal mark, "." or ",".
     """
 
     columns: tuple[str, ...] = ()
@@ -116,8 +115,6 @@ class RecordedFile:
 
     Attributes:
         body: contents with single separators, if runs of spaces separate the cells.
-        names: column names of a plain table.
-        header_lines: number of lines above the rows.
         problem: reason why the file is not a table, or an empty string.
     """
 
@@ -257,7 +254,6 @@ class RecordedFile:
         return values, notes
 
     def _end_of(self, start: int, *, section: bool = False) -> int:
-        """Return the offset after the last line end, or of the first empty line."""
         end = _EMPTY_LINE.search(self.raw, start) if section else None
         return max(start, end.start() if end else self.raw.rfind(b"\n") + 1)
 
@@ -545,7 +541,6 @@ def _header(
 
 
 def _decimal(file: RecordedFile, separator: str, header_lines: int) -> str:
-    """Return the decimal mark of the rows, or an empty string if it is ambiguous."""
     start = file.offset_of(header_lines)
     if separator == "," or file.raw.find(b",", start) < 0:
         return "."
@@ -594,7 +589,6 @@ def _are_since_1970(time: np.ndarray, unit: str) -> bool:
 def _since_1970(
     exact: Sequence[int] | Sequence[Decimal], unit: str, notes: list[str]
 ) -> Times:
-    """Shift times since 1970 to start at 0."""
     origin = min(exact)
     since = np.array([float(value - origin) for value in exact]) * TIMES[unit]
     epoch_ns = round(origin * round(TIMES[unit] * 1e9))

@@ -39,7 +39,7 @@ class RecordedPressures(Pneumatics):
         """Construct the chambers.
 
         Args:
-            spec: robot to which the log belongs.
+            spec: recorded robot.
             time: ascending times of the samples since the start of the run, s; they may
                 be negative.
             pressure: gauge pressures, shape (samples, segments, 2), Pa.

@@ -175,8 +175,6 @@ class Recording:
             ``bend_rate_1…``; a bend log adds ``bend_rate_1…`` only.
         valves: log of valves or pressures on the clock of the trajectory; None before
             `join`.
-        epoch_ns: time since 1970 at 0 s, ns; None if the clock of the file has another
-            origin.
     """
 
     trajectory: Trajectory
@@ -207,7 +205,7 @@ class Recording:
         If pressures were recorded, all valves vent.
 
         Args:
-            name: name of the recording in messages.
+            name: name for messages.
 
         Raises:
             InputError: there is no log.

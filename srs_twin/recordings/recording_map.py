@@ -230,7 +230,7 @@ def given_map(
     """Merge a map file with options into plain data.
 
     Args:
-        path: path of the map file.
+        path: map file.
         options: map key → value, which overrides the file; None has no effect.
         markers: marker places, such as "NAME=connector 1", "NAME=middle 2",
             "NAME=connector 1 ahead" or "NAME=ignore".

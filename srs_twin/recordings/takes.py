@@ -81,7 +81,7 @@ class RecordingReader:
         """Read a captured motion; see `read_motion`.
 
         Args:
-            path: path of the recording.
+            path: recording file.
             spec: recorded robot.
             frequency: gait frequency if the reader has none, Hz.
         """
@@ -149,7 +149,7 @@ def logs_of(takes: Sequence[str], given: Sequence[str]) -> list[str]:
     """Return the log of each take.
 
     Args:
-        takes: paths of the motions.
+        takes: motion files.
         given: paths of the logs in the order of the takes; empty for default logs.
 
     Raises:
@@ -168,7 +168,6 @@ def logs_of(takes: Sequence[str], given: Sequence[str]) -> list[str]:
 
 
 def _log_of(take: Path) -> str:
-    """Return the default log of a recording, or its own file if it has a log."""
     if not take.name:
         return str(take)  # an empty name is the current folder, not a recording
     beside = take.with_name(take.stem + _LOG)
@@ -282,7 +281,6 @@ class RecordingFile(ExtensionSection):
         return product.trajectory
 
     def _recording(self, loading: Loading) -> Recording | None:
-        """Return the recording joined with its log; errors name the file's key."""
         document = loading.document
         file = loading.file
         reader = self.build()
@@ -311,7 +309,6 @@ class RecordingFile(ExtensionSection):
     def _check(
         self, document: Document, file: FileSections, recording: Recording
     ) -> list[str]:
-        """Report scenario settings that contradict the recording; return warnings."""
         time = recording.trajectory.time
         span = float(time[-1] - time[0])
         if file.duration_s > span + _ROUNDING_S:
@@ -331,7 +328,6 @@ class RecordingFile(ExtensionSection):
 
 
 def _read(document: Document, key: str, read: Callable[[], Result]) -> Result | None:
-    """Call a function that reads the file of a key and report errors at this key."""
     try:
         return read()
     except UnknownNameError as error:

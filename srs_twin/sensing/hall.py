@@ -199,7 +199,7 @@ def element_place(bend: Array | float, strip: Strip) -> tuple[Array, Array, Arra
 
     Args:
         bend: bend q of the segment, any shape, rad.
-        strip: geometry of magnet and element.
+        strip: strip geometry.
     """
     theta = strip_bend(np.asarray(bend, dtype=float), strip.chamber) * (
         strip.distance / strip.segment_length
@@ -224,7 +224,7 @@ def field(bend: Array | float, strip: Strip) -> Array:
         bend: bend q of the segment, any shape, rad. The result is NaN for a NaN, and
             for a bend that turns the strip by more than half a revolution between
             magnet and element.
-        strip: geometry of magnet and element.
+        strip: strip geometry.
     """
     x, y, theta = element_place(bend, strip)
     m_x, m_y = (0.0, strip.moment) if strip.orientation == "up" else (strip.moment, 0.0)
@@ -402,7 +402,6 @@ class Calibration:
         span: maximum angle to both sides, rad.
         voltage_range: minimum and maximum voltage, V.
         worst_error: maximum difference between line and angle, rad.
-        monotonic: whether the voltage is monotonic in the angle.
     """
 
     slope: float

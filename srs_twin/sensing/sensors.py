@@ -52,7 +52,7 @@ class Sensor(ABC):
             bend: actual bends, shape (…, segments), rad. A NaN gives NaN, which is a
                 lost reading that the controller must handle.
             time: times of the readings, shape (…,), s.
-            seed: random seed of the noise.
+            seed: noise seed.
 
         Raises:
             InputError: a time is not finite, with a noisy sensor.
@@ -118,7 +118,6 @@ def standard_normal(seed: int, time: np.ndarray | float, segments: int) -> np.nd
 
 @lru_cache(maxsize=64)
 def _block(seed: int, number: int, segments: int) -> np.ndarray:
-    """Return the numbers for the slots of a block, shape (_BLOCK, segments)."""
     numbers = _normal_numbers(
         seed, np.arange(number * _BLOCK, (number + 1) * _BLOCK), segments
     )
@@ -152,10 +151,6 @@ class CurvatureSensor(Sensor):
     """Curvature sensor of the dissertation (Section 2.2.2).
 
     It combines field, amplifier, converter and the calibrated line.
-
-    Attributes:
-        hall: Hall sensor in every segment.
-        calibration: line from voltage to bend.
     """
 
     hall: HallSensor
@@ -191,8 +186,6 @@ class CurvatureSensor(Sensor):
 
 @dataclass(frozen=True)
 class _AlteredSensor(Sensor):
-    """Sensors that change the readings of other sensors."""
-
     sensor: Sensor
 
     @property
@@ -211,9 +204,6 @@ class TwoAxisSensor(_AlteredSensor):
     The strips lie in the neutral axis at right angles, so each strip reads one
     component of the bend. Their noise is independent, and the first one has the noise
     of a planar robot's sensor with an equal seed. Both have equal drift.
-
-    Attributes:
-        sensor: sensors of one direction.
     """
 
     @property
@@ -280,12 +270,7 @@ class DeadSensor:
 
 @dataclass(frozen=True)
 class FaultySensor(_AlteredSensor):
-    """Sensors of which some have failed.
-
-    Attributes:
-        sensor: sensors without faults.
-        dead: faults of single sensors.
-    """
+    """Sensors of which some have failed, as `dead` lists."""
 
     dead: tuple[DeadSensor, ...]
 

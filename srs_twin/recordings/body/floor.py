@@ -134,7 +134,6 @@ def map_to_floor(
 def _find_floor(
     points: np.ndarray, usual: str, level: bool | None
 ) -> tuple[str, np.ndarray, list[str]]:
-    """Return the vertical axis, the levelled points, and notes."""
     visible = points[np.isfinite(points).all(axis=-1)]
     visible = visible[:: len(visible) // _SAMPLES + 1]
     if len(visible) < 3:
@@ -215,7 +214,6 @@ def _levelled(
 
 
 def _rotated(points: np.ndarray, normal: np.ndarray, axis: int) -> np.ndarray:
-    """Rotate points about their median so that `normal` coincides with an axis."""
     from scipy.spatial.transform import Rotation
 
     centre = np.nanmedian(points.reshape(-1, 3), axis=0)
@@ -228,10 +226,6 @@ def _fit_slopes(place: np.ndarray, height: np.ndarray) -> tuple[np.ndarray, floa
 
     Each marker has its own height above the floor. Markers that move up and down, such
     as a cap on a head, get little weight.
-
-    Args:
-        place: horizontal positions, shape (frames, columns, 2), m.
-        height: marker heights, shape (frames, columns), m.
     """
     x, y = (place - np.nanmean(place, axis=0)).reshape(-1, 2).T
     z = (height - np.nanmean(height, axis=0)).ravel()
@@ -253,13 +247,6 @@ def _fit_slopes(place: np.ndarray, height: np.ndarray) -> tuple[np.ndarray, floa
 
 
 class _Spreads(NamedTuple):
-    """Principal spreads of the horizontal motion of a marker.
-
-    Attributes:
-        spread: root mean squares in ascending order, shape (2,), m.
-        axes: principal directions as columns, shape (2, 2).
-    """
-
     spread: np.ndarray
     axes: np.ndarray
 
@@ -274,7 +261,6 @@ def _spreads(place: np.ndarray) -> _Spreads:
 
 
 def _body_extent(place: np.ndarray) -> float:
-    """Return the median distance from a marker to the farthest one in its frame, m."""
     distance = pairwise_distances(place, _EXTENT_FRAMES)
     seen = np.isfinite(distance).any(axis=2)
     if seen.any():

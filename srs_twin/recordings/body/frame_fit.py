@@ -82,8 +82,6 @@ class _Kinematics(NamedTuple):
         marker: marker positions, shape (frames, markers), complex, m.
         jacobian: derivatives of the marker positions with respect to the state, shape
             (frames, markers, 3 + 2 segments), complex.
-        connector: connector positions, shape (frames, N), complex, m.
-        heading: connector headings, shape (frames, N), rad.
     """
 
     marker: np.ndarray
@@ -176,7 +174,7 @@ def marker_offsets(
             m.
         missing: mask of hidden markers, shape (frames, markers).
         places: station and side of each marker.
-        names: name of each marker.
+        names: marker names.
 
     Raises:
         InputError: a station has more than two markers or two on one side, or a pair is
@@ -234,7 +232,6 @@ class StatePrior:
     Attributes:
         noise: σ, standard deviation of a marker coordinate, m.
         length_mean: mean lengths, shape (segments,), m.
-        length_std: σ_ℓ, standard deviation of the lengths, m.
         alternating_std: σ_ε, rad; None if the markers determine ε.
     """
 
@@ -284,7 +281,6 @@ class FrameFit:
             + 2 segments).
         distance: distances of the markers from their fitted positions, shape (frames,
             markers), m.
-        cost: minimised sum, shape (frames,).
         chi2: sum of the squared normalised marker residuals over all frames.
     """
 
@@ -317,8 +313,8 @@ def fit_frames(
     Args:
         state: initial states, shape (frames, 3 + 2 segments).
         measured: marker positions, shape (frames, markers), complex, m.
-        placement: positions of the markers on the body.
-        prior: prior of the state.
+        placement: marker placement.
+        prior: state prior.
         missing: mask of hidden markers, shape (frames, markers); None if all markers
             are visible.
     """

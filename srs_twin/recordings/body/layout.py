@@ -117,7 +117,6 @@ def foreign_tracks(tracks: np.ndarray) -> dict[int, str]:
 
 
 def _range(values: np.ndarray) -> float:
-    """Return the range between the 5 % and the 95 % quantile."""
     low, high = np.quantile(values, [0.05, 0.95])
     return float(high - low)
 
@@ -144,7 +143,7 @@ def robot_markers(
 
     Args:
         points: positions of all tracks, shape (frames, tracks, 2), m.
-        connectors: number of connectors, N.
+        connectors: connector count N.
         pitch: length of a straight segment, m.
         layout: one of `LAYOUTS`; "auto" selects the layouts with the visible number of
             markers.

@@ -62,12 +62,10 @@ class CapturedMarkers:
 
     Attributes:
         table: marker file.
-        time: times of the frames, shape (frames,), s.
         points: marker positions, interpolated where hidden, shape (frames, markers, 2),
             m.
         columns: column of the file from which each sample came, −1 where it is hidden,
             shape (frames, markers).
-        rejected: number of outliers among the samples of these markers.
         other: number of samples in the file that do not belong to the robot.
     """
 
@@ -125,8 +123,6 @@ class TrackedBody:
 
 
 class _Assignment(NamedTuple):
-    """Layout, places of the markers, and a text on how the head was determined."""
-
     layout: str
     places: Places
     head: str
@@ -138,7 +134,7 @@ def tracked_body(
     """Assign markers to the body and fit its shape.
 
     Args:
-        markers: markers of the robot.
+        markers: captured markers.
         spec: recorded robot.
         head: column name of a marker at the head, or None.
 
@@ -175,7 +171,6 @@ def tracked_body(
 def _fit_body(
     markers: CapturedMarkers, spec: RobotSpec, places: Places
 ) -> tuple[BodyShape, np.ndarray, list[str]]:
-    """Return the shape fitted to markers at known places, their stations, and notes."""
     geometry = spec.geometry
     order = list(places)
     points = markers.points[:, order]
@@ -221,12 +216,6 @@ def _station_name(station: int) -> str:
 
 
 def _length_notes(shape: BodyShape, spec: RobotSpec, model: LengthModel) -> list[str]:
-    """Return notes on the segment lengths.
-
-    Raises:
-        InputError: the lengths do not fit the robot, or they vary although the bends
-            depend on constant lengths.
-    """
     geometry = spec.geometry
     notes = []
     low, median, high = (
@@ -352,11 +341,6 @@ def _best_fit(
     options: Sequence[_Assignment],
     refused: Sequence[str],
 ) -> _Assignment:
-    """Return the assignment with clearly the smallest noise on a sample of the frames.
-
-    Raises:
-        InputError: no assignment fits, or several fit about equally well.
-    """
     thinned = markers.thinned()
     noises = list[float]()
     notes = [*refused]
@@ -381,7 +365,6 @@ def _best_fit(
 
 
 def _named_places(markers: CapturedMarkers, spec: RobotSpec) -> Places:
-    """Return the places stated by the most frequent column names of the markers."""
     places = markers.table.places
     main = markers.main_columns
     if sorted(main) != list(range(len(places))):

@@ -99,7 +99,6 @@ class BodyShape:
         theta: unwrapped connector headings, shape (frames, N), rad.
         bend_error: standard errors of the bends, shape (frames, segments), rad.
         length: arc lengths of the segments, shape (frames, segments), m.
-        length_std: σ_ℓ, standard deviation of the lengths, m.
         noise: σ, standard deviation of a marker coordinate, m.
         residual: root mean square distance of the visible markers from the body, shape
             (frames,), m.
@@ -204,7 +203,7 @@ def fit_shape(
         points: marker positions, interpolated where hidden, shape (frames, markers, 2),
             m.
         missing: mask of hidden markers, shape (frames, markers).
-        placement: positions of the markers on the body.
+        placement: marker placement.
         model: assumption on the segment lengths; see `length_model`.
     """
     measured = points @ [1, 1j]
@@ -259,7 +258,6 @@ def fit_shape(
 def _interpolate_states(
     time: np.ndarray, state: np.ndarray, incomplete: np.ndarray, bends: slice
 ) -> None:
-    """Replace the states of incomplete frames by a spline through the other states."""
     from scipy.interpolate import CubicSpline
 
     good = np.flatnonzero(~incomplete)

@@ -137,7 +137,6 @@ def pairwise_distances(points: np.ndarray, frames: int) -> np.ndarray:
 
 
 def _certain_links(points: np.ndarray, gate: float) -> np.ndarray:
-    """Return a mask of samples that certainly belong to the slot's previous marker."""
     step = np.diff(points, axis=0, prepend=np.nan)
     # A jump is not extrapolated, because the next expected position would be far away.
     step[np.isnan(step).any(axis=-1) | (np.linalg.norm(step, axis=-1) > 2 * gate)] = 0.0
@@ -222,7 +221,6 @@ class _Tracker:
         self._last, self._velocity = np.zeros((2, MAX_MARKERS, points.shape[-1]))
 
     def assign(self, first: int, slots: np.ndarray, last: np.ndarray) -> None:
-        """Assign tracklets that begin on a frame to lost tracks, or to new tracks."""
         from scipy.optimize import linear_sum_assignment
 
         reflections = (self._end < first - _VELOCITY_FRAMES) & (
@@ -260,7 +258,6 @@ class _Tracker:
             self._extend(track, slot, first, end)
 
     def _extend(self, track: int, slot: int, first: int, last: int) -> None:
-        """Continue a track in a slot and update its velocity, except after a jump."""
         if last > first:
             before = self._points[last - 1, slot]
         else:

@@ -38,14 +38,9 @@ class MarkerCounts:
     Attributes:
         header_frames: number of frames that the header states; None if it states none.
         frames_missing: number of frames that the file skips and that were inserted.
-        columns: number of columns of positions in the file.
-        layout: one of `body.layout.LAYOUTS`, or "named".
-        samples_seen: number of positions in the file.
         samples_other: number of positions that do not belong to the robot, because they
             are reflections, other markers or short tracks.
-        samples_rejected: number of positions that are outliers.
         longest_filled_s: longest gap that was filled, between the samples around it, s.
-        moves: number of changes of a marker to another column.
         spacing_m: 98 % quantile of the distances of adjacent connectors, head first, m.
         residual_m: root mean square distance of the markers from the fitted body, m.
         noise_m: standard deviation of a marker coordinate, m.
@@ -76,13 +71,10 @@ class LogSummary:
     Attributes:
         kind: file format, for example "Motive CSV 1.21", "plain CSV" or "bend log".
         frames_read: number of rows of the file that were used.
-        rate_hz: frame rate, Hz.
         samples_filled: number of positions or bends that were interpolated in the kept
             frames.
-        frames_kept: number of frames of the trajectory.
         start: time of the first frame of the trajectory, s.
         end: time of the last frame of the trajectory, s.
-        corrections: texts on all other changes and assumptions.
         markers: numbers on the markers; None for a bend log.
     """
 
@@ -114,10 +106,10 @@ class LogSummary:
         Args:
             source: recorded file.
             kind: file format.
-            frames: frames of the file.
+            frames: frame grid.
             time: times of the kept frames, s.
-            filled: number of interpolated samples.
-            corrections: texts on changes and assumptions.
+            filled: interpolated sample count.
+            corrections: notes on changes.
             markers: numbers on the markers; None for a bend log.
         """
         head = (
@@ -314,7 +306,7 @@ def measured_trajectory(
     Args:
         columns: signals by name.
         spec: recorded robot.
-        summary: summary of the file.
+        summary: file summary.
         gait_frequency_hz: gait frequency, Hz; None if it is unknown.
     """
     units = {

@@ -82,7 +82,7 @@ def identify(path: StrPath, dialect: Dialect = AS_FOUND) -> str:
     """Return the format of a recording, usually one of `FORMATS`, from its first bytes.
 
     Args:
-        path: path of the recording.
+        path: recording file.
         dialect: layout of a plain table, if it cannot be detected.
 
     Raises:
@@ -96,8 +96,8 @@ def read_markers(path: StrPath, unstated: Unstated = _NOTHING) -> MarkerTable:
     """Read the markers of a recording in any of `FORMATS`.
 
     Args:
-        path: path of the recording.
-        unstated: information that the file lacks.
+        path: recording file.
+        unstated: missing information.
 
     Raises:
         InputError: the file cannot be read; the message names file, line, column and
@@ -109,7 +109,6 @@ def read_markers(path: StrPath, unstated: Unstated = _NOTHING) -> MarkerTable:
 
 
 def _formats() -> Iterator[Format]:
-    """Yield the formats in the order of trial; the slow search for packages is late."""
     *special, plain = _FORMATS
     yield from special
     yield from (kind() for _, kind in extensions.plugin_parts(Format))

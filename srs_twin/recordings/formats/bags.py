@@ -25,8 +25,6 @@ MCAP_MAGIC = b"\x89MCAP0\r\n"
 
 
 class _McapRecord(IntEnum):
-    """Kinds of MCAP records that are read."""
-
     SCHEMA = 0x03
     CHANNEL = 0x04
     MESSAGE = 0x05
@@ -116,7 +114,6 @@ def _unpacked_chunk(chunk: memoryview) -> memoryview:
 
 
 def _text(content: memoryview, place: int) -> tuple[str, int]:
-    """Return a length-prefixed string, and the position after it."""
     end = place + 4 + int.from_bytes(content[place : place + 4], "little")
     if end > len(content):
         raise ChunkError("a string is longer than its record")

@@ -53,7 +53,6 @@ class Unstated(NamedTuple):
             Qualisys with an external clock.
         unit: unit of length, for DeepLabCut and plain CSV.
         scale_m: size of a pixel, m, for DeepLabCut and plain CSV.
-        dialect: layout of a plain table, if it cannot be detected.
     """
 
     rate_hz: float | None = None
@@ -68,13 +67,10 @@ class MarkerTable:
 
     Attributes:
         name: name for messages.
-        sha256: checksum of the file.
         kind: file format from `formats.identify`, with the version if it has one.
-        time: times of the file, shape (frames,), s.
         points: marker positions, NaN where hidden, shape (frames, columns, 3), or (…,
             2) in a plane, m.
         labels: column names.
-        corrections: texts on conversions and skipped data.
         places: station on the body and side of each column (`body.markers.Places`) if
             its name contains them, else empty.
         header_frames: number of frames that the header states; None if it states none.
@@ -117,7 +113,6 @@ class Format(ABC):
     damaged file of any format raises one `InputError` that names the file.
 
     Attributes:
-        name: name of the format in messages and results.
         binary: whether files are not text.
     """
 
@@ -219,7 +214,6 @@ class Rows(NamedTuple):
         time: times of the frames, shape (frames,), s.
         points: marker positions in the unit of the file, shape (frames, markers, 3).
         others: other columns, shape (frames, others).
-        notes: notes on samples that were left out.
     """
 
     time: np.ndarray
@@ -249,7 +243,7 @@ def marker_rows(
         clock: columns of the frame number, of the time, or of both; without them, the
             rows are counted.
         rate: frames per second; None if a column contains times.
-        others: other columns to read.
+        others: extra columns.
         section: whether the rows end at an empty line.
 
     Raises:

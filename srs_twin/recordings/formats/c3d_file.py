@@ -50,7 +50,6 @@ class _Parameter(NamedTuple):
     """Array of a parameter.
 
     Attributes:
-        kind: type, a key of `_ELEMENT_BYTES`.
         shape: dimensions, the fastest first; empty for a single value.
         data: raw bytes.
     """
@@ -62,21 +61,12 @@ class _Parameter(NamedTuple):
 
 @dataclass(frozen=True)
 class _Contents:
-    """Header and parameters of a file.
-
-    Attributes:
-        data: raw bytes.
-        processor: processor type.
-        parameters: parameters by group and name in capitals, such as "POINT:RATE".
-    """
-
     data: bytes
     processor: int
     parameters: dict[str, _Parameter]
 
     @property
     def order(self) -> str:
-        """Byte order of integers, as in NumPy."""
         if self.processor == _BIG_ENDIAN:
             return ">"
         return "<"
@@ -229,10 +219,6 @@ def _units(
     count: int,
     given: str | None,
 ) -> tuple[list[str], list[str]]:
-    """Return the unit of each chosen point, and notes.
-
-    A file has one unit for all points or one unit per point.
-    """
     stated = [unit.lower() for unit in contents.strings("POINT:UNITS") if unit]
     if not stated and not given:
         raise file.error("POINT:UNITS is missing; give --units, or `units` in a map")
@@ -256,8 +242,6 @@ class _Frames(NamedTuple):
     Attributes:
         samples: x, y, z and residual in the unit of the file, shape (frames, points,
             4).
-        first: number of the first frame.
-        announced: number of frames that the file states.
     """
 
     samples: np.ndarray

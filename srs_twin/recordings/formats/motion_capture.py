@@ -32,8 +32,6 @@ _MOTIVE_HEADER_LINES = 12
 
 
 class _Column(NamedTuple):
-    """First column, name and type of a column group X, Y, Z, or X, Y, Z, W."""
-
     place: int
     name: str
     kind: str
@@ -120,7 +118,6 @@ class _Columns(NamedTuple):
 
 
 def _kind_to_read(file: RecordedFile, columns: _Columns) -> tuple[str, list[str]]:
-    """Return the type of the columns that are read, and notes on other types."""
     kinds = Counter(column.kind or "no type" for column in columns.positions)
     kind = next((name for name in MOTIVE_KINDS if name in kinds), None)
     if kind is None:
@@ -262,14 +259,6 @@ class Vicon(Format):
 def _object_rotations(
     rows: Rows, positions: list[int], rotations: dict[int, range], units: list[str]
 ) -> np.ndarray | None:
-    """Return the quaternions of all objects, as in `MarkerTable`.
-
-    Args:
-        rows: rows with the columns of all rotations.
-        positions: first position column of each object.
-        rotations: first position column → rotation columns.
-        units: unit of each column.
-    """
     if not rotations:
         return None
     quaternions = np.full((*rows.points.shape[:2], 4), np.nan)
@@ -295,7 +284,6 @@ def _rotation_columns(axes: list[str], positions: list[int]) -> dict[int, range]
 
 
 def _vicon_section(file: RecordedFile) -> tuple[str, int, list[str]]:
-    """Return title and line number of the section to read, and notes on the others."""
     sections = [
         (title[1].decode(), title.start()) for title in _SECTION.finditer(file.raw)
     ]
@@ -315,7 +303,6 @@ def _vicon_section(file: RecordedFile) -> tuple[str, int, list[str]]:
 
 
 def _quaternions(rotation: np.ndarray, unit: str) -> np.ndarray:
-    """Convert rotation vectors to quaternions; quaternions are returned unchanged."""
     from scipy.spatial.transform import Rotation
 
     if rotation.shape[1] == 4:

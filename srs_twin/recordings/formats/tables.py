@@ -199,7 +199,6 @@ class DeepLabCut(Format):
 
 
 def _dlc_scale(file: RecordedFile, unstated: Unstated) -> float:
-    """Return the factor from coordinates to m."""
     pixels = unstated.unit in (None, "px")
     missing = []
     if not unstated.rate_hz:
@@ -278,11 +277,6 @@ class PlainCsv(Format):
 def _in_given_unit(
     table: CsvTable, markers: dict[str, list[CsvColumn]], unstated: Unstated
 ) -> list[CsvColumn]:
-    """Return the columns of all markers, in the given unit if their names state none.
-
-    Raises:
-        InputError: a name states another unit, or the size of a pixel is missing.
-    """
     unit = unstated.unit
     scale = LENGTHS.get(unit or "m")
     if unit == "px":
@@ -323,7 +317,6 @@ def _place(marker: str) -> tuple[int, str]:
 
 
 def _marker_columns(table: CsvTable, numbered: bool) -> dict[str, list[CsvColumn]]:
-    """Return the columns x, y and, if present, z of each marker, in order of number."""
     file = table.file
     line = table.file.header_lines or 1
     names = [

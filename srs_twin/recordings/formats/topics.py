@@ -146,13 +146,10 @@ class RecordedTopics:
 
     Attributes:
         name: name for messages.
-        sha256: checksum of the file.
         origin_ns: log time of the first message, ns.
-        markers: positions and rotations of bodies and points, or None.
         signals: (time, values) by name, each of shape (samples,), in s and as recorded.
             Names are ``/joy.axes[0]``, ``/joints.NAME.position``, ``/topic.data[2]``,
             ``/topic.fluid_pressure`` (Pa), or ``/topic.dotted.path`` for JSON.
-        notes: notes on skipped topics and irregularities.
     """
 
     name: str
@@ -210,7 +207,7 @@ class Bag(Format):
         nearest message within half a frame is used.
 
         Args:
-            file: file with the messages.
+            file: message file.
             signals: whether to read the topics without positions.
 
         Raises:
@@ -292,7 +289,6 @@ class _Topics:
         message: Message,
         values: _Numbers,
     ) -> None:
-        """Add a row at the header stamp of a message, or else at its log time."""
         stamp = getattr(getattr(content, "header", None), "stamp", None)
         time = message.log_time
         whole = getattr(stamp, "sec", None)
@@ -388,7 +384,6 @@ class _Topics:
 
 
 def _unique_names(bodies: Iterable[tuple[str, str]]) -> list[str]:
-    """Return the labels of bodies, with the topic in front of a repeated label."""
     bodies = list(bodies)
     counts = Counter(label for _, label in bodies)
     return [
@@ -508,7 +503,6 @@ _BODIES: dict[str, Callable[[str, Decoded], list[tuple[str, Decoded, Decoded]]]]
 
 @lru_cache(1000)
 def _decoder(topic: Topic) -> tuple[str, str, Callable[[bytes], Decoded] | None]:
-    """Return name and type of a topic, and its decoder or None for an unknown type."""
     kind = escape_unprintable(topic.kind[:80]).replace("/msg/", "/")
     kind = kind.replace("tf/tfMessage", "tf2_msgs/TFMessage")
     decode: Callable[[bytes], Decoded] | None = None
@@ -562,7 +556,6 @@ def _joints(message: Decoded) -> Iterator[tuple[str, float]]:
 
 
 def _leaves(name: str, value: object) -> Iterator[tuple[str, float]]:
-    """Yield all numbers in nested lists and objects, with their dotted paths."""
     if isinstance(value, int | float | np.number):
         yield name, float(value)
     elif isinstance(value, list | np.ndarray):

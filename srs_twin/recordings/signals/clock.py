@@ -58,7 +58,6 @@ class Offset:
             the modelled chamber lag.
         explained: fraction of the variance of the bends that the log explains; 1 for a
             given offset.
-        estimated: whether the offset was estimated.
     """
 
     seconds: float
@@ -169,7 +168,6 @@ def _losses(
 
 
 def _check_unambiguous(loss: np.ndarray, offsets: np.ndarray, best: int) -> None:
-    """Raise an error if another minimum of S is nearly as low."""
     low = (loss[1:-1] <= loss[:-2]) & (loss[1:-1] <= loss[2:]) & np.isfinite(loss[1:-1])
     # The added constant accounts for noise and for the step of the delays if S is close
     # to 0.
@@ -217,7 +215,7 @@ def join(
 
     Args:
         recording: recorded motion.
-        log: log of valves or pressures.
+        log: valve or pressure log.
         spec: robot whose chamber model converts valve states to bends for the estimate.
         offset: value to add to the times of the log, s. If both files have times since
             1970, the offset is added to them. None determines it.
@@ -273,7 +271,6 @@ def join(
 
 
 def _covered(time: np.ndarray, log: ValveLog, offset: float) -> np.ndarray:
-    """Return the mask of the frames that a log covers."""
     start, end = log.time[[0, -1]]
     covered = (time >= start - 1e-9) & (time <= end + 1e-9)
     if covered.sum() < MIN_FRAMES:
@@ -286,8 +283,6 @@ def _covered(time: np.ndarray, log: ValveLog, offset: float) -> np.ndarray:
 
 
 class _FoundOffset(NamedTuple):
-    """Offset of a log, a text on its origin, and notes."""
-
     offset: Offset
     how: str
     notes: list[str]
@@ -296,7 +291,6 @@ class _FoundOffset(NamedTuple):
 def _find_offset(
     recording: Recording, log: ValveLog, spec: RobotSpec, offset: float | None
 ) -> _FoundOffset:
-    """Return the offset of a log; see `join` for the arguments."""
     time = recording.trajectory.time
     notes = []
     if recording.epoch_ns is not None and log.epoch_ns is not None:

@@ -30,7 +30,6 @@ class FrameGrid:
     Attributes:
         time: ascending times, shape (frames,), s.
         rows: row of the file for each frame, −1 for a missing frame, shape (frames,).
-        period: median time between frames, s.
         corrections: texts on changes.
     """
 
@@ -97,7 +96,6 @@ def frame_grid(time: np.ndarray) -> FrameGrid:
 def _on_grid(
     time: np.ndarray, rows: np.ndarray, period: float, notes: list[str]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return times and rows with the missing frames inserted, and add notes."""
     steps = np.diff(time)
     whole = np.rint(steps / period)
     if np.abs(steps - whole * period).max() > _GRID_TOLERANCE * period:

@@ -110,8 +110,8 @@ def read_bends(
     """Read a bend log.
 
     Args:
-        path: path of the bend log.
-        spec: robot that carries the sensors.
+        path: bend log.
+        spec: recorded robot.
         longest_gap_s: maximum gap that is filled, s.
         gait_frequency_hz: gait frequency, Hz; None for a motion that is not periodic.
         map: column names and layout of the file.
@@ -164,7 +164,6 @@ def read_bends(
 def _table(
     path: StrPath, recording_map: RecordingMap, kinds: Sequence[str]
 ) -> CsvTable:
-    """Return a table with the columns of these quantities, by name or by the map."""
     file = laid_out(read_file(path), recording_map.dialect)
     known = {
         f"{kind}_{side}": QUANTITIES[kind]
@@ -187,7 +186,6 @@ def _table(
 def _clamped_body(
     time: np.ndarray, bend: np.ndarray, spec: RobotSpec
 ) -> dict[str, np.ndarray]:
-    """Return the columns of a body with the head clamped at the origin, along x."""
     geometry = spec.geometry
     shape = body_shape(
         bend, spec.mass.array(), geometry.segment_length, geometry.rigid_gap
@@ -212,7 +210,7 @@ def read_valves(
     """Read a log of valves, duties or pressures.
 
     Args:
-        path: path of a plain CSV file or a bag.
+        path: CSV file or bag.
         spec: recorded robot.
         map: meanings of columns or topic signals, and the carrier frequency of duties.
 
@@ -316,12 +314,7 @@ def _checked_values(
 ) -> np.ndarray:
     """Return valve states, duties or gauge pressures, and add notes.
 
-    Args:
-        kind: one of valve, duty, pressure and setpoint.
-        values: values in SI, shape (rows, 2 segments).
-        ambient: ambient pressure to subtract, Pa; 0 for gauge pressures.
-        notes: notes on the log.
-        error: function of row, column and message that returns the error to raise.
+    `error` makes the error to raise from a row, a column and a message.
 
     Raises:
         InputError: values are missing or impossible.
@@ -368,7 +361,6 @@ def _log(
     carrier_hz: float | None,
     notes: list[str],
 ) -> ValveLog:
-    """Return a log of valve states or gauge pressures in chronological order."""
     with named_in_errors(source.name):
         check_times(time)
         order, moved = time_order(time)

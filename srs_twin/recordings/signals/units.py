@@ -135,7 +135,6 @@ class Meaning(NamedTuple):
     Attributes:
         kind: quantity: time, valve, duty, pressure, setpoint or bend.
         name: quantity and side, such as "pressure_plus".
-        number: segment number; 0 for the time.
         default: unit in the key of the map, for columns whose name states none.
         unit: unit of this column in the map, or an empty string.
     """
