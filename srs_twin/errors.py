@@ -1,9 +1,10 @@
-"""Exceptions and warnings of the package, with exit codes and messages that name a remedy.
+"""Exceptions and warnings of the package, with exit codes and remedies.
 
-Every error that the package raises on purpose is an `SrsError`. Its message is
-complete: where the problem is, what was given, what is allowed and the closest valid
-input. The command line prints the message and exits with `exit_code`. The helpers below
-build such messages: lists of names, suggestions, and times that divide evenly.
+Every error that the package raises on purpose is an `SrsError`. The message is
+complete: it says where the problem is, what was given, what is allowed and what valid
+input is closest. The command line prints the message and exits with `exit_code`. The
+helpers below build such messages: lists of names, suggestions, and times that divide
+evenly.
 """
 
 from __future__ import annotations
@@ -19,23 +20,26 @@ from pathlib import Path, PurePath
 from typing import Any, NamedTuple
 
 MAX_LISTED_NAMES = 12
-"""Largest number of names that a message lists."""
+"""Maximum number of names that a message lists."""
 
 _MAX_SUGGESTIONS = 3
 _MIN_SIMILARITY = 0.6
-"""Lowest similarity of a suggested name; the scale and the value are those of
-`difflib`."""
+"""Minimum similarity of a suggested name; scale and value come from `difflib`."""
 
 _SIMILARITY_TIE = 0.05
-"""Names whose similarity is within this distance of the best are suggested together."""
+"""Maximum similarity difference from the best name for a joint suggestion."""
 
 _MIN_PREFIX_SIMILARITY = 0.75
-"""Lowest similarity to the first words of a name; higher, because short texts are
-similar by chance."""
+"""Minimum similarity to the first words of a name.
+
+It is higher than for whole names, because short texts are similar by chance.
+"""
 
 OUTSIDE: set[str] = set()
-"""Source files of imported parts that do not belong to the package, for messages about
-errors in them."""
+"""Source files of imported parts that do not belong to the package.
+
+Messages about errors in these parts name the file.
+"""
 
 _FILE_SUFFIXES = (
     ".yaml",
@@ -62,33 +66,41 @@ class SrsError(Exception):
     exit_code = 4
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Pickle class, arguments and attributes: `Exception` would call __init__ with the message alone."""
+        """Pickle class, arguments and attributes.
+
+        `Exception` would call __init__ with the message alone.
+        """
         return _restore_error, (type(self), self.args, self.__dict__)
 
 
 class InputError(SrsError):
-    """Unusable input; nothing was written. Exit code 2."""
+    """Error for unusable input, after which nothing was written. Exit code 2."""
 
     exit_code = 2
 
 
 class AbsentPartError(InputError):
-    """Part from outside the package that is not imported, because a file is only read."""
+    """Error for a part from outside the package that is not imported.
+
+    Such a part is absent if a file is only read.
+    """
 
     def __init__(self, name: str) -> None:
         super().__init__(f"{name} was not imported; load the scenario itself to run it")
 
 
 class UnknownNameError(InputError):
-    """Name that is not available; the message suggests the closest names and lists a small selection.
+    """Error for a name that is not available; the message suggests the closest names.
+
+    The message also lists the available names if they are few.
 
     Args:
         kind: kind of object with this name, such as "metric".
-        name: the unknown name.
+        name: unknown name.
         available: all valid names.
         listing: command or page that lists them, for messages about more than `longest`
             names.
-        longest: largest number of names that the message lists.
+        longest: maximum number of names that the message lists.
     """
 
     def __init__(
@@ -101,7 +113,7 @@ class UnknownNameError(InputError):
     ) -> None:
         names = sorted(available)
         suggestion = did_you_mean(name, names)
-        # Do not list many names, because they would hide the suggestion.
+        # A long list of names would hide the suggestion.
         hide_list = suggestion and len(names) > longest
         if hide_list:
             rest = ""
@@ -111,17 +123,17 @@ class UnknownNameError(InputError):
 
 
 class TimeStepError(InputError):
-    """Period that is not a whole multiple of a shorter one; the message names both.
+    """Error for a period that is not a whole multiple of a shorter period.
 
     Attributes:
-        problem: the message without the suggested times.
+        problem: message without the suggested times.
     """
 
     def __init__(
         self, name: str, period_s: float, step_name: str, step_s: float
     ) -> None:
-        # Print enough digits to show the problem: with six digits, 0.13999994 s would
-        # be 0.14 s, a multiple of 0.02 s.
+        # Enough digits are printed to show the problem: with six digits, 0.13999994 s
+        # would be 0.14 s, a multiple of 0.02 s.
         period = shortest_decimal(period_s, lambda time: not _is_whole(time / step_s))
         self.problem = (
             f"{name} {period} s is not a multiple of {step_name}"
@@ -138,7 +150,7 @@ class InputFileError(InputError):
     """All problems of one file, each as ``path:line:column: key.path: message``.
 
     Attributes:
-        lines: the messages, in the order of the file.
+        lines: messages in the order of the file.
     """
 
     def __init__(self, lines: Iterable[str]) -> None:
@@ -147,7 +159,7 @@ class InputFileError(InputError):
 
 
 class UnitWarning(UserWarning):
-    """A number of a robot file is implausible; it may be in another unit."""
+    """A number of a robot file is implausible, and may be in another unit."""
 
 
 class EngineWarning(UserWarning):
@@ -155,15 +167,15 @@ class EngineWarning(UserWarning):
 
 
 class SessionWarning(UserWarning):
-    """A live session continues without a file or a forecast, or falls behind real time."""
+    """A live session continues without a file or forecast, or lags behind real time."""
 
 
 class CacheWarning(UserWarning):
-    """Compiled kernels cannot be cached; every start compiles them again."""
+    """Compiled kernels cannot be cached, so every start compiles them again."""
 
 
 class DivergedError(SrsError):
-    """Diverged simulation: a value is not finite or not plausible. Exit code 3.
+    """Error for a simulated value that is not finite or not plausible. Exit code 3.
 
     Attributes:
         time: simulated time at which the divergence was detected, s.
@@ -183,7 +195,7 @@ class DivergedError(SrsError):
 
 
 class TaskFailedError(SrsError):
-    """Unexpected exception of a task in a worker process. Exit code 4."""
+    """Error for an unexpected exception of a task in a worker process. Exit code 4."""
 
     def __init__(self, error: BaseException) -> None:
         if _is_memory_shortage(error):
@@ -211,7 +223,6 @@ _SHORTAGE = (
 
 
 def _is_memory_shortage(error: BaseException) -> bool:
-    """Return whether an error is due to a lack of memory, which libraries report in different ways."""
     return (
         isinstance(error, MemoryError)
         or re.search(_SHORTAGE, str(error), re.IGNORECASE) is not None
@@ -219,7 +230,7 @@ def _is_memory_shortage(error: BaseException) -> bool:
 
 
 class WorkerDiedError(SrsError):
-    """Worker processes that died during a task, in every attempt. Exit code 4."""
+    """Error for worker processes that died in every attempt at a task. Exit code 4."""
 
     def __init__(self, exit_code: int, attempts: int) -> None:
         times = "" if attempts == 1 else f", {attempts} times in a row"
@@ -230,14 +241,17 @@ class WorkerDiedError(SrsError):
 
 
 def describe_error(error: BaseException) -> str:
-    """Return type and message of an error with its place, preferably in a part from outside the package."""
+    """Return type, message and place of an error.
+
+    A place in a part from outside the package is preferred.
+    """
     frames = _frames(error, OUTSIDE) or traceback.extract_tb(error.__traceback__)
     if frames:
         where = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})"
     else:
         where = ""
     if isinstance(error, SyntaxError):
-        where = ""  # the message has it
+        where = ""  # the message already contains it
     return f"{type(error).__name__}: {' '.join(str(error).split())}{where}"
 
 
@@ -261,7 +275,7 @@ def _restore_error(
 
 
 def describe_exit(exit_code: int) -> str:
-    """Return how a process ended; a negative exit code is a signal number, as in multiprocessing."""
+    """Describe how a process ended; a negative exit code is a signal number."""
     if exit_code >= 0:
         return f"ended with exit code {exit_code}"
     try:
@@ -279,7 +293,7 @@ def _exit_cause(exit_code: int) -> str:
 
 
 def _longest_round_divisor(period_s: float, step_s: float) -> float:
-    """Return the longest divisor of a period, at most one step, that has four digits or fewer."""
+    """Return the longest divisor, at most one step, with four digits or fewer."""
     fewest = max(1, math.ceil(period_s / step_s))
     divisors = (period_s / n for n in range(fewest, min(20 * fewest, fewest + 1000)))
     short = (
@@ -293,14 +307,14 @@ def _longest_round_divisor(period_s: float, step_s: float) -> float:
 def format_names(
     names: Sequence[str], listing: str = "", longest: int = MAX_LISTED_NAMES
 ) -> str:
-    """Return names for a message: all of a short list, else their number and where they are listed."""
+    """Return the names for a message, or for many names their number and a listing."""
     if len(names) > longest:
         return f"{len(names)} names{listing and f'; {listing} lists them'}"
     return ", ".join(names) or "none"
 
 
 def check_choice(name: str, value: str, allowed: Iterable[str]) -> None:
-    """Raise InputError unless a value is one of those allowed; the message suggests the closest."""
+    """Raise InputError unless a value is allowed; the message suggests the closest."""
     allowed = tuple(allowed)
     if value not in allowed:
         raise InputError(
@@ -310,16 +324,16 @@ def check_choice(name: str, value: str, allowed: Iterable[str]) -> None:
 
 
 def did_you_mean(text: str, available: Iterable[str]) -> str:
-    """Return '; did you mean A, B or C?' for the closest available names, or an empty string.
+    """Return '; did you mean A, B or C?' for the closest names, or an empty string.
 
     Names are compared by their last component: `frequency_hz` of
     `controller.frequency_hz`, `gen2_turn` of `scenarios/gen2_turn.yaml`. Abbreviations
-    and names without their unit count as similar. Between equally similar names, those
-    of the same section are preferred.
+    and names without their unit count as similar. Among equally similar names, names of
+    the same section are preferred.
 
     Args:
-        text: the unknown name.
-        available: valid names; at most three are suggested, ties in this order.
+        text: unknown name.
+        available: valid names. At most three are suggested, and ties keep this order.
     """
     section, last = _split_name(text)
     similarity = {}
@@ -344,7 +358,6 @@ def did_you_mean(text: str, available: Iterable[str]) -> str:
 
 
 def _split_name(name: str) -> tuple[str, str]:
-    """Return the section or folder of a name, and its last component, in lower case."""
     path = PurePath(name.lower())
     if path.suffix in _FILE_SUFFIXES:
         return str(path.parent), path.stem
@@ -353,7 +366,6 @@ def _split_name(name: str) -> tuple[str, str]:
 
 
 def _similarity(text: str, name: str) -> float:
-    """Return the similarity of a text and a name, from 0 to 1."""
     whole = _ratio(text, name)
     if len(text) < 3 or whole == 1.0:
         return whole
@@ -361,7 +373,8 @@ def _similarity(text: str, name: str) -> float:
         return max(whole, 0.85 + 0.1 * len(text) / len(name))
     text = _WORD_SEPARATOR.sub("_", text)
     words = _WORD_SEPARATOR.split(name)
-    # The first words of the name (it may end in a unit), or any words of it.
+    # The text may be the first words of a name that ends in a unit, or any words of the
+    # name.
     prefix = 0.95 * max(
         (_ratio(text, "_".join(words[:i])) for i in range(1, len(words))), default=0.0
     )
@@ -380,13 +393,13 @@ def count_steps(name: str, period_s: float, step_name: str, step_s: float) -> in
 
     Args:
         name: name of the period in messages.
-        period_s: the longer time, s.
+        period_s: duration of the period, s.
         step_name: name of the step in messages.
-        step_s: the shorter time, s.
+        step_s: duration of the step, s.
 
     Raises:
         TimeStepError: the ratio is not a whole number (relative tolerance 1e-9).
-        InputError: one of the times is not finite or not above 0.
+        InputError: one of the times is not finite or not positive.
     """
     for label, value in ((name, period_s), (step_name, step_s)):
         if not (math.isfinite(value) and value > 0):
@@ -404,14 +417,13 @@ def count_steps(name: str, period_s: float, step_name: str, step_s: float) -> in
 
 
 def _is_whole(ratio: float, tolerance: float = 1e-9) -> bool:
-    """Return whether a number is a positive integer within a relative tolerance."""
     return 0.5 < ratio < math.inf and abs(ratio - round(ratio)) <= tolerance * max(
         1.0, ratio
     )
 
 
 def shortest_decimal(value: float, fits: Callable[[float], bool]) -> str:
-    """Return the shortest decimal text of a number, with six or more digits, whose value still fits."""
+    """Return the shortest decimal text, from six digits on, whose value still fits."""
     return next(
         (text for n in range(6, 17) if fits(float(text := f"{value:.{n}g}"))),
         repr(value),
@@ -419,7 +431,7 @@ def shortest_decimal(value: float, fits: Callable[[float], bool]) -> str:
 
 
 def format_exact(value: float) -> str:
-    """Return the shortest text that reads back as the same number."""
+    """Return the shortest text that reads back as an equal number."""
     return shortest_decimal(value, lambda read: read == value)
 
 
@@ -436,7 +448,10 @@ class SamplingGrid(NamedTuple):
     step: float | None = None
 
     def fits(self, rate: float, tolerance: float = 1e-9) -> bool:
-        """Return whether samples at a rate (Hz) coincide with ticks or divide them into allowed intervals."""
+        """Return whether samples at a rate (Hz) fit the grid.
+
+        Samples must coincide with ticks, or divide ticks into allowed intervals.
+        """
         per_tick = self.tick * rate
         if not 0 < per_tick < math.inf:
             return False
@@ -446,7 +461,7 @@ class SamplingGrid(NamedTuple):
         return allowed and _is_whole(per_tick, tolerance)
 
     def rates_near(self, rate: float) -> Iterator[float]:
-        """Yield rates (Hz) close to a given one that fit this plant."""
+        """Yield rates (Hz) close to a given rate that fit this plant."""
         ticks_per_sample = 1 / (self.tick * rate)
         samples_per_tick = self.tick * rate
         yield from (1 / (k * self.tick) for k in _integers_near(ticks_per_sample))
@@ -462,7 +477,6 @@ _NEIGHBOUR_COUNT = 20
 
 
 def _integers_near(number: float) -> range:
-    """Return positive integers around a number."""
     middle = round(min(number, 1e15))
     return range(max(1, middle - _NEIGHBOUR_COUNT), max(1, middle) + _NEIGHBOUR_COUNT)
 
@@ -470,16 +484,16 @@ def _integers_near(number: float) -> range:
 def nearest_rate(
     rate: float, grids: Sequence[SamplingGrid], low: float = 0.0, high: float = math.inf
 ) -> str | None:
-    """Return the sampling rate closest to a requested one that fits all plants, as text in Hz.
+    """Return the closest sampling rate to a requested rate that fits all plants, in Hz.
 
     Args:
-        rate: requested rate, above 0, Hz.
+        rate: requested positive rate, Hz.
         grids: sampling grids of the plants.
-        low: lowest allowed rate, Hz.
-        high: highest allowed rate, Hz.
+        low: minimum allowed rate, Hz.
+        high: maximum allowed rate, Hz.
 
     Returns:
-        None if no rate fits.
+        Rate as text, or None if no rate fits.
     """
     # Ticks that are not multiples of each other coincide at multiples of their least
     # common multiple.
@@ -490,7 +504,8 @@ def nearest_rate(
     candidates += [near for grid in grids for near in grid.rates_near(rate)]
 
     def fits(rate: float) -> bool:
-        # A tighter tolerance than that of the plants, which divide once more.
+        # The plants divide once more, so the tolerance here is tighter than the
+        # tolerance of the plants.
         return low <= rate <= high and all(grid.fits(rate, 1e-10) for grid in grids)
 
     fitting = sorted(

@@ -1,4 +1,7 @@
-"""Trajectory: signals of one rollout over time, with units, events and metadata, stored as Parquet."""
+"""Trajectory: signals of one rollout over time, with units, events and metadata.
+
+It is stored as Parquet.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +47,7 @@ _UNIT_OF_COLUMN = {
 
 _FILE_KIND = "a trajectory written by srs-twin"
 _TIME_ROUNDING_S = 1e-9
-"""Times that differ by less are equal, s."""
+"""Maximum difference between equal times, s."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +66,7 @@ class Event:
 
 
 class UnknownColumnError(UnknownNameError, KeyError):
-    """Column that a trajectory does not have; the message suggests similar ones."""
+    """Error for a column that a trajectory does not have; it suggests similar names."""
 
     __str__ = Exception.__str__  # KeyError would print the message in quotes
 
@@ -84,26 +87,28 @@ class HtmlResult:
 
 @dataclass(frozen=True)
 class Trajectory(HtmlResult):
-    """Recorded columns of one rollout over time. Frozen; do not write to the arrays.
+    """Recorded columns of one rollout over time.
+
+    The class is frozen; do not write to the arrays.
 
     Column names are fixed: ``time``, ``com_x``, ``com_y``, ``heading``, ``x_1…N``,
     ``y_1…``, ``theta_1…`` (head first), ``bend_1…``, ``sensed_1…``, ``torque_1…``,
     ``work``, ``air``, ``pressure_plus_1…``, ``pressure_minus_1…``, ``valve_plus_1…``,
     ``valve_minus_1…``, the signals of the controller, for the twin ``qpos_1…``, and in
     a world with objects ``object_x_1…``, ``object_y_1…`` and ``object_heading_1…``. In
-    a world with obstacles or objects, ``clearance`` is the distance of the body from
-    the nearest one. A plant that touches them also has ``obstacle_force_x_1…`` and
+    a world with obstacles or objects, ``clearance`` is the distance from the body to
+    the nearest one. A plant with contact forces also has ``obstacle_force_x_1…`` and
     ``obstacle_force_y_1…``.
 
     A spatial robot also has ``pitch_1…`` (bends upwards), ``sensed_pitch_1…``,
     ``torque_pitch_1…``, ``z_1…``, ``quaternion_w_1…`` to ``quaternion_z_1…`` and
-    ``load_1…``, and for each chamber c ``pressure_c_1…`` and ``valve_c_1…`` instead of
-    those of the + and − chamber.
+    ``load_1…``. It has ``pressure_c_1…`` and ``valve_c_1…`` for each chamber c instead
+    of the columns of the + and − chamber.
 
     Attributes:
         columns: name → float array of shape (samples,).
         units: name → unit, for columns with other names.
-        events: events in the order of time.
+        events: events in chronological order.
         metadata: JSON values, such as plant, robot, tick, gait frequency and valve
             switch counts; no wall times.
     """
@@ -143,7 +148,9 @@ class Trajectory(HtmlResult):
         return np.stack([self.stack("x"), self.stack("y")], axis=-1)
 
     def stack(self, name: str) -> Array:
-        """Return numbered columns as one array: ``stack("bend")`` has shape (samples, segments).
+        """Return numbered columns as one array.
+
+        For example, ``stack("bend")`` has shape (samples, segments).
 
         Raises:
             UnknownColumnError: there is no column ``<name>_1``.
@@ -161,11 +168,11 @@ class Trajectory(HtmlResult):
         return np.stack(arrays, axis=-1)
 
     def between(self, begin: float, end: float) -> Trajectory:
-        """Return the samples of a part of the time.
+        """Return the samples of a time interval.
 
         Args:
-            begin: first time, included, s.
-            end: last time, included, s.
+            begin: first time (included), s.
+            end: last time (included), s.
         """
         kept = (self.time >= begin - _TIME_ROUNDING_S) & (
             self.time <= end + _TIME_ROUNDING_S
@@ -185,7 +192,7 @@ class Trajectory(HtmlResult):
         )
 
     def to_pandas(self) -> pd.DataFrame:
-        """Return the columns as a pandas data frame; the index is the time, s.
+        """Return the columns as a pandas data frame, indexed by time (s).
 
         ``attrs["units"]`` is a dictionary with the unit of every column and of the
         index ``time``.
@@ -204,10 +211,10 @@ class Trajectory(HtmlResult):
         return frame
 
     def to_parquet(self, path: Any) -> None:
-        """Write to a Parquet file or file-like object; equal trajectories give equal bytes.
+        """Write to a Parquet file or file-like object.
 
-        The metadata of each field contain its unit; those of the schema contain events
-        and metadata as JSON.
+        Equal trajectories give equal bytes. The metadata of each field contain its
+        unit. The metadata of the schema contain events and metadata as JSON.
         """
         import pyarrow as pa
         import pyarrow.parquet as pq
@@ -220,8 +227,8 @@ class Trajectory(HtmlResult):
             "srs_twin.events": json.dumps([asdict(event) for event in self.events]),
             "srs_twin.metadata": json.dumps(dict(self.metadata), sort_keys=True),
         }
-        # Buffers, because pa.array() imports pandas if it is installed, which takes
-        # half a second.
+        # Buffers are passed, because pa.array() imports pandas if it is installed,
+        # which takes half a second.
         values = [
             np.ascontiguousarray(column, dtype=float)
             for column in self.columns.values()
@@ -235,7 +242,7 @@ class Trajectory(HtmlResult):
             ],
             schema=pa.schema(fields, metadata=schema_metadata),
         )
-        # Split the bytes of floats, which compresses smooth signals better than a
+        # Splitting the bytes of floats compresses smooth signals better than a
         # dictionary.
         encoding = dict.fromkeys(self.columns, "BYTE_STREAM_SPLIT")
         options = {
@@ -250,8 +257,8 @@ class Trajectory(HtmlResult):
         """Read a file written by `to_parquet`.
 
         Raises:
-            InputError: the file is not a Parquet file or not a trajectory, is damaged
-                or too large.
+            InputError: the file is not a Parquet file or not a trajectory, or it is
+                damaged or too large.
         """
         table = read_table(path, _FILE_KIND, _check_schema)
         schema_metadata = table.schema.metadata or {}
@@ -284,11 +291,6 @@ class Trajectory(HtmlResult):
 
 
 def _check_schema(schema: Any) -> None:
-    """Check that a file is a trajectory before its data are read.
-
-    Raises:
-        TypeError: the file is not a trajectory, or a column is not float64.
-    """
     if not {b"srs_twin.events", b"srs_twin.metadata"} <= (schema.metadata or {}).keys():
         raise TypeError("a Parquet file with other content")
     for column in schema:
@@ -297,22 +299,12 @@ def _check_schema(schema: Any) -> None:
 
 
 def _to_array(name: str, column: Any) -> Array:
-    """Return a Parquet column as an array.
-
-    Raises:
-        TypeError: values are missing.
-    """
     if column.null_count:
         raise TypeError(f"column {name} has {column.null_count} missing values")
     return np.asarray(column.to_numpy())
 
 
 def _parse_event(data: Any) -> Event:
-    """Return an event from its JSON object.
-
-    Raises:
-        TypeError, ValueError: a key is missing or unknown, or a value has another type.
-    """
     event = Event(**data)
     if not (isinstance(event.kind, str) and isinstance(event.text, str)):
         raise TypeError("an event's kind and text must be text")

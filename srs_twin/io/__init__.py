@@ -1,1 +1,1 @@
-"""Input and output: YAML with positions, JSON, Parquet, saved states, atomic writes, shipped files."""
+"""Input and output: YAML with positions, JSON, Parquet, saved states, shipped files."""

@@ -1,7 +1,8 @@
-"""Checks of arguments against the annotations of public functions, once per call and never per time step.
+"""Type checks of the arguments of public functions against their annotations.
 
-A wrong type is reported where the user gave it, in the words of the command line. The
-functions themselves check names and ranges.
+They run once per call and never per time step. A wrong type is reported where the user
+gave it, in the words of the command line. The functions themselves check names and
+ranges.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from srs_twin.errors import InputError
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 _CONVERSIONS = {float: "__float__", int: "__index__"}
-"""Number → method of all objects that can be used as one, NumPy numbers included."""
+"""Number type → method of all objects that convert to it, such as NumPy numbers."""
 
 _DESCRIPTIONS = {
     "float": "a number",
@@ -98,7 +99,10 @@ def _kinds(annotated: Callable[..., Any]) -> dict[str, Any]:
 
 
 def _accepts(kind: Any, value: object) -> bool:
-    """Return whether a value has an annotated type; elements of sequences count, those of mappings do not."""
+    """Return whether a value has the annotated type.
+
+    Elements of sequences are checked, elements of mappings are not.
+    """
     origin = get_origin(kind) or kind
     parts = get_args(kind)
     if origin in (Any, object):

@@ -1,9 +1,9 @@
 """YAML documents with the line and column of every value, for error messages.
 
-YAML 1.2 with the core schema: ``yes`` is text and ``012`` is twelve. A file is parsed
-event by event, so that limits apply before data are built. Anchors, aliases, tags,
-directives, merge keys and several documents are rejected. PyYAML's own loaders are not
-suitable: they have no positions and read YAML 1.1.
+Documents follow YAML 1.2 with the core schema: ``yes`` is text and ``012`` is twelve. A
+file is parsed event by event, so that limits apply before data are built. Anchors,
+aliases, tags, directives, merge keys and several documents are rejected. PyYAML's own
+loaders are not suitable, because they have no positions and read YAML 1.1.
 """
 
 from __future__ import annotations
@@ -35,16 +35,16 @@ Loc = tuple[str | int, ...]
 """Path of a value in nested data: keys and list indices."""
 
 Position = tuple[int, int]
-"""Line and column, from 1."""
+"""Line and column, counted from 1."""
 
 MAX_DEPTH = 16
-"""Largest depth of nested lists and mappings; the reader is recursive."""
+"""Maximum depth of nested lists and mappings, because the reader is recursive."""
 
 MAX_NODES = 10_000
-"""Largest number of keys and values in a document."""
+"""Maximum number of keys and values in a document."""
 
-# Characters to escape on writing: controls, unusual blanks, surrogates and byte order
-# marks.
+# Characters that are escaped when written: controls, unusual blanks, surrogates and
+# byte order marks.
 _UNUSUAL = re.compile(
     "[^\x20-\x7e\xa1-\u1fff\u2030-\ud7ff\ue000-\ufefe\U00010000-\U0010ffff]"
 )
@@ -53,7 +53,7 @@ _CORE_SCHEMA: tuple[tuple[re.Pattern[str], Callable[[str], object]], ...] = (
     (re.compile(r"~|null|Null|NULL|"), lambda text: None),
     (re.compile(r"true|True|TRUE"), lambda text: True),
     (re.compile(r"false|False|FALSE"), lambda text: False),
-    # Read longer integers as floats, which are infinite and therefore rejected.
+    # Longer integers are read as floats, which are infinite and therefore rejected.
     (re.compile(r"[-+]?[0-9]{1,300}"), int),
     (re.compile(r"0o[0-7]{1,300}"), lambda text: int(text[2:], 8)),
     (re.compile(r"0x[0-9a-fA-F]{1,300}"), lambda text: int(text[2:], 16)),
@@ -67,13 +67,11 @@ _CORE_SCHEMA: tuple[tuple[re.Pattern[str], Callable[[str], object]], ...] = (
 
 @dataclass(frozen=True)
 class Override:
-    """Value from the command line or a program that replaces one of a file.
+    """Value from the command line or a program that replaces a value of a file.
 
     Attributes:
         label: origin of the value in messages, such as "--set
             controller.frequency_hz=1.5".
-        loc: path of the field.
-        value: plain data.
     """
 
     label: str
@@ -96,7 +94,7 @@ class Override:
 
     @classmethod
     def list_of(cls, changes: Overrides) -> Sequence[Override]:
-        """Return overrides that are given as dotted field → value, or as a list already."""
+        """Return overrides as a list; they may be a mapping of dotted field → value."""
         if not isinstance(changes, Mapping):
             return changes
         return [
@@ -106,7 +104,7 @@ class Override:
 
 
 Overrides = Mapping[str, Any] | Sequence[Override]
-"""Overrides, or the dotted names of the fields → their values."""
+"""Sequence of overrides, or a mapping of dotted field names to their values."""
 
 
 @dataclass
@@ -114,18 +112,13 @@ class Document:
     """Data of one file with the positions of values, and the problems found so far.
 
     Attributes:
-        name: name of the file in messages.
-        data: plain dicts, lists, text, numbers, true, false, None.
         values: path of a value → line and column of its first character; empty for data
             made in memory.
-        keys: path of a value → line and column of its key.
-        problems: position and message of each problem.
         refused: positions of invalid YAML; further problems at these positions are not
             reported.
         override_labels: labels of the applied overrides; values of the k-th override
             have the position (−k, 0).
         folder: folder of the file; None for data made in memory.
-        warnings: warnings about the file so far, with their place.
     """
 
     name: str
@@ -139,7 +132,10 @@ class Document:
     warnings: list[str] = field(default_factory=list)
 
     def apply(self, override: Override) -> None:
-        """Set the value of an override; a name on its path becomes the `base` of a mapping."""
+        """Set the value of an override.
+
+        A name on the path of the override becomes the `base` of a mapping.
+        """
         self.override_labels.append(override.label)
         position = (-len(self.override_labels), 0)
         if not isinstance(self.data, dict):
@@ -160,7 +156,7 @@ class Document:
             inner = child(data, key)
             if isinstance(inner, str):
                 inner = {"base": inner}
-            # A number may be written in place of a block with its `value`.
+            # Files may replace a block by the number of its `value`.
             elif isinstance(inner, bool | int | float) and override.loc[k + 1 :] != (
                 "value",
             ):
@@ -176,7 +172,6 @@ class Document:
         self._set_positions(override.loc, override.value, position)
 
     def _set_positions(self, loc: Loc, value: object, position: Position) -> None:
-        """Set the position of a value and of all values inside it."""
         self.keys[loc] = self.values[loc] = position
         if isinstance(value, list):
             value = dict(enumerate(value))
@@ -199,15 +194,15 @@ class Document:
         return value
 
     def locate(self, loc: Loc, kind: str = "") -> None:
-        """Replace a path by its place, see `place_of`, or report that nothing is there.
+        """Replace a path by its place (see `place_of`), or report a missing place.
 
-        Paths that an override or a program gives are relative to the current folder and
-        stay as they are.
+        Paths from overrides or programs are relative to the current folder and are not
+        replaced.
 
         Args:
             loc: path of the value in the data.
-            kind: kind of shipped files whose name may be given instead; empty: a text
-                is always a path.
+            kind: kind of shipped files whose name may be given instead; an empty kind
+                allows paths only.
         """
         text = self.get(*loc)
         position = self.values.get(loc, (0, 0))
@@ -248,7 +243,7 @@ class Document:
         return prefix + loc
 
     def report(self, loc: Loc, message: str, *, at_key: bool = False) -> None:
-        """Add a problem with the value or key at a path; a missing value has the position of its parent."""
+        """Add a problem at a value or key; a missing value has its parent's place."""
         existing = self.existing_prefix(loc)
         positions = self.values
         if at_key and existing == loc:
@@ -275,11 +270,11 @@ class Document:
 
     @contextmanager
     def report_errors(self, *loc: str | int) -> Iterator[None]:
-        """Report an `InputError` of a `with` block as a problem with the value at a path."""
+        """Report an `InputError` of a `with` block as a problem with a value."""
         try:
             yield
         except AbsentPartError:
-            pass  # there is no problem while the file is only read, and an unusable part is reported already
+            pass  # absent parts do not matter here, and unusable ones are reported already
         except InputError as error:
             self.report(loc, str(error))
 
@@ -306,8 +301,8 @@ def load_yaml(path: Path, *, limit: int = MAX_BYTES) -> Document:
     """Read and parse a YAML file; see `parse_yaml`.
 
     Args:
-        path: path of the file.
-        limit: largest allowed size, bytes.
+        path: file path.
+        limit: maximum size, bytes.
 
     Raises:
         InputError: the file cannot be read.
@@ -319,20 +314,22 @@ def load_yaml(path: Path, *, limit: int = MAX_BYTES) -> Document:
 
 
 def parse_yaml(text: str, name: str) -> Document:
-    """Parse YAML text; rejected features that do not stop the parser are `problems` of the document.
+    """Parse YAML text.
+
+    Rejected features that do not stop the parser become `problems` of the document.
 
     Args:
-        text: text of the file.
-        name: name of the file in messages.
+        text: YAML text.
+        name: name for messages.
 
     Raises:
-        InputFileError: a syntax error or a second document, or nesting or data beyond
-            the limits.
+        InputFileError: the text has a syntax error or a second document, or its nesting
+            or data exceed the limits.
     """
     with suppress(yaml.YAMLError, ValueError):
         return _Reader(yaml.parse(text, yaml.CSafeLoader), Document(name)).read()
-    # The parser in Python takes eight times as long; its messages name the unexpected
-    # text.
+    # The C parser is eight times faster, but only the Python parser names the
+    # unexpected text in its messages.
     reader = _Reader(yaml.parse(text, yaml.SafeLoader), Document(name))
     try:
         reader.read()
@@ -359,14 +356,13 @@ def parse_yaml(text: str, name: str) -> Document:
             f"not YAML: unusable character U+{ord(text[error.position]):04X}",
         )
     except (yaml.YAMLError, ValueError, OverflowError) as error:
-        # ValueError and OverflowError: an escape such as "\\UFFFFFFFF", which is not a
-        # character.
+        # ValueError and OverflowError come from an escape such as "\\UFFFFFFFF", which
+        # is not a character.
         reader.fail(reader.last, f"not YAML: {error}")
     return reader.document
 
 
 def _explain(problem: str, lines: list[str], mark: yaml.Mark) -> str:
-    """Return a sentence on the probable mistake: a colon in text, or a wrong indent."""
     before = "".join(lines)[: mark.column]
     if "mapping values are not allowed" in problem and ": " in before:
         return "; a text with a colon and a blank must be in quotes"
@@ -380,11 +376,11 @@ def _explain(problem: str, lines: list[str], mark: yaml.Mark) -> str:
 
 
 def dump_yaml(data: object, *, compact: bool = False) -> str:
-    """Return plain data as YAML text; `parse_yaml` reads it back as equal data.
+    """Return plain data as YAML text that `parse_yaml` reads back as equal data.
 
     Args:
         data: dicts, lists, text, numbers, true, false, None.
-        compact: write lists and dicts that contain only numbers in one line.
+        compact: whether to write lists and dicts of numbers in one line.
     """
     text: str = yaml.dump(
         data,
@@ -398,7 +394,7 @@ def dump_yaml(data: object, *, compact: bool = False) -> str:
 
 
 def format_path(loc: Loc) -> str:
-    """Return a path as dotted text: ``expect[1].metric``."""
+    """Return a path as dotted text such as ``expect[1].metric``."""
     text = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in loc)
     return text.removeprefix(".")
 
@@ -440,12 +436,10 @@ class _Reader:
         self._nodes = 0
 
     def fail(self, position: Position, message: str) -> None:
-        """Raise an error with this problem and all earlier ones."""
         self.document.problems.append((position, message))
         self.document.raise_problems()
 
     def read(self) -> Document:
-        """Return the stream's document; there may be only one."""
         documents = 0
         while not isinstance(event := self._next(), yaml.StreamEndEvent):
             if isinstance(event, yaml.DocumentStartEvent):
@@ -470,16 +464,15 @@ class _Reader:
         return event
 
     def _value(self, event: yaml.Event, loc: Loc) -> object:
-        """Return the value that begins with an event, and record its position."""
         self._check(event)
         scalar = isinstance(event, yaml.ScalarEvent)
         if scalar and event.implicit[0] and not event.value:
-            # If nothing follows the colon, the mark is behind it or in the next line:
-            # use that of the key.
+            # If nothing follows the colon, the mark lies behind the colon or in the
+            # next line, so the mark of the key is used.
             self.last = self.document.keys.get(loc, self.last)
         self.document.values[loc] = self.last
         if scalar:
-            # A value may have several lines; other control characters could change a
+            # A value may have several lines. Other control characters could change a
             # terminal.
             text = self._text(event, keep="\n\t")
             if event.implicit[0]:
@@ -516,7 +509,6 @@ class _Reader:
         return mapping
 
     def _check(self, event: yaml.Event) -> None:
-        """Count a node; report an alias, anchor or tag as a problem."""
         self._nodes += 1
         if self._nodes > MAX_NODES:
             self.fail(self.last, f"more than {MAX_NODES} keys and values")
@@ -533,7 +525,6 @@ class _Reader:
             self._refuse(f"tags ({event.tag}) are not allowed; write the plain value")
 
     def _text(self, event: yaml.Event, *, keep: str) -> str:
-        """Return the text of a scalar with escapes; report characters that are not allowed."""
         text = escape_unprintable(event.value, keep=keep)
         if text != event.value:
             bad = event.value[len(os.path.commonprefix([text, event.value]))]
@@ -544,13 +535,15 @@ class _Reader:
         return text
 
     def _refuse(self, message: str) -> None:
-        """Report a problem at the current position and continue."""
         self.document.problems.append((self.last, message))
         self.document.refused.add(self.last)
 
 
 class _Dumper(yaml.CSafeDumper):  # type: ignore[misc]  # PyYAML has no types
-    """Writer of text that quotes and escapes unusual characters: plain U+0085 would be read as a blank."""
+    """Writer that quotes and escapes unusual characters.
+
+    YAML would read a plain U+0085 as a blank.
+    """
 
 
 def _represent_text(dumper: yaml.CSafeDumper, text: str) -> yaml.ScalarNode:
@@ -572,13 +565,11 @@ class _CompactDumper(_Dumper):
     def represent_sequence(
         self, tag: str, sequence: Collection[object], flow_style: object = None
     ) -> yaml.Node:
-        """Represent a list; see PyYAML."""
         return super().represent_sequence(tag, sequence, _is_row(sequence))
 
     def represent_mapping(
         self, tag: str, mapping: Mapping[str, object], flow_style: object = None
     ) -> yaml.Node:
-        """Represent a dict; see PyYAML."""
         return super().represent_mapping(tag, mapping, _is_row(mapping.values()))
 
 

@@ -1,9 +1,9 @@
 """Atomic replacement of a set of files.
 
 A run writes into a hidden staging folder ``.part-…`` in the folder of its results. When
-all files are written, the folder is locked, the earlier files are moved into
-``.part-…/.aside``, and the new files are moved into the folder. The first product is
-the completion mark: it is moved away first and moved in last.
+all files are written, the results folder is locked. The earlier files are moved into
+``.part-…/.aside``, and the new files are moved into the results folder. The first
+product is the completion mark. It is moved away first and moved in last.
 
 A killed process leaves its staging folder, but no lock. The next run in the folder
 restores the earlier set from there, unless all new files were moved in.
@@ -32,17 +32,19 @@ _ASIDE = ".aside"
 """Subfolder of earlier files before any new file is moved in."""
 
 _SAVED = ".earlier"
-"""The same subfolder after it has received all earlier files; new files may have been moved in."""
+"""Name of this subfolder when it holds all earlier files, while new ones move in."""
 
 _OBSOLETE = ".gone"
-"""The same subfolder after a complete replacement."""
+"""Name of this subfolder after a complete replacement."""
 
 _LOCK_TIMEOUT_S = 60.0
-"""Longest wait for a lock, s.
+"""Maximum wait for a lock, s.
 
-A replacement takes milliseconds, so a longer lock belongs to a suspended process."""
+A replacement takes milliseconds, so a longer lock belongs to a suspended process.
+"""
 
-# Errors of file systems without folder locks, such as some network drives.
+# Some file systems, such as network drives, have no folder locks and raise these
+# errors.
 _LOCKS_UNSUPPORTED = (
     errno.EBADF,
     errno.EINVAL,
@@ -54,14 +56,14 @@ _LOCKS_UNSUPPORTED = (
 
 @contextmanager
 def replace_files(folder: Path, products: Sequence[str]) -> Iterator[Path]:
-    """Yield an empty folder for a set of files, which replaces the earlier set when the block ends.
+    """Yield an empty folder for files that replace the earlier set when the block ends.
 
     After an error or an interrupt the earlier set is restored. Other files in the
-    folder are kept. If several processes finish at the same time, the set of the last
-    one remains.
+    folder are kept. If several processes finish at one time, the set of the last
+    process remains.
 
     Args:
-        folder: folder of the set; created if missing.
+        folder: folder, created if missing.
         products: names of all files of the set, or patterns such as ``best/*.yaml``.
             The first is the completion mark: it exists only in a complete set.
 
@@ -102,7 +104,6 @@ def remove_completion_mark(mark: Path) -> None:
 
 @contextmanager
 def _rename_in_errors(folder: Path, staging: Path) -> Iterator[None]:
-    """Replace the staging folder by the final folder in the messages of errors."""
     try:
         yield
     except InputError as error:
@@ -111,13 +112,6 @@ def _rename_in_errors(folder: Path, staging: Path) -> Iterator[None]:
 
 
 def _swap(folder: Path, staging: Path, products: Sequence[str]) -> None:
-    """Replace the earlier set by the files of a staging folder; restore it after an error.
-
-    Raises:
-        InputError: a folder has the name of a product, or the earlier set cannot be
-            restored now.
-        OSError: a file cannot be moved.
-    """
     check_not_folders(folder, products)
     try:
         (staging / _ASIDE).mkdir()
@@ -139,7 +133,6 @@ def _swap(folder: Path, staging: Path, products: Sequence[str]) -> None:
 
 
 def _existing_products(folder: Path, products: Iterable[str]) -> list[Path]:
-    """Return the products that exist in a folder, relative to it, in the order of `products`."""
     return [
         path.relative_to(folder)
         for pattern in products
@@ -154,7 +147,9 @@ def _move(names: Iterable[Path], source: Path, target: Path) -> None:
 
 
 def _restore(folder: Path, staging: Path) -> None:
-    """Restore the earlier set after an incomplete replacement; can be repeated after any interruption.
+    """Restore the earlier set after an incomplete replacement.
+
+    The function can be repeated after an interruption at any point.
 
     Raises:
         OSError: a file cannot be moved.
@@ -179,10 +174,10 @@ def _restore(folder: Path, staging: Path) -> None:
 
 @contextmanager
 def _staging_folder(folder: Path, products: Sequence[str]) -> Iterator[Path]:
-    """Yield a new locked staging folder; first clean up after killed processes."""
+    """Clean up after killed processes, and yield a new locked staging folder."""
     with ExitStack() as locks:
-        # The lock prevents other processes from removing the new staging folder as an
-        # abandoned one.
+        # The lock keeps other processes from removing the new staging folder as
+        # abandoned.
         with _lock(folder):
             _clean_up(folder)
             staging = Path(tempfile.mkdtemp(prefix=_STAGING_PREFIX, dir=folder))
@@ -196,12 +191,10 @@ def _staging_folder(folder: Path, products: Sequence[str]) -> Iterator[Path]:
 
 
 def _has_saved_files(staging: Path) -> bool:
-    """Return whether a staging folder contains earlier files that may have to be restored."""
     return any((staging / name).is_dir() for name in (_ASIDE, _SAVED))
 
 
 def _clean_up(folder: Path) -> None:
-    """Restore earlier files from the staging folders of killed processes, and remove these folders."""
     for staging in folder.glob(f"{_STAGING_PREFIX}*"):
         with suppress(OSError, ValueError), _lock(staging, timeout_s=0.0) as locked:
             if locked:
@@ -212,7 +205,7 @@ def _clean_up(folder: Path) -> None:
 
 @contextmanager
 def _lock(folder: Path, timeout_s: float = _LOCK_TIMEOUT_S) -> Iterator[bool]:
-    """Lock a folder for a `with` block; yield False if the file system has no folder locks.
+    """Lock a folder for a `with` block; yield False if the file system has no locks.
 
     The operating system releases the lock when the process ends.
 

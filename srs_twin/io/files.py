@@ -1,4 +1,4 @@
-"""Paths of shipped files, text of paths in messages, and atomic writes of single files.
+"""Shipped files, paths in messages, and atomic writes of single files.
 
 Output folders are checked before a run starts. `file_sets` replaces several files
 together.
@@ -19,8 +19,7 @@ from pathlib import Path
 from srs_twin.errors import InputError, UnknownNameError, did_you_mean
 
 MAX_BYTES = 64 * 1024
-"""Largest size of a hand-written file, bytes; a larger file is probably the wrong one.
-"""
+"""Maximum size of a hand-written file, bytes; a larger file is probably a wrong one."""
 
 StrPath = str | os.PathLike[str]
 """Path as users give it."""
@@ -34,7 +33,7 @@ _FOLDERS = {
     "table": "calibration/published",
 }
 _SUFFIXES = (".yaml", ".yml")
-# C0, DEL and C1 controls, and surrogates, which represent bytes that are not UTF-8 in
+# C0, DEL and C1 controls, and surrogates, which stand for bytes that are not UTF-8 in
 # Python's file names.
 _UNPRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\ud800-\udfff]")
 
@@ -42,7 +41,7 @@ _UNPRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\ud800-\udfff]")
 def data_root() -> Path:
     """Return the folder that contains calibration/, models/ and scenarios/.
 
-    In an installed wheel this is ``srs_twin/_data``, in an editable checkout the
+    An installed wheel has it in ``srs_twin/_data``. In an editable checkout it is the
     checkout itself.
     """
     package = Path(__file__).resolve().parents[1]
@@ -53,7 +52,7 @@ def data_root() -> Path:
 
 
 def shipped_folder(kind: str) -> Path:
-    """Return the folder of the shipped files of a kind; see `find_file` for the kinds."""
+    """Return the folder of the shipped files of a kind (see `find_file`)."""
     return data_root() / _FOLDERS[kind]
 
 
@@ -68,17 +67,19 @@ _LIST_COMMANDS = {
 
 
 def is_path(text: str) -> bool:
-    """Return whether a text is the path of a file, not the name of a shipped one."""
+    """Return whether a text is a path and not the name of a shipped file."""
     return "/" in text or os.sep in text or text.endswith(_SUFFIXES)
 
 
 def place_of(text: str, folder: Path, kind: str = "") -> str:
-    """Return the place of a path that a file gives: relative to that file, or else to the current folder.
+    """Return the place of a path that is written in a file.
+
+    The path may be relative to the folder of that file or to the current folder.
 
     Args:
-        text: the path, relative or absolute.
-        folder: folder of the file that gives it.
-        kind: kind of shipped files that the message about a missing file suggests.
+        text: relative or absolute path.
+        folder: folder of the file that contains the path.
+        kind: kind of shipped files to suggest if the file is missing.
 
     Raises:
         InputError: there is nothing at either place.
@@ -97,7 +98,7 @@ def place_of(text: str, folder: Path, kind: str = "") -> str:
 
 
 def path_from(folder: Path, name_or_path: str) -> str:
-    """Return a path relative to the folder of the file that will contain it; see `place_of`.
+    """Return a path relative to the folder of the file that will contain it.
 
     Names of shipped files and absolute paths do not change.
     """
@@ -107,9 +108,9 @@ def path_from(folder: Path, name_or_path: str) -> str:
 
 
 def find_file(kind: str, name_or_path: StrPath) -> Path:
-    """Return the path of a file that is given by its path or by the name of a shipped file.
+    """Return the path of a file given by a path or by the name of a shipped file.
 
-    A text with a slash or with the suffix .yaml or .yml is a path, relative to the
+    A text with a slash or with the suffix .yaml or .yml is a path relative to the
     current folder. Any other text is the name of a shipped file.
 
     Args:
@@ -136,7 +137,7 @@ def find_file(kind: str, name_or_path: StrPath) -> Path:
 
 
 def results_name(path: Path) -> str:
-    """Return the name for the results of a file: its stem, made valid as a folder name and YAML key."""
+    """Return the stem of a path as a valid folder name and YAML key."""
     return re.sub(r"[^\w .+=-]", "_", path.stem).lstrip(". ") or "scenario"
 
 
@@ -144,7 +145,7 @@ def check_file_name(name: str, source: str) -> str:
     """Return a file name after validation.
 
     Args:
-        name: lower-case letters, digits and _.
+        name: name of lower-case letters, digits and _.
         source: option or argument that gave the name, for the message.
 
     Raises:
@@ -157,7 +158,7 @@ def check_file_name(name: str, source: str) -> str:
 
 
 def escape_unprintable(text: str, *, keep: str = "") -> str:
-    r"""Return text with escapes for control characters and for bytes that are not UTF-8.
+    r"""Return text with escapes for control characters and for bytes other than UTF-8.
 
     Terminals interpret control characters: a title with ``\x1b[31m`` would colour the
     text after it.
@@ -181,7 +182,7 @@ def _escape(character: str) -> str:
 
 
 def check_printable(argument: StrPath) -> None:
-    """Check that a path or an argument of a command can be written to the result files, UTF-8 YAML.
+    """Check that a path or argument can be written to result files in UTF-8 YAML.
 
     Raises:
         InputError: it is not UTF-8 or has control characters.
@@ -197,19 +198,19 @@ def check_printable(argument: StrPath) -> None:
 
 
 def display_path(path: Path) -> str:
-    """Return a path for messages: printable, and relative to the current folder if it is inside it."""
-    with suppress(OSError):  # the current folder may have been removed
+    """Return a printable path, relative to the current folder if it is inside."""
+    with suppress(OSError):  # a folder may have been removed
         if path.is_absolute() and path.is_relative_to(here := Path.cwd()):
             path = path.relative_to(here)
     return escape_unprintable(str(path))
 
 
 def read_text(path: Path, *, limit: int = MAX_BYTES) -> str:
-    """Return the text of a small UTF-8 file; a byte order mark is dropped.
+    """Return the text of a small UTF-8 file without a byte order mark.
 
     Args:
-        path: path of the file.
-        limit: largest allowed size, bytes.
+        path: file path.
+        limit: maximum size, bytes.
 
     Raises:
         InputError: the file is missing, a folder, not readable, too large or not UTF-8.
@@ -233,8 +234,8 @@ def decode_text(raw: bytes, name: str) -> str:
     """Decode UTF-8 bytes and drop a byte order mark.
 
     Args:
-        raw: content of a file.
-        name: name of the file in messages.
+        raw: file contents.
+        name: name for messages.
 
     Raises:
         InputError: the bytes are not UTF-8.
@@ -249,7 +250,7 @@ def decode_text(raw: bytes, name: str) -> str:
 
 
 MAX_NEW_FOLDERS = 100
-"""Largest number of nested new folders, because `Path.mkdir` creates parents by recursion."""
+"""Maximum number of nested new folders, because `Path.mkdir` is recursive."""
 
 
 def missing_folders(folder: Path) -> list[Path]:
@@ -268,7 +269,10 @@ def missing_folders(folder: Path) -> list[Path]:
 
 
 def remove_empty_folders(folders: Iterable[Path]) -> None:
-    """Remove those folders that are empty; the remaining ones may contain files of another process."""
+    """Remove the empty ones among these folders.
+
+    Other processes may have written files into the others.
+    """
     for folder in folders:
         with suppress(OSError):
             folder.rmdir()
@@ -276,7 +280,7 @@ def remove_empty_folders(folders: Iterable[Path]) -> None:
 
 @contextmanager
 def folder_or_temporary(folder: StrPath | None) -> Iterator[Path]:
-    """Yield an output folder; without one, a temporary folder that is removed after the `with` block."""
+    """Yield an output folder, or a temporary folder that lasts for the `with` block."""
     if folder is not None:
         yield Path(folder)
         return
@@ -286,7 +290,9 @@ def folder_or_temporary(folder: StrPath | None) -> Iterator[Path]:
 
 @contextmanager
 def make_folder(folder: Path) -> Iterator[None]:
-    """Create a folder and its parents for a `with` block; after an error remove the new ones that are empty.
+    """Create a folder and its parents for a `with` block.
+
+    After an error the new folders that are still empty are removed.
 
     Raises:
         OSError: a folder cannot be created.
@@ -302,11 +308,12 @@ def make_folder(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def atomic_write(path: StrPath) -> Iterator[Path]:
-    """Yield a temporary path that replaces ``path`` when the `with` block ends without an error.
+    """Yield a temporary path that replaces ``path`` when the block ends.
 
     Missing folders are created. Readers of ``path`` see either the old file or the
-    complete new one. After an error the temporary file and the new folders are removed;
-    the next writer of ``path`` overwrites the temporary file of a killed one.
+    complete new file. After an error the temporary file and the new folders are
+    removed, and ``path`` is not replaced. The next writer of ``path`` overwrites the
+    temporary file of a killed writer.
 
     Raises:
         InputError: the file cannot be written.
@@ -324,13 +331,13 @@ def atomic_write(path: StrPath) -> Iterator[Path]:
 
 @contextmanager
 def _temporary_file(target: Path) -> Iterator[Path]:
-    """Yield the path of a hidden file in the folder of a target; after an error remove the file.
+    """Yield a hidden file beside a target; after an error the file is removed.
 
-    All writers of a target use the same name, so that the next one overwrites the file
-    of a killed one. The file of a live writer is locked until its process ends;
-    meanwhile other writers use a random name.
+    All writers of a target use one name, so that the next writer overwrites the file of
+    a killed writer. The file of a live writer is locked until its process ends, and
+    other writers then use a random name.
     """
-    # Keep the suffix at the end, because some writers choose their format by it.
+    # The suffix stays at the end, because some writers choose their format by it.
     temporary = target.with_name(f".{target.stem}.part{target.suffix}")
     with ExitStack() as stack:
         try:
@@ -339,7 +346,7 @@ def _temporary_file(target: Path) -> Iterator[Path]:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             # Another writer may have renamed the file between the two calls.
             is_usable = os.path.samestat(os.fstat(lock), temporary.stat())
-        except OSError:  # locked, without support for locks, or not writable
+        except OSError:  # locked, not lockable, or not writable
             is_usable = False
         if not is_usable:
             temporary = target.with_name(
@@ -348,19 +355,21 @@ def _temporary_file(target: Path) -> Iterator[Path]:
         try:
             yield temporary
         except BaseException:
-            # Suppress further errors in an unusable folder, which would hide the first
-            # one.
+            # Further errors in an unusable folder are suppressed, because they would
+            # hide the first one.
             with suppress(OSError):
                 temporary.unlink(missing_ok=True)
             raise
 
 
 def create_numbered_file(folder: Path, name: str) -> Path:
-    """Create an empty file with the lowest free number in its name, without races between processes.
+    """Create an empty file with the lowest free number in its name.
+
+    Processes that do so at one time get different files.
 
     Args:
-        folder: folder of the file; created if missing.
-        name: name of the file with "{}" for the number, such as "journal-{}.mcap".
+        folder: folder, created if missing.
+        name: file name with "{}" for the number, such as "journal-{}.mcap".
 
     Raises:
         InputError: the file cannot be created.
@@ -452,11 +461,13 @@ def require_file(
 def check_output_folder(
     folder: Path, products: Sequence[str] = (), *, option: str = "--out"
 ) -> None:
-    """Check that files can be written to a folder, which need not exist yet; leave it unchanged.
+    """Check that files can be written to a folder that may not exist yet.
+
+    The folder is left unchanged.
 
     Args:
-        folder: folder for the files.
-        products: names of the files.
+        folder: output folder.
+        products: file names.
         option: command-line option that sets the folder, for the message; empty if
             there is none.
 
@@ -469,8 +480,8 @@ def check_output_folder(
         target = Path(os.path.abspath(folder))
         missing = missing_folders(target)
         present = missing[-1].parent if missing else target
-        # Write a trial file: permission bits do not apply to root and are unreliable on
-        # network drives.
+        # A trial file is written, because permission bits do not apply to root and are
+        # unreliable on network drives.
         with tempfile.TemporaryDirectory(dir=present) as scratch:
             trial = scratch / target.relative_to(present)
             trial.mkdir(parents=True, exist_ok=True)

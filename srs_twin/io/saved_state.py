@@ -1,8 +1,9 @@
 """Saved states of plants and controllers, stored in files without pickles.
 
-A class lists the attributes that change during a run in `state_attributes`; attributes
+A class lists the attributes that change during a run in `state_attributes`. Attributes
 that are `Stateful` themselves are saved recursively. Settings of the constructor and of
-`reset` are not part of a state: they must be the same in the object that restores it.
+`reset` are not part of a state. The object that restores the state must have equal
+settings.
 
 A file is a NumPy archive with the arrays, and with a JSON document of all other values.
 A named tuple or dataclass of this package is stored with the name of its class.
@@ -39,13 +40,16 @@ from srs_twin.io.files import atomic_write, display_path
 from srs_twin.io.untrusted import read_arrays
 
 VERSION = 3
-"""Version of the state format; increased when the format or the module of a saved class changes."""
+"""Version of the state format.
+
+It increases when the format or the module of a saved class changes.
+"""
 
 _DOCUMENT = "state"
 """Name of the JSON document in the archive."""
 
 _MAX_DOCUMENT = 16 << 20
-"""Largest number of characters of the JSON document."""
+"""Maximum number of characters of the JSON document."""
 
 _PACKAGE = __name__.partition(".")[0] + "."
 
@@ -53,9 +57,9 @@ _PACKAGE = __name__.partition(".")[0] + "."
 class DeepCopied:
     """Base class of objects that share no state with their copies.
 
-    `copy.copy` makes a deep copy: a shallow copy would advance the chambers and bodies
-    of the original. A copy or an unpickled object continues with the same bits as the
-    original.
+    `copy.copy` makes a deep copy, because a shallow copy would advance the chambers and
+    bodies of the original. A copied or unpickled object continues bit-identically to
+    the original.
     """
 
     def __copy__(self) -> Self:
@@ -80,8 +84,7 @@ class DeepCopied:
 def _why_not_copyable(value: object) -> str | None:
     """Return the reason that a value can be neither copied nor pickled, or None.
 
-    Nested functions are not copyable, because a copy would share the variables of the
-    enclosing function.
+    A copy of a nested function would share the variables of the enclosing function.
     """
     if isinstance(value, partial):
         return _why_not_copyable(value.func)
@@ -101,7 +104,7 @@ class Stateful(DeepCopied):
 
     Attributes:
         state_attributes: names of the attributes that change during a run, in addition
-            to those of the base classes.
+            to the attributes listed by the base classes.
     """
 
     state_attributes: ClassVar[tuple[str, ...]] = ()
@@ -111,10 +114,11 @@ class Stateful(DeepCopied):
         return {name: _copy_state(getattr(self, name)) for name in self._state_names()}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Set the state to one that `state_dict` returned for this or another object.
+        """Set the state to one that `state_dict` of this or another object returned.
 
         Raises:
-            InputError: an attribute is missing or of another kind than the present one.
+            InputError: an attribute is missing, or its kind differs from the current
+                one.
         """
         missing = [name for name in self._state_names() if name not in state]
         if missing:
@@ -138,7 +142,7 @@ class Stateful(DeepCopied):
 
         Args:
             base: base class whose own `state_attributes` are not sufficient.
-            label: name of the object in messages.
+            label: name for messages.
 
         Raises:
             InputError: no subclass of `base` has `state_attributes`, or the object was
@@ -167,11 +171,11 @@ class Stateful(DeepCopied):
 
 
 def check_kind(label: str, saved: object, present: object) -> None:
-    """Check that a saved value can replace a present one, if that is an array or has a state of its own.
+    """Check that a saved value can replace the current array or nested state.
 
     Raises:
-        InputError: the saved value is no array with as many dimensions, or no nested
-            state.
+        InputError: the saved value is not an array with as many dimensions, or not a
+            nested state.
     """
     if isinstance(present, np.ndarray):
         if not isinstance(saved, np.ndarray) or saved.ndim != present.ndim:
@@ -191,12 +195,14 @@ def _copy_state(value: object) -> object:
 
 @dataclass(frozen=True, eq=False)
 class SavedState:
-    """State of a plant or a controller that determines its further evolution; it can be pickled and written.
+    """State of a plant or a controller that determines its further evolution.
+
+    It can be pickled, and written to a file.
 
     Attributes:
-        owner: settings of the saved object as JSON values; only an object with equal
+        owner: settings of the saved object as JSON values. Only an object with equal
             settings can restore the state.
-        content: state attributes, name → value.
+        content: attribute name → saved value.
         version: version of the format of `content`.
     """
 
@@ -208,8 +214,8 @@ class SavedState:
         """Check that an object can restore this state.
 
         Args:
-            label: name of the object in messages.
-            owner: settings of the object.
+            label: name for messages.
+            owner: object settings.
 
         Raises:
             InputError: the settings differ, or the state has another version.
@@ -271,7 +277,7 @@ class SavedState:
             raise
         except (
             Exception
-        ) as error:  # classes raise many kinds of errors if their values are wrong
+        ) as error:  # constructors raise many kinds of errors for wrong values
             reason = f"{type(error).__name__}: {error}"
             raise InputError(
                 f"{display_path(path)}: not a saved state ({reason})"
@@ -287,12 +293,15 @@ def _check_version(label: str, version: object) -> None:
 
 
 def short_digest(*values: object) -> str:
-    """Return the first 16 hexadecimal digits of the SHA-256 digest of the `repr` of values."""
+    """Return 16 hexadecimal digits of the SHA-256 digest of the `repr` of values."""
     return hashlib.sha256(repr(values).encode()).hexdigest()[:16]
 
 
 def _encode(value: object, arrays: dict[str, np.ndarray]) -> object:
-    """Return a value as JSON data; arrays are added to `arrays` and replaced by their names."""
+    """Convert a value to JSON data, in which names replace arrays.
+
+    The arrays are added to `arrays`.
+    """
     if isinstance(value, np.ndarray):
         name = f"array_{len(arrays)}"
         arrays[name] = value
@@ -344,7 +353,10 @@ def _class_name(kind: type) -> str:
 
 
 def _find_class(name: str) -> type:
-    """Return a dataclass, named tuple or enum of this package by name; other classes could run code."""
+    """Return a dataclass, named tuple or enum of this package by name.
+
+    Classes from elsewhere are refused, because they could run code.
+    """
     module, _, kind = name.partition(":")
     cls = None
     if module.startswith(_PACKAGE):

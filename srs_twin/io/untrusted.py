@@ -1,8 +1,8 @@
-"""Strict readers of untrusted JSON, Parquet and NumPy files, with limits on size and depth.
+"""Strict readers of untrusted JSON, Parquet and NumPy files.
 
 JSON: the reader of the standard library accepts ``NaN`` and ``Infinity``, which are not
-JSON, reads ``1e999`` as infinity, keeps the last of two equal keys, and exhausts its
-stack on deep nesting.
+JSON. It also reads ``1e999`` as infinity, keeps the last of two equal keys, and
+exhausts its stack on deep nesting.
 
 Parquet: a file of 200 kB can contain a hundred million rows, so sizes in the footer are
 checked before data are read. Pages are verified against their checksums if the writer
@@ -35,13 +35,13 @@ if TYPE_CHECKING:
     from pyarrow.parquet import ParquetFile
 
 MAX_DEPTH = 64
-"""Largest depth of nested lists and objects; results have fewer than ten levels."""
+"""Maximum depth of nested lists and objects; results have fewer than ten levels."""
 
 MAX_JSON_BYTES = 64 << 20
-"""Largest size of a file; a reproduction of all claims has 1 MB."""
+"""Maximum size of a JSON file; a reproduction of all claims has 1 MB."""
 
 MAX_ARCHIVE_BYTES = 256 << 20
-"""Largest unpacked size of a NumPy archive."""
+"""Maximum unpacked size of a NumPy archive."""
 
 
 def read_json(path: Path) -> Any:
@@ -67,12 +67,12 @@ def parse_json(text: str, name: str) -> Any:
     """Return the data of JSON text.
 
     Args:
-        text: text of a file.
-        name: name of the file in messages.
+        text: JSON text.
+        name: name for messages.
 
     Raises:
-        InputError: invalid JSON, nesting beyond the limit, a number out of range, or a
-            repeated key.
+        InputError: the text is not JSON, is nested beyond the limit, has a number out
+            of range, or repeats a key.
     """
     try:
         data = json.loads(
@@ -105,7 +105,7 @@ def _number(text: str) -> float:
 
 
 def _integer(text: str) -> int | float:
-    # Python rejects integers with thousands of digits; shorter ones may still be too
+    # Python rejects integers with thousands of digits. Shorter ones may still be too
     # large for a float.
     if len(text) < 19:
         return int(text)
@@ -122,7 +122,6 @@ def _object(pairs: list[tuple[str, object]]) -> dict[str, object]:
 
 
 def _depth(data: object) -> int:
-    """Return the depth of nested lists and objects, at most one more than is allowed."""
     layer = [data]
     depth = 0
     while layer and depth <= MAX_DEPTH:
@@ -139,25 +138,25 @@ def _children(value: object) -> Iterator[object]:
 
 
 MAX_FILE_BYTES = 2 << 30
-"""Largest size of a file on disk."""
+"""Maximum size of a file on disk."""
 
 MAX_VALUES = 1 << 27
-"""Largest product of rows and columns: a gigabyte of float64."""
+"""Maximum product of rows and columns: a gigabyte of float64."""
 
 MAX_COLUMNS = 4096
-"""Largest number of columns; trajectories have about twenty per segment."""
+"""Maximum number of columns; trajectories have about twenty per segment."""
 
 MAX_CHUNKS = 100_000
-"""Largest number of column chunks, columns times row groups."""
+"""Maximum number of column chunks, which is columns times row groups."""
 
 MAX_BYTES = 2 << 30
-"""Largest size of the uncompressed data according to the footer."""
+"""Maximum uncompressed size that the footer may declare."""
 
 MAX_METADATA_BYTES = 32 << 20
-"""Largest size of one text in the footer."""
+"""Maximum size of one text in the footer."""
 
 MAX_FOOTER_BYTES = 96 << 20
-"""Largest size of the footer, which contains the metadata twice, once in base64."""
+"""Maximum size of the footer, which contains the metadata twice, once in base64."""
 
 
 def read_table(
@@ -166,11 +165,11 @@ def read_table(
     """Read a Parquet file if its size is within the limits.
 
     Args:
-        path: a path or a file-like object.
+        path: path or file-like object.
         kind: expected kind of file for messages, such as "a trajectory written by
             srs-twin".
-        check: raises TypeError or ValueError for another schema, before any data are
-            read.
+        check: function that raises TypeError or ValueError for an unexpected schema,
+            before any data are read.
 
     Raises:
         InputError: the file is missing, not a regular file, not Parquet, damaged, or
@@ -198,7 +197,7 @@ def read_table(
             # differ in a damaged file.
             check(table.schema)
             return table
-    # MemoryError: raised by Arrow for a page whose declared size is impossible.
+    # Arrow raises MemoryError for a page whose declared size is impossible.
     except (
         pa.ArrowException,
         OSError,
@@ -212,11 +211,7 @@ def read_table(
 
 
 def _check_size(path: Path) -> None:
-    """Check the sizes of file and footer, because Arrow would read a footer of gigabytes.
-
-    Raises:
-        ValueError: a size is above its limit.
-    """
+    """Check the sizes of file and footer; Arrow would read a footer of gigabytes."""
     size = path.stat().st_size
     with path.open("rb") as file:
         file.seek(max(0, size - 8))
@@ -230,11 +225,6 @@ def _check_size(path: Path) -> None:
 
 
 def _check_bounds(file: ParquetFile) -> None:
-    """Check the declared sizes in the footer; no data have been read yet.
-
-    Raises:
-        ValueError: a size is above its limit, or two columns have one name.
-    """
     footer = file.metadata
     declared_bytes = sum(
         footer.row_group(i).total_byte_size for i in range(footer.num_row_groups)
@@ -255,16 +245,11 @@ def _check_bounds(file: ParquetFile) -> None:
 
 
 def _read(file: ParquetFile) -> pyarrow.Table:
-    """Return the table.
-
-    Raises:
-        ValueError: a column cannot be read; the message names it.
-    """
     import pyarrow as pa
 
     try:
-        # Unpack one column at a time in one thread, which limits the memory if declared
-        # page sizes are false.
+        # Declared page sizes may be false, so one column at a time is unpacked in one
+        # thread to limit the memory.
         table = file.read(use_threads=False)
         table.validate()
     except (pa.ArrowException, OSError) as error:
@@ -282,7 +267,7 @@ def read_arrays(path: Path, what: str) -> dict[str, np.ndarray]:
     """Read a NumPy archive (npz) of numbers and texts, name → array.
 
     Args:
-        path: path of the archive.
+        path: archive file.
         what: kind of file in messages, such as "policy file".
 
     Raises:
@@ -343,7 +328,7 @@ def _parse_array(raw: bytes) -> np.ndarray:
         else:
             read_header = np.lib.format.read_array_header_2_0
         shape, _, kind = read_header(stream)
-    # The header is parsed as Python, which raises many kinds of errors.
+    # NumPy parses the header as Python, which raises many kinds of errors.
     except Exception as error:
         raise ValueError(
             f"the header of an array is damaged: {type(error).__name__}"

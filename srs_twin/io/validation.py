@@ -1,4 +1,4 @@
-"""Validation of plain data by strict pydantic models, with error messages in plain words and positions."""
+"""Validation of plain data by strict pydantic models, with messages in plain words."""
 
 from __future__ import annotations
 
@@ -54,18 +54,17 @@ RETIRED_KINDS = {
     ),
     "contour": "it was retired; use line, with one of the two fields as by",
 }
-"""Kind or key in earlier versions → why it was removed, or what to use instead."""
+"""Retired kind or key → why it was removed, or what to use instead."""
 _UNION_TAG_ERRORS = ("union_tag_invalid", "union_tag_not_found")
 
 
 @cache
 def _module_docstrings(module: str) -> dict[str, dict[str, str]]:
-    """Return the attribute docstrings of a module: class → key → text in one line."""
     docstrings: dict[str, dict[str, str]] = {}
     try:
         tree = ast.parse(inspect.getsource(sys.modules[module]))
     except (OSError, TypeError):
-        return docstrings  # a class defined in an interactive shell has no source
+        return docstrings  # a class from an interactive shell has no source
     for cls in (node for node in tree.body if isinstance(node, ast.ClassDef)):
         for key, docstring in pairwise(cls.body):
             if isinstance(key, ast.AnnAssign) and isinstance(docstring, ast.Expr):
@@ -75,7 +74,7 @@ def _module_docstrings(module: str) -> dict[str, dict[str, str]]:
 
 
 def attribute_docstrings(cls: type[StrictModel]) -> dict[str, str]:
-    """Return the attribute docstrings of a model and of its base classes: key → text in one line.
+    """Return the attribute docstrings of a model and of its base classes, by key.
 
     The source is parsed on demand, because pydantic's `use_attribute_docstrings` takes
     0.2 s at every import.
@@ -89,15 +88,15 @@ def attribute_docstrings(cls: type[StrictModel]) -> dict[str, str]:
 
 
 def _add_descriptions(schema: dict[str, Any], cls: type[StrictModel]) -> None:
-    """Set the description of each key in a JSON schema to its docstring."""
     for key, text in attribute_docstrings(cls).items():
         schema["properties"][key].setdefault("description", text)
 
 
 class StrictModel(BaseModel):
-    """Base class of all models of files: no type conversions, no unknown keys, only finite numbers.
+    """Base class of all models of files.
 
-    The docstring of a key is its description in JSON schemas. A model with constraints
+    It converts no types and accepts no unknown keys and only finite numbers. The
+    docstring of a key is its description in JSON schemas. A model with constraints
     between its keys has a method `contradictions()`, which yields path and message of
     each violation.
 
@@ -121,9 +120,9 @@ def load_model(model: type[Model], path: Path, paths: Mapping[Loc, str] = {}) ->
     """Load and validate a YAML file.
 
     Args:
-        model: a subclass of `StrictModel`.
-        path: path of the file.
-        paths: keys of the file that name other files → kind of shipped files, see
+        model: subclass of `StrictModel`.
+        path: file path.
+        paths: keys of the file that name other files → kind of shipped files; see
             `Document.locate`.
 
     Raises:
@@ -142,13 +141,13 @@ def load_model(model: type[Model], path: Path, paths: Mapping[Loc, str] = {}) ->
 def validate(
     model: type[Model], document: Document, data: object, *, prefix: Loc = ()
 ) -> Model | None:
-    """Return plain data as a model, or None after reporting all problems to the document.
+    """Return plain data as a model, or None after reporting all problems.
 
     Args:
-        model: a subclass of `StrictModel`.
+        model: subclass of `StrictModel`.
         document: document that collects the problems.
         data: plain data, ``document.data`` or a value inside it.
-        prefix: path of the data in the document.
+        prefix: path of `data` in the document.
     """
     try:
         file = model.model_validate_json(json.dumps(data), strict=True)
@@ -156,8 +155,8 @@ def validate(
         schema = _schema_of(model)
         elsewhere = getattr(model, "elsewhere", {})
         for item in error.errors(include_url=False):
-            # The path may not exist in the data: a missing key, or a default that is
-            # invalid together with the given keys.
+            # The path may not exist in the data, because a key is missing, or because a
+            # default is invalid together with the given keys.
             loc = _existing_path(item["loc"], data)
             if item["type"] in _UNION_TAG_ERRORS:
                 _report_block_kind(document, item, prefix + loc)
@@ -185,17 +184,20 @@ def validate(
 
 @cache
 def _schema_of(model: type[StrictModel]) -> Schema:
-    """Return the JSON schema of a model; cached, because building it takes longer than checking a file."""
+    """Return the JSON schema of a model.
+
+    It is cached, because building it takes longer than checking a file.
+    """
     return model.model_json_schema()
 
 
 def describe_schema(schema: Schema, root: Schema, *, brief: bool = False) -> str:
-    """Return a description of the values that a JSON schema allows, such as 'a number from 0.01 to 50'.
+    """Describe the values of a JSON schema, such as 'a number from 0.01 to 50'.
 
     Args:
-        schema: schema of one value.
+        schema: value schema.
         root: complete schema with the definitions.
-        brief: give the number of choices instead of a long list.
+        brief: whether to give the number of choices instead of a long list.
     """
     texts = [
         _describe_option(option, root, brief) for option in _alternatives(schema, root)
@@ -206,7 +208,6 @@ def describe_schema(schema: Schema, root: Schema, *, brief: bool = False) -> str
 
 
 def _report_block_kind(document: Document, item: ErrorDetails, loc: Loc) -> None:
-    """Report a block whose kind (the discriminator of a union) is missing or unknown."""
     context = item["ctx"]
     block = item["input"]
     key = context["discriminator"].strip("'")
@@ -230,7 +231,6 @@ def _report_block_kind(document: Document, item: ErrorDetails, loc: Loc) -> None
 
 
 def _hint(value: object, names: Iterable[str]) -> str:
-    """Return why a name was retired, or a similar name; empty if there is none."""
     if not isinstance(value, str):
         return ""
     if value in RETIRED_KINDS:
@@ -273,14 +273,17 @@ def _message(item: ErrorDetails, schema: Schema, loc: Loc, data: object) -> str:
 
 
 def _suggest_unit(value: object, loc: Loc, options: Iterable[Schema]) -> str:
-    """Return '; did you mean 48.3?' for a number that would be allowed after a common change of unit."""
+    """Suggest a number that would be allowed after a common change of unit.
+
+    The text is '; did you mean 48.3?', or empty.
+    """
     if (
         isinstance(value, bool)
         or not isinstance(value, int | float)
         or not 0 < abs(value) < 1e300
     ):
         return ""
-    # The key of a record, not its `value`, has the unit.
+    # The key of a record has the unit, its `value` has not.
     key = next(
         (key for key in reversed(loc) if isinstance(key, str) and key != "value"), ""
     )
@@ -300,7 +303,6 @@ def _suggest_unit(value: object, loc: Loc, options: Iterable[Schema]) -> str:
 
 
 def _existing_path(loc: Loc, data: object) -> Loc:
-    """Return a path from pydantic without components that are not in the data, such as union members."""
     existing: list[str | int] = []
     for key in loc:
         if has_child(data, key):
@@ -310,7 +312,6 @@ def _existing_path(loc: Loc, data: object) -> Loc:
 
 
 def _is_absent(item: ErrorDetails, schema: Schema, loc: Loc, data: object) -> bool:
-    """Return whether the file lacks the problem's key, because it is missing or has its default."""
     last = item["loc"][-1] if item["loc"] else None
     known = (
         item["type"] == "value_error" and isinstance(last, str) and loc[-1:] != (last,)
@@ -321,7 +322,6 @@ def _is_absent(item: ErrorDetails, schema: Schema, loc: Loc, data: object) -> bo
 
 
 def _describe_value(value: Any) -> str:
-    """Return a description of a value for messages, in YAML's terms."""
     if value is None:
         return "nothing"
     if isinstance(value, bool):
@@ -338,8 +338,7 @@ def _describe_value(value: Any) -> str:
 
 
 def _format_number(value: float) -> str:
-    """Return a number as text: integers with all digits, other numbers with six."""
-    if abs(value) > 1e300:  # also an integer that no float can hold
+    if abs(value) > 1e300:  # integers too large for a float included
         return "infinity"
     if math.isnan(value):
         return "NaN"
@@ -400,7 +399,6 @@ def _describe_range(schema: Schema) -> str:
 
 
 def _choices(schema: Schema, root: Schema) -> list[Any]:
-    """Return the constants that a schema allows."""
     choices: list[Any] = []
     for option in _alternatives(schema, root):
         choices += [option["const"]] if "const" in option else option.get("enum", ())
@@ -410,13 +408,9 @@ def _choices(schema: Schema, root: Schema) -> list[Any]:
 def _alternatives(
     schema: Schema, root: Schema, data: object = _ANY
 ) -> Iterator[Schema]:
-    """Yield the alternatives of a schema, with references resolved and nested unions flattened.
+    """Yield the alternatives of a schema, without references and nested unions.
 
-    Args:
-        schema: schema of one value.
-        root: complete schema with the definitions.
-        data: value, whose discriminator selects one of a union; by default all are
-            yielded.
+    The discriminator in `data` selects one member of a union.
     """
     while "$ref" in schema:
         schema = root["$defs"][schema["$ref"].rsplit("/", 1)[1]]
@@ -433,7 +427,6 @@ def _alternatives(
 
 
 def _schemas_at(root: Schema, loc: Loc, data: object) -> Iterator[Schema]:
-    """Yield the schemas that a value at a path may have; a discriminator selects one of a union."""
     schemas: list[Schema] = [root]
     for key in loc:
         inner_schemas: list[Schema] = []
@@ -453,7 +446,6 @@ def _schemas_at(root: Schema, loc: Loc, data: object) -> Iterator[Schema]:
 
 
 def _allowed_keys(root: Schema, loc: Loc, data: object) -> list[str]:
-    """Return the keys that a block at a path may have."""
     schemas = list(_schemas_at(root, loc, data))
     for key in loc:
         data = child(data, key)

@@ -1,4 +1,4 @@
-"""Recordings of robots as trajectories: file formats, body shape from markers, logs, and clocks."""
+"""Convert recordings of robots to trajectories: formats, markers, logs and clocks."""
 
 from typing import TYPE_CHECKING
 

@@ -1,7 +1,7 @@
-"""`srs-twin inspect` and `export`, and the options of commands that read recordings.
+"""Commands `srs-twin inspect` and `export`, and options for reading recordings.
 
-`inspect` describes recordings, without a robot or a log; `export` writes a run for
-other tools.
+`inspect` describes recordings and needs neither a robot nor a log. `export` writes a
+run in a format that other tools read.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class TableOptions:
     decimal: Annotated[str | None, option("--decimal CHARACTER")] = None
 
     def map_data(self, markers: Sequence[str] = ()) -> dict[str, object]:
-        """Return the map with the other options as plain data; `markers` are those of `given_map`.
+        """Return the map as plain data, with the other options merged into it.
 
         Raises:
             InputFileError: the map is invalid.
@@ -113,7 +113,7 @@ class ReadingOptions(TableOptions):
     marker: Annotated[list[str] | None, option("--marker NAME=PLACE")] = None
 
     def given(self) -> dict[str, Any]:
-        """Return the given options by the names of `RecordingReader`'s attributes; a map is plain data."""
+        """Return the given options, named after the attributes of `RecordingReader`."""
         values = {
             "up": self.up,
             "layout": self.layout,
@@ -167,7 +167,7 @@ def inspect(
     from srs_twin.recordings.recording_map import read_map
     from srs_twin.robot.file import load_robot
 
-    read_map(table.map_data())  # reject an invalid map at once
+    read_map(table.map_data())  # fails early if the map is invalid
     spec = None if robot is None else load_robot(robot)
     _check_outputs(picture, write_map, overwrite=overwrite)
     found = []
@@ -225,7 +225,7 @@ def _save_picture(scene: Scene, path: Path) -> None:
 _FORMATS = ("mcap", "csv", "npz")
 
 MAP_SUFFIX = ".map.yaml"
-"""Suffix of the recording map that `export` writes, and `inspect` reads, beside a recording."""
+"""Suffix of the recording map that `export` writes beside a recording for `inspect`."""
 
 _LAYOUT_SUFFIX = ".foxglove.json"
 
@@ -245,10 +245,10 @@ class FormatOptions:
     npz: Annotated[bool, option("--npz")] = False
 
     def chosen(self, out: str | None) -> str:
-        """Return the chosen format, or else that of the suffix of the file.
+        """Return the chosen format; without one, the suffix of the file decides.
 
         Raises:
-            InputError: there is not exactly one.
+            InputError: no format or more than one format is given.
         """
         names = [name for name, chosen in vars(self).items() if chosen]
         if not names and out and Path(out).suffix[1:] in _FORMATS:
@@ -311,7 +311,10 @@ def export(
 
 
 def _write(path: Path, runs: Mapping[str, Trajectory], first: str) -> None:
-    """Write the runs in the format of the suffix; CSV and NumPy archives contain the first one."""
+    """Write the runs in the format of the suffix.
+
+    CSV files and NumPy archives hold one plant only, so they contain the run `first`.
+    """
     from srs_twin.io.documents import dump_yaml
     from srs_twin.io.files import write_text
     from srs_twin.recordings import export as exporting

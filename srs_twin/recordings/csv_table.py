@@ -1,6 +1,6 @@
-"""Columns of plain tables: names with units, their meanings in a map, and values in SI.
+"""Columns of plain tables: names with units, meanings from a map, and values in SI.
 
-A plain table names its columns in the first line: ``x_1``, ``x_1_mm``,
+The first line of a plain table names its columns: ``x_1``, ``x_1_mm``,
 ``pressure_plus_2 (kPa)``, ``time_ms``. Columns without a unit are in SI.
 """
 
@@ -34,10 +34,10 @@ from srs_twin.recordings.signals.units import (
 )
 
 CLOCK = {"time": TIMES}
-"""Column of the time; `is_clock` lists its names."""
+"""Base name of the time column; `is_clock` accepts its synonyms."""
 
 _LISTED = 5
-"""Largest number of columns in a message."""
+"""Maximum number of columns listed in a message."""
 _NAME = re.compile(
     r"([A-Za-z][A-Za-z_]*?)(?:_(\d{1,3}))?(?:[_ ]+([^\W\d_]+(?:/\w+)?|%))?"
 )
@@ -47,10 +47,9 @@ class TimedRows(NamedTuple):
     """Rows of a table with their times.
 
     Attributes:
-        time: shape (rows,), s.
-        values: shape (rows, columns).
-        notes: notes on rows and times.
-        epoch_ns: value subtracted from times since 1970, ns; None for other times.
+        time: times of the rows, shape (rows,), s.
+        values: numbers in SI, shape (rows, columns).
+        epoch_ns: offset subtracted from times since 1970, ns; None for other times.
     """
 
     time: np.ndarray
@@ -60,7 +59,7 @@ class TimedRows(NamedTuple):
 
 
 def first_line_names(path: StrPath, dialect: Dialect = AS_FOUND) -> list[str]:
-    """Return the names of a table's columns in lower case; empty if it has none.
+    """Return the column names of a table in lower case, or no names without a header.
 
     Raises:
         InputError: the file cannot be read.
@@ -73,12 +72,9 @@ class CsvColumn:
     """Column of a plain table.
 
     Attributes:
-        place: index, counted from 0.
         name: base name, for example "x".
-        number: 1 or more; 0 if the name has none.
-        unit: symbol of the unit in the name or a map; empty if there is none.
-        factor: factor to SI.
-        text: full name.
+        number: number at the end of the name, or 0 if the name has none.
+        unit: unit symbol from the name or a map, or an empty string.
     """
 
     place: int
@@ -91,14 +87,7 @@ class CsvColumn:
 
 @dataclass(frozen=True)
 class CsvTable:
-    """Plain table with its columns.
-
-    Attributes:
-        file: file of the table.
-        columns: known columns.
-        unused: names of the other columns.
-        notes: notes on units.
-    """
+    """Plain table with its columns; `unused` names the unrecognised columns."""
 
     file: RecordedFile
     columns: tuple[CsvColumn, ...]
@@ -108,7 +97,7 @@ class CsvTable:
     def error(
         self, column: CsvColumn, problem: str, row: int | None = None
     ) -> InputError:
-        """Return an error at a column's name, or at its cell in a row counted from 0."""
+        """Return an error at the header of a column, or at a row (counted from 0)."""
         if row is None:
             line = self.file.header_lines or 1
         else:
@@ -116,10 +105,10 @@ class CsvTable:
         return self.file.error(problem, line, column.place + 1)
 
     def clock(self, missing: str) -> CsvColumn:
-        """Return the column of the time.
+        """Return the time column.
 
         Raises:
-            InputError: there is none, with the message `missing`.
+            InputError: the table has no time column; `missing` is the message.
         """
         column = next((column for column in self.columns if column.name in CLOCK), None)
         if column is None:
@@ -129,11 +118,10 @@ class CsvTable:
     def per_segment(
         self, names: Sequence[str], robot: str, segments: int
     ) -> list[CsvColumn]:
-        """Return the columns of these names, segment by segment from the head.
+        """Return the columns with these base names, ordered by segment from the head.
 
         Raises:
-            InputError: a column is missing, or belongs to a segment that the robot does
-                not have.
+            InputError: a column is missing, or its segment number exceeds `segments`.
         """
         by_key = {
             (column.name, column.number): column
@@ -159,12 +147,12 @@ class CsvTable:
         """Return the numbers of columns in SI, shape (rows, columns), and notes.
 
         Raises:
-            InputError: as `RecordedFile.rows`.
+            InputError: `RecordedFile.rows` cannot read the rows.
         """
         places = [column.place for column in columns]
         file = self.file
         values, notes = file.rows(file.header_lines, places, len(file.names))
-        with np.errstate(over="ignore"):  # callers check for values that are too large
+        with np.errstate(over="ignore"):  # overflow to inf: callers reject such values
             values = values * [column.factor for column in columns]
         return values, [*file.notes, *self.notes, *notes]
 
@@ -174,10 +162,12 @@ class CsvTable:
         columns: Sequence[CsvColumn],
         rate_hz: float | None = None,
     ) -> TimedRows:
-        """Return the numbers of columns in SI with their times; without a time column, rows are counted.
+        """Return the numbers of columns in SI with their times.
+
+        Without a time column, the times are counted from the row numbers and `rate_hz`.
 
         Raises:
-            InputError: as `RecordedFile.times`.
+            InputError: `RecordedFile.times` cannot read the times.
         """
         values, notes = self.read(columns)
         if clock is None:
@@ -191,7 +181,7 @@ class CsvTable:
 
 
 def not_used(names: Sequence[str]) -> list[str]:
-    """Return a note on the columns that were not used; empty if all were."""
+    """Return a note on unused columns, or no note if all columns were used."""
     if not names:
         return []
     listed = [*names[:_LISTED], *["…"] * (len(names) > _LISTED)]
@@ -206,14 +196,14 @@ def read_table(
     """Read the header of a plain table.
 
     Args:
-        file: the table, with or without its layout.
-        known: base name → its units (name → factor to SI); empty if the quantity has no
-            unit.
-        meanings: column → meaning, from a map.
+        file: plain table.
+        known: base name → accepted units (name → factor to SI); empty for a quantity
+            without a unit.
+        meanings: column name → meaning, from a recording map.
 
     Raises:
-        UnknownNameError: a column in `meanings` does not exist.
-        InputError: there is no header, a name occurs twice, or a unit is unknown.
+        UnknownNameError: `meanings` names a column that does not exist.
+        InputError: the header is missing, a name occurs twice, or a unit is unknown.
     """
     file = laid_out(file)
     line = file.header_lines or 1
@@ -230,7 +220,7 @@ def read_table(
                 column, note = _mapped_column(place, text, known, meaning)
                 if note:
                     notes.append(note)
-            elif bracketed(text)[0] in taken:  # the map gives this quantity
+            elif bracketed(text)[0] in taken:  # a column of the map replaces this one
                 column = None
             else:
                 column = _own_column(place, text, known)
@@ -249,11 +239,6 @@ def read_table(
 def _mapped_names(
     file: RecordedFile, meanings: Mapping[str, Meaning], *, timed: bool
 ) -> dict[str, Meaning]:
-    """Return the meanings of a map, with the column of the time if it is not among them.
-
-    Raises:
-        UnknownNameError: a column does not exist.
-    """
     mapped = {clean(name): meaning for name, meaning in meanings.items()}
     for name in mapped:
         if name not in file.names:
@@ -268,14 +253,13 @@ def _mapped_names(
 def _own_column(
     place: int, text: str, known: Mapping[str, Mapping[str, float]]
 ) -> CsvColumn | None:
-    """Return a column with a known name: x_1, x_1_mm, bend_1 (deg)."""
     bare, bracket = bracketed(text)
     match = _NAME.fullmatch(bare)
     if match is None:
         return None
     name, number, trailing = match[1].lower(), match[2], match[3]
     if name not in known and trailing and number is None:
-        # The last word of the name, not a unit.
+        # The name ends in a word, not in a unit.
         name = f"{name}_{trailing.lower()}"
         trailing = None
     if name not in known or name == "time":
@@ -295,7 +279,6 @@ def _own_column(
 def _mapped_column(
     place: int, text: str, known: Mapping[str, Mapping[str, float]], meaning: Meaning
 ) -> tuple[CsvColumn, str]:
-    """Return a column of a map, and a note on its unit."""
     units = known[meaning.name]
     unit, note = unit_of(text, stated_unit(text, units), units, meaning)
     factor = units.get(unit, 1.0)

@@ -1,17 +1,17 @@
-"""Runs as MCAP with ROS 2 messages, CSV or NumPy archives, for other tools.
+"""Export of runs as MCAP with ROS 2 messages, as CSV, or as NumPy archives.
 
 Topics of a plant, for example ``twin``:
 
-- ``/twin/connector_1/pose`` (geometry_msgs/PoseStamped): one topic per connector, and
-  ``/twin/com/pose`` of the centre of mass; ``/tf`` has the same poses as transforms
-  from ``world`` to ``twin/connector_1`` etc.
+- ``/twin/connector_1/pose`` (geometry_msgs/PoseStamped): pose of each connector;
+  ``/twin/com/pose`` is the pose of the centre of mass, and ``/tf`` repeats the poses
+  as transforms from ``world`` to ``twin/connector_1`` etc.
 - ``/twin/bends`` (sensor_msgs/JointState): bends, rad, positive to the left.
-- ``/twin/pressure_plus_1`` (sensor_msgs/FluidPressure): absolute pressure of a chamber,
-  Pa, as in ROS.
+- ``/twin/pressure_plus_1`` (sensor_msgs/FluidPressure): absolute chamber pressure, Pa,
+  as ROS defines it.
 - ``/twin/valves`` (std_msgs/Int8MultiArray): valve states of the + and − chamber of
   each segment.
 
-Times are simulated seconds since the start; stamps and log times are equal.
+Stamps and log times are equal: the simulated time since the start, s.
 """
 
 from __future__ import annotations
@@ -41,7 +41,9 @@ _SIDES = ("plus", "minus")
 
 
 def write_csv(path: Path, run: Trajectory) -> None:
-    """Write the columns of a trajectory as CSV, SI units, names as in the Parquet file.
+    """Write the columns of a trajectory as CSV, in SI units.
+
+    The names are the column names of the Parquet file.
 
     Raises:
         InputError: the file cannot be written.
@@ -54,7 +56,9 @@ def write_csv(path: Path, run: Trajectory) -> None:
 
 
 def write_npz(path: Path, run: Trajectory) -> None:
-    """Write the columns of a trajectory as a NumPy archive, with ``units`` and ``metadata`` as JSON texts.
+    """Write the columns of a trajectory as a NumPy archive.
+
+    The entries ``units`` and ``metadata`` are JSON texts.
 
     Raises:
         InputError: the file cannot be written.
@@ -76,11 +80,12 @@ def write_mcap(path: Path, runs: Mapping[str, Trajectory]) -> None:
     """Write trajectories as ROS 2 messages in an MCAP file.
 
     Args:
-        path: file to write; an existing one is replaced.
-        runs: plant → trajectory.
+        path: file to write; an existing file is replaced.
+        runs: plant name → trajectory.
 
     Raises:
-        InputError: the extra `recordings` is missing, or the file cannot be written.
+        InputError: the extra `recordings` is not installed, or the file cannot be
+            written.
     """
     try:
         from mcap.writer import Writer
@@ -108,7 +113,7 @@ def write_mcap(path: Path, runs: Mapping[str, Trajectory]) -> None:
 
 
 def recording_map(plant: str, run: Trajectory) -> dict[str, object]:
-    """Return the recording map with which `inspect` and `replay` read an exported MCAP file back."""
+    """Return the map with which `inspect` and `replay` read an exported MCAP file."""
     connectors = range(1, run.position.shape[1] + 1)
     log = {
         f"pressure_{side}_{j}": {
@@ -127,7 +132,7 @@ def recording_map(plant: str, run: Trajectory) -> dict[str, object]:
 
 
 def foxglove_layout(runs: Mapping[str, Trajectory]) -> dict[str, object]:
-    """Return a Foxglove layout: the snakes in 3D, bends and pressures over time."""
+    """Return a Foxglove layout: the snakes in 3D, and plots of bends and pressures."""
     bends = []
     pressures = []
     for plant, run in runs.items():
@@ -167,22 +172,12 @@ def foxglove_layout(runs: Mapping[str, Trajectory]) -> dict[str, object]:
 
 
 class _Sample(NamedTuple):
-    """Sample of a plant.
-
-    Attributes:
-        plant: name of the plant.
-        values: column → value.
-        header: header of its messages.
-        make: message type without package → its class.
-    """
-
     plant: str
     values: Mapping[str, float]
     header: object
     make: Mapping[str, Callable[..., object]]
 
     def numbered(self, name: str) -> list[float]:
-        """Return the values of the columns name_1, name_2 and so on."""
         keys = (f"{name}_{j}" for j in range(1, len(self.values)))
         return [self.values[key] for key in takewhile(self.values.__contains__, keys)]
 
@@ -198,7 +193,6 @@ class _Message(NamedTuple):
 def _messages(
     runs: Mapping[str, Trajectory], store: Typestore
 ) -> Iterator[tuple[str, str, int, object]]:
-    """Yield topic, type, time (ns) and message, in the order of time."""
     make = {name.rsplit("/", 1)[1]: kind for name, kind in store.types.items()}
     times = sorted(
         (round(time * _NS), plant, k)
@@ -218,7 +212,6 @@ def _messages(
 
 
 def _pose_messages(sample: _Sample) -> Iterator[_Message]:
-    """Yield the poses of connectors and centre of mass, also as transforms."""
     _, values, header, make = sample
     poses = zip(
         sample.numbered("x"),
@@ -249,7 +242,6 @@ def _pose_messages(sample: _Sample) -> Iterator[_Message]:
 
 
 def _segment_messages(sample: _Sample) -> Iterator[_Message]:
-    """Yield bends, pressures and valve states of the segments."""
     _, _, header, make = sample
     bends = np.array(sample.numbered("bend"))
     nothing = np.zeros(0)

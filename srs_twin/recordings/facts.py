@@ -1,7 +1,7 @@
-"""Facts of a recording as JSON, as text and as a proposed map: the output of `srs-twin inspect`.
+"""Facts that `srs-twin inspect` reports: as JSON, as text and as a proposed map.
 
-The JSON has one object per file that can be read. Keys that do not apply to a file are
-left out. `srs-twin schema inspect` prints the JSON Schema of the list.
+The JSON has one object per readable file and omits keys that do not apply to the file.
+`srs-twin schema inspect` prints the JSON Schema of this list.
 """
 
 from __future__ import annotations
@@ -34,8 +34,7 @@ Pair = Annotated[list[str], Field(min_length=2, max_length=2)]
 
 
 class _Facts(StrictModel):
-    # Converts the numbers of NumPy to those of Python, in constructors and in
-    # assignments.
+    # NumPy scalars are converted to Python numbers, because JSON cannot hold them.
     model_config = ConfigDict(strict=False, frozen=False, validate_assignment=True)
 
 
@@ -45,7 +44,7 @@ class MarkerFacts(_Facts):
     name: str
     """Name of the column."""
     rigid_body: bool
-    """Whether it is a rigid body with a rotation; the position is then that of the body."""
+    """Whether it is a rigid body with a rotation, whose position is then given."""
     coverage: Ratio
     """Fraction of the frames on which it was detected."""
     gaps: Count
@@ -53,7 +52,7 @@ class MarkerFacts(_Facts):
     longest_gap_s: Seconds
     """Duration of the longest gap."""
     noise_mm: Millimetres | None
-    """Standard deviation of the noise of a coordinate; null for a marker that was never detected."""
+    """Standard deviation of the noise of a coordinate; null if it was never detected."""
     noise_m: Metres | None
     """Standard deviation of the noise of a coordinate in m."""
     height_mm: Millimetres | None
@@ -115,7 +114,7 @@ class RobotFacts(_Facts):
     length_mm: list[Millimetres] | None = None
     """Median arc length of each segment, head first."""
     stretch: list[Ratio] | None = None
-    """Range of each length (98 % minus 2 % quantile) relative to that of the robot, head first."""
+    """Range of each length (98 % minus 2 % quantile) relative to the robot, head first."""
 
 
 class RecordingFacts(_Facts):
@@ -130,8 +129,10 @@ class RecordingFacts(_Facts):
     sha256: str
     """Checksum of the file."""
     rate_hz: Hertz | None = None
-    """Frames per second, from the median step, or rows of a log per second of its duration; null if the time
-    does not increase."""
+    """Frames per second from the median step, or rows of a log per second of its duration.
+
+    It is null if the time does not increase.
+    """
     duration_s: Seconds | None = None
     """Time from the first frame or row to the last."""
     starts_s: Seconds | None = None
@@ -159,17 +160,17 @@ class RecordingFacts(_Facts):
     bodies: list[str] | None = None
     """Names of the rigid bodies with a rotation."""
     tracks: Count | None = None
-    """Number of markers that may belong to the robot and were detected on at least 20 % of the frames."""
+    """Number of possible markers of the robot, detected on at least 20 % of the frames."""
     positions_of_nothing: Count | None = None
     """Number of positions that do not belong to a tracked marker."""
     noise_mm: Millimetres | None = None
-    """Standard deviation of the noise of a coordinate over all these markers."""
+    """Standard deviation of the noise of a coordinate over all tracked markers."""
     rigid_pairs: list[Pair] | None = None
     """Pairs of markers on one rigid part."""
     order: list[str] | None = None
-    """Markers from one end of the body to the other; empty if they are not along one line."""
+    """Markers from one end of the body to the other; empty unless they form one line."""
     distances: list[DistanceFacts] | None = None
-    """Distances of neighbours in this order."""
+    """Distances of neighbouring markers, in the order along the body."""
     layouts: dict[str, Count] | None = None
     """Marker layout → number of connectors of a robot with this number of markers."""
     head: list[HeadFacts] | None = None
@@ -177,25 +178,28 @@ class RecordingFacts(_Facts):
     signals: list[SignalFacts] | None = None
     """Signals of a log, or those in a file with positions."""
     robot: RobotFacts | None = None
-    """Only with `--robot`."""
+    """Result of reading the file as a recording of the robot in `--robot`."""
     proposals: list[str]
     """Lines of a proposed map (YAML), to be checked."""
     notes: list[str]
     """Notes on results, conversions, assumptions and data that were left out."""
 
     def document(self) -> dict[str, object]:
-        """Return the facts as plain data for JSON, without those that do not apply to the file."""
+        """Return the facts that apply to the file as plain data for JSON."""
         return self.model_dump(mode="json", exclude_unset=True)
 
 
 def facts_json_schema() -> dict[str, object]:
-    """Return the JSON Schema (draft 2020-12) of `inspect --json`, with descriptions and units."""
+    """Return the JSON Schema (draft 2020-12) of `inspect --json`."""
     schema = TypeAdapter(list[RecordingFacts]).json_schema()
     return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | schema
 
 
 def proposed_map(facts: Sequence[RecordingFacts]) -> str:
-    """Return a proposed map (YAML) for the files of one recording, with the reasons as comments."""
+    """Return a proposed map (YAML) for the files of one recording.
+
+    The comments of the map give the reasons.
+    """
     lines = ["# Proposed by srs-twin inspect: check it, then use it as --map."]
     for file in (file for file in facts if file.content == "markers"):
         lines.append(f"# {file.file}: {file.format}, {file.rate_hz:.4g} Hz")
@@ -223,7 +227,6 @@ def proposed_map(facts: Sequence[RecordingFacts]) -> str:
 
 
 def _marker_lines(facts: RecordingFacts) -> list[str]:
-    """Return the lines of the markers in a proposed map, head first if the head is known."""
     order = list(facts.order or ())
     heads = facts.head or ()
     markers = facts.markers or ()

@@ -1,6 +1,7 @@
-"""Inspection of a recording without a robot: format, clock, axes, markers, order, head, proposed map.
+"""Inspection of a recording without a robot.
 
-`srs-twin inspect --json` prints the facts (`facts.py`). `Scene` contains the data for a
+It finds format, clock, axes, markers, their order, the head, and a proposed map.
+`srs-twin inspect --json` prints the results (`facts.py`). `Scene` is drawn as a
 picture.
 """
 
@@ -84,13 +85,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _RIGID_NOISE_RATIO = 1.3
-"""Variation of a distance, divided by that from noise, below which two markers are on one rigid part, 1."""
+"""Maximum ratio of a distance's variation to its noise for markers on a rigid part."""
 _DISTANCE_FRAMES = 2000
 """Number of frames from which distances are computed."""
 _MIN_CRAWLED = 0.3
-"""Smallest forward distance that indicates the head, in distances of neighbours, 1."""
+"""Minimum travel that reveals the head, divided by the distance of adjacent markers."""
 _MAX_SIGNALS = 200
-"""Largest number of signals that are described."""
+"""Maximum number of signals that are described."""
 _QUANTITY_TEXTS = {
     "time": "time",
     "valve": "valve states",
@@ -109,10 +110,8 @@ class Scene:
     """Markers seen from above.
 
     Attributes:
-        places: positions, shape (frames, markers, 2 or 3), m.
-        names: names of the markers.
+        places: marker positions, shape (frames, markers, 2 or 3), m.
         order: markers in their order along the body; empty if it is unknown.
-        rigid: pairs of markers on one rigid part.
     """
 
     places: np.ndarray
@@ -128,12 +127,12 @@ def inspect(
     map: StrPath | Mapping[str, object] = MappingProxyType({}),  # noqa: A002
     robot: StrPath | RobotSpec | None = None,
 ) -> RecordingFacts:
-    """Describe a recording and propose a map, as `srs-twin inspect`.
+    """Describe a recording and propose a map, as the command `srs-twin inspect` does.
 
     Args:
-        path: a recording of markers, or a log.
+        path: recording or log.
         map: known entries of a recording map, or the path of a map.
-        robot: robot with which the recording is checked; None: not checked.
+        robot: robot whose recording the file may be; None skips this check.
 
     Raises:
         InputError: the file cannot be read; the message gives the reason.
@@ -147,12 +146,12 @@ def inspect(
 def inspect_file(
     path: StrPath, recording_map: RecordingMap, spec: RobotSpec | None
 ) -> tuple[RecordingFacts, Scene | None]:
-    """Return the facts of a file, and its markers if it has any.
+    """Return the facts of a file, and the scene of its markers if it has any.
 
     Args:
-        path: a recording of markers, or a log.
-        recording_map: known units, rate and places.
-        spec: the robot of the recording, if it is to be read as such.
+        path: recording or log.
+        recording_map: known units, frame rate and marker places.
+        spec: robot whose recording the file may be; None skips this check.
 
     Raises:
         InputError: the file cannot be read; the message gives the reason.
@@ -167,7 +166,6 @@ def inspect_file(
 def _file_facts(
     path: StrPath, recording_map: RecordingMap
 ) -> tuple[RecordingFacts, Scene | None]:
-    """Return the facts of a file without robot and proposed map, and its markers."""
     start = start_of(path, recording_map.dialect)
     timed = {clean(name) for name in recording_map.meanings(["time"])}
     kind = PlainCsv.name
@@ -193,7 +191,6 @@ def _file_facts(
 def _topics_facts(
     topics: RecordedTopics, kind: str, recording_map: RecordingMap
 ) -> RecordingFacts:
-    """Return the facts of the signals of a bag."""
     signals = list(topics.signals.items())[:_MAX_SIGNALS]
     time = max((times for _, (times, _) in signals), key=len, default=np.zeros(0))
     signal_facts = [
@@ -267,7 +264,6 @@ def _marker_facts(
 def _body_facts(
     table: MarkerTable, points: np.ndarray, frames: FrameGrid, facts: RecordingFacts
 ) -> Scene | None:
-    """Add order, distances, layouts and head to the facts, as far as the markers determine them."""
     slots = in_slots(table, points)
     near = _neighbour_distance(slots.points[..., :2])
     if np.isnan(near):
@@ -316,7 +312,7 @@ def _body_facts(
 
 
 def _neighbour_distance(points: np.ndarray) -> float:
-    """Return the median distance of a marker from the nearest one, m; NaN if no frame has two."""
+    """Return the median distance between nearest markers, m, or NaN without pairs."""
     nearest = np.fmin.reduce(pairwise_distances(points, _DISTANCE_FRAMES), axis=2)
     if np.isnan(nearest).all():
         return float("nan")
@@ -324,9 +320,8 @@ def _neighbour_distance(points: np.ndarray) -> float:
 
 
 def _possible_layouts(markers: int, *, bodies: bool) -> dict[str, int]:
-    """Return the layouts with this number of markers, and their numbers of connectors."""
     if bodies:
-        return {"pair": markers}  # two points of each rigid body
+        return {"pair": markers}  # each rigid body counts as two points
     connectors = {
         layout: divmod(markers - size.extra, size.per_connector)
         for layout, size in LAYOUT_SIZES.items()
@@ -337,12 +332,11 @@ def _possible_layouts(markers: int, *, bodies: bool) -> dict[str, int]:
 def _rigid_pairs(
     median: np.ndarray, spread: np.ndarray, noise: float
 ) -> tuple[tuple[int, int], ...]:
-    """Return the pairs of markers on one rigid part, from all distances and the noise of a coordinate, m."""
     closest = np.nanmin(median, axis=0)
     constant = spread < _RIGID_NOISE_RATIO * np.sqrt(2) * noise
     rigid = constant & (median <= 1.5 * np.minimum.outer(closest, closest))
-    # On a body that bends little, many distances are nearly constant. Only one of them
-    # can belong to a rigid part, because a marker has only one partner there.
+    # On a body that bends little, many distances are nearly constant. Each marker has
+    # only one partner on its rigid part, so only one of these distances can be rigid.
     single = rigid.sum(axis=0) == 1
     return tuple(
         (int(a), int(b))
@@ -353,7 +347,6 @@ def _rigid_pairs(
 def _marker_names(
     origin: np.ndarray, labels: Sequence[str], facts: RecordingFacts
 ) -> tuple[str, ...]:
-    """Return a unique column name for each marker; add a note if markers change columns."""
     from scipy.optimize import linear_sum_assignment
 
     counts = np.stack(
@@ -376,7 +369,7 @@ def _heads(
     pairs: Sequence[tuple[int, int]],
     near: float,
 ) -> Iterator[tuple[int, str]]:
-    """Yield the ends that may be the head, in order of likelihood, with reasons."""
+    """Yield the ends that may be the head with reasons, most likely first."""
     if len(order) <= 2:
         return
     for end, second in (order[:2], order[:-3:-1]):
@@ -393,7 +386,6 @@ def _heads(
 def _robot_facts(
     path: StrPath, recording_map: RecordingMap, spec: RobotSpec
 ) -> RobotFacts:
-    """Return the result of reading the file as a recording of a robot."""
     try:
         recording = read_motion(path, spec, map=recording_map)
     except InputError as error:
@@ -414,7 +406,6 @@ def _robot_facts(
 
 
 def _table_facts(file: RecordedFile, recording_map: RecordingMap) -> RecordingFacts:
-    """Return the facts of a table of numbers over time."""
     timed = {
         name: meaning
         for name, meaning in recording_map.meanings(["time"]).items()
@@ -453,7 +444,6 @@ def _log_facts(
     signals: Sequence[SignalFacts],
     time: np.ndarray | None,
 ) -> RecordingFacts:
-    """Return the facts of a log; start, duration, rate and rows are left out if it has less than two rows."""
     facts = RecordingFacts(
         file=source.name,
         format=kind,
@@ -478,7 +468,6 @@ def _log_facts(
 def _signal_facts(
     name: str, time: np.ndarray | None, values: np.ndarray, recording_map: RecordingMap
 ) -> SignalFacts:
-    """Return range, stated quantity and switching rate of a signal; no rate without times."""
     known = values[np.isfinite(values)]
     if not known.size:
         return SignalFacts(name=name, looks_like="nothing", understood=False)
@@ -501,8 +490,6 @@ def _signal_facts(
 
 
 def _stated_quantity(name: str, values: np.ndarray, meaning: Meaning | None) -> str:
-    """Return the quantity that the unit or the name of a signal, or the map, states."""
-
     def unit_in(units: Mapping[str, float]) -> str:
         given = (meaning.unit or meaning.default) if meaning else ""
         return stated_unit(name, units) or symbol(given, units)
@@ -518,7 +505,7 @@ def _stated_quantity(name: str, values: np.ndarray, meaning: Meaning | None) -> 
 
 
 def markers_view(scene: Scene) -> Figure:
-    """Plot the markers from above: paths, the chain at three times, rigid pairs."""
+    """Plot the markers from above: paths, the body at three times, and rigid pairs."""
     from srs_twin.viewing.plots.style import PLUS_COLOR, finish, panels
 
     places = scene.places

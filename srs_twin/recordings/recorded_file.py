@@ -1,7 +1,7 @@
-"""Recorded files in memory: layout of plain tables, rows of numbers, and errors with line and column.
+"""Recorded files in memory: layout and rows of plain tables, and located errors.
 
-Arrow reads the numbers. Comments, separator and decimal mark are detected (`laid_out`),
-or given as a `Dialect`.
+Arrow parses the numbers. `laid_out` detects comments, separator and decimal mark,
+unless a `Dialect` states them.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ if TYPE_CHECKING:
     from pyarrow.csv import InvalidRow
 
 MAX_BYTES = 256 << 20
-"""Largest size of a file: twice that of an hour of ten markers at 120 Hz."""
+"""Maximum file size: twice the size of one hour of ten markers at 120 Hz."""
 
 MAX_HEADER_BYTES = 4 << 20
-"""Largest size of a header; a recording in which thousands of markers come and go has one of 1 MB."""
+"""Maximum header size. A header reaches 1 MB if thousands of markers come and go."""
 
 MAX_VALUES = 1 << 26
-"""Largest number of rows times columns: half a gigabyte of numbers."""
+"""Maximum number of rows times columns: half a gigabyte of numbers."""
 
 MAX_COLUMNS = 20_000
-"""Largest number of columns."""
+"""Maximum number of columns."""
 
 BLANK = ["", "NaN", "nan", "NAN", "-nan", "null", "NULL", "N/A", "n/a"]
 """Contents of a cell without a value."""
@@ -44,9 +44,9 @@ BLANK = ["", "NaN", "nan", "NAN", "-nan", "null", "NULL", "N/A", "n/a"]
 _PEEK = 1 << 16
 """Number of bytes from which a format is identified."""
 _BLOCK = 8 << 20
-"""Number of bytes that Arrow reads at once; no line may be longer."""
+"""Number of bytes that Arrow reads at once, and hence the maximum length of a line."""
 _BLANKS = re.compile(rb"(?<=[,;|\t\n]) +(?=[,;|\t\r\n])|^ +(?=[,;|\t])")
-"""Cells of spaces only."""
+"""Cells that contain only spaces."""
 _EMPTY_LINE = re.compile(rb"^[ \t,]*\r?$", re.MULTILINE)
 _NUMBER = re.compile(
     r"\s*(?:[-+]?(?=.?\d)[\d.,]+(?:[eE][-+]?\d+)?|nan|\d{4}-\d\d-\d\d[T"
@@ -60,7 +60,7 @@ _REPORTED_CELL = re.compile(
 _COMMENT = re.compile(r"\s*#|sep=.$", re.IGNORECASE)  # "sep=" is an Excel directive
 _ZONE = re.compile(r"(?:Z|[+-]\d\d:?\d\d)\s*$")
 _DATE = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:")
-# A comma that cannot separate thousands: 0,5 or 1234,5 or 1,25 or 1,2345.
+# A decimal comma that cannot separate thousands, as in 0,5 or 1234,5 or 1,25.
 _DECIMAL_COMMA = re.compile(
     rb"(?<![\d,])(?:0|\d{4,}),\d|\d,(?:\d{1,2}|\d{4,})(?![\d,])"
 )
@@ -72,20 +72,19 @@ _SEPARATOR_NAMES = {
     "|": "bars",
 }
 _EPOCH_RANGE = (1e9, 4.2e9)
-"""Range of times that count as times since 1970, s: 2001 to 2103."""
+"""Range of times that are taken as seconds since 1970: the years 2001 to 2103."""
 _MAX_EPOCH_STEP = 100.0
-"""Largest step between rows for times since 1970, s: larger ones mean a wrong unit."""
+"""Maximum step between times since 1970, s; longer steps reveal a wrong unit."""
 _MAX_COMMENT_LINES = 1000
-"""Largest number of comment lines above the header."""
+"""Maximum number of comment lines above the header."""
 
 
 class Dialect(NamedTuple):
-    """Layout of a plain table; empty values are detected.
+    """Layout of a plain table. Empty attributes are detected from the file.
 
     Attributes:
-        columns: names of the columns, for a file whose first line has none.
-        separator: separator of cells; a space means runs of spaces and tabs.
-        decimal: decimal mark, "." or ",".
+        columns: column names, for a file whose first line has none.
+        separator: cell separator; a space stands for runs of spaces and tabs.
     """
 
     columns: tuple[str, ...] = ()
@@ -94,16 +93,15 @@ class Dialect(NamedTuple):
 
 
 AS_FOUND = Dialect()
-"""Dialect that is detected."""
+"""Dialect whose every attribute is detected."""
 
 
 class Times(NamedTuple):
     """Times of the rows of a table.
 
     Attributes:
-        time: shape (rows,), s.
-        notes: notes on the times.
-        epoch_ns: value subtracted from times since 1970, ns; None for other times.
+        time: times of the rows, shape (rows,), s.
+        epoch_ns: offset subtracted from times since 1970, ns; None for other times.
     """
 
     time: np.ndarray
@@ -116,16 +114,8 @@ class RecordedFile:
     """Recorded file in memory.
 
     Attributes:
-        name: name for messages.
-        data: contents.
-        separator: separator of cells.
-        decimal: decimal mark.
-        body: contents with normalised separators, if cells are separated by runs of
-            spaces.
-        names: names of the columns of a plain table.
-        header_lines: number of lines above its rows.
-        notes: notes on the layout.
-        problem: reason why it cannot be read as a table; empty if it can.
+        body: contents with single separators, if runs of spaces separate the cells.
+        problem: reason why the file is not a table, or an empty string.
     """
 
     name: str
@@ -140,11 +130,11 @@ class RecordedFile:
 
     @cached_property
     def raw(self) -> bytes:
-        """Contents without a byte order mark, with line ends that contain a line feed."""
+        """Contents without a byte order mark, with line feeds as line ends."""
         if self.body is not None:
             return self.body
         text = self.data.removeprefix(b"\xef\xbb\xbf")
-        # Files of old Macintosh programs end lines with a carriage return only.
+        # Programs of the classic Mac OS end lines with a carriage return only.
         if b"\n" in text:
             return text
         return text.replace(b"\r", b"\n")
@@ -154,7 +144,7 @@ class RecordedFile:
         """First line that is not blank."""
         wide = self.data.startswith(
             (b"\xff\xfe", b"\xfe\xff")
-        )  # the error for UTF-16 is raised when it is read
+        )  # reading the rows reports UTF-16
         text = self.data.removeprefix(b"\xef\xbb\xbf").decode(
             "utf-16" if wide else "utf-8", "replace"
         )
@@ -162,18 +152,18 @@ class RecordedFile:
 
     @property
     def title(self) -> str:
-        """First cell of that line."""
+        """First cell of the first line that is not blank."""
         return re.split(r"[,\t]", self.first_line)[0].strip(' "')
 
     @cached_property
     def sha256(self) -> str:
-        """SHA-256 checksum of the file, hexadecimal."""
+        """SHA-256 checksum of the file as a hexadecimal text."""
         return hashlib.sha256(self.data).hexdigest()
 
     def error(
         self, problem: str, line: int | None = None, column: int | None = None
     ) -> InputError:
-        """Return an error with the position in the file; lines and columns (cells) are counted from 1."""
+        """Return an error at a line and column (cell), both counted from 1."""
         position = "".join(
             f":{number}" for number in (line, column) if number is not None
         )
@@ -183,7 +173,7 @@ class RecordedFile:
         """Return the stripped cells of some lines after the first `after` lines.
 
         Raises:
-            InputError: the lines are longer than any header, or are not CSV.
+            InputError: the lines are not CSV, or are too long for a header.
         """
         start = self.offset_of(after)
         split = self.raw[start : start + MAX_HEADER_BYTES].split(b"\n", lines)
@@ -205,7 +195,7 @@ class RecordedFile:
         return rows
 
     def offset_of(self, line: int) -> int:
-        """Return the position of a line, counted from 0; the end of the file if there are fewer lines."""
+        """Return the byte offset of a line counted from 0, or the end of the file."""
         start = 0
         for _ in range(line):
             start = self.raw.find(b"\n", start) + 1 or len(self.raw)
@@ -221,23 +211,23 @@ class RecordedFile:
     ) -> tuple[np.ndarray, list[str]]:
         """Read the rows below a header.
 
-        A last line without a line end may be cut, also inside a number. It is left out,
+        A last line without a line end may have been cut inside a number. It is left out
         with a note.
 
         Args:
-            header_lines: number of lines of the header.
-            columns: columns to read, counted from 0.
+            header_lines: number of header lines.
+            columns: column indices to read, counted from 0.
             width: number of cells per row.
             section: whether the rows end at an empty line instead of the end of the
                 file.
 
         Returns:
-            Numbers, shape (rows, columns), NaN for cells that are blank or not finite;
+            Numbers of shape (rows, columns), with NaN for blank or non-finite cells,
             and notes.
 
         Raises:
-            InputError: there are no rows or too many values, a row has more or fewer
-                cells, or a cell is not a number.
+            InputError: there are no rows or too many values, a row has the wrong number
+                of cells, or a cell is not a number.
         """
         raw = self.raw
         start = self.offset_of(header_lines)
@@ -264,19 +254,20 @@ class RecordedFile:
         return values, notes
 
     def _end_of(self, start: int, *, section: bool = False) -> int:
-        """Return the end of the rows: after their last line end, or at an empty line."""
         end = _EMPTY_LINE.search(self.raw, start) if section else None
         return max(start, end.start() if end else self.raw.rfind(b"\n") + 1)
 
     def times(self, clock: int, unit: str) -> Times:
-        """Read the times of the rows of a plain table; times since 1970 are converted to begin at 0.
+        """Read the times of the rows of a plain table.
+
+        Times since 1970 are shifted to start at 0.
 
         Args:
-            clock: column of the times, which are numbers or dates, counted from 0.
-            unit: unit of numbers; empty means s.
+            clock: index of the time column, which holds numbers or dates.
+            unit: unit of the numbers; an empty string stands for seconds.
 
         Raises:
-            InputError: as `rows`, or a row has no time.
+            InputError: `rows` cannot read the rows, or a row has no time.
         """
         import pyarrow as pa
 
@@ -298,7 +289,8 @@ class RecordedFile:
         if not _are_since_1970(time, unit):
             with np.errstate(over="ignore"):
                 return Times(time * TIMES[unit or "s"], notes, None)
-        # Use exact numbers: a double resolves times since 1970 only to 256 ns.
+        # Times are parsed as exact numbers, because a double resolves times since 1970
+        # only to 256 ns.
         (texts,) = self._parsed(cut, top, [clock], width, pa.string())
         numbers = (text.replace(self.decimal, ".") for text in texts.to_pylist())
         return _since_1970([*map(Decimal, numbers)], unit or "s", notes)
@@ -316,7 +308,6 @@ class RecordedFile:
         width: int,
         kind: pa.DataType | None = None,
     ) -> list[pa.ChunkedArray]:
-        """Return the columns of rows as read by Arrow, as numbers or as another type."""
         import pyarrow as pa
         from pyarrow.csv import ConvertOptions, ParseOptions, ReadOptions, read_csv
 
@@ -328,7 +319,7 @@ class RecordedFile:
             uneven.append(row)
             return "error"
 
-        # Arrow reports the row of an error only with a single thread.
+        # Arrow reports the row of an error only in a single thread.
         reading = ReadOptions(column_names=names, use_threads=False, block_size=_BLOCK)
         parsing = ParseOptions(
             delimiter=self.separator,
@@ -351,7 +342,8 @@ class RecordedFile:
             try:
                 return read(cut)
             except pa.ArrowInvalid:
-                # Arrow takes a cell of spaces for text. Few files have such cells.
+                # Arrow parses a cell of spaces as text. The slow way is taken for the
+                # few files with such cells.
                 return read(_BLANKS.sub(b"", bytes(cut)))
         except (pa.ArrowException, OSError) as error:
             if uneven:
@@ -364,7 +356,7 @@ class RecordedFile:
     def _not_a_number(
         self, rows: bytes, header_lines: int, reported: str
     ) -> InputError:
-        """Return an error for the cell that Arrow reports; it does not count empty lines."""
+        """Return an error at the cell that Arrow reports, counting empty lines too."""
         cell = _REPORTED_CELL.search(reported)
         if cell is None:
             problem = f"no rows of numbers ({' '.join(reported.split())[:200]})"
@@ -382,10 +374,10 @@ class RecordedFile:
 
 
 def recording_file(path: StrPath) -> Path:
-    """Return the file of a recording; the file of a ROS 2 bag is inside a folder.
+    """Return the file of a recording; a ROS 2 bag may be given as a folder.
 
     Raises:
-        InputError: it is missing, or the folder does not contain exactly one such file.
+        InputError: the file is missing, or the folder does not contain exactly one.
     """
     place = Path(path)
     inside = place.glob("*") if (place / "metadata.yaml").is_file() else ()
@@ -433,7 +425,6 @@ def read_bytes(path: StrPath) -> RecordedFile:
 
 
 def _bytes(place: Path, limit: int) -> bytes:
-    """Return the first bytes of a file."""
     try:
         with place.open("rb") as stream:
             return stream.read(limit)
@@ -447,11 +438,11 @@ def read_file(path: StrPath) -> RecordedFile:
     """Read a recorded text file.
 
     Raises:
-        InputError: as `read_bytes`, or the file is not UTF-8 text.
+        InputError: `read_bytes` fails, or the file is not UTF-8 text.
     """
     file = read_bytes(path)
-    # A byte order mark of UTF-16 gets its own error; any other zero byte cannot be in a
-    # CSV file.
+    # UTF-16 has its own error message. Otherwise a zero byte means that the file is not
+    # text.
     zero = file.data.find(b"\0")
     if zero >= 0 and not file.data.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise file.error(f"not a text file (byte {zero + 1} is 0x00); use a CSV file")
@@ -461,7 +452,7 @@ def read_file(path: StrPath) -> RecordedFile:
 
 
 def laid_out(file: RecordedFile, dialect: Dialect = AS_FOUND) -> RecordedFile:
-    """Return a file with its names, separator and decimal mark, as given or detected from its first lines."""
+    """Return a file with names, separator and decimal mark, as given or as detected."""
     if file.names or file.problem:
         return file
     start = file.raw[:MAX_HEADER_BYTES].split(b"\n", _MAX_COMMENT_LINES)
@@ -510,15 +501,6 @@ def laid_out(file: RecordedFile, dialect: Dialect = AS_FOUND) -> RecordedFile:
 
 
 class _Header(NamedTuple):
-    """Header of a plain table.
-
-    Attributes:
-        names: names of its columns; empty if it has none.
-        lines: number of lines above the rows.
-        notes: notes on names and comments.
-        problem: reason why it cannot be read; empty if it can.
-    """
-
     names: Sequence[str]
     lines: int
     notes: Sequence[str] = ()
@@ -528,14 +510,6 @@ class _Header(NamedTuple):
 def _header(
     lines: Sequence[str], top: int, separator: str, columns: Sequence[str]
 ) -> _Header:
-    """Return the header of a plain table.
-
-    Args:
-        lines: first lines of the file.
-        top: first line that is not a comment, counted from 0.
-        separator: separator of cells.
-        columns: given names, for a file whose first line has none.
-    """
     comments = [line.lstrip("# ") for line in lines[:top] if line.strip()]
     cells = _cells(lines[top], separator)
     numbers = [bool(_NUMBER.fullmatch(cell)) for cell in cells if cell.strip()]
@@ -567,7 +541,6 @@ def _header(
 
 
 def _decimal(file: RecordedFile, separator: str, header_lines: int) -> str:
-    """Return the decimal mark of the rows; empty if it is ambiguous."""
     start = file.offset_of(header_lines)
     if separator == "," or file.raw.find(b",", start) < 0:
         return "."
@@ -586,7 +559,7 @@ def _cells(line: str, separator: str) -> list[str]:
 
 
 def _separator(header: str, row: str) -> str:
-    """Return the separator that gives both lines the same number of cells; commas come last."""
+    """Return the separator that gives both lines equally many cells, a comma last."""
     present = [mark for mark in ";\t|," if mark in header]
     words = header.split()
     by_spaces = present in ([], [","]) and len(words) == len(row.split()) > 1
@@ -604,7 +577,7 @@ def _separator(header: str, row: str) -> str:
 
 
 def _are_since_1970(time: np.ndarray, unit: str) -> bool:
-    """Return whether times are since 1970, by their size; without a stated unit also by their steps."""
+    """Guess whether times count from 1970, by size and, without a unit, by steps."""
     scale = TIMES[unit or "s"]
     low, high = _EPOCH_RANGE
     in_range = low <= float(time.min()) * scale <= high
@@ -616,7 +589,6 @@ def _are_since_1970(time: np.ndarray, unit: str) -> bool:
 def _since_1970(
     exact: Sequence[int] | Sequence[Decimal], unit: str, notes: list[str]
 ) -> Times:
-    """Return times since 1970 relative to the first one."""
     origin = min(exact)
     since = np.array([float(value - origin) for value in exact]) * TIMES[unit]
     epoch_ns = round(origin * round(TIMES[unit] * 1e9))

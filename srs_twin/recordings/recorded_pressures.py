@@ -1,12 +1,12 @@
-r"""Chambers with recorded pressures, which drive a plant in the same way as the robot.
+r"""Chamber model that replays recorded pressures, so that they drive a plant.
 
-Between the samples of the log the pressures are linear in time; before and after it
-they are constant. The linear bend x follows them with the mode time constant τ₂ as in
+The pressures are interpolated linearly between the samples of the log and are constant
+before and after it. The linear bend x follows them with the mode time constant τ₂ as in
 `lag`. While the drive u = G (g⁺p⁺ − g⁻p⁻) changes from u₀ at the rate m,
 
 $$ x(t) = u_0 + m (t - \tau_2) + (x_0 - u_0 + m \tau_2)\, e^{-t/\tau_2}. $$
 
-Valve commands have no effect, and the pneumatic energy is unknown; it stays 0.
+Valve commands have no effect. The pneumatic energy is unknown and stays 0.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from srs_twin.robot.spec import RobotSpec
 
 
 class RecordedPressures(Pneumatics):
-    """Chambers with the pressures of a log (module docstring)."""
+    """Chamber model that replays recorded pressures. See the module docstring."""
 
     kind = "recorded"
     metered = False
@@ -39,11 +39,11 @@ class RecordedPressures(Pneumatics):
         """Construct the chambers.
 
         Args:
-            spec: the robot.
-            time: times of the samples, ascending, from the start of the run, s; may
-                begin before it.
-            pressure: gauge pressure, shape (samples, segments, 2), Pa.
-            supply_pa: supply pressure, gauge, Pa; used for `max_pressure_ratio` only.
+            spec: recorded robot.
+            time: ascending times of the samples since the start of the run, s; they may
+                be negative.
+            pressure: gauge pressures, shape (samples, segments, 2), Pa.
+            supply_pa: gauge supply pressure, Pa; used for `max_pressure_ratio` only.
             layout: valve layout for the controller's commands.
 
         Raises:
@@ -72,7 +72,7 @@ class RecordedPressures(Pneumatics):
         super().__init__(spec, layout=layout)
 
     def reset(self) -> None:
-        """See `Pneumatics.reset`; the chambers have the recorded pressures of the start."""
+        """See `Pneumatics.reset`; the chambers start at the recorded pressures."""
         super().reset()
         trace = self._at(np.zeros(1))
         self.pressure = trace.pressure[0]
@@ -99,7 +99,7 @@ class RecordedPressures(Pneumatics):
         return trace
 
     def _at(self, time: np.ndarray) -> Trace:
-        """Return the state of the chambers at some times, from the start of the run, s."""
+        """Return the state of the chambers at times since the start of the run (s)."""
         trace = self._empty_trace(len(time))
         row = np.clip(
             np.searchsorted(self._time, time, side="right") - 1, 0, len(self._time) - 1
@@ -127,7 +127,7 @@ class RecordedPressures(Pneumatics):
 def _linear_bend_at_samples(
     time: np.ndarray, drive: np.ndarray, slope: np.ndarray, tau: float
 ) -> np.ndarray:
-    """Return the linear bend at the samples of a log, with the shape of `drive`; it starts at rest."""
+    """Return the linear bend at the samples of a log, starting from equilibrium."""
     linear = np.empty_like(drive)
     linear[0] = drive[0]
     decay = np.exp(-np.diff(time) / tau)
@@ -139,15 +139,6 @@ def _linear_bend_at_samples(
 
 @compiled
 def _fill_bends(motion, bias, law, trace):  # type: ignore[no-untyped-def]
-    """Fill the free bends of a trace and their derivatives.
-
-    Args:
-        motion: linear bend (rad) and its first two derivatives, shape (times, segments)
-            each.
-        bias: rest bends, shape (segments,), rad.
-        law: a `BendLaw`.
-        trace: out.
-    """
     linear, speed, acceleration = motion
     for k in range(linear.shape[0]):
         for j in range(linear.shape[1]):

@@ -1,4 +1,4 @@
-"""Recorded motion of a robot as a trajectory, with its log of valves (`read_motion`, `ValveLog`)."""
+"""Recorded motion of a robot as a trajectory (`read_motion`), with its valve log."""
 
 from __future__ import annotations
 
@@ -48,26 +48,25 @@ from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 
 LONGEST_GAP = 0.2
-"""Longest gap that is filled by default, s; the trajectory is cut at longer gaps."""
+"""Default maximum gap that is filled, s; the trajectory is cut at longer gaps."""
 
 _BODY_MARKER_OFFSET = 0.01
-"""Distance of the two markers that replace a rigid body from its centre, m."""
+"""Distance from the centre of a rigid body to the two markers that replace it, m."""
 _MIN_JUMP = 0.06
-"""Smallest jump of an outlier, relative to the segment length, 1."""
+"""Minimum jump of an outlier, relative to the segment length."""
 _REACH = 0.8
-"""Largest distance of a marker from its expected position, relative to the segment length, 1."""
+"""Maximum distance of a marker from its prediction, relative to the segment length."""
 
 _MIN_OPENINGS = 4
-"""Smallest number of openings of a chamber from which a gait frequency is computed."""
+"""Minimum number of openings of a chamber for an estimate of the gait frequency."""
 _MAX_UNEVENNESS = 0.05
-"""Largest deviation of an opening from a periodic one, in periods."""
+"""Maximum deviation of an opening time from a periodic one, in periods."""
 _CARRIER_S = 0.07
-"""Shortest interval between two openings of a gait, s; those of a carrier are shorter.
-"""
+"""Minimum interval between two openings of a gait, s; a carrier opens more often."""
 _STILL_S = 1e-9
 """Tolerance of times, s."""
 _MAX_EMPTY_PA = 1e3
-"""Largest gauge pressure of an empty chamber, Pa."""
+"""Maximum gauge pressure of an empty chamber, Pa."""
 
 
 @dataclass(frozen=True)
@@ -76,16 +75,13 @@ class ValveLog:
 
     Attributes:
         kind: "valve" or "pressure".
-        time: ascending, shape (rows,), s.
+        time: ascending times of the rows, shape (rows,), s.
         values: valve states, which hold until the next row, or gauge pressures (Pa),
-            shape (rows, segments, 2), columns + and − chamber.
-        source: name of the file.
-        sha256: checksum of the file.
-        corrections: texts on sorting, conversions and assumptions.
-        epoch_ns: time since 1970 at 0 s, ns; None if the clock of the file is another
-            one.
-        holds: whether pressures hold until the next row, as set points do; otherwise
-            they are interpolated.
+            shape (rows, segments, 2); the last axis is (+ chamber, − chamber).
+        epoch_ns: time since 1970 at 0 s, ns; None if the clock of the file has another
+            origin.
+        holds: whether each pressure holds until the next row, as set points do;
+            measured pressures are interpolated instead.
     """
 
     kind: str
@@ -102,7 +98,7 @@ class ValveLog:
         return replace(self, time=self.time + offset)
 
     def schedule(self) -> Schedule:
-        """Return the states of a log of valves as a schedule from the first row to the last."""
+        """Return a log of valve states as a schedule from the first row to the last."""
         states = self.values.astype(np.int8)
         changes = np.append(
             0, np.flatnonzero((states[1:] != states[:-1]).any(axis=(1, 2))) + 1
@@ -122,20 +118,22 @@ class ValveLog:
         return np.stack(columns, axis=-1).reshape(len(time), *self.values.shape[1:])
 
     def breakpoints(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return times and pressures for linear interpolation as in `at`; two for each step of set points."""
+        """Return times and pressures whose linear interpolation gives `at`.
+
+        A step between set points has two breakpoints.
+        """
         if not self.holds:
             return self.time, self.values
         time = np.repeat(self.time, 2)[1:]
-        # The last instant before a step.
+        # The first of the two breakpoints is the last instant before the step.
         time[1::2] = np.nextafter(time[1::2], -np.inf)
         return time, np.repeat(self.values, 2, axis=0)[:-1]
 
     def gait_frequency(self) -> float | None:
-        """Return the frequency at which all chambers open periodically, Hz; None if they do not.
+        """Return the frequency at which all chambers open, Hz; None if it is irregular.
 
-        The first opening is ignored, because a gait may begin within a period.
-        Successive openings of a carrier, which are shorter than those of any gait,
-        count as one.
+        The first opening is ignored, because a log may begin within a period. Openings
+        in rapid succession come from a carrier and count as one.
         """
         if self.kind != "valve":
             return None
@@ -160,7 +158,7 @@ class ValveLog:
 
 
 def held_values(time: np.ndarray, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return the values of the last row at or before each time, or else those of the first row."""
+    """Return the values of the last row before each time, or of the first row."""
     return np.asarray(
         values[np.maximum(np.searchsorted(rows, time, side="right") - 1, 0)]
     )
@@ -171,15 +169,12 @@ class Recording:
     """Measured motion of a robot.
 
     Attributes:
-        trajectory: has the columns of a plant, and ``filled_1…`` (1 where a marker of
-            that connector was interpolated), ``residual``, ``com_velocity_x``,
-            ``com_velocity_y``, ``yaw_rate``, ``bend_rate_1…``; for a bend log only
-            ``bend_rate_1…`` of these.
-        summary: summary of the file.
+        trajectory: measured motion with the columns of a plant. Markers add
+            ``filled_1…`` (1 where a marker of that connector was interpolated),
+            ``residual``, ``com_velocity_x``, ``com_velocity_y``, ``yaw_rate`` and
+            ``bend_rate_1…``; a bend log adds ``bend_rate_1…`` only.
         valves: log of valves or pressures on the clock of the trajectory; None before
             `join`.
-        epoch_ns: time since 1970 at 0 s, ns; None if the clock of the file is another
-            one.
     """
 
     trajectory: Trajectory
@@ -189,15 +184,15 @@ class Recording:
 
     @property
     def only_bends(self) -> bool:
-        """Whether it contains only bends."""
+        """Whether the recording contains only bends, without positions."""
         return bool(self.trajectory.metadata.get("bends_only"))
 
     def pressures(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return recorded pressures; None if valve states were recorded.
+        """Return the recorded pressures, or None if valve states were recorded.
 
         Returns:
-            Times from the first sample on (rows,), s, and gauge pressures (rows,
-            segments, 2), Pa.
+            Times since the first sample, shape (rows,), s, and gauge pressures, shape
+            (rows, segments, 2), Pa.
         """
         if self.valves is None or self.valves.kind == "valve":
             return None
@@ -205,10 +200,12 @@ class Recording:
         return time - self.trajectory.time[0], values
 
     def commands(self, name: str) -> Schedule:
-        """Return the valve states from the first sample on; all vent if pressures were recorded.
+        """Return the valve states since the first sample.
+
+        If pressures were recorded, all valves vent.
 
         Args:
-            name: name of the recording in messages.
+            name: name for messages.
 
         Raises:
             InputError: there is no log.
@@ -227,7 +224,7 @@ class Recording:
         return schedule.slice(begin, schedule.span)
 
     def starts_at_rest(self) -> bool:
-        """Return whether the chambers are empty at the start, like those of a plant."""
+        """Return whether all chambers are empty at the start, as in simulations."""
         if self.valves is None:
             return True
         before = self.valves.values[
@@ -259,7 +256,7 @@ class Recording:
 
 @contextmanager
 def named_in_errors(file: str) -> Iterator[None]:
-    """Add the name of a file to the messages of errors raised in a block."""
+    """Add a file name to the messages of errors raised inside the block."""
     try:
         yield
     except UnknownNameError as error:
@@ -283,19 +280,19 @@ def read_motion(
     """Read a measured motion.
 
     Args:
-        path: a recording in one of `formats.FORMATS`.
-        spec: the recorded robot.
+        path: recording in one of `formats.FORMATS`.
+        spec: recorded robot.
         up: vertical axis of the file, one of `floor.UPS`.
         layout: marker layout, one of `body.layout.LAYOUTS`.
-        head: name of the column of the marker at the head; None for the end towards
-            which the robot crawls.
+        head: column name of the marker at the head; None for the end towards which
+            the robot crawls.
         map: places of markers and rigid bodies, and information that the file lacks.
-        longest_gap_s: longest gap that is filled, between the samples around it, s.
-        gait_frequency_hz: gait frequency for the metrics; None if the motion is not
-            periodic.
+        longest_gap_s: maximum gap that is filled, s, between the samples around it.
+        gait_frequency_hz: gait frequency for the metrics, Hz; None for a motion that is
+            not periodic.
 
     Returns:
-        The longest interval in which all markers are known.
+        Longest interval of the motion in which all markers are known.
 
     Raises:
         InputError: the file cannot be used; the message names the place and a remedy.
@@ -343,20 +340,10 @@ def _captured_markers(
     layout: str,
     longest_gap_s: float,
 ) -> tuple[CapturedMarkers, list[str]]:
-    """Return the markers of the robot, and notes.
-
-    Args:
-        table: the file.
-        spec: the robot.
-        frames: its frames.
-        points: in floor coordinates, shape (frames, columns, 3), m.
-        layout: one of `LAYOUTS`.
-        longest_gap_s: longest gap that is filled, s.
-    """
     geometry = spec.geometry
     slots = in_slots(table, points)
-    # A wrong unit is reported before the markers are tracked with distances from the
-    # robot.
+    # Tracking uses distances from the robot, so a wrong unit of length is reported
+    # first.
     check_scale(slots.points[..., :2], spec)
     tracks, notes = robot_tracks(
         table, slots, longest_gap_s / frames.period, _REACH * geometry.pitch
@@ -384,10 +371,9 @@ def _captured_markers(
 
 
 def _kept_frames(frames: FrameGrid, points: np.ndarray, longest_gap_s: float) -> slice:
-    """Return the longest interval with all markers; they are visible at its ends: nothing is extrapolated.
+    """Return the longest interval in which all markers are known.
 
-    Raises:
-        InputError: it is too short.
+    All markers are visible at both ends, so that no position is extrapolated.
     """
     kept = longest_complete(frames.time, points, longest_gap_s)
     if kept.stop - kept.start < MIN_FRAMES:
@@ -404,8 +390,8 @@ def _kept_frames(frames: FrameGrid, points: np.ndarray, longest_gap_s: float) ->
 def bodies_as_pairs(table: MarkerTable) -> MarkerTable:
     """Replace each rigid body with a rotation by two markers on one of its axes.
 
-    The axis is the one whose direction varies most: a vertical axis would not show the
-    heading.
+    The axis is the one whose direction varies most, because a vertical axis would not
+    show the heading.
     """
     if table.rotations is None:
         return table
@@ -437,7 +423,6 @@ def bodies_as_pairs(table: MarkerTable) -> MarkerTable:
 def _counts(
     frames: FrameGrid, floor: FloorPlane, markers: CapturedMarkers, body: TrackedBody
 ) -> MarkerCounts:
-    """Return the numbers on the markers of a file."""
     table = markers.table
     time = markers.time
     columns = markers.columns
@@ -468,7 +453,9 @@ def _counts(
 
 
 def in_slots(table: MarkerTable, points: np.ndarray) -> Tracks:
-    """Return markers in slots; rigid bodies and columns with a place keep their own slots.
+    """Return the markers in slots.
+
+    Rigid bodies and columns with a place keep a slot of their own.
 
     Raises:
         InputError: there are more slots than can be tracked.
@@ -488,15 +475,15 @@ def in_slots(table: MarkerTable, points: np.ndarray) -> Tracks:
 def robot_tracks(
     table: MarkerTable, slots: Tracks, longest_gap: float, reach: float
 ) -> tuple[Tracks, list[str]]:
-    """Return the tracks that may belong to the robot, without heights, and notes on the other tracks.
+    """Return the tracks that may belong to the robot, and notes on the other tracks.
 
-    Rigid bodies are identified by their names and not tracked. Columns with a place
-    belong to the robot.
+    The tracks have no heights. Rigid bodies are identified by name and not tracked.
+    Columns with a place belong to the robot.
 
     Args:
-        table: the file.
-        slots: positions as from `in_slots`.
-        longest_gap: longest gap that is filled, frames.
+        table: marker file.
+        slots: positions as returned by `in_slots`.
+        longest_gap: maximum gap that is filled, frames.
         reach: maximum distance of a marker from its expected position, m.
     """
     tracks = slots

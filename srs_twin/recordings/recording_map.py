@@ -1,4 +1,4 @@
-"""Recording map: assignment of columns and markers to quantities of the robot (`--map FILE.yaml`)."""
+"""Recording map (`--map FILE.yaml`): what columns and markers measure on the robot."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class MarkerPlace(StrictModel):
 
     @property
     def station(self) -> tuple[int, str]:
-        """Station and side; see `body.markers.Places`."""
+        """Station and side of the marker, as defined in `body.markers.Places`."""
         if self.connector is not None:
             return 2 * (self.connector - 1), self.side or ""
         return 2 * (self.middle or 0) - 1, self.side or ""
@@ -93,7 +93,7 @@ class RecordingMap(StrictModel):
     """Decimal mark of a plain file (default: detected)."""
 
     def contradictions(self) -> Iterator[tuple[tuple[str, str], str]]:
-        """Yield invalid keys of the log, unknown units, and markers without exactly one place."""
+        """Yield invalid log keys, unknown units, and markers without a unique place."""
         for key, value in self.log.items():
             for problem in _log_problems(key, value):
                 yield ("log", key), problem
@@ -115,7 +115,7 @@ class RecordingMap(StrictModel):
 
     @property
     def ambient(self) -> float:
-        """Pressure to subtract from absolute pressures, Pa; 0 for gauge pressures."""
+        """Pressure subtracted from absolute pressures, Pa; 0 for gauge pressures."""
         value = self.log.get("ambient_kpa")
         if isinstance(value, float):
             return 1e3 * value
@@ -133,11 +133,11 @@ class RecordingMap(StrictModel):
 
     @property
     def unstated(self) -> Unstated:
-        """Information that the file of the markers may lack."""
+        """Information that the marker file may lack."""
         return Unstated(self.rate_hz, self.units, self.scale_m, self.dialect)
 
     def meanings(self, kinds: Collection[str]) -> dict[str, Meaning]:
-        """Return column → meaning, for the columns of a log with these quantities."""
+        """Return the meanings of the log columns with these quantities."""
         meanings = {}
         for key, value in self.log.items():
             meaning = log_meaning(key)
@@ -150,7 +150,9 @@ class RecordingMap(StrictModel):
         return meanings
 
     def applied(self, table: MarkerTable) -> MarkerTable:
-        """Return the markers that have a place; if none has one, all markers that are not ignored.
+        """Return the markers that have a place.
+
+        If no marker has a place, all markers that are not ignored are returned.
 
         Raises:
             UnknownNameError: the map names a marker that the file does not have.
@@ -193,7 +195,6 @@ NO_MAP = RecordingMap()
 
 
 def _log_problems(key: str, value: str | float | LogColumn) -> Iterator[str]:
-    """Yield what is wrong with an entry of a log."""
     meaning = log_meaning(key)
     if key in _NUMBERS:
         if not isinstance(value, float):
@@ -213,7 +214,7 @@ def _log_problems(key: str, value: str | float | LogColumn) -> Iterator[str]:
 
 
 def log_meaning(key: str) -> Meaning | None:
-    """Return the meaning of a key of the log: pressure_kpa_plus_1 is pressure_plus_1 in kPa."""
+    """Return the meaning of a log key such as pressure_kpa_plus_1."""
     if key == "time":
         return Meaning("time", "time")
     match = _LOG_NAME.fullmatch(key)
@@ -226,16 +227,16 @@ def log_meaning(key: str) -> Meaning | None:
 def given_map(
     path: str | None, options: Mapping[str, object], markers: Sequence[str]
 ) -> dict[str, object]:
-    """Return a map from a file and options, which have precedence, as plain data.
+    """Merge a map file with options into plain data.
 
     Args:
         path: map file.
-        options: keys of the map; those with the value None are left out.
-        markers: "NAME=connector 1", "NAME=middle 2", "NAME=connector 1 ahead" or
-            "NAME=ignore".
+        options: map key → value, which overrides the file; None has no effect.
+        markers: marker places, such as "NAME=connector 1", "NAME=middle 2",
+            "NAME=connector 1 ahead" or "NAME=ignore".
 
     Raises:
-        InputError: a place is invalid, or the file is.
+        InputError: a marker place or the file is invalid.
     """
     data: dict[str, object] = {}
     places: dict[str, object] = {}
@@ -273,7 +274,7 @@ def read_map(data: Mapping[str, object]) -> RecordingMap:
     """Return a map from the plain data of `given_map`.
 
     Raises:
-        InputFileError: the data are invalid; all errors are listed.
+        InputFileError: the data are invalid; the message lists all errors.
     """
     document = Document("--map", dict(data))
     model = validate(RecordingMap, document, document.data)
@@ -283,7 +284,7 @@ def read_map(data: Mapping[str, object]) -> RecordingMap:
 
 
 def canonical_key(name: str) -> str:
-    """Return the key of a map for a column name: pressure_plus_1 for pressure_plus_1_kpa."""
+    """Return the map key of a column name without the unit, such as pressure_plus_1."""
     match = re.fullmatch(r"(.+_\d{1,3})(?:[_ ]+[a-z]+)?", bracketed(name)[0].lower())
     if match:
         return match[1]

@@ -1,4 +1,4 @@
-"""Recordings with the logs of their valves, for fits, and the sections of a scenario that replay one.
+"""Recordings with their valve logs, for fits and for scenarios that replay them.
 
 The default log of ``walk.csv`` is ``walk.valves.csv`` in the same folder.
 """
@@ -48,7 +48,7 @@ from srs_twin.trajectory import Trajectory
 _LOG = ".valves.csv"
 NO_MARKERS = "bends alone do not tell where a robot crawled; markers are wanted"
 _ROUNDING_S = 1e-6
-"""Largest excess of a run's duration over its recording, due to rounding, s."""
+"""Maximum excess of a run's duration over its recording due to rounding, s."""
 Result = TypeVar("Result")
 
 
@@ -59,12 +59,12 @@ class RecordingReader:
     Attributes:
         up: axis of the file that points up, one of `floor.UPS`.
         layout: marker layout, one of `body.layout.LAYOUTS`.
-        head: name of the column of the marker at the head; None: the end towards which
-            the robot crawls.
-        map: recording map: quantities of markers and columns.
-        longest_gap_s: longest gap that is filled, s.
-        offset_s: clock offset added to the times of the log, s; None: estimated.
-        gait_frequency_hz: gait frequency, Hz; None: the frequency of the valve pattern.
+        head: column name of the marker at the head; None for the end towards which the
+            robot crawls.
+        map: recording map, which says what markers and columns measure.
+        longest_gap_s: maximum gap that is filled, s.
+        offset_s: clock offset added to the times of the log, s; None estimates it.
+        gait_frequency_hz: gait frequency, Hz; None takes it from the valve pattern.
     """
 
     up: str = "auto"
@@ -81,8 +81,8 @@ class RecordingReader:
         """Read a captured motion; see `read_motion`.
 
         Args:
-            path: recording.
-            spec: the robot.
+            path: recording file.
+            spec: recorded robot.
             frequency: gait frequency if the reader has none, Hz.
         """
         return read_motion(
@@ -99,7 +99,7 @@ class RecordingReader:
     def body(
         self, path: str, spec: RobotSpec, frequency: float | None = None
     ) -> Recording:
-        """Read the measured motion of the body, from markers or a bend log; as `motion`."""
+        """Read the measured motion from markers or from a bend log; see `motion`."""
         if not is_bend_log(path, self.map):
             return self.motion(path, spec, frequency)
         gap = self.longest_gap_s
@@ -116,10 +116,10 @@ class RecordingReader:
     def joined(
         self, body: Recording, log: ValveLog, spec: RobotSpec, *, one_file: bool
     ) -> Recording:
-        """Join a motion with a log on one clock; columns of the same file already share it.
+        """Join a motion with a log on one clock; columns of one file already share it.
 
         Raises:
-            InputError: as `join`.
+            InputError: `join` cannot synchronise them.
         """
         offset = 0.0 if one_file and self.offset_s is None else self.offset_s
         return join(body, log, spec, offset=offset)
@@ -128,14 +128,14 @@ class RecordingReader:
         """Read a recording and its log, and synchronise their clocks.
 
         Raises:
-            InputError: as `body`, `read_valves` and `joined`.
+            InputError: `body`, `read_valves` or `joined` fails.
         """
         try:
             log = read_valves(valves, spec, self.map)
         except InputError:
             self.body(
                 path, spec
-            )  # read first, so its errors come first: the default log is named after it
+            )  # the motion's errors come first: its path names the default log
             raise
         return self.joined(
             self.body(path, spec, log.gait_frequency()),
@@ -149,11 +149,11 @@ def logs_of(takes: Sequence[str], given: Sequence[str]) -> list[str]:
     """Return the log of each take.
 
     Args:
-        takes: paths of motions.
-        given: their logs in the same order; empty for the default logs.
+        takes: motion files.
+        given: paths of the logs in the order of the takes; empty for default logs.
 
     Raises:
-        InputError: more or fewer logs than takes.
+        InputError: the number of logs differs from the number of takes.
     """
     if not given:
         return [_log_of(Path(take)) for take in takes]
@@ -168,9 +168,8 @@ def logs_of(takes: Sequence[str], given: Sequence[str]) -> list[str]:
 
 
 def _log_of(take: Path) -> str:
-    """Return the default log of a recording, or the recording if it may contain its own log."""
     if not take.name:
-        return str(take)  # the current folder, which is not a recording
+        return str(take)  # an empty name is the current folder, not a recording
     beside = take.with_name(take.stem + _LOG)
     own = take.suffix.lower() in BAG_SUFFIXES or take.is_dir()
     return str(take if own and not os.path.lexists(beside) else beside)
@@ -282,7 +281,6 @@ class RecordingFile(ExtensionSection):
         return product.trajectory
 
     def _recording(self, loading: Loading) -> Recording | None:
-        """Return the recording joined with its log; report errors at the key of the file."""
         document = loading.document
         file = loading.file
         reader = self.build()
@@ -311,7 +309,6 @@ class RecordingFile(ExtensionSection):
     def _check(
         self, document: Document, file: FileSections, recording: Recording
     ) -> list[str]:
-        """Report settings of a scenario that contradict the recording; return warnings."""
         time = recording.trajectory.time
         span = float(time[-1] - time[0])
         if file.duration_s > span + _ROUNDING_S:
@@ -331,11 +328,10 @@ class RecordingFile(ExtensionSection):
 
 
 def _read(document: Document, key: str, read: Callable[[], Result]) -> Result | None:
-    """Call a function that reads the file of a key; report its errors at this key."""
     try:
         return read()
     except UnknownNameError as error:
-        # The file exists, so report the missing marker or column instead.
+        # The file was found, so report which marker or column it lacks.
         document.report(
             ("recording", "head" if document.get("recording", "head") else "map"),
             str(error),

@@ -1,4 +1,4 @@
-"""Curvature sensors, which give controllers their readings of the bends."""
+"""Curvature sensors, from which controllers read the bends."""
 
 from __future__ import annotations
 
@@ -33,21 +33,22 @@ _HALL_OPTIONS = {field.name for field in fields(HallSensor)} - {"strip"}
 def make_sensor(
     kind: str | Sensor, spec: RobotSpec, *, span: float = SPAN, **options: Any
 ) -> Sensor:
-    """Return the curvature sensors of a robot; those of a spatial robot have two axes.
+    """Return the curvature sensors of a robot.
+
+    The sensors of a spatial robot have two axes.
 
     Args:
-        kind: a name in `KINDS`, a part from outside (`extensions.part`), or an existing
+        kind: name in `KINDS`, a part from outside (`extensions.part`), or an existing
             `Sensor`, which is used as it is.
-        spec: the robot, which determines the length of the strips and the drift of each
+        spec: robot that determines the length of the strips and the drift of each
             module's sensor.
-        span: largest bend to both sides for which a Hall sensor is trimmed (unless
+        span: maximum bend to both sides for which a Hall sensor is trimmed (unless
             `gain` is given) and calibrated, rad; other sensors ignore it.
         **options: attributes of `Strip` and `HallSensor`.
 
     Raises:
         UnknownNameError: the kind is unknown, or does not have an option.
-        InputError: options were given for a sensor that has none, or as raised by the
-            class.
+        InputError: the sensor takes no options, or an option has an invalid value.
     """
     if options and (isinstance(kind, Sensor) or kind == IdealSensor.kind):
         raise InputError(f"this sensor has no options; leave out {', '.join(options)}")

@@ -1,9 +1,9 @@
-r"""Hall sensor and its calibration: a magnet and a Hall element on the neutral axis of a segment.
+r"""Hall sensor on the neutral axis of a segment, and its calibration.
 
 **Strip and field.** The strip bends with constant curvature κ = q/l. The coordinate
-frame is at the magnet: x points along the strip towards the element and the head, y is
-normal to it, to the left. At the arc length L the strip has turned by θ = κL. The
-element is h_s and the centre of the magnet h_m to the left of the neutral axis;
+frame is at the magnet: x points along the strip towards the element and the head, and y
+points to the left, normal to the strip. At the arc length L the strip has turned by θ =
+κL. The element is h_s and the centre of the magnet h_m to the left of the neutral axis;
 negative values are to its right:
 
 $$ S = \begin{pmatrix} \sin\theta/\kappa - h_s \sin\theta \\
@@ -11,13 +11,13 @@ $$ S = \begin{pmatrix} \sin\theta/\kappa - h_s \sin\theta \\
 M = \begin{pmatrix} 0 \\ h_m \end{pmatrix}. $$
 
 The magnet is a point dipole with moment m along y (`up`) or x (`side`). With r = S − M
-its field is
+the field of the magnet is
 
 $$ B = \frac{\mu_0}{4\pi}\left(\frac{3\,(m\cdot r)\,r}{|r|^5} - \frac{m}{|r|^3}\right), $$
 
-and the element measures its normal component, B_n = B_y cos θ − B_x sin θ (Eq. 1). θ in
-Eq. 1 is interpreted as the local angle κL. With the whole bend q instead, the reading
-over ±90° would be neither linear nor monotonic (docs/sensor.md).
+and the element measures the normal component of the field, B_n = B_y cos θ − B_x sin θ
+(Eq. 1). θ in Eq. 1 is interpreted as the local angle κL. With the whole bend q instead,
+the reading over ±90° would be neither linear nor monotonic (docs/sensor.md).
 
 **Chambers.** A rectangular chamber becomes round when it is filled and presses on the
 adjacent strip (Section 2.2.2, Fig. 14a, c). The filled chamber is on the outside of the
@@ -26,22 +26,22 @@ further. The bend of the strip is
 
 $$ q_s = q - b\,q_c \tanh(q / q_c) . $$
 
-Its slope is 1 − b at q = 0, negative for b > 1, and 1 for |q| ≫ q_c. The dissertation
-states that such readings are not monotonic at small angles. Its figure with the values
-is lost, so that b and q_c are estimates. The effect depends on the bend, not on the
-momentary pressure.
+The derivative of q_s is 1 − b at q = 0, negative for b > 1, and 1 for |q| ≫ q_c. The
+dissertation states that such readings are not monotonic at small angles. The figure
+with the values is lost, so b and q_c are estimates. The effect depends on the bend and
+not on the instantaneous pressure.
 
 **Electronics.** Hall element, amplifier and converter:
 
-    element      s B_n + n, with the sensitivity s and the noise n
-    amplifier    V = V₀ + bias + G (1 + e) (s (B_n − B_n(0)) + n), limited to the rails
-    converter    centre of the quantisation step of V, with 2^bits steps over the converter's range
+    element      s B_n + n, with the sensitivity s and the noise n amplifier    V = V₀ +
+    bias + G (1 + e) (s (B_n − B_n(0)) + n), limited to the rails converter    centre of
+    the quantisation step of V, with 2^bits steps over the converter's range
 
-The amplifier is balanced on the straight strip, as after assembly: otherwise the
+The amplifier is balanced on the straight strip, as after assembly. Otherwise the
 amplified field at rest (54 gauss) would far exceed the rails. `bias` and the gain error
-e are changes since the calibration (temperature, supply, a magnet that slipped).
+e are changes since the calibration, caused by temperature, supply or a slipped magnet.
 
-**Calibration** is the straight line from the voltage to the bend. As in the
+**Calibration** fits the straight line from the voltage to the bend. As in the
 dissertation (Section 3.4.3, a line fit to the bending angle against the voltage), the
 module is held at evenly spaced angles over ± span. The reading at each angle is
 averaged until the noise vanishes, and the angle is regressed on the voltage by least
@@ -50,7 +50,7 @@ squares:
 $$ q \approx a V + b. $$
 
 All nonlinearity of the sensor (field, rails, a pressing chamber) remains in the
-readings as an error; its largest value is `worst_error`.
+readings as an error. The maximum error is `worst_error`.
 """
 
 from __future__ import annotations
@@ -65,7 +65,10 @@ from srs_twin.compute.arrays import Array, check_positive
 from srs_twin.errors import InputError, UnknownNameError
 
 STRIP_PRESSURE_FACTOR = {"semicircular": 0.0, "rectangular": 2.0}
-"""b by cross-section, 1. Estimate: 2 reverses the slope of the reading at q = 0."""
+"""Factor b by cross-section, dimensionless.
+
+The estimate 2 reverses the sign of the reading's derivative at q = 0.
+"""
 
 ROUNDING_BEND_RAD = 0.15
 """q_c, the bend at which a rectangular chamber has become nearly round, rad.
@@ -91,7 +94,10 @@ def strip_bend(bend: Array, chamber: str) -> Array:
 
 
 ORIENTATIONS = ("up", "side")
-"""Direction of the magnet's north pole: normal to the strip (as in the dissertation), or along it."""
+"""Direction of the magnet's north pole: along the strip, or normal to it.
+
+The dissertation uses a magnet normal to the strip.
+"""
 
 _MU0_4PI = 1e-7  # μ₀/4π, T·m/A
 
@@ -104,7 +110,7 @@ MAGNET_HEIGHT = INCH / 32
 MAGNET_DIAMETER = INCH / 16
 """Diameter of the magnet, m.
 
-Estimate: a stock size with that height; the dissertation gives none.
+The dissertation gives none. The value is a stock size for the known height.
 """
 
 REMANENCE = 1.32
@@ -123,18 +129,18 @@ MOMENT = (
 
 @dataclass(frozen=True)
 class Strip:
-    """Magnet and Hall element on a strip (module docstring).
+    """Magnet and Hall element on a strip; see the module docstring.
 
-    The heights are estimates. That of the magnet is half of the flexible board (0.05
-    mm) and half of the magnet; that of the element is the board and 0.65 mm up to the
-    element in a SOT-23 package. The dissertation gives none.
+    The dissertation gives no heights, so both are estimates. The height of the magnet
+    is half of the flexible board (0.05 mm) and half of the magnet. The height of the
+    element is the board and 0.65 mm up to the element in a SOT-23 package.
 
     Attributes:
         segment_length: length l that bends by q, m.
         distance: arc length L from magnet to element, m. The dissertation studied 3.1
             to 4.6 mm and chose 3.1.
         orientation: orientation of the magnet, one of `ORIENTATIONS`.
-        moment: |m|, A·m².
+        moment: magnetic moment |m|, A·m².
         magnet_height: h_m, m.
         element_height: h_s, m.
         chamber: cross-section of the chambers, a name in `STRIP_PRESSURE_FACTOR`; a
@@ -174,11 +180,11 @@ class Strip:
 
 
 def dipole(x: Array, y: Array, m_x: float, m_y: float) -> tuple[Array, Array]:
-    """Return the components B_x and B_y (T) of a dipole's field in the plane of its moment.
+    """Return the field B_x and B_y (T) of a dipole in the plane of its moment.
 
     Args:
-        x: position relative to the dipole, m, any shape.
-        y: position, same shape, m; not 0 where x is 0.
+        x: position relative to the dipole, any shape, m.
+        y: position with the shape of x, m; not 0 where x is 0.
         m_x: moment along x, A·m².
         m_y: moment along y, A·m².
     """
@@ -189,16 +195,18 @@ def dipole(x: Array, y: Array, m_x: float, m_y: float) -> tuple[Array, Array]:
 
 
 def element_place(bend: Array | float, strip: Strip) -> tuple[Array, Array, Array]:
-    """Return the position (x, y) of the element relative to the magnet (m), and its angle θ (rad).
+    """Return the position x, y (m) of the element relative to the magnet, and θ (rad).
 
-    Arguments as in `field`.
+    Args:
+        bend: bend q of the segment, any shape, rad.
+        strip: strip geometry.
     """
     theta = strip_bend(np.asarray(bend, dtype=float), strip.chamber) * (
         strip.distance / strip.segment_length
     )
     theta = np.where(np.abs(theta) <= math.pi, theta, np.nan)
-    # (sin θ, 1 − cos θ)/κ is a chord in the direction θ/2, smooth at κ = 0; np.sinc(x)
-    # is sin(πx)/(πx).
+    # (sin θ, 1 − cos θ)/κ is a chord in the direction θ/2 and smooth at κ = 0;
+    # np.sinc(x) is sin(πx)/(πx).
     chord = strip.distance * np.sinc(theta / (2 * math.pi))
     x = chord * np.cos(theta / 2) - strip.element_height * np.sin(theta)
     y = (
@@ -210,13 +218,13 @@ def element_place(bend: Array | float, strip: Strip) -> tuple[Array, Array, Arra
 
 
 def field(bend: Array | float, strip: Strip) -> Array:
-    """Return the field component normal to the element, B_n, T.
+    """Return the field component B_n normal to the element, T.
 
     Args:
         bend: bend q of the segment, any shape, rad. The result is NaN for a NaN, and
             for a bend that turns the strip by more than half a revolution between
             magnet and element.
-        strip: geometry of magnet and element.
+        strip: strip geometry.
     """
     x, y, theta = element_place(bend, strip)
     m_x, m_y = (0.0, strip.moment) if strip.orientation == "up" else (strip.moment, 0.0)
@@ -229,33 +237,33 @@ GAUSS = 1e-4
 """One gauss, T."""
 
 SPAN = math.pi / 2
-"""Largest bend for which the dissertation designs the sensor, to both sides, rad (Section 2.2.2)."""
+"""Maximum bend to both sides in the dissertation's design, rad (Section 2.2.2)."""
 
 RAIL_SHARE = 0.8
-"""Share of the voltage between the rails that a trimmed amplifier uses over its span, 1."""
+"""Fraction of the rail-to-rail voltage that a trimmed amplifier uses over its span."""
 
 
 @dataclass(frozen=True)
 class HallSensor:
-    """Strip with its electronics (module docstring).
+    """Strip with its electronics; see the module docstring.
 
     Sensitivity and noise are estimates from data sheets of the 49E class, to which the
     AH49E of the dissertation belongs: 1.6 to 2.0 mV/G at 5 V, and 90 µV in 10 kHz,
-    which is 25 µV in the 500 Hz of the amplifier. Rails and converter are those of an
+    which is 25 µV in the 500 Hz of the amplifier. Rails and converter belong to an
     Arduino Pro Mini (Section 2.3.2 for generation 3): 5 V, 10 bits.
 
     Attributes:
         strip: geometry and magnet.
-        gain: G, 1; see `trimmed`.
-        sensitivity: s, V/T.
-        offset: V₀, output of the straight segment, V.
-        rails: lowest and highest output of the amplifier, V.
-        noise: RMS of the element's noise within the amplifier's bandwidth, V at the
+        gain: amplification G, dimensionless; see `trimmed`.
+        sensitivity: sensitivity s of the element, V/T.
+        offset: output V₀ of the straight segment, V.
+        rails: minimum and maximum output of the amplifier, V.
+        noise: RMS noise of the element within the amplifier's bandwidth, V at the
             element's output.
-        bits: bits of the converter; None for no quantisation.
-        converter_range: V.
+        bits: number of bits of the converter; None for no quantisation.
+        converter_range: voltage range of the converter, V.
         bias: change since the calibration, V at the amplifier's output.
-        gain_error: e, relative change of the gain since the calibration, 1.
+        gain_error: relative change e of the gain since the calibration, dimensionless.
     """
 
     strip: Strip
@@ -304,7 +312,7 @@ class HallSensor:
 
         Args:
             strip: geometry and magnet.
-            span: rad.
+            span: maximum bend, rad.
             **electronics: other attributes.
 
         Raises:
@@ -337,15 +345,15 @@ class HallSensor:
         return field(0.0, self.strip)
 
     def field_change(self, bend: Array | float) -> Array:
-        """Return B_n − B_n(0) at bends (rad, any shape), T."""
+        """Return B_n − B_n(0) (T) at bends of any shape (rad)."""
         return field(bend, self.strip) - self._field_at_rest
 
     def voltage(self, bend: Array | float, noise: Array | float = 0.0) -> Array:
         """Return the voltage that the controller reads, V.
 
         Args:
-            bend: rad, any shape. The reading of a NaN is NaN: a diverged state must not
-                become a plausible voltage.
+            bend: bend of any shape, rad. A NaN gives NaN, because a diverged state must
+                not become a plausible voltage.
             noise: standard normal numbers that broadcast with the bends.
         """
         random = self.noise * np.asarray(noise)
@@ -361,7 +369,10 @@ class HallSensor:
 
 
 def _within(values: Array, low: float, high: float) -> Array:
-    """Return the values clipped to a range, three times as fast as `np.clip`; NaN stays NaN."""
+    """Return the values clipped to a range; NaN stays NaN.
+
+    The function is three times as fast as `np.clip`.
+    """
     clipped: Array = np.minimum(np.maximum(values, low), high)
     return clipped
 
@@ -377,7 +388,7 @@ ANGLES = 181
 """Number of angles in a calibration: one per degree over ±90°."""
 
 LEAST_R_SQUARED = 0.5
-"""Smallest fraction of the variance that a line must explain, 1; a worse sensor is useless for control."""
+"""Minimum fraction of variance explained by the line; worse sensors are useless."""
 
 
 @dataclass(frozen=True)
@@ -385,13 +396,12 @@ class Calibration:
     """Straight line from voltage to bend, with its quality.
 
     Attributes:
-        slope: a, rad/V.
-        intercept: b, rad.
-        r_squared: fraction of the variance that the line explains, 1.
-        span: largest angle to both sides, rad.
-        voltage_range: lowest and highest voltage, V.
-        worst_error: largest difference between line and angle, rad.
-        monotonic: whether the voltage is monotonic in the angle.
+        slope: slope a, rad/V.
+        intercept: intercept b, rad.
+        r_squared: fraction of the variance that the line explains, dimensionless.
+        span: maximum angle to both sides, rad.
+        voltage_range: minimum and maximum voltage, V.
+        worst_error: maximum difference between line and angle, rad.
     """
 
     slope: float
@@ -403,7 +413,10 @@ class Calibration:
     monotonic: bool
 
     def angle(self, voltage: Array | float) -> Array:
-        """Return the bends for voltages (V, any shape), rad; the line continues beyond the span."""
+        """Return the bends (rad) for voltages of any shape (V).
+
+        The line continues beyond the span.
+        """
         return self.slope * np.asarray(voltage) + self.intercept
 
 
@@ -411,8 +424,8 @@ def fit_line(voltage: Array, angle: Array) -> Calibration:
     """Fit a line to measured pairs of voltage and angle.
 
     Args:
-        voltage: in the order of the angles, shape (angles,), V.
-        angle: ascending, shape (angles,), rad.
+        voltage: voltage at each angle, shape (angles,), V.
+        angle: ascending angles, shape (angles,), rad.
 
     Raises:
         InputError: there are fewer than 3 pairs, a value is not finite, or all voltages
@@ -451,12 +464,12 @@ def fit_line(voltage: Array, angle: Array) -> Calibration:
 
 
 def calibrate(sensor: HallSensor, span: float = SPAN) -> Calibration:
-    """Calibrate a sensor in its state before it drifted (module docstring).
+    """Calibrate a sensor in its state before it drifted.
 
     Args:
-        sensor: sensor; its `bias` and `gain_error`, which arise after the calibration,
-            are ignored.
-        span: largest angle to both sides, rad.
+        sensor: Hall sensor. Its `bias` and `gain_error` are ignored, because they arise
+            after the calibration.
+        span: maximum angle to both sides, rad.
 
     Raises:
         InputError: the span is not a positive angle, or the readings do not follow a

@@ -6,14 +6,15 @@ of single modules.
 
 **Noise without state.** A random number depends only on the seed, the segment and the
 time. A controller that reads once per tick and a recorder that reads a whole run at
-once therefore get the same values, on any number of threads. The numbers of a segment
-are the outputs 2n and 2n + 1 of a SplitMix64 sequence (Steele, Lea, Flood, 2014), where
-n is the time in slots of 0.1 ms, transformed to a normal distribution by Box and
-Muller. Each pair of seed and segment starts at a different position in the sequence.
+once therefore get equal values, on any number of threads. The numbers of a segment are
+the outputs 2n and 2n + 1 of a SplitMix64 sequence (Steele, Lea, Flood, 2014), where n
+is the time in slots of 0.1 ms. The Box-Muller transform makes them normally
+distributed. Each pair of seed and segment starts at a different position in the
+sequence.
 
-Computing a single number takes as long as computing a thousand at once, and a
-controller requests one time after another. Numbers are therefore computed in blocks of
-slots and cached.
+A single number takes as long to compute as a thousand numbers at once, but a controller
+requests one time after another. Numbers are therefore computed in blocks of slots and
+cached.
 """
 
 from __future__ import annotations
@@ -31,12 +32,12 @@ from srs_twin.sensing.hall import SPAN, Calibration, HallSensor, calibrate
 class Sensor(ABC):
     """Abstract curvature sensors of a robot.
 
-    Sensors have no state: a reading depends only on the arguments of `read`, so that it
-    is the same for every caller, in every order, for one time or a whole run.
+    Sensors have no state. A reading depends only on the arguments of `read`, so it is
+    equal for every caller, in every order, for one time or a whole run.
 
     Attributes:
         kind: short name.
-        axes: number of readings per segment, 1 or 2; with 2, bends and readings have a
+        axes: number of readings per segment, 1 or 2. With 2, bends and readings have a
             last axis with the components to the left and upwards.
     """
 
@@ -45,13 +46,13 @@ class Sensor(ABC):
 
     @abstractmethod
     def read(self, bend: np.ndarray, time: np.ndarray | float, seed: int) -> np.ndarray:
-        """Return sensor readings, rad, shape (…, segments).
+        """Return sensor readings, shape (…, segments), rad.
 
         Args:
-            bend: actual bends, shape (…, segments), rad. The reading of a NaN is NaN: a
-                lost reading, which the controller must handle.
-            time: s, shape (…,).
-            seed: random seed of the noise.
+            bend: actual bends, shape (…, segments), rad. A NaN gives NaN, which is a
+                lost reading that the controller must handle.
+            time: times of the readings, shape (…,), s.
+            seed: noise seed.
 
         Raises:
             InputError: a time is not finite, with a noisy sensor.
@@ -73,7 +74,9 @@ class IdealSensor(Sensor):
 
 
 SLOT = 1e-4
-"""Time within which readings have the same noise, s; different slots are independent.
+"""Duration of a slot, in which readings have equal noise, s.
+
+The noise of different slots is independent.
 """
 
 # Constants of SplitMix64: increment of the state, and multipliers of the output
@@ -84,7 +87,7 @@ _SECOND = np.uint64(0x94D049BB133111EB)
 
 _SEED_STEP = 2**63  # between the seeds of two axes; seeds count modulo 2⁶⁴
 
-_MAX_TIME = 2.0**53 * SLOT  # largest time at which slots are exact integers, s
+_MAX_TIME = 2.0**53 * SLOT  # maximum time at which slots are exact integers, s
 _BLOCK = 1024  # slots per cached block
 
 
@@ -92,10 +95,10 @@ def standard_normal(seed: int, time: np.ndarray | float, segments: int) -> np.nd
     """Return standard normal numbers, shape (…, segments).
 
     Args:
-        seed: any integer; seeds that are equal modulo 2⁶⁴ give the same numbers.
-        time: s, shape (…,), rounded to the nearest slot.
-        segments: number of segments; the numbers of the first segments do not depend on
-            it.
+        seed: any integer; seeds that are equal modulo 2⁶⁴ give equal numbers.
+        time: times, shape (…,), s, rounded to the nearest slot.
+        segments: number of segments, which does not change the numbers of the first
+            segments.
 
     Raises:
         InputError: a time is not finite, or too large for exact slots.
@@ -115,17 +118,16 @@ def standard_normal(seed: int, time: np.ndarray | float, segments: int) -> np.nd
 
 @lru_cache(maxsize=64)
 def _block(seed: int, number: int, segments: int) -> np.ndarray:
-    """Return the numbers for the slots of a block, shape (_BLOCK, segments)."""
     numbers = _normal_numbers(
         seed, np.arange(number * _BLOCK, (number + 1) * _BLOCK), segments
     )
-    numbers.setflags(write=False)  # the cache returns the same array to other callers
+    numbers.setflags(write=False)  # the cache returns one array to all callers
     return numbers
 
 
 def _normal_numbers(seed: int, slot: np.ndarray, segments: int) -> np.ndarray:
-    """Return the numbers for slots, int64 of shape (…,), with shape (…, segments)."""
-    # Use arrays: NumPy would warn of the overflow of a scalar, which is intended here.
+    """Return the numbers for int64 slots of shape (…,), with shape (…, segments)."""
+    # NumPy would warn about the intended overflow of a scalar, so arrays are used.
     start = _splitmix(np.full(segments, seed, dtype=np.uint64) + _GOLDEN)
     start = _splitmix(start ^ (np.arange(1, segments + 1, dtype=np.uint64) * _GOLDEN))
     place = start + (slot.view(np.uint64)[..., None] << np.uint64(1)) * _GOLDEN
@@ -137,7 +139,7 @@ def _normal_numbers(seed: int, slot: np.ndarray, segments: int) -> np.ndarray:
 
 
 def _splitmix(word: np.ndarray) -> np.ndarray:
-    """Return the output of SplitMix64 for a state; each output bit depends on every bit of the state."""
+    """Return the output of SplitMix64, in which each bit depends on every state bit."""
     word = (word ^ (word >> np.uint64(30))) * _FIRST
     word = (word ^ (word >> np.uint64(27))) * _SECOND
     mixed: np.ndarray = word ^ (word >> np.uint64(31))
@@ -146,11 +148,9 @@ def _splitmix(word: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class CurvatureSensor(Sensor):
-    """Curvature sensor of the dissertation (Section 2.2.2): field, amplifier, converter and straight line.
+    """Curvature sensor of the dissertation (Section 2.2.2).
 
-    Attributes:
-        hall: Hall sensor, the same in all segments.
-        calibration: line from voltage to bend.
+    It combines field, amplifier, converter and the calibrated line.
     """
 
     hall: HallSensor
@@ -163,11 +163,11 @@ class CurvatureSensor(Sensor):
         """Return a sensor with the calibration of `calibrate`.
 
         Args:
-            hall: the Hall sensor.
-            span: largest angle of the calibration, rad.
+            hall: Hall sensor.
+            span: maximum angle of the calibration, rad.
 
         Raises:
-            InputError: as in `calibrate`.
+            InputError: `calibrate` fails.
         """
         return cls(hall, calibrate(hall, span))
 
@@ -186,35 +186,24 @@ class CurvatureSensor(Sensor):
 
 @dataclass(frozen=True)
 class _AlteredSensor(Sensor):
-    """Sensors that change the readings of other sensors.
-
-    Attributes:
-        sensor: sensors whose readings are changed.
-    """
-
     sensor: Sensor
 
     @property
     def kind(self) -> str:  # type: ignore[override]
-        """Short name of the sensors whose readings are changed."""
         return self.sensor.kind
 
     @property
     def axes(self) -> int:  # type: ignore[override]
-        """Number of readings per segment."""
         return self.sensor.axes
 
 
 @dataclass(frozen=True)
 class TwoAxisSensor(_AlteredSensor):
-    """Two equal sensors in each segment of a spatial robot, one per direction of bending.
+    """Two equal sensors in each segment of a spatial robot, one per bending direction.
 
-    The strips lie in the neutral axis at right angles, so each of them reads one
-    component of the bend. Their noise is independent; that of the first one is the
-    noise of a planar robot's sensor with the same seed. Drift is the same for both.
-
-    Attributes:
-        sensor: sensors of one direction.
+    The strips lie in the neutral axis at right angles, so each strip reads one
+    component of the bend. Their noise is independent, and the first one has the noise
+    of a planar robot's sensor with an equal seed. Both have equal drift.
     """
 
     @property
@@ -242,7 +231,7 @@ class DriftedSensor(_AlteredSensor):
 
     Attributes:
         sensor: sensors without drift.
-        gain: factor on the reading, shape (segments,), 1.
+        gain: factor on the reading, shape (segments,), dimensionless.
         bias: addition to the reading, shape (segments,), rad.
     """
 
@@ -269,7 +258,7 @@ class DeadSensor:
     """Fault of the sensor of one segment, which no longer follows the bend on any axis.
 
     Attributes:
-        segment: from 1, at the head.
+        segment: segment number, counted from 1 at the head.
         reading: constant reading, rad; NaN for no reading.
         since: time of the fault, s.
     """
@@ -281,12 +270,7 @@ class DeadSensor:
 
 @dataclass(frozen=True)
 class FaultySensor(_AlteredSensor):
-    """Sensors with single failures.
-
-    Attributes:
-        sensor: sensors without faults.
-        dead: faults of single sensors.
-    """
+    """Sensors of which some have failed, as `dead` lists."""
 
     dead: tuple[DeadSensor, ...]
 

@@ -1,1 +1,1 @@
-"""From markers to the shape of a body."""
+"""Reconstruction of the body shape from markers."""

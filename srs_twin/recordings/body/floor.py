@@ -1,21 +1,21 @@
-"""Floor plane of a recording: vertical axis, and the map from file axes to floor coordinates.
+"""Floor plane of a recording: vertical axis and transformation to floor coordinates.
 
 Each marker of a crawling snake keeps its height, so its displacements d over time are
-parallel to the floor. Candidate normals n are cross products d₁ × d₂. The one with the
-smallest median |n·d| is refined by principal components of the displacements close to
-its plane. A recording without motion has only the positions of the markers, and markers
-of unequal height tilt a plane through them.
+parallel to the floor. Candidate normals n are cross products d₁ × d₂. The candidate
+with the smallest median |n·d| is refined by principal components of the displacements
+close to its plane. A recording without motion has only the marker positions, and
+markers of unequal height tilt a plane through them.
 
-The axis of the file closest to the normal points up.
+The file axis closest to the normal is taken as the upward axis.
 
-A recording is levelled only where its tilt is certain. The slopes of the floor come
-from a robust fit of the heights of all markers over their positions. A level snake that
-lifts in step with its motion looks like a tilt: a lift of rms L in step with a
-displacement of rms S gives a slope of L/S. The two directions of the principal spreads
-S are judged one by one: a slope counts as a tilt where it exceeds twice the slope that
-a lift of 1 % of the body would give. A snake that crawls far, or turns, has a large S.
+A recording is levelled only if its tilt is certain. A robust fit of marker heights over
+marker positions gives the gradients of the floor. A level snake that lifts in phase
+with its motion looks like a tilt: a lift of rms L and a displacement of rms S give the
+gradient L/S. Each principal direction of the motion is tested alone. A gradient counts
+as a tilt if it exceeds twice the gradient due to a lift of 1 % of the body length. A
+snake that crawls far or turns has a large S.
 
-Each map is a rotation, so left and right are preserved:
+Each transformation is a rotation, so left and right are preserved:
 
 | up | x    | y    |
 |----|------|------|
@@ -48,32 +48,35 @@ MAPS = {
     "-y": ((0, 1), (2, 1), (1, -1)),
     "-x": ((1, 1), (2, -1), (0, -1)),
 }
-"""Vertical axis → (axis of the file, sign) of the floor's x, of its y and of the height."""
+"""Vertical axis → (file axis, sign) of the floor's x, of its y, and of the height."""
 
 UPS = ("auto", *MAPS)
 
 _SAMPLES = 20_000
-"""Largest number of positions or displacements that are used."""
+"""Maximum number of positions or displacements that are used."""
 _LAG_FRACTIONS = (60, 30, 10)
-"""Durations of displacements, as the duration of the recording divided by these numbers."""
+"""Divisors of the recording's duration that give the durations of displacements."""
 _NORMALS = 400
 """Number of candidate normals."""
 _LIFT_FRACTION = 0.01
-"""Root mean square lift in step with the motion that a tilt must exceed, relative to the body's length."""
+"""Root mean square lift in phase with the motion, relative to the body length.
+
+A tilt must exceed the apparent tilt due to this lift.
+"""
 _CERTAIN_RATIO = 2.0
-"""Slope that counts as a tilt, relative to the slope due to a lift in step with the motion."""
+"""Minimum gradient of a tilt, relative to the gradient due to a lift in phase."""
 _EXTENT_FRAMES = 200
-"""Number of sampled frames from which the length of the body is computed."""
+"""Number of sampled frames from which the body length is computed."""
 _FIT_ITERATIONS = 8
-"""Iterations of the robust fit of the slopes."""
+"""Number of iterations of the robust fit of the gradients."""
 _MAX_SHIFT = 1e-3
-"""Displacement of high markers relative to low ones, by a tilt, above which the recording is levelled, m."""
+"""Shift of high markers against low markers above which a tilt is removed, m."""
 _PLANE_RATIO = 3.0
-"""Ratio of the spread in a plane to that normal to it, 1, above which the plane is determined."""
+"""Minimum ratio of the spread in a plane to the spread normal to a known plane."""
 _MAX_TILT = np.radians(3.0)
 """Tilt above which the recording is levelled."""
 _MAX_AXIS_TILT = np.radians(30.0)
-"""Largest tilt at which an axis of the file counts as vertical."""
+"""Maximum tilt at which a file axis counts as vertical."""
 
 
 @dataclass(frozen=True)
@@ -81,10 +84,8 @@ class FloorPlane:
     """Markers in floor coordinates, with the detected vertical axis.
 
     Attributes:
-        up: vertical axis of the file.
         points: x and y on the floor, and height above the origin of the file (0 if the
             file has no heights), shape (frames, columns, 3), m.
-        corrections: notes on results and changes, for the summary.
     """
 
     up: str
@@ -98,12 +99,11 @@ def map_to_floor(
     """Transform markers to floor coordinates.
 
     Args:
-        points: shape (frames, columns, 3) or (…, 2), m.
-        up: one of `UPS`.
-        usual: vertical axis that is usual for the file format; the fallback if the
-            markers do not determine it.
-        level: whether to remove the tilt of the floor; None removes it where it is
-            certain.
+        points: marker positions, shape (frames, columns, 3) or (…, 2), m.
+        up: vertical axis, one of `UPS`.
+        usual: usual vertical axis of the file format, used if the markers do not
+            determine the axis.
+        level: whether to remove the tilt of the floor; None removes a certain tilt.
 
     Raises:
         InputError: a plane file does not have the axis, or the vertical axis cannot be
@@ -134,7 +134,6 @@ def map_to_floor(
 def _find_floor(
     points: np.ndarray, usual: str, level: bool | None
 ) -> tuple[str, np.ndarray, list[str]]:
-    """Return the vertical axis, the points after levelling, and notes."""
     visible = points[np.isfinite(points).all(axis=-1)]
     visible = visible[:: len(visible) // _SAMPLES + 1]
     if len(visible) < 3:
@@ -167,7 +166,7 @@ def _find_floor(
             f"the plane of the markers is tilted by {np.degrees(tilt):.0f}° from all"
             " axes; rotate the recording, or give --up x, y or z, or `up` in a map"
         )
-    # The origin is on the floor, where the calibration square was, so the markers are
+    # The calibration square that sets the origin lies on the floor, so the markers are
     # above it.
     height = float(np.median(visible[:, axis]))
     up = ("-" if height < -1e-3 else "") + "xyz"[axis]
@@ -183,13 +182,6 @@ def _find_floor(
 def _levelled(
     points: np.ndarray, axis: int, level: bool | None
 ) -> tuple[np.ndarray, list[str]]:
-    """Return the points without the tilt of the floor, and notes.
-
-    Args:
-        points: shape (frames, columns, 3), m.
-        axis: vertical axis of the file.
-        level: see `map_to_floor`.
-    """
     horizontal = [k for k in range(3) if k != axis]
     seen = np.isfinite(points).all(axis=-1).any(axis=0)
     place = points[:, seen][..., horizontal]
@@ -222,7 +214,6 @@ def _levelled(
 
 
 def _rotated(points: np.ndarray, normal: np.ndarray, axis: int) -> np.ndarray:
-    """Return points after the rotation about their median that turns a normal to an axis of the file."""
     from scipy.spatial.transform import Rotation
 
     centre = np.nanmedian(points.reshape(-1, 3), axis=0)
@@ -231,14 +222,10 @@ def _rotated(points: np.ndarray, normal: np.ndarray, axis: int) -> np.ndarray:
 
 
 def _fit_slopes(place: np.ndarray, height: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return the slopes of the floor and the residual of the heights, m.
+    """Return the gradients of the floor and the residual of the heights, m.
 
     Each marker has its own height above the floor. Markers that move up and down, such
     as a cap on a head, get little weight.
-
-    Args:
-        place: horizontal positions, shape (frames, columns, 2), m.
-        height: shape (frames, columns), m.
     """
     x, y = (place - np.nanmean(place, axis=0)).reshape(-1, 2).T
     z = (height - np.nanmean(height, axis=0)).ravel()
@@ -260,19 +247,12 @@ def _fit_slopes(place: np.ndarray, height: np.ndarray) -> tuple[np.ndarray, floa
 
 
 class _Spreads(NamedTuple):
-    """Principal spreads of the horizontal motion of a marker.
-
-    Attributes:
-        spread: root mean squares, ascending, shape (2,), m.
-        axes: directions as columns, shape (2, 2).
-    """
-
     spread: np.ndarray
     axes: np.ndarray
 
 
 def _spreads(place: np.ndarray) -> _Spreads:
-    """Return the spreads of a typical marker: the median of its covariance over the markers."""
+    """Return the spreads from the median of the covariances of all markers."""
     moved = place - np.nanmean(place, axis=0)
     products = moved[..., :, None] * moved[..., None, :]
     covariance = np.nanmedian(np.nanmean(products, axis=0), axis=0)
@@ -281,7 +261,6 @@ def _spreads(place: np.ndarray) -> _Spreads:
 
 
 def _body_extent(place: np.ndarray) -> float:
-    """Return the median distance of a marker from the one farthest away on the same frame, m."""
     distance = pairwise_distances(place, _EXTENT_FRAMES)
     seen = np.isfinite(distance).any(axis=2)
     if seen.any():
@@ -290,7 +269,7 @@ def _body_extent(place: np.ndarray) -> float:
 
 
 def _displacements(points: np.ndarray) -> np.ndarray:
-    """Return the larger half of the displacements of markers over some durations, shape (samples, 3), m."""
+    """Return the larger half of the displacements, shape (samples, 3), m."""
     lags = {max(1, len(points) // parts) for parts in _LAG_FRACTIONS}
     moved = np.concatenate(
         [(points[lag:] - points[:-lag]).reshape(-1, 3) for lag in sorted(lags)]
@@ -298,7 +277,8 @@ def _displacements(points: np.ndarray) -> np.ndarray:
     moved = moved[np.isfinite(moved).all(axis=1)]
     moved = moved[:: len(moved) // _SAMPLES + 1]
     distance = np.linalg.norm(moved, axis=1)
-    # Noise at both ends makes the spread of displacements √2 times that of positions.
+    # A displacement has noise at both ends, so its spread is √2 times the spread of
+    # positions.
     return np.asarray(moved[distance >= np.median(distance)] / np.sqrt(2))
 
 
@@ -307,7 +287,7 @@ def _is_plane(spread: np.ndarray) -> bool:
 
 
 def _principal_axes(moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the spreads about the origin (ascending) and their directions (columns), without outliers."""
+    """Return ascending spreads about the origin and their axes, without outliers."""
     pairs = np.random.default_rng(0).integers(len(moved), size=(2, _NORMALS))
     normals = np.cross(*moved[pairs])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-18)

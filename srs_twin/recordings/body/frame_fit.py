@@ -1,14 +1,14 @@
-r"""Least-squares pose, bends and segment lengths of the body on single frames, from markers.
+r"""Least-squares pose, bends and segment lengths of the body on single frames.
 
-**Model.** A *station* is a point along the body: 0, 2, 4, … are the connectors, head
-first, and 1, 3, … are the middles of the segments between them. A marker m at station k
-has the position
+**Model.** A *station* is a point along the body. The even stations 0, 2, 4, … are the
+connectors, head first, and the odd stations are the middles of the segments between
+them. A marker m at station k has the position
 
 $$ p_m = P_k + a_m\,e^{i\theta_k}, $$
 
-where a_m is its offset in the frame of the station. Points are complex numbers, which
-makes a rotation a multiplication. Adjacent connectors are joined by an arc of length
-ℓ_j and bend q_j, with half of the rigid gap g at both ends,
+where a_m is its offset in the frame of the station. Points are complex numbers, so that
+a rotation is a multiplication. Adjacent connectors are joined by an arc of length ℓ_j
+and bend q_j, with half of the rigid gap g at both ends,
 
 $$ P_{j+1} = P_j - e^{i\theta_j}\Bigl(\tfrac g2 + \ell_j E(q_j) + \tfrac g2 e^{-iq_j}\Bigr),
    \qquad E(\varphi) = \int_0^1 e^{-i\varphi u}\,du, \qquad \theta_{j+1} = \theta_j -
@@ -20,10 +20,10 @@ $$ \sum_m \frac{|p_m - \hat p_m|^2}{\sigma^2} + \sum_j \frac{(\ell_j - \bar\ell_
    + \frac{\varepsilon^2}{\sigma_\varepsilon^2} + \sum_j \frac{(q_j - \hat
    q_j)^2}{\sigma_q^2}. $$
 
-The Gauss-Newton method solves it, and the inverse of its matrix gives the standard
-errors. The last term applies only to frames with hidden markers. It keeps the bends of
-these frames close to a spline through the bends of the other frames. The term of ε, the
-mean alternating bend, applies only to fixed lengths (`shape`).
+The Gauss-Newton method finds the minimum, and the inverse of its matrix gives the
+standard errors. The last term applies only to frames with hidden markers and keeps
+their bends close to a spline through the bends of the other frames. The term of ε, the
+mean alternating bend, applies only if the segment lengths are fixed (`shape`).
 """
 
 from __future__ import annotations
@@ -39,41 +39,49 @@ from srs_twin.robot.geometry import half_angle_terms
 from srs_twin.robot.spec import Geometry
 
 SIDE_DIRECTIONS = {"": 0, "ahead": 1, "behind": -1, "left": 1j, "right": -1j}
-"""Side of a station → direction from the station to the marker, in the frame of the station."""
+"""Side of a station → direction to the marker in the frame of the station."""
 
 _MAX_PAIR_ANGLE = np.radians(25.0)
-"""Largest angle of a pair of markers to the direction along or across the body."""
+"""Maximum angle between a marker pair and the direction along or across the body."""
 _BEND_STD = 0.15
-"""σ_q, deviation of the bends in frames with hidden markers from the spline, rad."""
+"""σ_q, standard deviation of bends in frames with hidden markers, rad.
+
+The deviation is measured from a spline through the other frames.
+"""
 _HIDDEN_STD = 1e-2
 """Assumed error of the interpolated position of a hidden marker, m."""
 _FLAT_PRIOR_STD = 1e3
-"""Prior standard deviation of headings and bends, rad: so large that it only prevents singular matrices."""
+"""Prior standard deviation of headings and bends, rad.
+
+It is so large that it only prevents singular matrices.
+"""
 _MAX_ANGLE_STEP = 0.3
-"""Largest change of heading and bends in a Gauss-Newton step, rad."""
+"""Maximum change of heading and bends in a Gauss-Newton step, rad."""
 _MAX_STEPS = 15
-"""Largest number of Gauss-Newton steps."""
+"""Maximum number of Gauss-Newton steps."""
 _CONVERGED_STEP = 1e-5
-"""Size of a step after which the iteration stops, rad and m: convergence is quadratic, so the next step would
-be negligible."""
+"""Step size at which the iteration stops, rad and m.
+
+Convergence is quadratic, so the next step would be negligible.
+"""
 _MAX_LENGTH = 1e3
-"""Bound of the segment lengths, m, because fits of wrong marker assignments may diverge."""
+"""Maximum segment length, m, because fits of wrong marker assignments may diverge."""
 _ALTERNATING_STARTS = np.linspace(-0.6, 0.6, 13)
 """Initial values of ε, rad."""
 _SWAP_NOISE = 4.0
-"""Distance from the body, divided by the noise, above which a sample is tried as the other marker of its
-pair."""
+"""Minimum distance from the body, divided by the noise, of a swapped sample.
+
+A sample beyond it is tried as the other marker of its pair.
+"""
 
 
 class _Kinematics(NamedTuple):
     """Positions of markers and connectors for given states.
 
     Attributes:
-        marker: positions of the markers, shape (frames, markers), complex, m.
-        jacobian: their derivatives with respect to the state, shape (frames, markers, 3
-            + 2 segments), complex.
-        connector: positions of the connectors, shape (frames, N), complex, m.
-        heading: headings of the connectors, shape (frames, N), rad.
+        marker: marker positions, shape (frames, markers), complex, m.
+        jacobian: derivatives of the marker positions with respect to the state, shape
+            (frames, markers, 3 + 2 segments), complex.
     """
 
     marker: np.ndarray
@@ -89,7 +97,6 @@ class MarkerPlacement:
     Attributes:
         station: station of each marker, shape (markers,).
         offset: offset from the station in its frame, shape (markers,), complex, m.
-        geometry: geometry of the robot.
     """
 
     station: np.ndarray
@@ -100,11 +107,11 @@ class MarkerPlacement:
         """Return positions, headings and the Jacobian of the markers.
 
         Args:
-            state: x, y, θ_1, bends, lengths, shape (frames, 3 + 2 segments).
+            state: x, y, θ_1, bends and lengths, shape (frames, 3 + 2 segments).
         """
         count = self.geometry.connectors - 1
-        # Every segment is divided at its middle station into two halves. The rigid gap
-        # is before the first half and behind the second one.
+        # The middle station divides every segment into two halves. The rigid gap is
+        # split before the first half and behind the second half.
         turn, length = np.split(np.repeat(state[:, 3:] / 2, 2, axis=1), 2, axis=1)
         before, after = (
             np.tile(ends, count) * self.geometry.rigid_gap / 2
@@ -126,8 +133,8 @@ class MarkerPlacement:
         jacobian[..., 0] = 1
         jacobian[..., 1] = 1j
         jacobian[..., 2] = 1j * (marker - station[:, :1])
-        # A half segment moves all stations behind it: its bend rotates them about its
-        # rear end and changes its chord, and its length displaces them.
+        # A half segment moves all stations behind it. Its bend rotates them about its
+        # rear end and changes its chord. Its length displaces them.
         moved = self.station[:, None] > np.arange(2 * count)
         chord_slope = front_direction * (length * arc_slope - 1j * after * rotation)
         by_turn = -chord_slope[:, None] - 1j * (
@@ -136,7 +143,7 @@ class MarkerPlacement:
         by_length = -(front_direction * arc)[:, None]
         for k, by_half in ((3, by_turn), (3 + count, by_length)):
             derivative = np.where(moved, by_half, 0)
-            # Both halves have half the bend and half the length of the segment.
+            # Each half has half of the segment's bend and length.
             jacobian[..., k : k + count] = (
                 derivative[..., ::2] + derivative[..., 1::2]
             ) / 2
@@ -144,7 +151,7 @@ class MarkerPlacement:
 
 
 def _mean_direction(turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return E(φ) and dE/dφ for an arc with the bend φ, rad."""
+    """Return E(φ) and dE/dφ of an arc with the bend φ, rad."""
     cosine, sine, arc, slope, _ = half_angle_terms(turn)
     rotation = cosine - 1j * sine
     return arc * rotation, (slope - 0.5j * arc) * rotation
@@ -158,19 +165,20 @@ def marker_offsets(
 ) -> np.ndarray:
     """Return the offsets of markers from their stations, shape (markers,), complex, m.
 
-    A single marker at a station has the offset 0. Two markers without a side are on
-    both sides of the station, along or across the body. Two markers with the same name,
-    which replace a rigid body, may have any direction.
+    A single marker at a station has the offset 0. Two markers without a side lie on
+    both sides of the station, along or across the body. Two markers with one name
+    replace a rigid body and may lie in any direction.
 
     Args:
-        points: interpolated where a marker is hidden, shape (frames, markers, 2), m.
-        missing: hidden markers, shape (frames, markers).
+        points: marker positions, interpolated where hidden, shape (frames, markers, 2),
+            m.
+        missing: mask of hidden markers, shape (frames, markers).
         places: station and side of each marker.
-        names: name of each marker.
+        names: marker names.
 
     Raises:
-        InputError: a station has more than two markers or two on the same side, or a
-            pair is oblique to the body.
+        InputError: a station has more than two markers or two on one side, or a pair is
+            oblique to the body.
     """
     offsets = np.zeros(len(places), dtype=complex)
     position = points @ [1, 1j]
@@ -222,9 +230,8 @@ class StatePrior:
     """Noise of the markers and prior of the state.
 
     Attributes:
-        noise: σ, m.
-        length_mean: means of the lengths, shape (segments,), m.
-        length_std: σ_ℓ, m.
+        noise: σ, standard deviation of a marker coordinate, m.
+        length_mean: mean lengths, shape (segments,), m.
         alternating_std: σ_ε, rad; None if the markers determine ε.
     """
 
@@ -270,15 +277,11 @@ class FrameFit:
     """Fitted states of some frames.
 
     Attributes:
-        state: shape (frames, 3 + 2 segments).
         covariance: inverse of the Gauss-Newton matrix, shape (frames, 3 + 2 segments, 3
             + 2 segments).
         distance: distances of the markers from their fitted positions, shape (frames,
             markers), m.
-        cost: minimised sum, shape (frames,).
-        chi2: sum of the squared normalised residuals of the markers over all these
-            frames.
-        freedom: its degrees of freedom.
+        chi2: sum of the squared normalised marker residuals over all frames.
     """
 
     state: np.ndarray
@@ -289,7 +292,7 @@ class FrameFit:
     freedom: float
 
     def error(self, components: slice) -> np.ndarray:
-        """Return the standard errors of some components of the state, shape (frames, components)."""
+        """Return standard errors of state components, shape (frames, components)."""
         return np.asarray(
             np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2)[:, components])
         )
@@ -304,13 +307,15 @@ def fit_frames(
 ) -> FrameFit:
     """Fit the states of frames by the Gauss-Newton method.
 
+    Hidden markers have interpolated positions. In frames with hidden markers the bends
+    are kept close to the initial bends q̂.
+
     Args:
         state: initial states, shape (frames, 3 + 2 segments).
-        measured: positions of the markers, shape (frames, markers), complex, m.
-        placement: positions of the markers on the body.
-        prior: prior of the state.
-        missing: markers with interpolated positions, shape (frames, markers); the bends
-            are then kept close to those of the initial states, q̂. None if all markers
+        measured: marker positions, shape (frames, markers), complex, m.
+        placement: marker placement.
+        prior: state prior.
+        missing: mask of hidden markers, shape (frames, markers); None if all markers
             are visible.
     """
     count = len(prior.length_mean)
@@ -323,8 +328,8 @@ def fit_frames(
         weight[missing] = _HIDDEN_STD**-2
         information[prior.bends, prior.bends] += _BEND_STD**-2 * np.eye(count)
         prior_mean[:, prior.bends] = state[:, prior.bends]
-    # `active` are the frames that have not converged; finished frames need no further
-    # steps.
+    # `active` holds the frames that have not converged, so that finished frames cost
+    # nothing.
     state, active = state.copy(), np.arange(len(state))
     max_step = np.repeat([np.inf, _MAX_ANGLE_STEP, np.inf], [2, 1 + count, count])
     bound = np.repeat([np.inf, 2 * np.pi, _MAX_LENGTH], [3, count, count])
@@ -339,14 +344,14 @@ def fit_frames(
         gradient = gradient + (prior_mean - state)[active] @ information
         step = np.linalg.solve(inner + information, gradient[..., None])[..., 0]
         step = np.clip(step, -max_step, max_step)
-        # Wrong marker assignments may diverge; the bound keeps their numbers finite.
+        # The bound keeps the numbers finite when a wrong marker assignment diverges.
         state[active] = np.clip(state[active] + step, -bound, bound)
         active = active[np.abs(step).max(axis=1) > _CONVERGED_STEP]
         if not active.size:
             break
     covariance = np.linalg.inv(data + information)
-    # Effective number of parameters that the markers determine; the prior determines
-    # the remaining ones.
+    # The trace counts the parameters that the markers determine; the prior determines
+    # the rest.
     parameters = np.einsum("fuv,fvu->", covariance, data)
     squares = weight * np.abs(residual) ** 2
     deviation = prior_mean - state
@@ -365,10 +370,10 @@ def fit_incomplete_frames(
     placement: MarkerPlacement,
     prior: StatePrior,
 ) -> FrameFit:
-    """Fit the states of frames with hidden markers; the arguments are those of `fit_frames`.
+    """Fit the states of frames with hidden markers; see `fit_frames` for the arguments.
 
     If only one marker of a pair is visible, tracking may have mistaken it for the other
-    one. The assignment with the smaller cost is used.
+    marker. The assignment with the smaller cost is used.
     """
     best = fit_frames(state, measured, placement, prior, missing)
     for station in np.unique(placement.station):
@@ -423,7 +428,7 @@ def initial_states(
     between = (stations[1:] + stations[:-1]) / 2
     directions += zip(between.tolist(), np.angle(-np.diff(centre).T), strict=True)
     positions, angles = zip(*sorted(directions, key=lambda item: item[0]), strict=True)
-    # Beyond the first and the last direction, the linear spline is extrapolated.
+    # The linear spline is extrapolated beyond the first and the last direction.
     heading = make_interp_spline(positions, np.unwrap(angles, axis=0), k=1)
     theta = heading(2 * np.arange(len(prior.length_mean) + 1)).T
     origin = np.zeros((len(measured), 2))
@@ -440,11 +445,11 @@ def initial_states(
 def _fixed_length_states(
     measured: np.ndarray, placement: MarkerPlacement, prior: StatePrior
 ) -> np.ndarray:
-    """Return approximate states, with ε from a coarse grid chosen by the fit of the lengths.
+    """Return approximate states for fixed lengths, with ε from a coarse grid.
 
     Each connector has one marker. By symmetry, the direction α_j from one connector to
-    the next is the mean of their headings, so each heading is the mirror image of the
-    previous one: θ_{j+1} = 2α_j − θ_j.
+    the next is the mean of their headings. Each heading is therefore the mirror image
+    of the previous heading: θ_{j+1} = 2α_j − θ_j.
     """
     count = len(prior.length_mean)
     order = np.argsort(placement.station)
@@ -459,7 +464,7 @@ def _fixed_length_states(
         np.column_stack([alpha[:, 0], -2 * sign[:-1] * alpha]), axis=1
     )
     bend = -np.diff(sign * alternating)
-    # Mean alternating bend, 2 ε: replace it by each value of the grid.
+    # The mean alternating bend is 2 ε. Each value of the grid replaces it in turn.
     mean = (bend * sign[:-1]).mean(axis=1, keepdims=True)
     costs = []
     bends = [bend - sign[:-1] * (mean - 2 * epsilon) for epsilon in _ALTERNATING_STARTS]

@@ -1,15 +1,14 @@
-"""Layout of the markers: tracks that belong to the robot, layouts that they fit, and order along the body.
+"""Layout of the markers: tracks of the robot, possible layouts, and order on the body.
 
-Layouts: ``single`` has one marker per connector; ``head`` has one more ahead of the
-head, which gives its heading; ``pair`` has two per connector, along or across the body,
-as the first and third robot of the dissertation (Sections 2.3.1 and 2.3.2); ``middles``
-has one per connector and one at the middle of each segment; ``head_middles`` has these
-and one more ahead of the head.
+The layout ``single`` has one marker per connector. ``head`` adds a marker in front of
+the head, which gives its heading. ``pair`` has two markers per connector, along or
+across the body, as the first and third robot of the dissertation (Sections 2.3.1 and
+2.3.2). ``middles`` has one marker per connector and one at the middle of each segment.
+``head_middles`` adds a marker in front of the head to ``middles``.
 
-The distance between neighbours along the body is at most the length of a straight
-segment, while other markers are sometimes farther apart. The body is therefore the
-minimum spanning tree of the largest distances. Markers on the same rigid part keep
-their distance.
+Neighbours along the body are never farther apart than a straight segment, while other
+markers sometimes are. The body is therefore the minimum spanning tree of the maximum
+distances. Markers on one rigid part keep their distance.
 
 Errors raised here do not name the file; `read_motion` adds its name.
 """
@@ -28,7 +27,7 @@ from srs_twin.robot.spec import RobotSpec
 
 
 class LayoutSize(NamedTuple):
-    """Number of markers of a layout: N per_connector + extra, for N connectors."""
+    """Number of markers of a layout: per_connector · N + extra for N connectors."""
 
     per_connector: int
     extra: int
@@ -47,39 +46,39 @@ LAYOUT_SIZES: dict[str, LayoutSize] = {
 """Layout → number of markers."""
 
 LAYOUTS = ("auto", *LAYOUT_SIZES)
-"""Names of the layouts; "auto" determines it from the markers."""
+"""Names of the layouts; "auto" determines the layout from the markers."""
 
 MIN_COVERAGE = 0.2
-"""Smallest fraction of the frames on which a marker of the robot is visible, 1."""
+"""Minimum fraction of the frames on which a marker of the robot is visible."""
 _MAX_NEIGHBOUR_PITCH = 2.0
-"""Distance to the nearest marker, in segment lengths, above which a marker is not on the robot."""
+"""Maximum distance of a robot's marker from the nearest marker, in segment lengths."""
 _MIN_EXTENT = 0.1
-"""Smallest extent of all markers, in lengths of the straight body: no body bends into a smaller space."""
+"""Minimum extent of all markers, in lengths of the straight body."""
 _MAX_NEAREST_PITCH = 2.5
-"""Largest distance of the two nearest markers, in segment lengths."""
+"""Maximum distance of the two nearest markers, in segment lengths."""
 _DISTANCE_FRAMES = 2000
 """Number of sampled frames from which distances are computed."""
 _NEIGHBOUR_FRAMES = 300
 """Number of sampled frames on which neighbours are searched."""
 _SAME_HEIGHT = 0.05
-"""Height difference from most markers up to which a marker is assumed to be on the robot, m."""
+"""Maximum height difference of a robot's marker from most markers, m."""
 _CONSTANT_HEIGHT = 0.02
-"""Range of the height up to which a marker at another height may be on the robot, m."""
+"""Maximum range of the height of a robot's marker at an unusual height, m."""
 _MAX_DISTANCE_RANGE = 0.5
-"""Largest range of the distance of such a marker from a marker of the robot, relative to the distance, 1."""
+"""Maximum range of such a marker's distance from a robot's marker, as a fraction."""
 _MIN_MOTION_RATIO = 0.2
-"""Smallest motion of such a marker relative to that marker of the robot, 1."""
+"""Minimum motion of such a marker, divided by the motion of the robot's marker."""
 
 
 def foreign_tracks(tracks: np.ndarray) -> dict[int, str]:
     """Return the tracks that do not belong to the robot, with reasons.
 
-    A marker at another height than most, for example on a mast, belongs to the robot if
-    it keeps this height and its distance from another marker of the robot, and moves
-    together with that one.
+    A marker at an unusual height, for example on a mast, belongs to the robot if it
+    moves together with another marker of the robot. The marker must also keep this
+    height and its distance from the other marker.
 
     Args:
-        tracks: in floor coordinates, shape (frames, tracks, 3), m.
+        tracks: floor coordinates, shape (frames, tracks, 3), m.
     """
     visible = np.isfinite(tracks[..., 0])
     if visible.any():
@@ -97,7 +96,8 @@ def foreign_tracks(tracks: np.ndarray) -> dict[int, str]:
     ]
     height_range = {k: _range(heights[k]) for k in different}
     candidates = [k for k in different if height_range[k] <= _CONSTANT_HEIGHT]
-    # A marker may be attached to a marker that has itself just been accepted.
+    # A marker may be attached to a marker that has just been accepted, so repeat the
+    # search.
     while accepted := [
         k
         for k in candidates
@@ -117,13 +117,11 @@ def foreign_tracks(tracks: np.ndarray) -> dict[int, str]:
 
 
 def _range(values: np.ndarray) -> float:
-    """Return the range between the 5 % and the 95 % quantile."""
     low, high = np.quantile(values, [0.05, 0.95])
     return float(high - low)
 
 
 def _move_together(pair: np.ndarray) -> bool:
-    """Return whether two tracks move together, given their positions, shape (frames, 2, 2), m."""
     pair = pair[np.isfinite(pair).all(axis=(1, 2))]
     if len(pair) < 2:
         return False
@@ -145,12 +143,11 @@ def robot_markers(
 
     Args:
         points: positions of all tracks, shape (frames, tracks, 2), m.
-        connectors: N.
+        connectors: connector count N.
         pitch: length of a straight segment, m.
-        layout: one of `LAYOUTS`; "auto" selects the layouts whose number of markers is
-            visible.
-        named: number of columns whose names state a place on the robot; 0 if there are
-            none.
+        layout: one of `LAYOUTS`; "auto" selects the layouts with the visible number of
+            markers.
+        named: number of columns whose names state a place on the robot.
 
     Returns:
         Possible layouts (["named"] for named columns), and the tracks of the robot's
@@ -163,8 +160,7 @@ def robot_markers(
     coverage = visible.mean(axis=0)
     candidates = np.flatnonzero(coverage >= MIN_COVERAGE)
     if len(candidates) > connectors and not named:
-        # A marker of the robot has a neighbour on most of the frames on which it is
-        # visible.
+        # On most frames on which it is visible, a marker of the robot has a neighbour.
         limit = _MAX_NEIGHBOUR_PITCH * pitch
         has_neighbour = (
             pairwise_distances(points[:, candidates], _NEIGHBOUR_FRAMES) < limit
@@ -180,8 +176,8 @@ def robot_markers(
         counts = {"named": named}
     possible = [layout]
     if layout == "auto":
-        # Count the markers on the same frame: a marker that was hidden for long may
-        # have become two tracks.
+        # A marker that was hidden for long may have become two tracks, so count markers
+        # per frame.
         jobs_option = visible[:, candidates].sum(axis=1)
         if candidates.size:
             count = int(np.quantile(jobs_option, 0.95, method="lower"))
@@ -211,18 +207,18 @@ def _wrong_number(
 
 
 def body_order(points: np.ndarray) -> np.ndarray:
-    """Return the markers in their order along the body, from one of its ends.
+    """Return the markers in their order along the body, from either end.
 
     Args:
-        points: shape (frames, markers, 2), m.
+        points: marker positions, shape (frames, markers, 2), m.
 
     Raises:
         InputError: the markers are not along one line.
     """
     from scipy.sparse.csgraph import depth_first_order, minimum_spanning_tree
 
-    # The quantile replaces the maximum, because a few frames may be wrong. An offset is
-    # added because a sparse graph has no edges of length 0.
+    # A quantile replaces the maximum, because a few frames may be wrong. The offset
+    # keeps distances of 0, which a sparse graph would drop.
     tree = minimum_spanning_tree(
         np.quantile(pairwise_distances(points, _DISTANCE_FRAMES), 0.98, axis=0) + 1.0
     )
@@ -254,8 +250,8 @@ def rigid_pairs(points: np.ndarray, connectors: int) -> np.ndarray:
         if {a, b} <= free:
             pairs.append((a, b))
             free -= {a, b}
-    # The distance of adjacent pairs along the body may equal that of their markers; the
-    # order is unique then.
+    # Adjacent pairs along the body may be as close as the markers of a pair. The order
+    # along the body still separates them.
     try:
         in_order = [(int(a), int(b)) for a, b in body_order(points).reshape(-1, 2)]
     except InputError:
@@ -271,14 +267,13 @@ def rigid_pairs(points: np.ndarray, connectors: int) -> np.ndarray:
 
 
 def distance_statistics(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return medians and standard deviations of all distances, both of shape (markers, markers), m.
+    """Return medians and standard deviations of all distances, (markers, markers), m.
 
-    The standard deviations are computed from quartiles; a few wrong frames have no
-    effect.
+    The standard deviations come from quartiles, so a few wrong frames have no effect.
     """
     distance = pairwise_distances(points, _DISTANCE_FRAMES)
-    # NaN for a marker and itself, and for two markers that are never visible on the
-    # same frame.
+    # NaN for a marker and itself, and for two markers that are never visible on one
+    # frame.
     distance[:, np.isnan(distance).all(axis=0)] = np.inf
     with np.errstate(invalid="ignore"):
         low, median, high = np.nanquantile(distance, [0.25, 0.5, 0.75], axis=0)
@@ -288,15 +283,15 @@ def distance_statistics(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def check_scale(points: np.ndarray, spec: RobotSpec) -> None:
-    """Check, before the markers are tracked, that their distances fit the robot.
+    """Check before tracking that the distances of the markers fit the robot.
 
     Args:
-        points: in slots, shape (frames, slots, 2), m.
-        spec: the robot.
+        points: marker positions in slots, shape (frames, slots, 2), m.
+        spec: recorded robot.
 
     Raises:
-        InputError: the two nearest markers are farther apart than neighbours can be, or
-            all are too close together.
+        InputError: the two nearest markers are too far apart for neighbours, or all
+            markers are too close together.
     """
     pitch = spec.geometry.pitch
     straight = spec.segments * spec.geometry.pitch
@@ -319,7 +314,7 @@ def check_scale(points: np.ndarray, spec: RobotSpec) -> None:
 
 
 def unit_hint(ratio: float) -> str:
-    """Return a hint at the unit of length, for lengths that are `ratio` times the expected ones."""
+    """Return a hint about the unit, given the ratio of measured to expected lengths."""
     for unit, factor in LENGTHS.items():
         for correction, preposition in ((factor, "in"), (1 / factor, "not in")):
             if factor != 1 and 0.7 < ratio * correction < 1.1:
@@ -328,11 +323,13 @@ def unit_hint(ratio: float) -> str:
 
 
 def forward_distance(period: float, points: np.ndarray) -> float:
-    """Return the distance travelled towards the first marker, m; negative towards the last one.
+    """Return the distance travelled towards the first marker, m.
+
+    It is negative for motion towards the last marker.
 
     Args:
         period: time between frames, s.
-        points: in order along the body, shape (frames, N, 2), m.
+        points: marker positions along the body, shape (frames, N, 2), m.
     """
     stride = max(1, round(0.25 / period))
     if len(points) > stride:

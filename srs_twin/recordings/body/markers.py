@@ -1,4 +1,4 @@
-"""Assignment of tracked markers to the body: layout, head, and the shape that fits them.
+"""Assignment of tracked markers to the body: layout, head, and fitted shape.
 
 Errors raised here do not name the file; `read_motion` adds its name.
 """
@@ -32,24 +32,28 @@ from srs_twin.recordings.formats.base import MarkerTable
 from srs_twin.robot.spec import RobotSpec
 
 Places = dict[int, tuple[int, str]]
-"""Marker → station (0, 2, … are the connectors, head first; 1, 3, … the middles of segments) and side."""
+"""Station and side of each marker.
+
+Stations 0, 2, 4, … are the connectors, head first, and odd stations are the middles
+of segments.
+"""
 
 _MIN_CRAWLED = 0.1
-"""Smallest forward distance that determines which end is the head, in body lengths."""
+"""Minimum forward distance that determines which end is the head, in body lengths."""
 _NOTED_LENGTH = 0.02
-"""Deviation of the median segment length, relative to a straight segment, above which a note is given."""
+"""Relative deviation of the median segment length above which a note is given."""
 _NOTED_STRETCH = 0.05
-"""Range of a segment length, relative to the segment, above which a note is given."""
+"""Relative range of a segment length above which a note is given."""
 _MAX_FIXED_STD = 0.03
-"""Largest standard deviation of lengths that must be constant, relative to a segment, 1."""
+"""Maximum standard deviation of constant lengths, relative to a segment."""
 _COMPARED_FRAMES = 600
 """Number of frames on which alternative assignments are compared."""
 _CLEAR_NOISE_RATIO = 1.3
-"""Ratio of the residual noise of the second-best to the best assignment above which the latter is used, 1."""
+"""Ratio of the second-best to the best residual noise that makes the best one clear."""
 _MAX_LENGTH_RATIO = 1.15
-"""Measured length of a segment, divided by that of the robot, that its shortest length must not exceed, 1."""
+"""Upper bound on the minimum length of a segment, relative to the robot's segment."""
 _MIN_LENGTH_RATIO = 0.85
-"""Measured length of a segment, divided by that of the robot, that its largest length must reach, 1."""
+"""Lower bound on the maximum length of a segment, relative to the robot's segment."""
 
 
 @dataclass(frozen=True)
@@ -57,13 +61,11 @@ class CapturedMarkers:
     """Markers of the robot on the frames that are kept.
 
     Attributes:
-        table: the file.
-        layouts: layouts with this number of markers, or ["named"].
-        time: shape (frames,), s.
-        points: interpolated where a marker is hidden, shape (frames, markers, 2), m.
+        table: marker file.
+        points: marker positions, interpolated where hidden, shape (frames, markers, 2),
+            m.
         columns: column of the file from which each sample came, −1 where it is hidden,
-            (frames, markers).
-        rejected: number of samples of these markers that were outliers.
+            shape (frames, markers).
         other: number of samples in the file that do not belong to the robot.
     """
 
@@ -77,7 +79,7 @@ class CapturedMarkers:
 
     @property
     def missing(self) -> np.ndarray:
-        """Hidden markers, shape (frames, markers)."""
+        """Mask of hidden markers, shape (frames, markers)."""
         return self.columns < 0
 
     @cached_property
@@ -107,13 +109,9 @@ class TrackedBody:
     """Shape of the robot in a recording.
 
     Attributes:
-        layout: one of `LAYOUTS`, or "named".
-        shape: connectors, headings, bends and lengths, with errors.
-        missing: connectors with a hidden marker, shape (frames, N).
-        spacing: distance of adjacent connectors that 98 % of the frames do not exceed,
-            shape (segments,), m.
-        head: text on how the head was determined.
-        corrections: texts on results and assumptions.
+        missing: mask of connectors with a hidden marker, shape (frames, N).
+        spacing: 98 % quantile of the distance of adjacent connectors, shape
+            (segments,), m.
     """
 
     layout: str
@@ -125,8 +123,6 @@ class TrackedBody:
 
 
 class _Assignment(NamedTuple):
-    """Layout, places of the markers, and a text on how the head was determined."""
-
     layout: str
     places: Places
     head: str
@@ -138,9 +134,9 @@ def tracked_body(
     """Assign markers to the body and fit its shape.
 
     Args:
-        markers: markers of the robot.
-        spec: the robot.
-        head: name of a column at the head, or None.
+        markers: captured markers.
+        spec: recorded robot.
+        head: column name of a marker at the head, or None.
 
     Raises:
         InputError: the markers do not fit this robot or do not determine its shape, or
@@ -162,8 +158,7 @@ def tracked_body(
         chosen = _best_fit(markers, spec, options, refused)
     shape, station, notes = _fit_body(markers, spec, chosen.places)
     spacing = np.quantile(np.abs(np.diff(shape.connector, axis=1)), 0.98, axis=0)
-    # A hidden marker at the middle of a segment makes both connectors of the segment
-    # uncertain.
+    # Both connectors of a segment are uncertain if the marker at its middle is hidden.
     missing = np.zeros(shape.theta.shape, dtype=bool)
     for k, number in enumerate(station):
         for connector in {int(number) // 2, (int(number) + 1) // 2}:
@@ -176,7 +171,6 @@ def tracked_body(
 def _fit_body(
     markers: CapturedMarkers, spec: RobotSpec, places: Places
 ) -> tuple[BodyShape, np.ndarray, list[str]]:
-    """Return the shape that fits markers at given places, their stations, and notes."""
     geometry = spec.geometry
     order = list(places)
     points = markers.points[:, order]
@@ -200,7 +194,6 @@ def _fit_body(
 
 
 def _undetermined(station: np.ndarray, spec: RobotSpec) -> str:
-    """Return the message for markers that do not determine the shape."""
     counts = sorted(Counter(station.tolist()).items())
     listed = ", ".join(
         f"{count} at {_station_name(number)}" for number, count in counts
@@ -223,18 +216,12 @@ def _station_name(station: int) -> str:
 
 
 def _length_notes(shape: BodyShape, spec: RobotSpec, model: LengthModel) -> list[str]:
-    """Return notes on the segment lengths.
-
-    Raises:
-        InputError: the lengths do not fit the robot, or they vary although the bends
-            depend on constant lengths.
-    """
     geometry = spec.geometry
     notes = []
     low, median, high = (
         np.quantile(shape.length, [0.02, 0.5, 0.98], axis=0) + geometry.rigid_gap
     )
-    # Segments may stretch by a quarter and more, but not during the whole recording.
+    # Segments may stretch by more than a quarter, but not during the whole recording.
     wrong = np.flatnonzero(
         (low > _MAX_LENGTH_RATIO * geometry.pitch)
         | (high < _MIN_LENGTH_RATIO * geometry.pitch)
@@ -284,7 +271,6 @@ def _length_notes(shape: BodyShape, spec: RobotSpec, model: LengthModel) -> list
 def _groups_along_body(
     markers: CapturedMarkers, layout: str, spec: RobotSpec
 ) -> list[tuple[int, ...]]:
-    """Return the markers of each station, from one end of the body to the other."""
     if layout != "pair":
         return [(int(k),) for k in body_order(markers.points)]
     if markers.table.bodies:
@@ -298,7 +284,6 @@ def _groups_along_body(
 
 
 def _stations(layout: str, groups: list[tuple[int, ...]]) -> Places:
-    """Return station and side of each marker of groups, head first."""
     places: Places = {}
     if "head" in layout:
         places[groups[0][0]] = (0, "ahead")
@@ -312,7 +297,6 @@ def _stations(layout: str, groups: list[tuple[int, ...]]) -> Places:
 def _assignments(
     markers: CapturedMarkers, layout: str, spec: RobotSpec, head: str | None
 ) -> list[_Assignment]:
-    """Return the possible assignments with a layout: one, or one from each end of the body."""
     if markers.table.places:
         return [
             _Assignment(layout, _named_places(markers, spec), "connector 1 of the file")
@@ -357,17 +341,6 @@ def _best_fit(
     options: Sequence[_Assignment],
     refused: Sequence[str],
 ) -> _Assignment:
-    """Return the assignment that fits a sample of the frames with clearly less noise than the others.
-
-    Args:
-        markers: markers of the robot.
-        spec: the robot.
-        options: possible assignments.
-        refused: texts on layouts without an assignment, for the error.
-
-    Raises:
-        InputError: none fits, or several fit about equally well.
-    """
     thinned = markers.thinned()
     noises = list[float]()
     notes = [*refused]
@@ -392,7 +365,6 @@ def _best_fit(
 
 
 def _named_places(markers: CapturedMarkers, spec: RobotSpec) -> Places:
-    """Return the places of markers by the names of their most frequent columns."""
     places = markers.table.places
     main = markers.main_columns
     if sorted(main) != list(range(len(places))):

@@ -1,17 +1,17 @@
-"""Shape of the body over a recording: bends and segment lengths from markers, with standard errors.
+"""Shape of the body over a recording: bends, segment lengths, and standard errors.
 
-`frame_fit` has the model of the body and the fit of a frame.
+`frame_fit` defines the model of the body and fits single frames.
 
-**Lengths.** If the markers alone determine the bends, the lengths are free, with means
-and σ_ℓ estimated from the recording by expectation-maximisation. With one marker per
-connector, one quantity ε per frame is not observable: adjacent headings may turn in
+**Lengths.** If the markers alone determine the bends, the lengths are free. Their means
+and σ_ℓ are estimated from the recording by expectation-maximisation. With one marker
+per connector, one quantity ε per frame is not observable: adjacent headings may turn in
 opposite directions, q_j = q_j⁰ + 2(−1)^{j−1} ε. Only constant segment lengths determine
-ε, and near a straight body they determine it poorly. In this case, recordings of a body
-that stretches are rejected.
+ε, and near a straight body they determine it poorly. A recording of a stretching body
+is rejected in this case.
 
-**Noise.** σ is estimated from differences of high order of the marker positions, in
-which the motion vanishes. With redundant markers it is the residual of the fit instead,
-which includes deviations of the segments from arcs.
+**Noise.** Differences of high order of the marker positions give σ, because the motion
+vanishes in them. With redundant markers, σ is the residual of the fit instead, which
+includes deviations of the segments from arcs.
 """
 
 from __future__ import annotations
@@ -37,18 +37,20 @@ from srs_twin.recordings.body.tracking import sample_frames
 from srs_twin.robot.spec import Geometry
 
 _MIN_NOISE = 1e-7
-"""Smallest σ, m: recordings from simulations have no noise."""
+"""Minimum σ, m, because simulated recordings have no noise."""
 _DEFAULT_NOISE = 5e-4
-"""σ of a recording that is too short to estimate it, m."""
+"""σ assumed for a recording that is too short for an estimate, m."""
 _MAX_DIFFERENCE_ORDER = 8
-"""Highest order of the differences from which the noise is estimated."""
+"""Maximum order of the differences from which the noise is estimated."""
 _NOISE_FRAMES = 20_000
 """Number of frames from which the noise is estimated."""
 _MIN_REDUNDANCY = 0.3
-"""Redundant coordinates per frame above which the residual of the fit determines the noise."""
+"""Minimum number of redundant coordinates per frame for noise from the residual."""
 _MIN_MOTION_RATIO = 0.5
-"""Ratio of the residual of the fit to the noise from differences below which the differences contain motion,
-1."""
+"""Ratio of the residual to the noise from differences that indicates motion.
+
+Below this ratio, the differences contain motion.
+"""
 
 _INITIAL_LENGTH_STD = 0.1
 """σ_ℓ before expectation-maximisation, relative to the segment length."""
@@ -57,35 +59,35 @@ _INITIAL_ALTERNATING_STD = 0.3
 _EM_FRAMES = 400
 """Number of frames in the expectation-maximisation."""
 _EM_ITERATIONS = 12
-"""Iterations of the expectation-maximisation."""
+"""Number of iterations of the expectation-maximisation."""
 
 _MAX_BEND_STD = 0.15
-"""Largest standard error of a bend, rad, at which the markers determine the bends; for `_TEST_NOISE`."""
+"""Maximum standard error of a determined bend, rad, for noise of `_TEST_NOISE`."""
 _TEST_NOISE = 2e-4
-"""Noise that is assumed in the test of `length_model`, m."""
+"""Noise assumed in the test of `length_model`, m."""
 _FREE_LENGTH_STD = 0.3
-"""σ_ℓ of free lengths in that test, relative to the segment length."""
+"""σ_ℓ of free lengths in the test of `length_model`, relative to a segment."""
 _FIXED_LENGTH_STD = 0.01
-"""σ_ℓ of fixed lengths in that test, relative to the segment length."""
+"""σ_ℓ of fixed lengths in the test of `length_model`, relative to a segment."""
 
 _CHUNK_FRAMES = 2048
 """Number of frames that are fitted at once."""
 
 _OUTLIER_NOISE = 8.0
-"""Distance from the body, divided by the noise, above which a sample is an outlier."""
+"""Minimum distance of an outlier from the body, divided by the noise."""
 _MAX_OUTLIERS = 0.01
-"""Largest fraction of outliers among the samples; a larger one means that the model does not fit."""
+"""Maximum fraction of outliers; a larger fraction means that the model does not fit."""
 _MIN_OUTLIER_DISTANCE = 1e-4
-"""Distance from the body below which samples are never outliers, m."""
+"""Minimum distance of an outlier from the body, m."""
 
 
 class LengthModel(Enum):
     """Assumption on the segment lengths under which the markers determine the bends."""
 
     FREE = "free"
-    """Lengths may vary: the markers determine the bends for any lengths."""
+    """Lengths may vary, and the markers determine the bends for any lengths."""
     FIXED = "fixed"
-    """Lengths are constant: only with this assumption do the markers determine the bends."""
+    """Lengths are constant; the markers determine the bends only because of this."""
 
 
 @dataclass(frozen=True)
@@ -93,15 +95,14 @@ class BodyShape:
     """Shape of the body over time.
 
     Attributes:
-        connector: positions of the connectors, shape (frames, N), complex, m.
-        theta: their headings, unwrapped, shape (frames, N), rad.
+        connector: connector positions, shape (frames, N), complex, m.
+        theta: unwrapped connector headings, shape (frames, N), rad.
         bend_error: standard errors of the bends, shape (frames, segments), rad.
         length: arc lengths of the segments, shape (frames, segments), m.
-        length_std: σ_ℓ, m.
-        noise: standard deviation σ of a marker coordinate, m.
+        noise: σ, standard deviation of a marker coordinate, m.
         residual: root mean square distance of the visible markers from the body, shape
             (frames,), m.
-        missing: markers that were hidden or outliers, shape (frames, markers).
+        missing: mask of markers that were hidden or outliers, shape (frames, markers).
     """
 
     connector: np.ndarray
@@ -115,26 +116,27 @@ class BodyShape:
 
     @property
     def position(self) -> np.ndarray:
-        """Connectors, shape (frames, N, 2), m."""
+        """Connector positions, shape (frames, N, 2), m."""
         return np.stack([self.connector.real, self.connector.imag], axis=-1)
 
     @property
     def bend(self) -> np.ndarray:
-        """q_j = θ_j − θ_{j+1}, shape (frames, segments), rad."""
+        """Bends q_j = θ_j − θ_{j+1}, shape (frames, segments), rad."""
         return np.asarray(self.theta[:, :-1] - self.theta[:, 1:])
 
 
 def length_model(
     station: np.ndarray, offset: np.ndarray, geometry: Geometry
 ) -> LengthModel | None:
-    """Return the weakest assumption on the lengths under which markers determine the bends, or None.
+    """Return the weakest length assumption for which markers determine the bends.
 
-    The standard errors of the bends are computed for one typical shape.
+    The result is None if they never do. The standard errors of the bends are computed
+    for one typical shape.
 
     Args:
         station: station of each marker, shape (markers,).
         offset: offset from the station, shape (markers,), complex, m.
-        geometry: geometry of the robot.
+        geometry: robot geometry.
     """
     placement = MarkerPlacement(station, offset, geometry)
     count = geometry.connectors - 1
@@ -152,8 +154,8 @@ def length_model(
         if np.linalg.matrix_rank(matrix, tol=1e-3, hermitian=True) < len(data):
             continue
         error = np.sqrt(np.diag(np.linalg.inv(matrix))[prior.bends])
-        # The length of one segment leaves the sign of ε open; the lengths of several
-        # segments determine it.
+        # The length of one segment leaves the sign of ε open, and several lengths
+        # determine it.
         one_per_connector = count > 2 and sorted(station) == list(
             range(0, 2 * count + 1, 2)
         )
@@ -167,12 +169,12 @@ def length_model(
 def marker_noise(points: np.ndarray) -> float:
     """Return the standard deviation of the noise of a coordinate, m.
 
-    It is the smallest estimate from differences of several orders. White noise of
-    variance σ² gives differences of order n with the variance σ² (2n over n). Motion
-    increases the estimates, at higher orders less so. The median ignores outliers.
+    White noise of variance σ² gives differences of order n with the variance σ² (2n
+    over n). Motion increases the estimates, and less so at higher orders, so the
+    smallest estimate is returned. A median ignores outliers.
 
     Args:
-        points: NaN where a marker is hidden, shape (frames, markers, 2), m.
+        points: marker positions, shape (frames, markers, 2), m; NaN where hidden.
     """
     estimates = []
     for order in range(1, min(_MAX_DIFFERENCE_ORDER, len(points) - 2) + 1):
@@ -197,11 +199,12 @@ def fit_shape(
     """Fit the body shape to markers.
 
     Args:
-        time: shape (frames,), s.
-        points: interpolated where a marker is hidden, shape (frames, markers, 2), m.
-        missing: hidden markers, shape (frames, markers).
-        placement: positions of the markers on the body.
-        model: assumption on the segment lengths, see `length_model`.
+        time: times of the frames, shape (frames,), s.
+        points: marker positions, interpolated where hidden, shape (frames, markers, 2),
+            m.
+        missing: mask of hidden markers, shape (frames, markers).
+        placement: marker placement.
+        model: assumption on the segment lengths; see `length_model`.
     """
     measured = points @ [1, 1j]
     missing = missing.copy()
@@ -209,8 +212,8 @@ def fit_shape(
     noise = marker_noise(np.where(missing[first, :, None], np.nan, points[first]))
     complete = np.flatnonzero(~missing.any(axis=1))
     if len(complete) < 4:
-        # A spline needs complete frames: use the interpolated positions of hidden
-        # markers on all frames.
+        # The spline of the bends needs every frame, so hidden markers take their
+        # interpolated positions here.
         complete = np.arange(len(time))
         missing = np.zeros_like(missing)
     sampled = complete[sample_frames(len(complete), _EM_FRAMES)]
@@ -231,8 +234,8 @@ def fit_shape(
     else:
         scale = 1.0
     if prior.alternating_std is not None:
-        # With fixed lengths the fit has little redundancy: its residual may only
-        # increase the errors.
+        # With fixed lengths the fit has little redundancy, so its residual may increase
+        # the errors but not reduce them.
         scale = max(scale, 1.0)
     outlier = fits.distance[complete] > max(
         _OUTLIER_NOISE * prior.noise * scale, _MIN_OUTLIER_DISTANCE
@@ -255,7 +258,6 @@ def fit_shape(
 def _interpolate_states(
     time: np.ndarray, state: np.ndarray, incomplete: np.ndarray, bends: slice
 ) -> None:
-    """Replace the states of incomplete frames by a spline through those of the other frames."""
     from scipy.interpolate import CubicSpline
 
     good = np.flatnonzero(~incomplete)
@@ -271,7 +273,7 @@ def _body_shape(
     prior: StatePrior,
     scale: float,
 ) -> BodyShape:
-    """Return the shape; `scale` corrects the standard errors from the assumed to the estimated noise."""
+    """Return the shape; `scale` is the ratio of the estimated to the assumed noise."""
     fits.state[:, 2] = np.unwrap(fits.state[:, 2])
     body = MarkerPlacement(np.zeros(0, dtype=int), np.zeros(0), geometry).kinematics(
         fits.state
@@ -295,15 +297,7 @@ def _body_shape(
 
 
 class _RecordingFits:
-    """Fitted states of all frames of a recording.
-
-    Attributes:
-        state: shape (frames, 3 + 2 segments).
-        bend_error: standard errors of the bends for the assumed noise, shape (frames,
-            segments), rad.
-        distance: distances of the markers from their fitted positions, shape (frames,
-            markers), m.
-    """
+    """Fitted states of all frames; `bend_error` holds for the assumed noise."""
 
     def __init__(self, frames: int, markers: int, prior: StatePrior) -> None:
         segments = len(prior.length_mean)
@@ -315,7 +309,7 @@ class _RecordingFits:
     def update(
         self, frames: np.ndarray, fit: Callable[[np.ndarray], FrameFit]
     ) -> np.ndarray:
-        """Fit some frames in chunks and return the sum of their χ² and of their degrees of freedom.
+        """Fit frames in chunks and return the sums of χ² and of the degrees of freedom.
 
         The chunks run in threads on all processors, because NumPy's loops release the
         interpreter lock.
@@ -336,14 +330,7 @@ class _RecordingFits:
 def _estimated_prior(
     measured: np.ndarray, placement: MarkerPlacement, model: LengthModel, noise: float
 ) -> StatePrior:
-    """Return noise, means and σ_ℓ of the lengths, and σ_ε, from expectation-maximisation on some frames.
-
-    Args:
-        measured: positions of visible markers, shape (frames, markers), complex, m.
-        placement: positions of the markers on the body.
-        model: assumption on the segment lengths.
-        noise: first estimate of the noise, m.
-    """
+    """Estimate the prior by expectation-maximisation on some frames."""
     straight = placement.geometry.segment_length
     segments = placement.geometry.connectors - 1
     fixed = model is LengthModel.FIXED
@@ -378,7 +365,7 @@ def _estimated_prior(
             )
         if fit.freedom > _MIN_REDUNDANCY * len(measured):
             scale = float(np.sqrt(fit.chi2 / fit.freedom))
-            # With fixed lengths, noise and length variation have nearly the same effect
+            # With fixed lengths, noise and length variation have nearly equal effects
             # on the residual. The noise is therefore updated only if the residual shows
             # that the differences contain motion, and only after the first iterations
             # of the lengths.
@@ -386,8 +373,8 @@ def _estimated_prior(
                 scale < _MIN_MOTION_RATIO and 2 * iteration >= _EM_ITERATIONS
             ):
                 prior.noise = max(prior.noise * scale, _MIN_NOISE)
-        # With fixed lengths a new prior may change which ε fits best, so start again
-        # from the coarse grid.
+        # With fixed lengths a new prior may change which ε fits best, so restart from
+        # the coarse grid.
         if fixed:
             start = initial_states(measured, placement, prior)
         else:

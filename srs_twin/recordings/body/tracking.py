@@ -1,26 +1,22 @@
 r"""Tracking of markers through swaps and gaps.
 
-1. *Slots*: if markers disappear and come back, some formats start a new column at each
-   appearance. Columns
-  that never
-   contain markers on the same frame are joined into one slot.
-2. *Tracklets*: intervals of one slot in which only one marker can have been visible.
-   The expected position of a marker on the next frame is
+1. *Slots*: some formats start a new column each time a marker reappears. Columns that
+   never contain markers on a common frame are joined into one slot.
+2. *Tracklets*: a tracklet is an interval of one slot in which only one marker can have
+   been visible. The expected position of a marker on the next frame is
 
    $$ \hat p_k = p_a + (k - a)(p_a - p_{a-1}), $$
 
-   and a link is certain if the sample is within the gate around it and at most half as
-   far from it as any other sample.
-3. *Tracks*: in the order of time, the new tracklets on a frame are assigned to the
-   markers that were lost before it, such that the sum of the distances to their
-   expected positions is smallest (Hungarian method). Over a few frames, a marker is
-   expected to continue at its velocity. Over more frames, it is expected to be either
-   at its last position or to have moved with the markers around it, whichever is
-   closer.
+   and a link is certain if the sample lies within the gate around it and at most half
+   as far from it as any other sample.
+3. *Tracks*: in chronological order, the tracklets that begin on a frame are assigned to
+   the markers that were lost before it. The Hungarian method minimises the sum of the
+   distances to the expected positions. After a gap of a few frames, a marker is
+   expected to have kept its velocity. After a longer gap, it is expected either at its
+   last position or displaced with the markers around it, whichever is closer.
 
-Tracking is necessary: of 65 synthetic recordings with swaps, gaps and markers that come
-back in new columns, 16 can be read if each column is treated as a marker, and all 65 if
-markers are tracked.
+Of 65 synthetic recordings with swaps, gaps and markers that return in new columns, 16
+can be read without tracking and all 65 with tracking.
 
 Errors raised here do not name the file; `read_motion` adds its name.
 """
@@ -35,25 +31,28 @@ import numpy as np
 from srs_twin.errors import InputError
 
 MAX_MARKERS = 64
-"""Largest number of markers and reflections on the same frame."""
+"""Maximum number of markers and reflections on one frame."""
 
 GATE_RATIO = 0.4
-"""Gate divided by the distance of the two closest markers, 1: within the gate, a link is certain."""
+"""Gate of a certain link, divided by the distance of the two closest markers."""
 
 _DISTANCE_FRAMES = 500
 """Number of frames from which the distance of the closest markers is computed."""
 _MIN_SAMPLES = 3
-"""Smallest number of samples of a track; shorter ones are reflections."""
+"""Minimum number of samples of a track; shorter tracks are reflections."""
 _MAX_SHORT = 0.03
-"""Fraction of samples in shorter tracklets, 1, above which these are used: markers then move fast."""
+"""Fraction of samples in short tracklets above which fast markers are assumed.
+
+Short tracklets are then kept.
+"""
 _VELOCITY_FRAMES = 4
 """Number of frames over which a marker is expected to continue at its velocity."""
 _MAX_REACH_RATIO = 6.0
-"""Largest distance at which a marker may reappear after a long gap, relative to that after a short one, 1."""
+"""Maximum reach after a long gap, divided by the reach after a short gap."""
 _PAST_SAMPLES = 100
-"""Number of past samples from which the range of distances to other markers is computed."""
+"""Number of past samples that define the range of distances to other markers."""
 _RANGE_COST = 3.0
-"""Cost of a distance outside that range, relative to a distance from the expected position, 1."""
+"""Cost of a distance outside its past range, relative to a distance from prediction."""
 _FORBIDDEN_COST = 1e6
 """Cost of an assignment beyond the reach, m."""
 
@@ -62,7 +61,7 @@ class Tracks(NamedTuple):
     """Markers in tracks, or in slots before they are tracked.
 
     Attributes:
-        points: NaN where a marker is hidden, shape (frames, tracks, 2 or 3), m.
+        points: marker positions, NaN where hidden, shape (frames, tracks, 2 or 3), m.
         columns: column of the file from which each sample came, −1 where it is hidden,
             shape (frames, tracks).
         unassigned: number of samples that belong to no track.
@@ -74,10 +73,10 @@ class Tracks(NamedTuple):
 
 
 def pack_slots(points: np.ndarray) -> Tracks:
-    """Join columns into as few slots as there are markers on the same frame.
+    """Join columns into as few slots as there are markers on one frame.
 
     Args:
-        points: shape (frames, columns, 2 or 3), m.
+        points: marker positions, shape (frames, columns, 2 or 3), m.
 
     Raises:
         InputError: there is no marker.
@@ -88,7 +87,8 @@ def pack_slots(points: np.ndarray) -> Tracks:
         raise InputError("no marker is visible on any frame")
     first = visible[:, used].argmax(axis=0)
     last = len(visible) - 1 - visible[::-1, used].argmax(axis=0)
-    # Heap of (last frame, slot): the slot that has been free for longest comes first.
+    # The heap holds (last frame, slot), so that the slot that has been free for longest
+    # comes first.
     ends: list[tuple[int, int]] = []
     slot_of = np.empty(len(used), dtype=int)
     for k in np.lexsort((used, first)):
@@ -110,8 +110,8 @@ def pack_slots(points: np.ndarray) -> Tracks:
 def sample_frames(count: int, limit: int) -> np.ndarray:
     """Return all frames, or a sample of at most `limit` of them.
 
-    The sample is stratified and random rather than equally spaced, which a periodic
-    gait could alias.
+    The sample is stratified and random, because equal spacing could alias a periodic
+    gait.
     """
     if count <= limit:
         return np.arange(count)
@@ -124,7 +124,7 @@ def sample_frames(count: int, limit: int) -> np.ndarray:
 
 
 def pairwise_distances(points: np.ndarray, frames: int) -> np.ndarray:
-    """Return the distances between all points on a sample of frames, (frames, points, points), m.
+    """Return all distances on sampled frames, shape (frames, points, points), m.
 
     They are NaN between a point and itself, and where one of the points is hidden.
     """
@@ -137,17 +137,8 @@ def pairwise_distances(points: np.ndarray, frames: int) -> np.ndarray:
 
 
 def _certain_links(points: np.ndarray, gate: float) -> np.ndarray:
-    """Return a mask of samples that certainly belong to the marker of the slot's previous sample.
-
-    Args:
-        points: shape (frames, slots, 2 or 3), m.
-        gate: m.
-
-    Returns:
-        Shape (frames, slots).
-    """
     step = np.diff(points, axis=0, prepend=np.nan)
-    # Do not extrapolate a jump: the next expected position would be far away.
+    # A jump is not extrapolated, because the next expected position would be far away.
     step[np.isnan(step).any(axis=-1) | (np.linalg.norm(step, axis=-1) > 2 * gate)] = 0.0
     expected = np.full_like(points, np.nan)
     expected[1:] = points[:-1] + step[:-1]
@@ -165,10 +156,10 @@ def track_markers(
     """Track markers over all frames.
 
     Args:
-        points: in slots, shape (frames, slots, 2 or 3), m.
+        points: marker positions in slots, shape (frames, slots, 2 or 3), m.
         columns: column of the file from which each sample comes, shape (frames, slots).
-        longest: longest gap that is filled, frames.
-        reach: largest distance of a marker from its expected position, m.
+        longest: maximum gap that is filled, frames.
+        reach: maximum distance of a marker from its expected position, m.
 
     Raises:
         InputError: markers jump too often to be tracked.
@@ -176,7 +167,7 @@ def track_markers(
     distance = pairwise_distances(points, _DISTANCE_FRAMES)
     nearest = np.where(np.isnan(distance), np.inf, distance).min(axis=(1, 2))
     nearest = nearest[np.isfinite(nearest)]
-    # The quantile replaces the minimum, because a few frames may have reflections close
+    # A quantile replaces the minimum, because a few frames may have reflections close
     # to markers.
     if nearest.size:
         gate = min(GATE_RATIO * float(np.quantile(nearest, 0.05)), reach)
@@ -213,7 +204,7 @@ class _Tracker:
         slots: slot of each track, −1 where it is hidden, shape (frames, `MAX_MARKERS`).
         samples: number of samples of each track, 0 for an unused track, shape
             (`MAX_MARKERS`,).
-        shortest: smallest number of samples of a tracklet that begins a new track.
+        shortest: minimum number of samples of a tracklet that begins a new track.
     """
 
     def __init__(
@@ -230,13 +221,6 @@ class _Tracker:
         self._last, self._velocity = np.zeros((2, MAX_MARKERS, points.shape[-1]))
 
     def assign(self, first: int, slots: np.ndarray, last: np.ndarray) -> None:
-        """Assign the tracklets that begin on a frame to tracks that have ended, or to new ones.
-
-        Args:
-            first: the frame.
-            slots: slots of the tracklets.
-            last: last frames of the tracklets.
-        """
         from scipy.optimize import linear_sum_assignment
 
         reflections = (self._end < first - _VELOCITY_FRAMES) & (
@@ -244,8 +228,8 @@ class _Tracker:
         )
         self.slots[:, reflections & (self.samples > 0)] = -1
         self.samples[reflections] = 0
-        # Tracklets at their expected positions come first; their distances help to
-        # identify the remaining ones.
+        # Tracklets at their expected positions are assigned first, because their
+        # distances help to identify the others.
         for reach, longest in ((self._gate, _VELOCITY_FRAMES), (self._reach, first)):
             free = np.flatnonzero(
                 (self._end < first)
@@ -274,7 +258,6 @@ class _Tracker:
             self._extend(track, slot, first, end)
 
     def _extend(self, track: int, slot: int, first: int, last: int) -> None:
-        """Continue a track in a slot; its velocity is that of the last step, unless this is a jump."""
         if last > first:
             before = self._points[last - 1, slot]
         else:
@@ -295,17 +278,10 @@ class _Tracker:
     def _costs(
         self, tracks: np.ndarray, frame: int, starts: np.ndarray, near: float
     ) -> np.ndarray:
-        """Return the cost of assigning tracklets to tracks, shape (tracklets, tracks), m.
+        """Return the cost of each assignment, shape (tracklets, tracks), m.
 
-        The reach increases with the duration of a gap. It is limited: at gaps too long
-        to be filled the trajectory is cut, so the identity of a marker does not matter
-        there.
-
-        Args:
-            tracks: tracks that have ended.
-            frame: first frame of the tracklets.
-            starts: first positions of the tracklets, shape (tracklets, 2 or 3), m.
-            near: reach after a gap of one frame, m.
+        The reach increases with the duration of a gap up to a limit. The trajectory is
+        cut at longer gaps, so there the identity of a marker does not matter.
         """
         gap = frame - self._end[tracks]
         moved = (
@@ -337,7 +313,7 @@ class _Tracker:
     def _range_violation(
         self, track: int, frame: int, starts: np.ndarray
     ) -> np.ndarray:
-        """Return the sum of the excesses of distances over their past ranges, shape (tracklets,), m."""
+        """Return how far distances leave their past ranges, shape (tracklets,), m."""
         others = np.flatnonzero(self.slots[frame] >= 0)
         past = np.flatnonzero(self.slots[: self._end[track] + 1, track] >= 0)
         past = past[:: len(past) // _PAST_SAMPLES + 1][:, None]
@@ -357,9 +333,9 @@ class _Tracker:
 def _move_rigidly(
     point: np.ndarray, before: np.ndarray, after: np.ndarray
 ) -> np.ndarray:
-    """Return a point after the weighted least-squares rigid motion of other points over the floor.
+    """Move a point with the weighted rigid motion of other points over the floor.
 
-    Close points have more weight.
+    The motion is a least-squares fit in which close points have more weight.
     """
     weight = 1.0 / (((before - point)[:, :2] ** 2).sum(axis=1) + 1e-6) ** 2
     weight /= weight.sum()

@@ -1,7 +1,9 @@
-r"""Columns, metadata and summary of a measured trajectory; columns are named as those of a plant.
+r"""Columns, metadata and summary of a measured trajectory.
 
-Velocities are slopes of a moving line (Section 3.4.1): the least-squares line through a
-sample and the n samples before and after it, with n = 5 in the dissertation,
+The columns have the names of a plant's columns.
+
+A velocity is the slope of a moving line (Section 3.4.1): the least-squares line through
+a sample and the n samples before and after it, with n = 5 in the dissertation,
 
 $$ v_k = \frac{\sum_m (t_m - \bar t)(y_m - \bar y)}{\sum_m (t_m - \bar t)^2}, \qquad m = k-n \ldots k+n. $$
 
@@ -35,19 +37,11 @@ class MarkerCounts:
 
     Attributes:
         header_frames: number of frames that the header states; None if it states none.
-        frames_missing: number of frames that the file skips, which were inserted.
-        columns: number of columns of positions in the file.
-        layout: one of `body.layout.LAYOUTS`, or "named".
-        head: text on how the head was determined.
-        up: vertical axis of the file.
-        samples_seen: number of positions in the file.
-        samples_other: number of these that do not belong to the robot: reflections,
-            other markers, short tracks.
-        samples_rejected: number of these that are outliers.
+        frames_missing: number of frames that the file skips and that were inserted.
+        samples_other: number of positions that do not belong to the robot, because they
+            are reflections, other markers or short tracks.
         longest_filled_s: longest gap that was filled, between the samples around it, s.
-        moves: number of changes of a marker to another column.
-        spacing_m: distances of adjacent connectors that 98 % of the frames do not
-            exceed, head first, m.
+        spacing_m: 98 % quantile of the distances of adjacent connectors, head first, m.
         residual_m: root mean square distance of the markers from the fitted body, m.
         noise_m: standard deviation of a marker coordinate, m.
         bend_error_rad: root mean square of the standard errors of the bends, rad.
@@ -72,20 +66,15 @@ class MarkerCounts:
 
 @dataclass(frozen=True)
 class LogSummary:
-    """Summary of a measured file, which accounts for every sample that is not used.
+    """Summary of a measured file that accounts for every unused sample.
 
     Attributes:
-        source: name of the file.
-        sha256: checksum of the file.
         kind: file format, for example "Motive CSV 1.21", "plain CSV" or "bend log".
         frames_read: number of rows of the file that were used.
-        rate_hz: frame rate, Hz.
-        samples_filled: number of positions, or bends, that were interpolated in the
-            frames that are kept.
-        frames_kept: number of frames of the trajectory.
-        start: time of its first frame, s.
-        end: time of its last frame, s.
-        corrections: texts on all other changes and assumptions.
+        samples_filled: number of positions or bends that were interpolated in the kept
+            frames.
+        start: time of the first frame of the trajectory, s.
+        end: time of the last frame of the trajectory, s.
         markers: numbers on the markers; None for a bend log.
     """
 
@@ -115,12 +104,12 @@ class LogSummary:
         """Return the summary of a file for the frames that are kept.
 
         Args:
-            source: the file.
+            source: recorded file.
             kind: file format.
-            frames: frames of the file.
-            time: times of the frames that are kept, s.
-            filled: number of interpolated samples.
-            corrections: texts on other changes and assumptions.
+            frames: frame grid.
+            time: times of the kept frames, s.
+            filled: interpolated sample count.
+            corrections: notes on changes.
             markers: numbers on the markers; None for a bend log.
         """
         head = (
@@ -202,18 +191,18 @@ def moving_slope(
     """Return the rate of change of signals as slopes of a moving least-squares line.
 
     Args:
-        time: ascending, shape (frames,), s.
-        values: finite, shape (frames, …).
+        time: ascending times, shape (frames,), s.
+        values: finite signals, shape (frames, …).
         half_width: n. Near the ends, the line uses the samples that exist.
 
     Returns:
-        Rates per second, with the shape of `values`.
+        Rates of change per second, with the shape of `values`.
     """
     n = half_width
     frames = len(time)
     flat = np.asarray(values, dtype=float).reshape(frames, -1)
-    # Sums over the windows, relative to the time and value of the middle sample, so
-    # that large times lose no digits.
+    # The sums are relative to the time and value of the middle sample, so that large
+    # times lose no digits.
     sums = np.zeros((frames, 3 + 2 * flat.shape[1]))
     for shift in range(-n, n + 1):
         middle = slice(max(0, -shift), frames - max(0, shift))
@@ -237,7 +226,7 @@ _UNITS = {
     "bend_rate_": "rad/s",
 }
 _UNITS |= {"bend_error_": "rad", "length_": "m"}
-"""Prefix of a column that no plant has → unit."""
+"""Units of columns that no plant has, by name prefix."""
 
 MEASURED = "measured"
 """Value of `plant` in the metadata of a measured trajectory."""
@@ -250,7 +239,10 @@ def body_trajectory(
     summary: LogSummary,
     gait_frequency_hz: float | None,
 ) -> Trajectory:
-    """Return the trajectory of a tracked body; the masses of the robot give the centre of mass."""
+    """Return the trajectory of a tracked body.
+
+    The masses of the robot give the centre of mass.
+    """
     shape = body.shape
     mass_fraction = spec.mass.array() / spec.mass.total
     com = np.einsum("i,fij->fj", mass_fraction, shape.position)
@@ -278,10 +270,10 @@ def pose_columns(
     """Return the columns of poses.
 
     Args:
-        com: x + i y of the centre of mass, shape (frames,), m.
-        heading: heading of the body, same shape, rad.
-        connector: x + i y of the connectors, shape (frames, N), m.
-        theta: headings of the connectors, same shape, rad.
+        com: centre of mass x + i y, shape (frames,), m.
+        heading: heading of the body, shape (frames,), rad.
+        connector: connector positions x + i y, shape (frames, N), m.
+        theta: connector headings, shape (frames, N), rad.
     """
     columns = {"com_x": com.real, "com_y": com.imag, "heading": heading}
     columns |= numbered_columns("x", connector.real) | numbered_columns(
@@ -291,12 +283,12 @@ def pose_columns(
 
 
 def name_of(path: str) -> str:
-    """Return the name of a file, whose path may be of another operating system."""
+    """Return the file name of a path, which may come from another operating system."""
     return path.replace("\\", "/").rpartition("/")[2]
 
 
 def numbered_columns(name: str, values: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the columns of a (frames, n) array as name_1…name_n."""
+    """Return the columns of a (frames, n) array, named name_1 to name_n."""
     return {
         f"{name}_{i}": np.ascontiguousarray(column)
         for i, column in enumerate(values.T, start=1)
@@ -313,9 +305,9 @@ def measured_trajectory(
 
     Args:
         columns: signals by name.
-        spec: the robot.
-        summary: summary of the file.
-        gait_frequency_hz: None if it is unknown.
+        spec: recorded robot.
+        summary: file summary.
+        gait_frequency_hz: gait frequency, Hz; None if it is unknown.
     """
     units = {
         name: unit

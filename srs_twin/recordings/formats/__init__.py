@@ -1,9 +1,8 @@
 """File formats of motion recordings: identification and readers.
 
-A format is a `base.Format` or, for containers of messages, a `topics.Bag`;
-`extensions.FORMATS` lists them. Formats from outside, of plug-ins and of other
-installed packages, are tried before plain tables. The library `rosbags` is in the extra
-`recordings`.
+A format is a `base.Format` or, for containers of messages, a `topics.Bag`.
+`extensions.FORMATS` lists them. Formats of plug-ins and of other installed packages are
+tried before plain tables. The library `rosbags` comes with the extra `recordings`.
 """
 
 from __future__ import annotations
@@ -76,14 +75,14 @@ _OTHERS: tuple[tuple[str | bytes, str, str], ...] = (
 
 
 class UnknownFormatError(InputError):
-    """A file of no known format of motion recordings."""
+    """Error for a file of no known format of motion recordings."""
 
 
 def identify(path: StrPath, dialect: Dialect = AS_FOUND) -> str:
-    """Return the format of a recording, usually one of `FORMATS`, by its first bytes.
+    """Return the format of a recording, usually one of `FORMATS`, from its first bytes.
 
     Args:
-        path: recording.
+        path: recording file.
         dialect: layout of a plain table, if it cannot be detected.
 
     Raises:
@@ -97,8 +96,8 @@ def read_markers(path: StrPath, unstated: Unstated = _NOTHING) -> MarkerTable:
     """Read the markers of a recording in any of `FORMATS`.
 
     Args:
-        path: recording.
-        unstated: information that the file lacks.
+        path: recording file.
+        unstated: missing information.
 
     Raises:
         InputError: the file cannot be read; the message names file, line, column and
@@ -110,7 +109,6 @@ def read_markers(path: StrPath, unstated: Unstated = _NOTHING) -> MarkerTable:
 
 
 def _formats() -> Iterator[Format]:
-    """Yield the formats in the order in which they are tried, the slow search for packages late."""
     *special, plain = _FORMATS
     yield from special
     yield from (kind() for _, kind in extensions.plugin_parts(Format))
@@ -157,8 +155,6 @@ def _format(path: StrPath, dialect: Dialect) -> Format:
 
 def read_topics(path: StrPath) -> RecordedTopics | None:
     """Read poses, points and signals of a bag; None if the file is not a bag.
-
-    See `Bag.read_topics`.
 
     Raises:
         InputError: the bag is damaged or too large, or the libraries are not installed.

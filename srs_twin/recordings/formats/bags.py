@@ -1,4 +1,4 @@
-"""Bags: containers of messages, within size limits."""
+"""Bags: containers of messages that are read within size limits."""
 
 from __future__ import annotations
 
@@ -25,8 +25,6 @@ MCAP_MAGIC = b"\x89MCAP0\r\n"
 
 
 class _McapRecord(IntEnum):
-    """Kinds of records that are read, of those in the MCAP specification."""
-
     SCHEMA = 0x03
     CHANNEL = 0x04
     MESSAGE = 0x05
@@ -45,7 +43,7 @@ _CHUNK_HEAD = struct.Struct("<QQQI")
 
 @final
 class Mcap(Bag):
-    """MCAP messages (ROS 2, Foxglove, and ROS 1 as written by `mcap convert`), within size limits."""
+    """MCAP messages from ROS 2, Foxglove, or ROS 1 (`mcap convert`)."""
 
     name = "MCAP"
     suffix = ".mcap"
@@ -55,7 +53,7 @@ class Mcap(Bag):
         return start.data.startswith(MCAP_MAGIC)
 
     def messages(self, file: RecordedFile) -> Iterator[Message]:
-        """Yield the messages of a file in its order.
+        """Yield the messages of a file in file order.
 
         Raises:
             InputError: the unpacked chunks are larger than allowed.
@@ -72,7 +70,7 @@ class Mcap(Bag):
 
 
 def stream_messages(data: memoryview) -> Iterator[Message]:
-    """Yield the messages of a file as `messages` does, but without a limit of the unpacked size."""
+    """Yield the messages of a file without a limit on the unpacked size."""
     kinds: dict[int, str] = {}
     channels: dict[int, Topic] = {}
     for outer, packed in _mcap_records(data[len(MCAP_MAGIC) :]):
@@ -94,7 +92,6 @@ def stream_messages(data: memoryview) -> Iterator[Message]:
 
 
 def _mcap_records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
-    """Yield kind and content of successive records."""
     while data and data != MCAP_MAGIC:
         if len(data) < _RECORD_HEAD.size:
             raise CutError("the file ends in a record")
@@ -108,7 +105,6 @@ def _mcap_records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
 
 
 def _unpacked_chunk(chunk: memoryview) -> memoryview:
-    """Return the records of a chunk."""
     _, _, size, checksum = _CHUNK_HEAD.unpack_from(chunk)
     compression, end = _text(chunk, _CHUNK_HEAD.size)
     data = unpacked(chunk[end + 8 :], compression, size)
@@ -118,7 +114,6 @@ def _unpacked_chunk(chunk: memoryview) -> memoryview:
 
 
 def _text(content: memoryview, place: int) -> tuple[str, int]:
-    """Return a string, and the position after it."""
     end = place + 4 + int.from_bytes(content[place : place + 4], "little")
     if end > len(content):
         raise ChunkError("a string is longer than its record")
@@ -134,9 +129,9 @@ _ROS1_CONNECTION = b"\7"
 
 @final
 class Ros1Bag(Bag):
-    """ROS 1 bag (V2.0): messages in file order.
+    """ROS 1 bag (V2.0).
 
-    The index is not used, so truncated bags can be read.
+    The index is not used, so that truncated bags can be read.
     """
 
     name = "ROS 1 bag"
@@ -151,7 +146,7 @@ class Ros1Bag(Bag):
 
         Raises:
             InputError: the unpacked chunks are larger than allowed.
-            ChunkError: the bag is damaged; a `CutError` if it ends in a record.
+            ChunkError: the bag is damaged; a `CutError` if it ends inside a record.
         """
         data = memoryview(file.data)[len(_ROS1_MAGIC) :]
         connections = dict[str, Topic]()
@@ -181,7 +176,7 @@ class Ros1Bag(Bag):
 
 
 def _ros1_records(data: memoryview) -> Iterator[tuple[dict[str, bytes], memoryview]]:
-    """Yield the header fields and the content of successive records; zeros between records are skipped."""
+    """Yield header fields and content of each record, skipping zeros in between."""
     while data:
         header = _block(data)
         if not len(header):
@@ -193,13 +188,11 @@ def _ros1_records(data: memoryview) -> Iterator[tuple[dict[str, bytes], memoryvi
 
 
 def _fields(header: memoryview) -> dict[str, bytes]:
-    """Return the fields NAME=VALUE of a header."""
     pairs = (bytes(field).partition(b"=") for field in _blocks(header))
     return {name.decode("utf-8", "replace"): value for name, _, value in pairs}
 
 
 def _blocks(data: memoryview) -> Iterator[memoryview]:
-    """Yield blocks that are preceded by their lengths."""
     while data:
         block = _block(data)
         yield block
@@ -207,7 +200,6 @@ def _blocks(data: memoryview) -> Iterator[memoryview]:
 
 
 def _block(data: memoryview) -> memoryview:
-    """Return the first block, which is preceded by its length."""
     end = 4 + _number(data[:4])
     if end > len(data):
         raise CutError("the file ends in a record")
@@ -220,14 +212,14 @@ def _number(data: bytes | memoryview) -> int:
 
 _SQLITE_MAGIC = b"SQLite format 3\0"
 _JOURNALS = slice(18, 20)
-"""Bytes of the header that request a write-ahead log, which a database in memory cannot have."""
+"""Header bytes that request a write-ahead log, which an in-memory database lacks."""
 
 _ZSTD = b"\x28\xb5\x2f\xfd"
 
 
 @final
 class Ros2Bag(Bag):
-    """ROS 2 bag in SQLite (.db3, or the folder that contains it): messages in file order."""
+    """ROS 2 bag in SQLite (.db3, or the folder that contains it)."""
 
     name = "ROS 2 bag"
     suffix = ".db3"
@@ -241,14 +233,14 @@ class Ros2Bag(Bag):
 
         Raises:
             InputError: the database does not have the tables of a bag.
-            ChunkError: its tables contain more data than the file.
+            ChunkError: the tables contain more data than the file.
         """
         data = bytearray(file.data)
         data[_JOURNALS] = b"\1\1"
         with closing(sqlite3.connect(":memory:")) as base:
             base.deserialize(bytes(data))
-            # Columns of a manipulated database may be computed, so that they are larger
-            # than the file.
+            # A manipulated database may have computed columns that are larger than the
+            # file.
             base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, len(data))
             tables = base.execute(
                 "SELECT name FROM sqlite_master WHERE type = 'table' AND rootpage > 0"

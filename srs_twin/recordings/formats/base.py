@@ -1,4 +1,4 @@
-"""Base of the file formats: `Format`, `MarkerTable`, and functions for axes, units and rates."""
+"""Base of the file formats: `Format`, `MarkerTable`, and helpers for axes and units."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from srs_twin.recordings.recorded_file import AS_FOUND, Dialect, RecordedFile
 from srs_twin.recordings.signals.units import LENGTHS, bracketed, clean, symbol
 
 MAX_DISTANCE = 1e3
-"""Largest coordinate of a marker, m; larger ones are not positions."""
+"""Maximum coordinate of a marker, m; larger values are not positions."""
 
 _MIN_ZEROS = 3
-"""Number of frames on which a marker must have the position 0, 0, 0 to be missing there."""
+"""Minimum number of frames at 0, 0, 0 that mark a marker as hidden there."""
 
 _UNIT = r"(?P<unit>mm|cm|m|in|ft|um)"
 _AXIS_LAST = re.compile(
@@ -42,18 +42,17 @@ _NOT_A_POSITION = re.compile(
     r"residual|imu",
     re.IGNORECASE,
 )
-"""Words in names of columns with axes that are not positions."""
+"""Words in names of columns that have axes but are not positions."""
 
 
 class Unstated(NamedTuple):
     """Information that a file may lack, from a map or options.
 
     Attributes:
-        rate_hz: frames per second (DeepLabCut, plain CSV without a time, Qualisys with
-            an external clock).
-        unit: unit of length (DeepLabCut, plain CSV).
-        scale_m: size of a pixel, m (DeepLabCut, plain CSV).
-        dialect: layout of a plain table, if it cannot be detected.
+        rate_hz: frames per second, for DeepLabCut, plain CSV without a time, and
+            Qualisys with an external clock.
+        unit: unit of length, for DeepLabCut and plain CSV.
+        scale_m: size of a pixel, m, for DeepLabCut and plain CSV.
     """
 
     rate_hz: float | None = None
@@ -67,25 +66,21 @@ class MarkerTable:
     """Markers of a file over time, in the axes of the file and SI units.
 
     Attributes:
-        name: name of the file for messages.
-        sha256: checksum of the file.
-        kind: file format as returned by `formats.identify`, with its version if it has
-            one.
-        time: times of the file, shape (frames,), s.
-        points: NaN where a marker is hidden, shape (frames, columns, 3), or (…, 2) in a
-            plane, m.
-        labels: names of the columns.
-        corrections: texts on conversions and skipped data.
-        places: station on the body and side of each column (`body.markers.Places`), if
-            its name contains them; else empty.
+        name: name for messages.
+        kind: file format from `formats.identify`, with the version if it has one.
+        points: marker positions, NaN where hidden, shape (frames, columns, 3), or (…,
+            2) in a plane, m.
+        labels: column names.
+        places: station on the body and side of each column (`body.markers.Places`) if
+            its name contains them, else empty.
         header_frames: number of frames that the header states; None if it states none.
         rotations: quaternions x, y, z, w of rigid bodies in the axes of the file, NaN
             for other columns, shape (frames, columns, 4); None without rigid bodies.
         bodies: whether the columns are rigid bodies, which the file identifies by name
             on every frame. The two points of each body are adjacent columns with its
             name.
-        epoch_ns: time since 1970 at 0 s, ns; None if the clock of the file is another
-            one.
+        epoch_ns: time since 1970 at 0 s, ns; None if the clock of the file has another
+            origin.
         unit: unit of length of the file, as stated, given or assumed.
     """
 
@@ -105,7 +100,7 @@ class MarkerTable:
 
     @property
     def usual_up(self) -> str:
-        """Axis that is usually vertical in such files."""
+        """Axis that usually points up in files of this format."""
         if self.kind.startswith(("Motive", "TRC")):
             return "y"
         return "z"
@@ -114,11 +109,10 @@ class MarkerTable:
 class Format(ABC):
     """File format of motion recordings.
 
-    Lengths are converted to m and times to s, in the axes of the file. A damaged file
-    of any format raises one `InputError` that names the file.
+    A reader converts lengths to m and times to s, and keeps the axes of the file. A
+    damaged file of any format raises one `InputError` that names the file.
 
     Attributes:
-        name: name of the format in messages and results.
         binary: whether files are not text.
     """
 
@@ -127,14 +121,14 @@ class Format(ABC):
 
     @abstractmethod
     def recognizes(self, start: RecordedFile) -> bool:
-        """Return whether a file has this format, by its first bytes; the name of the file is not used."""
+        """Return whether the first bytes of a file show this format."""
 
     @abstractmethod
     def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
         """Read the markers of a whole file.
 
         Args:
-            file: the recording.
+            file: recorded file.
             unstated: rate and unit, for files that do not state them.
 
         Raises:
@@ -143,11 +137,11 @@ class Format(ABC):
 
 
 def axis_columns(cells: Sequence[str]) -> dict[str, dict[str, CsvColumn]]:
-    """Return marker → axis → column, for a header whose names end or begin with x, y or z.
+    """Return marker → axis → column, from names that end or begin with x, y or z.
 
     Examples are ``base_x,base_y``, ``Tip X (mm)`` and ``x_LED1``. Markers without x and
-    y are left out. So are rotations, velocities, accelerations and forces
-    (``c1_rot_x``), and columns whose unit is not a length.
+    y are left out. Rotations, velocities, accelerations and forces (``c1_rot_x``) are
+    left out too, as are columns whose unit is not a length.
     """
     markers: dict[str, dict[str, CsvColumn]] = {}
     for index, cell in enumerate(cells):
@@ -169,7 +163,7 @@ def axis_columns(cells: Sequence[str]) -> dict[str, dict[str, CsvColumn]]:
 
 
 def counted_times(frame: np.ndarray, time: np.ndarray, rate: float) -> np.ndarray:
-    """Return times computed from frame numbers, because printed times are rounded, shape (frames,), s.
+    """Compute times from frame numbers, because printed times are rounded.
 
     In a partly exported recording, frame numbers or times may not start at 0. If the
     computed and the printed times differ by more than half a frame, the printed times
@@ -203,7 +197,7 @@ def frame_rate(file: RecordedFile, given: str, line: int | None = None) -> float
     """Return the frame rate that a file or a map states, Hz.
 
     Raises:
-        InputError: it is not a positive number.
+        InputError: the frame rate is not a positive number.
     """
     with suppress(ValueError):
         if 0 < float(given) < 1e6:
@@ -217,10 +211,9 @@ class Rows(NamedTuple):
     """Rows of a table of markers.
 
     Attributes:
-        time: shape (frames,), s.
-        points: in the unit of the file, shape (frames, markers, 3).
+        time: times of the frames, shape (frames,), s.
+        points: marker positions in the unit of the file, shape (frames, markers, 3).
         others: other columns, shape (frames, others).
-        notes: notes on samples that were left out.
     """
 
     time: np.ndarray
@@ -243,18 +236,18 @@ def marker_rows(
     """Read the rows of a table of markers.
 
     Args:
-        file: the table.
-        header_lines: number of lines above its rows.
+        file: recorded table.
+        header_lines: number of header lines.
         width: number of cells per row.
-        first: first of the three columns of each marker, counted from 0.
-        clock: columns of the frame number and the time, or of one of them; empty if the
+        first: index of the first of the three columns of each marker.
+        clock: columns of the frame number, of the time, or of both; without them, the
             rows are counted.
-        rate: frames per second; None if the column contains times.
-        others: other columns to read.
+        rate: frames per second; None if a column contains times.
+        others: extra columns.
         section: whether the rows end at an empty line.
 
     Raises:
-        InputError: as `RecordedFile.rows`, or a row has no time.
+        InputError: `RecordedFile.rows` fails, or a row has no time.
     """
     columns = [*clock, *(k + axis for k in first for axis in range(3)), *others]
     values, notes = file.rows(header_lines, columns, width, section=section)
@@ -282,7 +275,7 @@ def marker_rows(
 
 
 def announced(text: str) -> int | None:
-    """Return the number of frames that a header states; None if it is not a number."""
+    """Return the number of frames that a header states, or None without a number."""
     if text.isdecimal() and len(text) < 10:
         return int(text)
     return None
@@ -302,14 +295,14 @@ def marker_table(
     """Return a marker table in m, without implausible points and with printable names.
 
     Args:
-        file: the recording.
-        kind: its format.
-        time: shape (frames,), s.
-        points: in `unit`, shape (frames, markers, 2 or 3).
-        names: names of the markers.
+        file: recorded file.
+        kind: file format.
+        time: times of the frames, shape (frames,), s.
+        points: marker positions in `unit`, shape (frames, markers, 2 or 3).
+        names: marker names.
         notes: notes on the file.
-        unit: unit of all lengths, or of those of each marker.
-        rotations: as in `MarkerTable`.
+        unit: one unit for all lengths, or the unit of each marker.
+        rotations: quaternions as in `MarkerTable`.
 
     Raises:
         InputError: there are no frames.
@@ -355,7 +348,7 @@ def marker_table(
 
 
 def _unseen(points: np.ndarray, rotations: np.ndarray | None) -> np.ndarray:
-    """Return where a marker has the coordinates 0, 0, 0 that some programs write for a hidden marker.
+    """Return the mask of 0, 0, 0 positions that some programs write for hidden markers.
 
     A measured position is never exactly 0 on several frames. The pose of a rigid body
     may be, because odometry begins at the origin.
@@ -370,7 +363,7 @@ def _unseen(points: np.ndarray, rotations: np.ndarray | None) -> np.ndarray:
 
 
 def in_unit(table: MarkerTable, given: str | None) -> MarkerTable:
-    """Return a table after checking its unit of length against the given one, if there is one.
+    """Return a table after checking its unit of length against the given one.
 
     Raises:
         InputError: the file states another unit.
@@ -385,7 +378,7 @@ def in_unit(table: MarkerTable, given: str | None) -> MarkerTable:
 
 @contextmanager
 def decoding(file: RecordedFile, kind: str) -> Iterator[None]:
-    """Convert any exception of a library for a damaged file, or its absence, to an `InputError`."""
+    """Convert exceptions of a library, or its absence, to an `InputError`."""
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
@@ -397,7 +390,7 @@ def decoding(file: RecordedFile, kind: str) -> Iterator[None]:
         raise file.error(
             f"{kind} needs the package {error.name}, which is an extra: {how}"
         ) from error
-    except Exception as error:  # a damaged file may raise any exception in a library
+    except Exception as error:  # libraries raise any exception for a damaged file
         message = escape_unprintable(" ".join(str(error).split()))[:120]
         if isinstance(error, ValueError):
             reason = f" ({message})"

@@ -1,9 +1,9 @@
 """C3D files of motion capture systems: points with labels, rate and unit.
 
-A file has a header of one block, a section of parameters, and a data section of whole
-frames. The processor in the parameter section decides the byte order and the float
-format. Parameters are named arrays in groups. A name may occur twice with different
-capitals; the first one is used.
+A file has a header of one block, a parameter section, and a data section of whole
+frames. The processor type in the parameter section decides the byte order and the
+float format. Parameters are named arrays in groups. If a name occurs twice with
+different capitals, the first one is used.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ from srs_twin.recordings.signals.units import LENGTHS, symbol
 _BLOCK = 512
 """Size of a block, bytes."""
 _DEC = 85
-"""Processor with floats of DEC (VAX), whose words are swapped and whose exponent is larger by 2."""
+"""Processor type for DEC (VAX) floats: swapped words, exponent larger by 2."""
 _BIG_ENDIAN = 86
-"""Processor with big-endian numbers (MIPS)."""
+"""Processor type for big-endian numbers (MIPS)."""
 
 _MAX_FRAMES = 1 << 22
 """Maximum number of frames of a C3D file: an hour at 1 kHz."""
 _MAX_COUNTED = 65_535
-"""Maximum number of frames in the 16 bits of the header."""
+"""Maximum number of frames in the 16-bit fields of the header."""
 _MAX_PARAMETERS = 20_000
 """Maximum number of groups and parameters."""
 
 _OTHER_KINDS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS")
-"""Parameters with labels of points that are not positions (of Vicon's models)."""
+"""Parameters that label points of Vicon's models, which are not positions."""
 
 _ELEMENT_BYTES: Final = {-1: 1, 1: 1, 2: 2, 4: 4}
 """Type of a parameter → bytes per element: characters, bytes, integers and floats."""
@@ -50,9 +50,8 @@ class _Parameter(NamedTuple):
     """Array of a parameter.
 
     Attributes:
-        kind: type, a key of `_ELEMENT_BYTES`.
         shape: dimensions, the fastest first; empty for a single value.
-        data: its bytes.
+        data: raw bytes.
     """
 
     kind: int
@@ -62,45 +61,34 @@ class _Parameter(NamedTuple):
 
 @dataclass(frozen=True)
 class _Contents:
-    """Header and parameters of a file.
-
-    Attributes:
-        data: bytes of the file.
-        processor: processor of its numbers.
-        parameters: parameters by group and name in capitals, such as "POINT:RATE".
-    """
-
     data: bytes
     processor: int
     parameters: dict[str, _Parameter]
 
     @property
     def order(self) -> str:
-        """Byte order of integers, as in NumPy."""
         if self.processor == _BIG_ENDIAN:
             return ">"
         return "<"
 
     def header_word(self, byte: int) -> int:
-        """Return an unsigned word of the header."""
         return int(np.frombuffer(self.data, f"{self.order}u2", 1, byte)[0])
 
     def floats(self, data: bytes) -> np.ndarray:
-        """Return the floats in some bytes."""
         if self.processor != _DEC:
             return np.frombuffer(data, f"{self.order}f4")
         words = np.frombuffer(data, "<u2").reshape(-1, 2)[:, ::-1]
         return np.frombuffer(words.tobytes(), "<f4") / 4
 
     def number(self, key: str, header_byte: int) -> float:
-        """Return a float parameter, or the float of the header if it is missing."""
+        """Return a float parameter, or the float in the header if it is missing."""
         parameter = self.parameters.get(key)
         if parameter is None or len(parameter.data) < 4:
             return float(self.floats(self.data[header_byte : header_byte + 4])[0])
         return float(self.floats(parameter.data[:4])[0])
 
     def integer(self, key: str) -> int:
-        """Return an integer parameter, stored as a float or as 16-bit words; 0 if it is missing."""
+        """Return an integer parameter, stored as a float or as 16-bit words, or 0."""
         parameter = self.parameters.get(key)
         if parameter is None or len(parameter.data) < 2:
             return 0
@@ -113,7 +101,6 @@ class _Contents:
         return sum(word << (16 * k) for k, word in enumerate(words))
 
     def strings(self, key: str) -> list[str]:
-        """Return the strings of a parameter; empty if it is missing."""
         parameter = self.parameters.get(key)
         if parameter is None or not parameter.shape:
             return []
@@ -126,7 +113,6 @@ class _Contents:
 
 
 def _contents(file: RecordedFile) -> _Contents:
-    """Read the parameters of a file."""
     data = file.data
     start = (data[0] - 1) * _BLOCK
     processor = data[start + 3]
@@ -159,7 +145,7 @@ def _contents(file: RecordedFile) -> _Contents:
 
 
 def _parameter(data: bytes, place: int) -> _Parameter:
-    """Return the parameter whose type is at a place in the file."""
+    """Return the parameter whose type byte is at `place` in the file."""
     kind = int.from_bytes(data[place : place + 1], signed=True)
     first = place + 2 + data[place + 1]
     shape = tuple(data[place + 2 : first])
@@ -169,7 +155,7 @@ def _parameter(data: bytes, place: int) -> _Parameter:
 
 @final
 class C3d(Format):
-    """C3D: the points of a file; analog channels are skipped."""
+    """C3D points; analog channels are skipped."""
 
     name = "C3D"
     binary = True
@@ -180,7 +166,9 @@ class C3d(Format):
         return raw[1:2] == b"\x50" and raw[0] < 32 and raw[0] not in b"\0\t\n\r"
 
     def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
-        """Read the points of a C3D file; frame 1 is at 0 s, and a residual below 0 marks a missing point.
+        """Read the points of a C3D file.
+
+        Frame 1 is at 0 s, and a negative residual marks a missing point.
 
         Raises:
             InputError: the file is damaged or has no points, rate or unit.
@@ -231,10 +219,6 @@ def _units(
     count: int,
     given: str | None,
 ) -> tuple[list[str], list[str]]:
-    """Return the unit of each chosen point, and notes.
-
-    The file has one unit, or one for each point.
-    """
     stated = [unit.lower() for unit in contents.strings("POINT:UNITS") if unit]
     if not stated and not given:
         raise file.error("POINT:UNITS is missing; give --units, or `units` in a map")
@@ -256,10 +240,8 @@ class _Frames(NamedTuple):
     """Frames of the data section.
 
     Attributes:
-        samples: x, y, z and residual, shape (frames, points, 4), in the unit of the
-            file.
-        first: number of the first frame.
-        announced: number of frames that the file states.
+        samples: x, y, z and residual in the unit of the file, shape (frames, points,
+            4).
     """
 
     samples: np.ndarray
@@ -273,7 +255,7 @@ def _frames(file: RecordedFile, contents: _Contents) -> _Frames:
     The frame numbers of the header have 16 bits. Longer recordings state their frames
     in TRIAL:ACTUAL_START_FIELD and ACTUAL_END_FIELD (two 16-bit words each) or in
     POINT:LONG_FRAMES, but some of these may be wrong. The largest number that fits into
-    the file is used. If all of them are at most 65,535, the file is read to its end.
+    the file is used. If no number exceeds 65,535, the file is read to its end.
     """
     scale = contents.number("POINT:SCALE", 12)
     is_float = scale < 0
@@ -328,15 +310,8 @@ def _analog_values(
 ) -> int:
     """Return the number of analog values per frame.
 
-    Header and parameters state it both. If they contradict each other, the number is
-    used with which the frames fill the data section.
-
-    Args:
-        file: the file.
-        contents: its header and parameters.
-        count: number of points.
-        counts: possible numbers of frames.
-        size: size of the data section, bytes.
+    Header and parameters both state it. If they contradict each other, the number that
+    makes the frames fill the data section is used.
 
     Raises:
         InputError: none or several of the numbers fill the data section.

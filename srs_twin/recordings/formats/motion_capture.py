@@ -1,4 +1,4 @@
-"""Exports of motion capture systems as text: Motive, Vicon and Qualisys."""
+"""Text exports of motion capture systems: Motive, Vicon and Qualisys."""
 
 from __future__ import annotations
 
@@ -26,15 +26,12 @@ from srs_twin.recordings.recorded_file import MAX_HEADER_BYTES, RecordedFile
 from srs_twin.recordings.signals.units import ANGLES
 
 MOTIVE_KINDS = ("Marker", "Rigid Body Marker", "Rigid Body")
-"""Types of columns with positions on the robot; the first type that a file has is used.
-"""
+"""Column types with positions on the robot, in order of preference."""
 
 _MOTIVE_HEADER_LINES = 12
 
 
 class _Column(NamedTuple):
-    """First column, name and type of a group of columns X, Y, Z, or X, Y, Z, W."""
-
     place: int
     name: str
     kind: str
@@ -44,10 +41,10 @@ class _Column(NamedTuple):
 class Motive(Format):
     """OptiTrack Motive: CSV export, formats 1.0 to 1.2x.
 
-    The first line has pairs of key and value, followed by an empty line and by rows
+    The first line has pairs of key and value. It is followed by an empty line, by rows
     that describe the columns (Type, Name, ID, Parent from 1.24 on, and Position or
-    Rotation). Then follow ``Frame,Time (Seconds),X,…`` and the frames. An unlabeled
-    marker that disappears comes back in another column.
+    Rotation), by ``Frame,Time (Seconds),X,…``, and by the frames. An unlabeled marker
+    that disappears returns in another column.
     """
 
     name = "Motive CSV"
@@ -59,12 +56,12 @@ class Motive(Format):
     def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
         """Read the markers of an export.
 
-        Columns of other types are skipped and counted. If there is no column of type
-        Marker, the markers of rigid bodies are used, or else the rigid bodies with
-        their quaternions.
+        Columns of other types are skipped and counted. Without a column of type Marker,
+        the markers of rigid bodies are used, or else the rigid bodies with their
+        quaternions.
 
         Raises:
-            InputError: the file is damaged, or of another version; the message names
+            InputError: the file is damaged or of another version; the message names
                 file, line and column.
         """
         lines = file.head(_MOTIVE_HEADER_LINES)
@@ -115,19 +112,12 @@ class Motive(Format):
 
 
 class _Columns(NamedTuple):
-    """Number of header lines, and the columns of positions and of quaternions."""
-
     header_lines: int
     positions: list[_Column]
     quaternions: list[_Column]
 
 
 def _kind_to_read(file: RecordedFile, columns: _Columns) -> tuple[str, list[str]]:
-    """Return the type of the columns that are read, and notes on the others.
-
-    Raises:
-        InputError: no column has a type that can be on the robot.
-    """
     kinds = Counter(column.kind or "no type" for column in columns.positions)
     kind = next((name for name in MOTIVE_KINDS if name in kinds), None)
     if kind is None:
@@ -167,7 +157,7 @@ def _columns(file: RecordedFile, lines: list[list[str]]) -> _Columns:
         raise file.error(
             "the header is cut: it must have rows Type, Name, ID and Position", last + 1
         )
-    # Older versions do not name the rows, so their order is used.
+    # Older versions do not name the rows, so the order of the rows is used.
     kinds, names = (
         next((row for row in rows if name in row[:2]), rows[k])
         for k, name in enumerate(("Type", "Name"))
@@ -194,8 +184,7 @@ _SECTIONS = (
     "Forces",
 )
 _VICON_AXES = {"Trajectories": ["X", "Y", "Z"], "Objects": ["TX", "TY", "TZ"]}
-"""Section that is read → columns of a position; the first one that a file has is used.
-"""
+"""Sections with positions and their axis names, in order of preference."""
 _SECTION = re.compile(
     rb'^"?(%s)"?[ \t,]*\r?$' % "|".join(_SECTIONS).encode(), re.MULTILINE
 )
@@ -203,7 +192,10 @@ _SECTION = re.compile(
 
 @final
 class Vicon(Format):
-    """Vicon: Trajectories of a Nexus CSV export, or Objects of a Tracker export; frame 1 is at 0 s."""
+    """Vicon: Trajectories of a Nexus CSV export, or Objects of a Tracker export.
+
+    Frame 1 is at 0 s.
+    """
 
     name = "Vicon CSV"
 
@@ -212,7 +204,7 @@ class Vicon(Format):
         return start.title in _SECTIONS
 
     def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
-        """Read Trajectories of a Nexus export, or Objects of a Tracker export with their rotations.
+        """Read Trajectories, or Objects with their rotations.
 
         Raises:
             InputError: the file cannot be read; the message names file, line, column
@@ -267,14 +259,6 @@ class Vicon(Format):
 def _object_rotations(
     rows: Rows, positions: list[int], rotations: dict[int, range], units: list[str]
 ) -> np.ndarray | None:
-    """Return the quaternions of all objects, as in `MarkerTable`.
-
-    Args:
-        rows: rows with the columns of all rotations.
-        positions: first column of the position of each object.
-        rotations: first column of a position → columns of the rotation.
-        units: unit of each column.
-    """
     if not rotations:
         return None
     quaternions = np.full((*rows.points.shape[:2], 4), np.nan)
@@ -288,7 +272,7 @@ def _object_rotations(
 
 
 def _rotation_columns(axes: list[str], positions: list[int]) -> dict[int, range]:
-    """Return the columns of the rotation that precede the position of an object.
+    """Return the rotation columns that precede the position of an object.
 
     They are RX, RY, RZ, or a quaternion with RW.
     """
@@ -300,7 +284,6 @@ def _rotation_columns(axes: list[str], positions: list[int]) -> dict[int, range]
 
 
 def _vicon_section(file: RecordedFile) -> tuple[str, int, list[str]]:
-    """Return the title of the section that is read, the number of its line, and notes on other sections."""
     sections = [
         (title[1].decode(), title.start()) for title in _SECTION.finditer(file.raw)
     ]
@@ -320,7 +303,6 @@ def _vicon_section(file: RecordedFile) -> tuple[str, int, list[str]]:
 
 
 def _quaternions(rotation: np.ndarray, unit: str) -> np.ndarray:
-    """Return quaternions from rotation vectors in a unit, or from quaternions."""
     from scipy.spatial.transform import Rotation
 
     if rotation.shape[1] == 4:
@@ -331,7 +313,6 @@ def _quaternions(rotation: np.ndarray, unit: str) -> np.ndarray:
 
 
 def _qtm_header_lines(file: RecordedFile) -> int:
-    """Return the number of lines of the header of a Qualisys export."""
     lines = file.raw[:MAX_HEADER_BYTES].split(b"\n", _QTM_HEADER_LINES)
     rows = (k for k, line in enumerate(lines) if not _QTM_LINE.match(line))
     return next(rows, len(lines))
@@ -339,7 +320,7 @@ def _qtm_header_lines(file: RecordedFile) -> int:
 
 _QTM_LINE = re.compile(rb"(?!NULL|NAN)[A-Z][A-Z0-9_]+[\t\r ]|Frame\t")
 _QTM_HEADER_LINES = 1000
-"""Largest number of lines of a header, which has one line per event."""
+"""Maximum number of header lines; each event adds one line."""
 
 
 @final
@@ -357,7 +338,7 @@ class Qualisys(Format):
         )
 
     def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
-        """Read a 3D export of Qualisys Track Manager (mm); 0,0,0 marks a missing marker.
+        """Read a 3D export of Qualisys Track Manager; 0,0,0 marks a missing marker.
 
         Args:
             file: tab-separated file with a header, with or without the columns Frame
@@ -391,7 +372,7 @@ class Qualisys(Format):
             )
         width = len(row)
         count = 3 * len(names)
-        # A row may end in a tab, and begin with the frame and the time.
+        # A row may end in a tab, and may begin with the frame and the time.
         if not 0 <= width - count <= 3:
             required = (
                 f"rows must have {count} cells, or {count + 2} with Frame and Time"
@@ -412,7 +393,7 @@ class Qualisys(Format):
             clock=range(first),
             rate=None if timed else frame_rate(file, given),
         )
-        # By the definition of the format, also on a single frame.
+        # The format defines 0,0,0 as missing, even on a single frame.
         points[(points == 0).all(axis=-1)] = np.nan
         notes.append("0,0,0 read as missing")
         table = marker_table(file, self.name, time, points, names, notes, unit="mm")

@@ -32,12 +32,12 @@ from srs_twin.recordings.recorded_file import Dialect, RecordedFile, laid_out
 from srs_twin.recordings.signals.units import LENGTHS, is_clock
 
 _AXES_LINE = 5
-"""Line of X1, Y1, Z1, …, which may be followed by an empty one."""
+"""Line X1, Y1, Z1, …, which an empty line may follow."""
 
 
 @final
 class Trc(Format):
-    """TRC: marker positions over time, tab-separated with five header lines (OpenSim, Cortex)."""
+    """TRC: tab-separated marker positions with five header lines (OpenSim, Cortex)."""
 
     name = "TRC"
 
@@ -46,7 +46,7 @@ class Trc(Format):
         return start.title.split(maxsplit=1)[:1] == ["PathFileType"]
 
     def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
-        """Read the markers of a TRC file; an empty cell is a missing marker.
+        """Read the markers of a TRC file, in which an empty cell is a missing marker.
 
         Raises:
             InputError: the file is damaged, or its unit is unknown; the message names
@@ -89,17 +89,20 @@ _TUM_START = re.compile(
 )
 _TUM_POSE = Dialect(("time", "x", "y", "z", "qx", "qy", "qz", "qw"), " ")
 _MAX_NORM_ERROR = 0.01
-"""Largest deviation of the norm of a quaternion from 1."""
+"""Maximum deviation of the norm of a quaternion from 1."""
 
 
 @final
 class Tum(Format):
-    """TUM trajectory: lines ``timestamp tx ty tz qx qy qz qw`` of one body from SLAM tools, in s and m."""
+    """TUM trajectory of one body from SLAM tools, in s and m.
+
+    Each line is ``timestamp tx ty tz qx qy qz qw``.
+    """
 
     name = "TUM trajectory"
 
     def recognizes(self, start: RecordedFile) -> bool:
-        """Return whether the first line after comments has eight numbers without commas."""
+        """Return whether the first data line has eight numbers and no commas."""
         return bool(_TUM_START.match(start.data.removeprefix(b"\xef\xbb\xbf")))
 
     def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
@@ -131,12 +134,15 @@ class Tum(Format):
 
 
 MIN_LIKELIHOOD = 0.6
-"""Smallest likelihood of a sample that is used, 1: the default of DeepLabCut (`pcutoff`)."""
+"""Minimum likelihood of a used sample; the default of DeepLabCut (`pcutoff`)."""
 
 
 @final
 class DeepLabCut(Format):
-    """DeepLabCut CSV of one animal (3 header rows) or several (4), in pixels or lengths."""
+    """DeepLabCut CSV of one animal (3 header rows) or of several animals (4).
+
+    Coordinates are in pixels or lengths.
+    """
 
     name = "DeepLabCut CSV"
 
@@ -149,8 +155,8 @@ class DeepLabCut(Format):
 
         Args:
             file: CSV file.
-            unstated: frames per second of the video; unit of the coordinates if they
-                are lengths (None or "px": pixels); size of a pixel.
+            unstated: frames per second of the video, size of a pixel, and unit of the
+                coordinates if they are lengths (None or "px" for pixels).
 
         Raises:
             InputError: rate or scale are not given, or the file is damaged.
@@ -193,11 +199,6 @@ class DeepLabCut(Format):
 
 
 def _dlc_scale(file: RecordedFile, unstated: Unstated) -> float:
-    """Return the factor from coordinates to m.
-
-    Raises:
-        InputError: rate or scale are not given.
-    """
     pixels = unstated.unit in (None, "px")
     missing = []
     if not unstated.rate_hz:
@@ -222,17 +223,17 @@ _CONNECTOR = re.compile(r"\d+[A-Za-z]?")
 
 @final
 class PlainCsv(Format):
-    """Plain CSV with the columns ``time`` and ``x_1,y_1…`` (head first), or with other names.
+    """Plain CSV with columns ``time`` and ``x_1,y_1…`` (head first), or other names.
 
-    The unit is in the name: ``time_ms``, ``x_1_mm`` or ``x_1 (mm)``; without a unit it
-    is s or m. ``z_1`` is optional. Two markers on a connector are
+    A name may state its unit: ``time_ms``, ``x_1_mm`` or ``x_1 (mm)``. Without a unit
+    it is in s or m. ``z_1`` is optional. Two markers on a connector are named
     ``x_1a,y_1a,x_1b,y_1b``.
     """
 
     name = "plain CSV"
 
     def recognizes(self, start: RecordedFile) -> bool:
-        """Return whether a file starts with the names of columns of a time or of positions."""
+        """Return whether the first line names a time or positions."""
         return any(map(is_clock, start.names)) or bool(axis_columns(start.names))
 
     def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
@@ -276,11 +277,6 @@ class PlainCsv(Format):
 def _in_given_unit(
     table: CsvTable, markers: dict[str, list[CsvColumn]], unstated: Unstated
 ) -> list[CsvColumn]:
-    """Return the columns of all markers, with the given unit where their names state none.
-
-    Raises:
-        InputError: a name states another unit, or the size of a pixel is missing.
-    """
     unit = unstated.unit
     scale = LENGTHS.get(unit or "m")
     if unit == "px":
@@ -301,7 +297,6 @@ def _in_given_unit(
 
 
 def _unit_notes(used: list[CsvColumn], given: str | None) -> list[str]:
-    """Return notes on the units of columns."""
     notes = []
     units = sorted({column.unit or given or "" for column in used} - {"", "m", "s"})
     if units:
@@ -316,13 +311,12 @@ def _unit_notes(used: list[CsvColumn], given: str | None) -> list[str]:
 
 
 def _place(marker: str) -> tuple[int, str]:
-    """Return the number of the connector of a marker of numbered columns, and the letter: 1, 1a or 1b."""
+    """Return connector number and letter of a marker such as 1, 1a or 1b."""
     number = marker.rstrip(ascii_letters)
     return int(number), marker[len(number) :]
 
 
 def _marker_columns(table: CsvTable, numbered: bool) -> dict[str, list[CsvColumn]]:
-    """Return the columns x, y and, if they exist, z of each marker; numbered markers head first."""
     file = table.file
     line = table.file.header_lines or 1
     names = [

@@ -1,10 +1,9 @@
-"""Poses, points and signals from the messages of bags (ROS 1, ROS 2, JSON) in any container.
+"""Poses, points and signals from the messages of bags (ROS 1, ROS 2, JSON).
 
-A container (`bags`) yields messages with their topics and log times. ROS messages are
-decoded by the library `rosbags` with its own definitions of the known message types;
-definitions in the file are not used. The declared sizes of chunks are checked before
-they are unpacked, because repeated bytes unpack to ten thousand times their size, which
-does not occur in a recording.
+A container (`bags`) yields messages with topics and log times. The library `rosbags`
+decodes known ROS message types with its own definitions; definitions in the file are
+ignored. The declared sizes of chunks are checked before they are unpacked, because a
+malicious file may unpack to ten thousand times its size.
 """
 
 from __future__ import annotations
@@ -44,22 +43,22 @@ if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
 Decoded = Any
-"""Decoded message, or a part of one: an object of `rosbags`, or a namespace for JSON."""
+"""Decoded message or part of one: an object of `rosbags`, or a namespace for JSON."""
 
 _MIN_EPOCH_NS = 10**17
-"""Smallest log time that counts as a time since 1970, ns."""
+"""Minimum log time that counts as a time since 1970, ns."""
 _OTHER_CLOCK_S = 1e6
-"""Smallest difference between stamps and log times that means stamps of a simulated clock, s."""
+"""Minimum difference of stamps and log times that reveals a simulated clock, s."""
 _NOTED_DIFFERENCE_S = 1.0
-"""Difference between stamps and log times above which a note is given, s."""
+"""Difference of stamps and log times above which a note is given, s."""
 _MAX_UNPACKED = 4 * MAX_BYTES
-"""Largest unpacked size of a file, bytes."""
+"""Maximum unpacked size of a file, bytes."""
 _MIN_ALLOWED = 16 << 20
 """Unpacked size that is allowed for any file, bytes."""
 _MAX_RATIO = 32
-"""Largest ratio of unpacked to packed size of larger files; repetitive valve states in JSON reach 20."""
+"""Maximum ratio of unpacked to packed size; repetitive JSON reaches 20."""
 _MAX_MESSAGES = 1 << 23
-"""Largest number of messages: an hour of twenty topics at 100 Hz."""
+"""Maximum number of messages: one hour of twenty topics at 100 Hz."""
 if sys.version_info >= (3, 14):
     _ZSTD = "compression.zstd"
 else:
@@ -69,7 +68,7 @@ _UNPACKERS = {
     "zstd": (_ZSTD, "Zstd"),
     "bz2": ("bz2", "BZ2"),
 }
-"""Compression → module, and name of its class without "Decompressor"."""
+"""Compression → module, and class name without "Decompressor"."""
 
 
 class ChunkError(ValueError):
@@ -81,7 +80,10 @@ class CutError(ChunkError):
 
 
 class Topic(NamedTuple):
-    """Topic with its name, message type ("geometry_msgs/Pose") and encoding ("cdr", "ros1", "json")."""
+    """Topic with name, message type ("geometry_msgs/Pose") and encoding.
+
+    The encoding is "cdr", "ros1" or "json".
+    """
 
     name: str
     kind: str
@@ -100,7 +102,7 @@ def check_unpacked(file: RecordedFile, sizes: Iterable[int]) -> None:
     """Check the declared unpacked sizes of the chunks of a file.
 
     Raises:
-        InputError: their sum exceeds the limit.
+        InputError: the sum of the sizes exceeds the limit.
     """
     allowed = min(_MAX_UNPACKED, _MIN_ALLOWED + _MAX_RATIO * len(file.data))
     total = 0
@@ -118,11 +120,10 @@ def check_unpacked(file: RecordedFile, sizes: Iterable[int]) -> None:
 def unpacked(
     data: memoryview | bytes, compression: str, size: int | None
 ) -> bytes | memoryview:
-    """Return unpacked data, limited to their declared size; None is the size of a single message.
+    """Return unpacked data; the size None stands for a single message.
 
     Raises:
-        ChunkError: the data are damaged, or their size is not the declared one or too
-            large.
+        ChunkError: the data are damaged, too large, or not of the declared size.
     """
     limit = MAX_BYTES if size is None else size
     if limit > MAX_BYTES or compression not in ("", *_UNPACKERS):
@@ -144,14 +145,11 @@ class RecordedTopics:
     """Topics of a file on one clock, which is 0 at the first message.
 
     Attributes:
-        name: name of the file for messages.
-        sha256: checksum of the file.
+        name: name for messages.
         origin_ns: log time of the first message, ns.
-        markers: positions and rotations of bodies and points; None if no topic has any.
-        signals: (time, values) by name, each of shape (samples,), s and as recorded:
-            ``/joy.axes[0]``, ``/joints.NAME.position``, ``/topic.data[2]``,
-            ``/topic.fluid_pressure`` (Pa), ``/topic.dotted.path`` of JSON.
-        notes: notes on skipped topics and irregularities.
+        signals: (time, values) by name, each of shape (samples,), in s and as recorded.
+            Names are ``/joy.axes[0]``, ``/joints.NAME.position``, ``/topic.data[2]``,
+            ``/topic.fluid_pressure`` (Pa), or ``/topic.dotted.path`` for JSON.
     """
 
     name: str
@@ -174,7 +172,7 @@ class Bag(Format):
 
     @abstractmethod
     def messages(self, file: RecordedFile) -> Iterator[Message]:
-        """Yield the messages of a file in its order.
+        """Yield the messages of a file in file order.
 
         Raises:
             InputError: the unpacked messages are larger than allowed.
@@ -185,7 +183,7 @@ class Bag(Format):
         """Read the topics with positions.
 
         Raises:
-            InputError: as `read_topics`, or no topic has positions.
+            InputError: `read_topics` fails, or no topic has positions.
         """
         recorded = self.read_topics(file, signals=False)
         if recorded.markers is None:
@@ -205,11 +203,11 @@ class Bag(Format):
         """Read poses, points and signals.
 
         Times are header stamps if messages have them, else log times. The frames are
-        those of the body with most messages; for other bodies, the nearest message
-        within half a frame is used.
+        the message times of the body with most messages. For each other body, the
+        nearest message within half a frame is used.
 
         Args:
-            file: file with the messages.
+            file: message file.
             signals: whether to read the topics without positions.
 
         Raises:
@@ -230,13 +228,11 @@ class Bag(Format):
 
 _Numbers = tuple[float, ...]
 _Series = dict[str, "array[float]"]
-"""Label → rows of time (ns from the first message on) and one or seven numbers, in one sequence."""
+"""Label → rows of time (ns since the first message) and one or seven numbers."""
 
 
 @dataclass
 class _Topics:
-    """Accumulator for the messages of a file."""
-
     file: RecordedFile
     kind: str
     with_signals: bool = True
@@ -255,7 +251,6 @@ class _Topics:
     notes: list[str] = field(default_factory=list)
 
     def add(self, message: Message) -> None:
-        """Add one message."""
         self.messages += 1
         if self.messages > _MAX_MESSAGES:
             raise self.file.error(
@@ -294,7 +289,6 @@ class _Topics:
         message: Message,
         values: _Numbers,
     ) -> None:
-        """Add a row at the header stamp of a message, or else at its log time."""
         stamp = getattr(getattr(content, "header", None), "stamp", None)
         time = message.log_time
         whole = getattr(stamp, "sec", None)
@@ -314,7 +308,6 @@ class _Topics:
             )
 
     def result(self) -> RecordedTopics:
-        """Return all topics on one clock."""
         self.notes += [
             f"topic {topic} skipped: {count} messages"
             for topic, count in self.skipped.items()
@@ -370,7 +363,8 @@ class _Topics:
             notes.append(f"bodies are in different frames: {listed}")
         rotated = _has_rotation(poses)
         quaternions = np.where(rotated[..., None], poses[..., 3:], np.nan)
-        # Stamps of a simulated clock begin anywhere.
+        # Stamps of a simulated clock may begin at any time, so the times are shifted to
+        # start at 0.
         time = frames.time
         other_clock = abs(time[0]) > _OTHER_CLOCK_S
         if other_clock:
@@ -390,7 +384,6 @@ class _Topics:
 
 
 def _unique_names(bodies: Iterable[tuple[str, str]]) -> list[str]:
-    """Return the labels of bodies, preceded by their topics where several have the same label."""
     bodies = list(bodies)
     counts = Counter(label for _, label in bodies)
     return [
@@ -399,20 +392,16 @@ def _unique_names(bodies: Iterable[tuple[str, str]]) -> list[str]:
 
 
 class _Frames(NamedTuple):
-    """Times of the frames and half of their distance, s."""
+    """Times of the frames and half of the frame period, s."""
 
     time: np.ndarray
     half_period: float
 
 
 def _frames(bodies: Mapping[str, np.ndarray], main: str) -> _Frames:
-    """Return the frames of the body with most messages.
+    """Return the frames of the body with most messages, whose label is `main`.
 
-    Frames on which it is missing are added if other bodies of its topic have messages.
-
-    Args:
-        bodies: label → rows of the bodies of one topic.
-        main: label of the body with most messages.
+    Frames on which it is missing are added if other bodies of the topic have messages.
     """
     time = np.unique(bodies[main][:, 0])
     half = 0.5 * float(np.median(np.diff(time))) if len(time) > 1 else 0.0
@@ -422,7 +411,7 @@ def _frames(bodies: Mapping[str, np.ndarray], main: str) -> _Frames:
 
 
 def _sorted(series: _Series, width: int) -> dict[str, np.ndarray]:
-    """Return the rows of each label in the order of time, with times in s."""
+    """Return the rows of each label in chronological order, with times in s."""
     tables = {
         label: np.array(flat).reshape(-1, width) for label, flat in series.items()
     }
@@ -434,20 +423,21 @@ def _sorted(series: _Series, width: int) -> dict[str, np.ndarray]:
 
 
 def _nearest(own: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """Return the index of the element of `own` that is nearest to each time."""
     index: np.ndarray = np.rint(np.interp(time, own, np.arange(len(own)))).astype(int)
     return index
 
 
 def _has_rotation(poses: np.ndarray) -> np.ndarray:
-    """Return which poses have a valid quaternion."""
     return np.asarray(np.abs(np.linalg.norm(poses[..., 3:], axis=-1) - 1) < 0.5)
 
 
 def _compose(
     poses: np.ndarray, names: list[str], parents: Mapping[str, str]
 ) -> list[str]:
-    """Convert transforms relative to another body to its parent frame; return the converted names."""
+    """Convert transforms relative to another body to the parent frame of that body.
+
+    Return the names of the converted bodies.
+    """
     from scipy.spatial.transform import Rotation
 
     index = {name: k for k, name in enumerate(names)}
@@ -460,7 +450,7 @@ def _compose(
             and len(chain) <= len(names)
         ):
             chain.append(parents[chain[-1]])
-        # From the outermost transform inwards, so that every base is already in the
+        # Bases come before the bodies attached to them, so every base is already in the
         # root frame.
         for inner, outer in zip(chain[-2::-1], chain[::-1], strict=False):
             composed[inner] = None
@@ -508,12 +498,11 @@ _BODIES: dict[str, Callable[[str, Decoded], list[tuple[str, Decoded, Decoded]]]]
         for stamped in message.transforms
     ],
 }
-"""Message type with positions → function of topic and message that returns label, stamped part and pose."""
+"""Message type with positions → function that yields label, stamped part and pose."""
 
 
 @lru_cache(1000)
 def _decoder(topic: Topic) -> tuple[str, str, Callable[[bytes], Decoded] | None]:
-    """Return name and type of a topic, and the decoder of its messages; None if the type is unknown."""
     kind = escape_unprintable(topic.kind[:80]).replace("/msg/", "/")
     kind = kind.replace("tf/tfMessage", "tf2_msgs/TFMessage")
     decode: Callable[[bytes], Decoded] | None = None
@@ -535,7 +524,10 @@ def _decoder(topic: Topic) -> tuple[str, str, Callable[[bytes], Decoded] | None]
 
 @cache
 def _definitions(encoding: str) -> Typestore:
-    """Return the ROS message definitions; those in files would be compiled and are not trusted."""
+    """Return the ROS message definitions of the library.
+
+    Definitions in files are not trusted, because they would be compiled.
+    """
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(
@@ -547,7 +539,7 @@ def _definitions(encoding: str) -> Typestore:
 
 
 def _numbers(pose: Decoded) -> _Numbers:
-    """Return position and quaternion (x, y, z, w) of a pose, transform or point; NaN without a quaternion."""
+    """Return position and quaternion x, y, z, w (NaN without one)."""
     position: Decoded = getattr(pose, "position", getattr(pose, "translation", pose))
     rotation = getattr(pose, "orientation", getattr(pose, "rotation", None))
     if rotation is None:
@@ -558,14 +550,12 @@ def _numbers(pose: Decoded) -> _Numbers:
 
 
 def _joints(message: Decoded) -> Iterator[tuple[str, float]]:
-    """Yield (name below the topic, number) of a joint state."""
     for quantity in ("position", "velocity", "effort"):
         for joint, value in zip(message.name, getattr(message, quantity), strict=False):
             yield f".{joint}.{quantity}", float(value)
 
 
 def _leaves(name: str, value: object) -> Iterator[tuple[str, float]]:
-    """Yield all numbers in nested lists and objects with their dotted paths."""
     if isinstance(value, int | float | np.number):
         yield name, float(value)
     elif isinstance(value, list | np.ndarray):

@@ -1,16 +1,16 @@
-r"""Synchronisation of a motion with a log of valves or pressures, by the bends that both contain.
+r"""Synchronisation of a motion with a valve or pressure log through their bends.
 
-The valve states of the log, applied to the chamber model of the robot, or its pressures
-give free bends b̂_j. They are compared with the measured bends b_j, with a delay τ and
-a gain a_j > 0 and an offset c_j for each segment,
+The chamber model of the robot converts the valve states or pressures of the log to free
+bends b̂_j. They are compared with the measured bends b_j for a delay τ, and for a gain
+a_j > 0 and an offset c_j of each segment,
 
 $$ S(\tau) = \sum_j \min_{a_j, c_j} \sum_t \bigl(b_j(t) - a_j\,\hat b_j(t - \tau) - c_j\bigr)^2, $$
 
 over the times that both cover. Fourier transforms give S for all τ at once. The offset
 is the minimum of the parabola through the smallest S and its two neighbours. Its
 standard error is √(2 s²/S''), where s² is the variance of the residual per independent
-sample. A gait is periodic: if another τ fits nearly as well, the offset is ambiguous
-and an error is raised.
+sample. A gait is periodic, so another τ may fit nearly as well. The offset is then
+ambiguous and an error is raised.
 """
 
 from __future__ import annotations
@@ -30,22 +30,22 @@ from srs_twin.recordings.signals.logs import SIDES
 from srs_twin.robot.spec import RobotSpec
 
 MIN_OVERLAP = 0.5
-"""Smallest common interval, relative to the shorter recording, 1."""
+"""Minimum common interval, as a fraction of the shorter recording."""
 
 MIN_RIVAL_RATIO = 1.5
-"""Smallest ratio of S at the second-best offset to S at the best one, 1."""
+"""Minimum ratio of S at the second-best offset to S at the best offset."""
 
 MIN_EXPLAINED = 0.5
-"""Smallest fraction of the variance of the bends that the best offset explains, 1."""
+"""Minimum fraction of the variance of the bends that the best offset explains."""
 
 _MIN_STEP = 1 / 500
-"""Smallest step of the delays, s."""
+"""Minimum step of the delays, s."""
 _MAX_SAMPLES = 1 << 20
-"""Largest number of samples in the Fourier transforms."""
+"""Maximum number of samples in the Fourier transforms."""
 _MODEL_STEP = 0.002
 """Step of the modelled bends, s."""
 _SETTLED_TIME_CONSTANTS = 5.0
-"""Time, in time constants, after which unknown initial pressures have no effect, 1."""
+"""Number of time constants after which unknown initial pressures have no effect."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,6 @@ class Offset:
             the modelled chamber lag.
         explained: fraction of the variance of the bends that the log explains; 1 for a
             given offset.
-        estimated: whether the offset was estimated.
     """
 
     seconds: float
@@ -73,9 +72,9 @@ def estimate_offset(
     """Estimate the offset between the clocks of a motion and a log.
 
     Args:
-        time: times of the motion, ascending, shape (frames,), s.
-        measured: bends, shape (frames, segments), rad.
-        log_time: times of the log, evenly spaced, shape (rows,), s.
+        time: ascending times of the motion, shape (frames,), s.
+        measured: measured bends, shape (frames, segments), rad.
+        log_time: evenly spaced times of the log, shape (rows,), s.
         driven: bends modelled from the log, shape (rows, segments), rad.
 
     Raises:
@@ -132,7 +131,7 @@ def _resampled(time: np.ndarray, values: np.ndarray, step: float) -> np.ndarray:
 def _losses(
     bends: np.ndarray, model: np.ndarray, min_count: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return S divided by the variance, delays of the model in steps, and numbers of common samples."""
+    """Return S divided by the variance, delays in steps, and common sample counts."""
     from scipy.signal import fftconvolve
 
     def correlate(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -145,8 +144,8 @@ def _losses(
     count = np.rint(correlate(ones, other_ones))[:, 0]
     enough = count >= min_count
     n = np.maximum(count, 1.0)[:, None]
-    # Sums, and sums of squares and products about the means, over the common samples of
-    # each delay.
+    # Sums over the common samples of each delay; squares and products are taken about
+    # the means.
     sb = correlate(bends, other_ones)
     sm = correlate(ones, model)
     bb = correlate(bends**2, other_ones) - sb**2 / n
@@ -156,8 +155,8 @@ def _losses(
     moving = mm > 1e-9 * np.maximum(mm.max(axis=0), 1e-30)
     explained = np.where(moving & (bm > 0), bm**2 / np.where(moving, mm, 1.0), 0.0)
     energy = bb.sum(axis=1)
-    # Exclude intervals in which the robot hardly moves, because any model would fit
-    # them.
+    # Intervals in which the robot hardly moves are excluded, because any model would
+    # fit them.
     quiet = energy < 1e-3 * energy[enough].max() * n[:, 0] / n.max()
     loss = np.where(
         enough & ~quiet,
@@ -169,7 +168,6 @@ def _losses(
 
 
 def _check_unambiguous(loss: np.ndarray, offsets: np.ndarray, best: int) -> None:
-    """Raise an error if another minimum of S is nearly as low."""
     low = (loss[1:-1] <= loss[:-2]) & (loss[1:-1] <= loss[2:]) & np.isfinite(loss[1:-1])
     # The added constant accounts for noise and for the step of the delays if S is close
     # to 0.
@@ -191,13 +189,7 @@ def _check_unambiguous(loss: np.ndarray, offsets: np.ndarray, best: int) -> None
 
 
 def _independent_fraction(bends: np.ndarray, model: np.ndarray, lag: int) -> float:
-    """Return the fraction of independent samples of the residual, assumed to be an AR(1) process.
-
-    Args:
-        bends: measured, shape (samples, segments), rad.
-        model: modelled, shape (rows, segments), rad.
-        lag: delay of the model, steps.
-    """
+    """Return the fraction of independent samples, taking the residual as AR(1)."""
     first = max(0, lag)
     last = min(len(bends), lag + len(model))
     b = bends[first:last]
@@ -218,23 +210,24 @@ def join(
 ) -> Recording:
     """Add the columns of a log to a motion.
 
+    If `offset` is None and both files have overlapping times since 1970, these times
+    are used. Otherwise `estimate_offset` finds the offset.
+
     Args:
-        recording: the motion.
-        log: its valves or pressures.
-        spec: the robot, whose chamber model converts valves to bends for the estimation
-            of the offset.
-        offset: value to add to the times of the log, s. None: if both files have times
-            since 1970 that overlap, these are used, else the offset is estimated by
-            `estimate_offset`. If both have times since 1970, a given offset is added to
-            them.
+        recording: recorded motion.
+        log: valve or pressure log.
+        spec: robot whose chamber model converts valve states to bends for the estimate.
+        offset: value to add to the times of the log, s. If both files have times since
+            1970, the offset is added to them. None determines it.
 
     Returns:
-        The part of the motion that the log covers, with columns ``valve_plus_1…`` or
+        Part of the motion that the log covers, with columns ``valve_plus_1…`` or
         ``pressure_plus_1…``, the offset in the metadata, and the log on the clock of
         the motion.
 
     Raises:
-        InputError: the two have no time in common, or the offset cannot be determined.
+        InputError: motion and log have no time in common, or the offset cannot be
+            determined.
     """
     trajectory = recording.trajectory
     segments = {log.values.shape[1], trajectory.stack("bend").shape[1]}
@@ -278,11 +271,6 @@ def join(
 
 
 def _covered(time: np.ndarray, log: ValveLog, offset: float) -> np.ndarray:
-    """Return which frames a log covers.
-
-    Raises:
-        InputError: there are too few.
-    """
     start, end = log.time[[0, -1]]
     covered = (time >= start - 1e-9) & (time <= end + 1e-9)
     if covered.sum() < MIN_FRAMES:
@@ -295,8 +283,6 @@ def _covered(time: np.ndarray, log: ValveLog, offset: float) -> np.ndarray:
 
 
 class _FoundOffset(NamedTuple):
-    """Offset of a log, a text on its origin, and notes."""
-
     offset: Offset
     how: str
     notes: list[str]
@@ -305,7 +291,6 @@ class _FoundOffset(NamedTuple):
 def _find_offset(
     recording: Recording, log: ValveLog, spec: RobotSpec, offset: float | None
 ) -> _FoundOffset:
-    """Return the offset of a log; the arguments are those of `join`."""
     time = recording.trajectory.time
     notes = []
     if recording.epoch_ns is not None and log.epoch_ns is not None:
@@ -332,16 +317,16 @@ def _find_offset(
 
 
 def driven_bends(log: ValveLog, spec: RobotSpec) -> tuple[np.ndarray, np.ndarray]:
-    """Return times (times,), s, and the modelled free bends, (times, segments), rad.
+    """Return times (times,), s, and modelled free bends (times, segments), rad.
 
-    If a log of valves begins while chambers fill, their initial pressures are unknown.
-    The modelled bends then begin when this effect has decayed.
+    If a valve log begins while chambers fill, their initial pressures are unknown. The
+    modelled bends then begin when this effect has decayed.
     """
     span = float(log.time[-1] - log.time[0])
     step = max(_MODEL_STEP, span / 1e6)
     clock = step * np.arange(int(span / step + 1e-9) + 1)
     if log.kind == "pressure":
-        # The lag τ₂ of the bends is a delay for slow signals.
+        # For slow signals, the lag τ₂ of the bends acts as a delay.
         bends = air_bend(spec, log.at(log.time[0] + clock))
         return log.time[0] + clock + spec.actuator.tau_mode, np.asarray(bends)
     chambers = LagPneumatics(spec, supply_pa=spec.supply.nominal, layout="in_out")

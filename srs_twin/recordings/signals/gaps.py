@@ -13,14 +13,14 @@ import numpy as np
 from srs_twin.errors import InputError
 
 MIN_FRAMES = 12
-"""Smallest number of frames of a recording: one more than the window of the moving line."""
+"""Minimum number of frames of a recording: one more than the moving line spans."""
 
 _GRID_TOLERANCE = 0.2
-"""Deviation of the times from multiples of the period, in periods, up to which they form a grid, 1."""
+"""Maximum deviation of the times of a grid from multiples of the period, in periods."""
 _MAX_FRAMES_PER_ROW = 10
-"""Largest number of frames on the grid, divided by the number of rows, 1."""
+"""Maximum number of frames on the grid, divided by the number of rows."""
 _MAX_TIME = 1e9
-"""Largest time, s: larger ones are in a wrong unit."""
+"""Maximum time, s; longer times are in a wrong unit."""
 
 
 @dataclass(frozen=True)
@@ -28,9 +28,8 @@ class FrameGrid:
     """Successive frames of a recording.
 
     Attributes:
-        time: ascending, shape (frames,), s.
+        time: ascending times, shape (frames,), s.
         rows: row of the file for each frame, −1 for a missing frame, shape (frames,).
-        period: median time between frames, s.
         corrections: texts on changes.
     """
 
@@ -44,7 +43,7 @@ def check_times(time: np.ndarray) -> None:
     """Check that times are plausible.
 
     Raises:
-        InputError: they are too large, so their unit is probably wrong.
+        InputError: the times are too large, so their unit is probably wrong.
     """
     largest = float(np.abs(time).max())
     if largest > _MAX_TIME:
@@ -55,7 +54,7 @@ def check_times(time: np.ndarray) -> None:
 
 
 def time_order(time: np.ndarray) -> tuple[np.ndarray, list[str]]:
-    """Return the order of rows by time, and notes."""
+    """Return the chronological order of rows, and notes."""
     backward = int((np.diff(time) < 0).sum())
     if backward:
         notes = [f"rows were not in the order of time ({backward} steps back): sorted"]
@@ -68,7 +67,7 @@ def frame_grid(time: np.ndarray) -> FrameGrid:
     """Sort rows by time and insert the missing frames.
 
     Args:
-        time: time of each row, finite, shape (rows,), s.
+        time: finite time of each row, shape (rows,), s.
 
     Raises:
         InputError: there are too few frames, or the times are implausible.
@@ -97,7 +96,6 @@ def frame_grid(time: np.ndarray) -> FrameGrid:
 def _on_grid(
     time: np.ndarray, rows: np.ndarray, period: float, notes: list[str]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return times and rows with the missing frames inserted; add notes."""
     steps = np.diff(time)
     whole = np.rint(steps / period)
     if np.abs(steps - whole * period).max() > _GRID_TOLERANCE * period:
@@ -124,29 +122,29 @@ def _on_grid(
 
 
 def at_frames(values: np.ndarray, frames: FrameGrid) -> np.ndarray:
-    """Return the values of all frames, NaN for missing ones."""
+    """Return the values of all frames, with NaN for missing frames."""
     picked = values[frames.rows]
     picked[frames.rows < 0] = np.nan
     return np.asarray(picked)
 
 
 _NEIGHBOURS = np.array([-2, -1, 1, 2])
-"""Samples, relative to the tested one, from which its position is predicted."""
+"""Positions of the samples that predict a sample, relative to it."""
 _OUTLIER_RATIO = 8.0
-"""Deviation of an outlier from its prediction, in standard deviations of the other samples, 1."""
+"""Minimum deviation of an outlier from its prediction, in standard deviations."""
 _STD_PER_MAD = 1.4826
-"""Standard deviation divided by the median absolute deviation of a normal distribution, 1."""
+"""Ratio of standard deviation to median absolute deviation of normal values."""
 
 
 def outliers(points: np.ndarray, min_jump: float) -> np.ndarray:
     """Return a mask of the samples that jump away from their track and back.
 
     Args:
-        points: shape (frames, tracks, 2), m.
-        min_jump: smallest jump of an outlier, m.
+        points: marker positions, shape (frames, tracks, 2), m.
+        min_jump: minimum jump of an outlier, m.
 
     Returns:
-        Shape (frames, tracks).
+        Mask of shape (frames, tracks).
     """
     result = np.zeros(points.shape[:2], dtype=bool)
     for track in range(points.shape[1]):
@@ -161,14 +159,14 @@ def outliers(points: np.ndarray, min_jump: float) -> np.ndarray:
 def _track_outliers(
     frames: np.ndarray, points: np.ndarray, min_jump: float
 ) -> np.ndarray:
-    """Return which samples of one track are outliers, shape (samples,).
+    """Return the mask of outliers in one track, shape (samples,).
 
-    The residuals r = A p are deviations from the cubics through the two samples before and the two samples
-    after each sample. Gaps make the cubics inexact: their error is proportional to the product of the four
-    distances in time (4 frames⁴ without gaps), and the rows are weighted by its inverse. An outlier of size d
-    at sample k adds d a_k to the residuals, where a_k is column k of A. Therefore |a_k·r| / |a_k| is largest
-    at the outlier itself, and
-    |a_k·r| / |a_k|² is its size.
+    The residuals r = A p are deviations from the cubics through the two samples before
+    and the two samples after each sample. Gaps make the cubics inexact. Their error is
+    proportional to the product of the four distances in time (4 frames⁴ without gaps),
+    and the rows are weighted by its inverse. An outlier of size d at sample k adds d
+    a_k to the residuals, where a_k is column k of A. Therefore |a_k·r| / |a_k| is
+    largest at the outlier itself, and |a_k·r| / |a_k|² is the size of the outlier.
     """
     from scipy.sparse import csr_array
 
@@ -216,12 +214,14 @@ def runs(missing: np.ndarray) -> np.ndarray:
 
 
 def longest_complete(time: np.ndarray, points: np.ndarray, longest: float) -> slice:
-    """Return the longest interval in which all gaps are allowed and all tracks are visible at both ends.
+    """Return the longest interval without forbidden gaps.
+
+    All tracks are visible at both of its ends.
 
     Args:
-        time: shape (frames,), s.
-        points: NaN where they are unknown, shape (frames, tracks, axes).
-        longest: longest allowed gap, between the samples around it, s.
+        time: times of the frames, shape (frames,), s.
+        points: positions, NaN where unknown, shape (frames, tracks, axes).
+        longest: maximum allowed gap, between the samples around it, s.
     """
     allowed = np.ones(len(time), dtype=bool)
     visible = ~np.isnan(points[..., 0])
@@ -240,13 +240,12 @@ def longest_complete(time: np.ndarray, points: np.ndarray, longest: float) -> sl
 
 
 def fill_gaps(time: np.ndarray, points: np.ndarray, degree: int) -> np.ndarray:
-    """Interpolate the gaps of tracks; the first and the last frame must be known.
+    """Interpolate the gaps of tracks whose first and last frame are known.
 
     Args:
-        time: shape (frames,), s.
-        points: NaN where they are unknown, shape (frames, tracks, axes).
-        degree: degree of the spline: 3, or 1 for straight lines; tracks with few
-            samples get straight lines.
+        time: times of the frames, shape (frames,), s.
+        points: positions, NaN where unknown, shape (frames, tracks, axes).
+        degree: degree of the spline, 3 or 1. Tracks with few samples get degree 1.
     """
     from scipy.interpolate import make_interp_spline
 

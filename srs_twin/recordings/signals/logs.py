@@ -1,14 +1,13 @@
-"""Logs of a robot: bends from its sensors, and valve states, duties or pressures of its chambers.
+"""Logs of a robot: measured bends, and valve states, duties or pressures.
 
-A bend log has the columns ``time,bend_1,…`` of a robot on a bench. Angles are in rad,
-or in the unit of the name (``bend_1_deg``), and positive if the front end is turned to
-the left of the rear end. The position of the body is computed from its bends and the
-pose of its clamped head.
+A bend log has the columns ``time,bend_1,…`` of a robot on a bench. Angles are in rad or
+in the unit of the name (``bend_1_deg``). They are positive if the front end is turned
+to the left of the rear end. The body position is computed from the bends and the pose
+of the clamped head.
 
 A valve log has ``time`` and either ``valve_plus_1, valve_minus_1, …`` (+1 fill, 0 hold,
 −1 vent) or ``pressure_plus_1, pressure_minus_1, …`` (gauge pressure in Pa, or in the
-unit of the name: ``pressure_plus_1_kpa``). Its clock may differ from that of other
-files.
+unit of the name: ``pressure_plus_1_kpa``). It may have its own clock.
 
 `on_bench` transforms a recording to the frame of the clamp. On a bench, plants are
 clamped at the head of a straight body whose centre of mass is at the origin.
@@ -69,25 +68,25 @@ from srs_twin.robot.spec import RobotSpec
 SIDES = ("plus", "minus")
 """Sides of a segment in column names."""
 AIR = ("pressure", "setpoint")
-"""Kinds of logs with pressures; the other kinds are valve and duty."""
+"""Kinds of logs that contain pressures; the other kinds are valve and duty."""
 
 _MAX_BEND = 2 * np.pi
-"""Largest bend, rad: no segment bends to a full circle."""
+"""Maximum bend, rad, because no segment bends to a full circle."""
 _MAX_PRESSURE = 2e6
-"""Largest gauge pressure of a chamber, Pa."""
+"""Maximum gauge pressure of a chamber, Pa."""
 _MIN_PRESSURE = -1.1e5
-"""Smallest gauge pressure, Pa: slightly below that of a vacuum."""
+"""Minimum gauge pressure, Pa, slightly below vacuum."""
 _BEND = re.compile(r"bend_1(?!\d)")
 _MAX_PERIODS = 1_000_000
-"""Largest number of carrier periods in a log of duties."""
+"""Maximum number of carrier periods in a log of duties."""
 _MAX_CLAMP_SHIFT = 0.05
-"""Largest motion of a clamped head, relative to the length of a segment, 1."""
+"""Maximum motion of a clamped head, relative to the length of a segment."""
 _MAX_CLAMP_TURN = np.radians(5.0)
-"""Largest rotation of a clamped head."""
+"""Maximum rotation of a clamped head."""
 
 
 def is_bend_log(path: StrPath, recording_map: RecordingMap = NO_MAP) -> bool:
-    """Return whether the first line of a file names bends, directly or by a map.
+    """Return whether a file or its map names columns of bends.
 
     Raises:
         InputError: the file cannot be read.
@@ -112,13 +111,13 @@ def read_bends(
 
     Args:
         path: bend log.
-        spec: the robot of the sensors.
-        longest_gap_s: longest gap that is filled, s.
-        gait_frequency_hz: Hz; None if the motion is not periodic.
-        map: names of its columns, and layout of the file.
+        spec: recorded robot.
+        longest_gap_s: maximum gap that is filled, s.
+        gait_frequency_hz: gait frequency, Hz; None for a motion that is not periodic.
+        map: column names and layout of the file.
 
     Returns:
-        The longest interval in which all bends are known, with the head at the origin
+        Longest interval in which all bends are known, with the head at the origin
         and its heading along x.
 
     Raises:
@@ -165,7 +164,6 @@ def read_bends(
 def _table(
     path: StrPath, recording_map: RecordingMap, kinds: Sequence[str]
 ) -> CsvTable:
-    """Return a table with the columns of these quantities, by their names or by a recording_map."""
     file = laid_out(read_file(path), recording_map.dialect)
     known = {
         f"{kind}_{side}": QUANTITIES[kind]
@@ -176,7 +174,7 @@ def _table(
     mapped = recording_map.meanings([*kinds, "time"])
     if kinds == ("bend",):
         known = {"bend": QUANTITIES["bend"]}
-        # The time in the map may belong to another file.
+        # The time column in the map may belong to another file of the recording.
         mapped = {
             name: meaning
             for name, meaning in mapped.items()
@@ -188,7 +186,6 @@ def _table(
 def _clamped_body(
     time: np.ndarray, bend: np.ndarray, spec: RobotSpec
 ) -> dict[str, np.ndarray]:
-    """Return the columns of a body whose head is clamped at the origin, with its heading along x."""
     geometry = spec.geometry
     shape = body_shape(
         bend, spec.mass.array(), geometry.segment_length, geometry.rigid_gap
@@ -213,8 +210,8 @@ def read_valves(
     """Read a log of valves, duties or pressures.
 
     Args:
-        path: plain CSV file or bag.
-        spec: the robot.
+        path: CSV file or bag.
+        spec: recorded robot.
         map: meanings of columns or topic signals, and the carrier frequency of duties.
 
     Raises:
@@ -258,7 +255,10 @@ def read_valves(
 def log_of_topics(
     topics: RecordedTopics, spec: RobotSpec, recording_map: RecordingMap
 ) -> ValveLog:
-    """Read a log from topics; signals hold their values, but measured pressures are interpolated.
+    """Read a log from topics.
+
+    Signals hold their values until the next message, except that measured pressures are
+    interpolated.
 
     Raises:
         InputError: signals are missing, or have impossible values.
@@ -314,12 +314,7 @@ def _checked_values(
 ) -> np.ndarray:
     """Return valve states, duties or gauge pressures, and add notes.
 
-    Args:
-        kind: valve, duty, pressure or setpoint.
-        values: in SI, shape (rows, 2 segments).
-        ambient: ambient pressure to subtract, Pa; 0 for gauge pressures.
-        notes: notes on the log.
-        error: function of row, column and message that returns the error to raise.
+    `error` makes the error to raise from a row, a column and a message.
 
     Raises:
         InputError: values are missing or impossible.
@@ -366,16 +361,11 @@ def _log(
     carrier_hz: float | None,
     notes: list[str],
 ) -> ValveLog:
-    """Return a log of valve states or gauge pressures in the order of time.
-
-    Raises:
-        InputError: the times are implausible.
-    """
     with named_in_errors(source.name):
         check_times(time)
         order, moved = time_order(time)
-        # Of several rows with the same time the last one counts, as at the valve
-        # itself.
+        # A valve obeys the last of several commands with one time, so the last row
+        # counts.
         kept = np.append(np.diff(time[order]) > 0, True)
         notes += moved
         if not kept.all():
@@ -414,7 +404,7 @@ def _log(
 def _switched_valves(
     time: np.ndarray, duty: np.ndarray, carrier_hz: float | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return times (rows,), s, and valve states (rows, segments, 2) that have the given duties.
+    """Return times (rows,), s, and valve states (rows, segments, 2) with these duties.
 
     Duties are from 0 to 1 and hold until the next row.
     """
@@ -444,7 +434,7 @@ def on_bench(recording: Recording, spec: RobotSpec) -> Recording:
     trajectory = recording.trajectory
     head = trajectory.position[:, 0]
     head_heading = trajectory["theta_1"]
-    # Medians, because a few frames may be wrong.
+    # Medians are used, because a few frames may be wrong.
     clamp = np.median(head, axis=0)
     heading = float(np.median(head_heading))
     shift = float(np.quantile(np.linalg.norm(head - clamp, axis=1), 0.95))
@@ -457,7 +447,8 @@ def on_bench(recording: Recording, spec: RobotSpec) -> Recording:
             " the other end is clamped, give --head"
         )
     mass = spec.mass.array()
-    # Rotated by −heading about the clamp, which is then on the positive x axis.
+    # The points are rotated by −heading about the clamp, which is then on the positive
+    # x axis.
     distance = pitch * float(np.arange(len(mass)) @ mass) / float(mass.sum())
     rotation = np.exp(-1j * heading)
     origin = clamp @ [1, 1j]

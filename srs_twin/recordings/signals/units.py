@@ -1,4 +1,4 @@
-"""Units of recorded quantities: symbols, factors to SI, spellings, and units in column names."""
+"""Units of recorded quantities: symbols, factors to SI, spellings, and column names."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ PRESSURES |= {
     "cmH2O": 98.0665,
     "kgf/cm2": 98066.5,
 }
-"""Units of gauge pressures; units of absolute pressures (psia, bara) are not included."""
+"""Units of gauge pressures; units of absolute pressures (psia, bara) are missing."""
 SHARES = {"1": 1.0, "%": 1e-2}
 
 QUANTITIES: dict[str, dict[str, float]] = {
@@ -44,7 +44,7 @@ QUANTITIES: dict[str, dict[str, float]] = {
 """Quantities of a log → their units."""
 
 _UNIT_REQUIRED = ("pressure", "setpoint", "bend")
-"""Quantities whose unit must be stated for a column with a name of its own."""
+"""Quantities that need a stated unit in a column with a custom name."""
 
 _SPELLED = (
     'm meter metre,cm centimeter centimetre,mm millimeter millimetre,in inch inche ",ft'
@@ -61,19 +61,22 @@ _SYMBOLS = {
 _MEGA = ("mbar", "mm", "mrad")
 """Symbols whose M would mean mega, which no recorded quantity has."""
 _AMBIENT = (7e4, 1.1e5)
-"""Range of ambient pressures, Pa: from an altitude of 3000 m to a high at sea level."""
+"""Range of ambient pressures, Pa, from 3000 m altitude to a high at sea level."""
 _BRACKETS = re.compile(r"(.*?)\s*[(\[{<]([^()\[\]{}<>]*)[)\]}>]")
 _WORD = re.compile(r"(?:[^\W\d_]|°)+(?:/[^\W_]+)?|%")
 _CAMEL = re.compile(r"(?<=[a-z])[A-Z]+[a-z]*$")
 
 
 def clean(text: str) -> str:
-    """Return text in Unicode compatibility form (µ, ², no-break spaces) with single spaces."""
+    """Return text in Unicode compatibility form (µ, ², no-break spaces) and trimmed."""
     return " ".join(unicodedata.normalize("NFKC", text).split())
 
 
 def symbol(text: str, units: Mapping[str, float]) -> str:
-    """Return the symbol of a unit in any spelling; empty if it is not in `units` or ambiguous, as mpa."""
+    """Return the symbol of a unit in any spelling.
+
+    The result is empty if the unit is not in `units` or is ambiguous, as mpa.
+    """
     word = re.sub(r"[\s^]", "", clean(text).replace("μ", "u"))
     if word in units:
         return word
@@ -88,7 +91,7 @@ def symbol(text: str, units: Mapping[str, float]) -> str:
 
 
 def bracketed(name: str) -> tuple[str, str]:
-    """Return a name without the brackets at its end, and their contents: P1 (bar), t[us]."""
+    """Split a name such as P1 (bar) or t[us] into the name and the text in brackets."""
     match = _BRACKETS.fullmatch(name.strip())
     if match:
         return (match[1], match[2].strip(" -"))
@@ -96,7 +99,7 @@ def bracketed(name: str) -> tuple[str, str]:
 
 
 def stated_unit(name: str, units: Mapping[str, float]) -> str | None:
-    """Return the unit in the name of a column: P1 (bar), time_ms, P1/bar, pressure_kpa_left, timeMs.
+    """Return the unit in a column name such as P1 (bar), time_ms, P1/bar or timeMs.
 
     The result is empty without a unit, and None if the unit is unknown or there are
     two.
@@ -107,7 +110,7 @@ def stated_unit(name: str, units: Mapping[str, float]) -> str | None:
         return symbol(inside, units) or None
     words: list[str] = _WORD.findall(bare)
     if [word.lower() for word in words] == ["pa"]:
-        return ""  # the name of a chamber or port, next to pb
+        return ""  # names a chamber or port, like pb
     stated = {unit for word in words if (unit := _unit_in_word(word, units)) != ""}
     if len(stated) > 1 or None in stated:
         return None
@@ -127,14 +130,13 @@ def _unit_in_word(word: str, units: Mapping[str, float]) -> str | None:
 
 
 class Meaning(NamedTuple):
-    """Meaning of a column with a name of its own, from a map.
+    """Meaning of a column with a custom name, from a map.
 
     Attributes:
         kind: quantity: time, valve, duty, pressure, setpoint or bend.
         name: quantity and side, such as "pressure_plus".
-        number: number of the segment; 0 for the time.
         default: unit in the key of the map, for columns whose name states none.
-        unit: unit of this column in the map; empty if the map states none.
+        unit: unit of this column in the map, or an empty string.
     """
 
     kind: str
@@ -145,20 +147,20 @@ class Meaning(NamedTuple):
 
     @property
     def key(self) -> str:
-        """Name with its number, such as "pressure_plus_1"."""
+        """Name with the segment number, such as "pressure_plus_1"."""
         return f"{self.name}_{self.number}" if self.number else self.name
 
 
 def unit_of(
     column: str, stated: str | None, units: Mapping[str, float], meaning: Meaning
 ) -> tuple[str, str]:
-    """Return the unit of a column of a map, and a note if the map's key has another one.
+    """Return the unit of a mapped column, and a note if the map's key has another unit.
 
     Args:
-        column: name of the column.
-        stated: unit in this name, as `stated_unit` returns it.
+        column: column name.
+        stated: unit in the column name, as `stated_unit` returns it.
         units: allowed units.
-        meaning: meaning of the column.
+        meaning: column meaning.
 
     Raises:
         InputError: the units differ, or the unit of a pressure or an angle is not
@@ -197,7 +199,7 @@ _CLOCK_QUALIFIER = re.compile(
 
 
 def is_clock(name: str) -> bool:
-    """Return whether the name of a column is that of a time: time, t_ms, Time (s), timestamp [ns], millis."""
+    """Return whether a column such as t_ms, Time (s) or timestamp [ns] is a time."""
     bare, _ = bracketed(clean(name))
     if re.search(r"\d", bare):
         return False
@@ -215,7 +217,7 @@ def is_clock(name: str) -> bool:
 
 
 def looks_absolute(pressures: np.ndarray) -> bool:
-    """Return whether the smallest pressure (Pa) is an ambient pressure, as for absolute pressures."""
+    """Return whether the minimum pressure (Pa) is near an ambient pressure."""
     return bool(_AMBIENT[0] <= np.nanmin(pressures, initial=np.inf) <= _AMBIENT[1])
 
 
