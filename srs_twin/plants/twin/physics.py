@@ -283,7 +283,7 @@ class SnakePhysics(Stateful):
             )
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Copy model and state; the engine's data hold addresses and are created anew."""
+        """Copy model and state, but not the engine's data, which hold addresses."""
         arguments = (
             self.model,
             self._spec,
