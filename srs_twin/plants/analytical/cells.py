@@ -99,15 +99,15 @@ class Undivided:
         )
 
     def split(self, bend: Array) -> Array:
-        """Return the bends of all cells, shape (…, cells), from those of the segments."""
+        """Return the bends of the cells, shape (…, cells), from segment bends."""
         return bend
 
     def total(self, bend: Array) -> Array:
-        """Return the bends of the segments, shape (…, segments), from those of the cells."""
+        """Return the bends of the segments, shape (…, segments), from cell bends."""
         return bend
 
     def moments(self, torque: Array) -> Array:
-        """Return the moments of the segments from those of cells with prescribed bends."""
+        """Return the moments of the segments from moments on prescribed cells."""
         return torque
 
     def lead(self, bend: Array) -> float:
@@ -119,11 +119,11 @@ class Undivided:
         return 0.0
 
     def at_connectors(self, values: Array) -> Array:
-        """Return the values at the connectors, shape (samples, N, …), from all points."""
+        """Return the values at the connectors, shape (samples, N, …)."""
         return values
 
     def on_connectors(self, force: Array) -> Array:
-        """Return the forces on the connectors, shape (samples, N, 2), from all points."""
+        """Return the forces on the connectors, shape (samples, N, 2)."""
         return force
 
 
