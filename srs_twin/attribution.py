@@ -272,7 +272,6 @@ class PlantVariants:
         return [Refinement("loads that follow the motion", title, changed, 1.0)]
 
     def _wheel_refinements(self) -> list[Refinement]:
-        """Return the refinement of rolling wheels, or none for other contacts."""
         if self._scenario.robot.skin is not None or self._twin.law not in (
             "wheel",
             "axis",
@@ -664,7 +663,6 @@ def _simulate(task: _Task) -> Trajectory:
 
 
 def _relative_cost(name: str, wall_s: Mapping[str, float]) -> float:
-    """Return the estimated computing time of a variant, s, or relative to others."""
     if name == "matched" or name.startswith("model "):
         return _MODEL_COST * wall_s.get("analytical", 0.05)
     return _TWIN_COST * wall_s.get("twin", 1.0)

@@ -445,7 +445,6 @@ def _compare_with_measured(
     metrics: dict[str, Any],
     trajectories: Mapping[str, Trajectory],
 ) -> dict[str, MeasuredDifference]:
-    """Add the differences from a measured trajectory to the metrics; return them."""
     differences = {
         kind: MeasuredDifference.between(measured, run)
         for kind, run in trajectories.items()
@@ -488,7 +487,6 @@ def _before_contact(runs: Mapping[str, Trajectory]) -> dict[str, Any] | None:
 def _percents(
     progress: Callable[[float], None] | None, duration: float
 ) -> Callable[[float], None]:
-    """Return a function of the simulated time (s) that reports once per percent."""
     reported = -1
 
     def watch(time: float) -> None:

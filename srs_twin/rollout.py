@@ -227,7 +227,6 @@ def _step_ticks(
     observers: tuple[Observer, ...],
     progress: Callable[[float], None] | None,
 ) -> None:
-    """Alternate controller and plant, one tick at a time, until the run ends."""
     plant = recorder.plant
     controller = recorder.controller
     for observe in observers:
@@ -437,7 +436,6 @@ def _spatial_columns(states: SpatialState) -> dict[str, np.ndarray]:
 
 
 def _flatten_signals(signals: dict[str, float | np.ndarray]) -> dict[str, float]:
-    """Return signals as scalars, with array elements numbered from 1."""
     flat: dict[str, float] = {}
     for name, value in signals.items():
         if np.ndim(value) == 0:

@@ -118,12 +118,7 @@ def _conductance(
 ) -> float:
     """Return the C for which dṗ/dp = −1/τ at the gauge pressure p.
 
-    Args:
-        passed: P₁ ψ of the valve into the chamber as a function of the gauge pressure,
-            Pa.
-        p: gauge pressure at the working point, Pa.
-        tau: time constant τ, s.
-        spec: the robot.
+    `passed` is P₁ ψ of the valve into the chamber as a function of the gauge pressure, Pa.
     """
     dead = spec.chamber.dead_volume
     growth = spec.chamber.displacement * spec.actuator.gain

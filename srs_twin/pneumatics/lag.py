@@ -322,14 +322,10 @@ class LagPneumatics(LagChambers):
 
 @compiled
 def _fill_trace(now, schedule, times, law, trace):  # type: ignore[no-untyped-def]
-    """Fill a trace, advance to the end of a schedule, and return the drawn air (J).
+    """Fill a trace at `times` and advance the chambers `now` to the end of a schedule.
 
-    Args:
-        now: state of the chambers, changed in place.
-        schedule: effective valve states.
-        times: times of the rows of the trace, ascending, shape (times,), s.
-        law: a `Relaxation`.
-        trace: output. Its air is the amount drawn since the start, J.
+    The result is the drawn amount of air, J. The trace holds the amount drawn since the
+    start.
     """
     starts = schedule.starts
     row = 0
@@ -399,7 +395,6 @@ def _filling_content(state, now, law):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _drive_rate(state, j, plus, minus, law):  # type: ignore[no-untyped-def]
-    """Return the rate of G (g⁺p⁺ − g⁻p⁻) of a segment, rad/s."""
     first = law.kinds[j, 0]
     second = law.kinds[j, 1]
     up = state[0] + 1
@@ -444,14 +439,8 @@ def _fill_decay(t, law):  # type: ignore[no-untyped-def]
 def advance_segment(state, j, pressure, linear, law):  # type: ignore[no-untyped-def]
     """Return pressures (Pa) and linear bend (rad) of a segment after a time.
 
-    The time has no valve events, and `law` holds its factors.
-
-    Args:
-        state: valve states, shape (2,).
-        j: index of the segment.
-        pressure: initial gauge pressures, shape (2,), Pa.
-        linear: initial linear bend, rad.
-        law: a `Relaxation`.
+    The time has no valve events, and `law` holds its factors. The given pressures and the
+    linear bend are the initial values.
     """
     first = law.kinds[j, 0]
     second = law.kinds[j, 1]

@@ -212,17 +212,8 @@ def _newton(y, amounts, line_base, weight, state, coupled, air, work):  # type: 
 
     The result is the norm of the update. Chambers depend on each other only through the
     bend of their segment and through the line. Each segment is therefore eliminated
-    separately, as a linear function of the change of the line's pressure.
-
-    Args:
-        y: state, shape (segments, 3).
-        amounts: amounts of air of the whole robot, J.
-        line_base: known part of the amount of air in the line, J.
-        weight: implicit step γ h, s.
-        state: valve states, shape (segments, 2).
-        coupled: whether the volumes follow the actual bends.
-        air: the plumbing.
-        work: work arrays with the known part of y.
+    separately, as a linear function of the change of the line's pressure. `weight` is γ h,
+    and `line_base` is the known part of the amount of air in the line.
     """
     base = work.base
     linear = work.linear
@@ -356,19 +347,10 @@ def _extrapolate_bends(bend, actual, time):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _step(now, h, begun, state, actual, air, work):  # type: ignore[no-untyped-def]
-    """Advance y and amounts in place by one step of SDIRK2.
+    """Advance y and amounts in place by one step of SDIRK2 from the time `begun` (s).
 
-    Args:
-        now: an `OrificeState`.
-        h: length of the step, s.
-        begun: time at the beginning of the step, s.
-        state: valve states, shape (segments, 2).
-        actual: the actual bends.
-        air: the plumbing.
-        work: work arrays, whose `rates` hold ẏ at the beginning, then at the end.
-
-    Returns:
-        Flow from the supply and total inflow at the end, J/s.
+    `work.rates` holds ẏ at the beginning, then at the end of the step. The result is the
+    flow from the supply and the total inflow at the end, J/s.
     """
     y = now.y
     amounts = now.amounts
@@ -446,7 +428,6 @@ def _copy_amounts(now, out):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _rows_until(times, row, finish, is_last):  # type: ignore[no-untyped-def]
-    """Return the first row after a step. The last step includes all rows."""
     while row < times.shape[0] and (times[row] <= finish or is_last):
         row += 1
     return row
@@ -573,7 +554,6 @@ def _fill_rows(times, step, state, actual, air, trace):  # type: ignore[no-untyp
 
 @kernel_only
 def _fill_segment(trace, row, j, at, state, actual, air):  # type: ignore[no-untyped-def]
-    """Fill pressures, valves and free bend of a segment; `at` is a `_Sample`."""
     y = at.y
     dy = at.rates
     free, slope, curve = apply_bend_law(y[j, _X], air.law)

@@ -138,7 +138,6 @@ class SpatialLagPneumatics(LagChambers):
         pressure: np.ndarray,
         free: np.ndarray,
     ) -> np.ndarray:
-        """Return the pneumatic energy drawn since the start, shape (times,), J."""
         chamber = self._spec.chamber
 
         def content(

@@ -487,14 +487,10 @@ class WarpBatch(Claimable):
         free: np.ndarray,
         free_rate: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the moments of the segments, N·m, and the energy that they store, J.
+        """Return the moments of the segments (N·m) and their stored energy (J).
 
-        Args:
-            qpos: positions, shape (samples, runs, nq).
-            bend: shape (samples, runs, segments), rad.
-            rate: bend rates, rad/s.
-            free: free bends without the rest bends, rad.
-            free_rate: their rates, rad/s.
+        All arguments have leading axes of samples and runs, and angles in rad. Free bends are
+        without the rest bends.
         """
         torque = np.empty_like(bend)
         stored = np.empty(bend.shape[:2])
@@ -509,7 +505,6 @@ class WarpBatch(Claimable):
         return torque, stored
 
     def _sensed(self, bend: np.ndarray, times: np.ndarray) -> np.ndarray:
-        """Return the sensor readings of bends, shape (samples, runs, segments), rad."""
         sensed = bend.copy()
         if self._robots[0].sensor.kind != "ideal":
             for k, twin in enumerate(self.twins):

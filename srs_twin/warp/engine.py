@@ -248,7 +248,6 @@ class DeviceEngine:
         )
 
     def _step_loaded_bodies(self) -> None:
-        """Launch the engine's steps with the friction solve, as in `contact_loaded`."""
         k = self._kernels
         model = self._model
         data = self.data

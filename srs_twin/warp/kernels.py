@@ -139,7 +139,6 @@ def build_kernels(
 
 
 def _valve_kernels(wave: WarpStruct, settings: StepSettings) -> Kernels:
-    """Return the kernels that set the valve states of a step's slots."""
     GaitWaves = wave.batched
     wave_of = wave.select
     # Warp takes these as compile-time constants.
@@ -153,7 +152,6 @@ def _valve_kernels(wave: WarpStruct, settings: StepSettings) -> Kernels:
         commands: wp.array4d(dtype=int),
         out: wp.array4d(dtype=int),
     ):
-        """Set the valve states of a step's slots from the commands of its tick."""
         i, j = wp.tid()
         begun = (count[0] % TICK) * SLOTS
         for s in range(SLOTS):
@@ -165,7 +163,6 @@ def _valve_kernels(wave: WarpStruct, settings: StepSettings) -> Kernels:
     def set_gait(
         count: wp.array(dtype=int), waves: GaitWaves, out: wp.array4d(dtype=int)
     ):
-        """Set the valve states from a gait, evaluated in the middle of each slot."""
         i, j = wp.tid()
         gait = wave_of(waves, i)
         for s in range(SLOTS):
@@ -234,7 +231,6 @@ def _accumulation_kernel(
     loaded: bool,
     functions: Mapping[str, Any],
 ) -> Kernels:
-    """Return the kernel that adds up what samples are means or integrals of."""
     internal_power = functions["internal_power"]
     preloaded_power = functions["preloaded_power"]
     external_power = functions["external_power"]
@@ -303,7 +299,7 @@ def _observation_kernel(
         internal_loss: wp.array(dtype=wp.float64),
         out: wp.array2d(dtype=float),
     ):
-        """Write the observation of each world into a row, then reset the accumulators."""
+        """Write each world's observation into a row, and reset the accumulators."""
         i = wp.tid()
         body = bodies_of(bodies, i)
         sums = accumulators_of(all_accumulators, i)
@@ -484,7 +480,6 @@ def integrate_position(
 def _middle_kernels(
     structs: Mapping[str, WarpStruct], h: float, set_mid_velocity: Any
 ) -> Kernels:
-    """Return the kernels that move to mid-step before and after the engine's step."""
     Engines = structs["engine"].batched
     engine_of = structs["engine"].select
     Workspaces = structs["work"].batched
@@ -496,7 +491,6 @@ def _middle_kernels(
     def begin_step(
         engines: Engines, works: Workspaces, all_accumulators: AllAccumulators
     ):
-        """Store v₋ and move to mid-step."""
         i = wp.tid()
         engine = engine_of(engines, i)
         work = work_of(works, i)
@@ -567,7 +561,6 @@ def _friction_kernels(
         all_accumulators: AllAccumulators,
         energy_loss: wp.array(dtype=wp.float64),
     ):
-        """Solve for friction, move to the end of the step, and record the friction."""
         i = wp.tid()
         engine = engine_of(engines, i)
         contact = contacts_of(contacts, i)

@@ -392,7 +392,6 @@ def _accelerate(trace, k, solid, total, heading, chain):  # type: ignore[no-unty
 
 @inlined
 def _fill_moments(solid, chain, torque):  # type: ignore[no-untyped-def]
-    """Fill the moments of the segments from tail to head."""
     n = solid.mass.shape[0]
     position = chain.position
     force_x = force_y = moment = 0.0

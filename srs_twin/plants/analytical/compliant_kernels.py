@@ -261,7 +261,6 @@ def _fill_loads(body, u, a, solid, floor, loads):  # type: ignore[no-untyped-def
 
 @kernel_only
 def _damper_power(model, rates, free_rates):  # type: ignore[no-untyped-def]
-    """Return the power that the dampers of all cells dissipate, Σ c (q̇ − q̇_f)², W."""
     power = 0.0
     for c in range(rates.shape[0]):
         deviation = rates[c] - free_rates[c]
@@ -271,7 +270,10 @@ def _damper_power(model, rates, free_rates):  # type: ignore[no-untyped-def]
 
 @compiled
 def balance(q, u, moment, a, model, floor, work):  # type: ignore[no-untyped-def]
-    """Evaluate momenta and forces of Lagrange's equations in the mean-heading frame.
+    """Fill momenta and forces of Lagrange's equations, and the input of `solve`.
+
+    All are in the frame of the mean heading. The result is the power that floor and
+    obstacles take from the body, W.
 
     Args:
         q: bends, shape (segments,), rad.
@@ -282,10 +284,7 @@ def balance(q, u, moment, a, model, floor, work):  # type: ignore[no-untyped-def
         a: implicit step γ h for `solve`, s.
         model: a `CompliantModel`, whose obstacles hold the pose of the body.
         floor: the floor.
-        work: output for momenta, forces and the input of `solve`.
-
-    Returns:
-        Power that floor and obstacles take from the body, W.
+        work: a `WorkArrays`.
     """
     solid = model.solid
     body = work.body
@@ -392,7 +391,6 @@ def _by_bend(link, row):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _by_spin(link, row):  # type: ignore[no-untyped-def]
-    """Return the derivative with respect to the spin in front of a segment."""
     return (
         link[_SPIN_X] * row[_X]
         + link[_SPIN_Y] * row[_Y]
@@ -428,7 +426,6 @@ def solve(a, model, work):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _eliminate_bend(j, a, model, work):  # type: ignore[no-untyped-def]
-    """Eliminate a bend, so that the matrix refers to the connector in front."""
     link = work.links[j]
     pivot = work.pivots[j]
     matrix = work.matrix
@@ -619,7 +616,6 @@ def _dot(a, b):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _begin_stage(bend, rate, model, work):  # type: ignore[no-untyped-def]
-    """Fill the moments of the free bends at a stage, and clear the Newton step."""
     for j in range(bend.shape[0]):
         work.moment[j] = model.stiffness[j] * bend[j] + model.damping[j] * rate[j]
     for j in range(work.step.shape[0]):
@@ -645,7 +641,7 @@ def _stage(a, free, row, model, floor, u, work):  # type: ignore[no-untyped-def]
     weight = model.solid.weight
     _begin_stage(bend, bend_rate, model, work)
     step_share = 0.0  # fraction of the latest Newton step that has been made
-    slope_before = 0.0  # slope of the potential along that step at its start
+    slope_before = 0.0  # derivative of the potential along that step at its start
     converged = False
     passes = 0
     power = 0.0
@@ -727,7 +723,6 @@ class CompliantState(NamedTuple):
 
 @inlined
 def _fastest_point(u, reach):  # type: ignore[no-untyped-def]
-    """Return the approximate maximum speed of a point, m/s."""
     fastest = abs(u[0]) + abs(u[1])
     for j in range(2, u.shape[0]):
         fastest = max(fastest, reach * abs(u[j]))

@@ -111,14 +111,9 @@ def _one_contact(law, along, across, spin, weight, floor):  # type: ignore[no-un
 
 @kernel_only
 def _sum_pair(left, right, a, b, arm):  # type: ignore[no-untyped-def]
-    """Return the terms of two contacts.
+    """Return the terms of two contacts at the distance `arm` from the centre line.
 
-    Args:
-        left: results of a law for the left contact.
-        right: results for the right contact.
-        a: factor on the results of the left contact, dimensionless or N.
-        b: factor on the results of the right contact, dimensionless or N.
-        arm: distance of the contacts from the centre line, m.
+    `left` and `right` are results of a law. `a` and `b` are factors on them.
     """
     a_t, a_n, a_tt, a_tn, a_nt, a_nn = left
     b_t, b_n, b_tt, b_tn, b_nt, b_nn = right
@@ -302,7 +297,6 @@ def _add_drag(terms, along, floor):  # type: ignore[no-untyped-def]
 
 @overload_part(connector_friction)
 def _compile_connector_friction(along, across, spin, weight, floor):  # type: ignore[no-untyped-def]
-    """Compile `connector_friction` for the case of a floor's type, without a branch."""
     contacts, law = _CASES[floor.types[floor.fields.index("case")].count]
     return lambda along, across, spin, weight, floor: _add_drag(
         contacts(law, along, across, spin, weight, floor), along, floor
@@ -365,7 +359,6 @@ class BodyForces(NamedTuple):
 
 @compiled
 def _symmetric_forces(body, mass, u, floor):  # type: ignore[no-untyped-def]
-    """Evaluate `forces_and_slopes` under a law with a potential."""
     cosine = body[COS]
     sine = body[SIN]
     spins = body[SPIN]
@@ -412,7 +405,6 @@ def _symmetric_forces(body, mass, u, floor):  # type: ignore[no-untyped-def]
 
 @compiled
 def _unsymmetric_forces(body, mass, u, floor):  # type: ignore[no-untyped-def]
-    """Evaluate `forces_and_slopes` under a law without a potential."""
     fx = fy = moment = power = 0.0
     xx = xy = xz = yx = yy = yz = zx = zy = zz = 0.0
     for i in range(mass.shape[0]):
@@ -472,7 +464,6 @@ def forces_and_slopes(body, mass, u, floor) -> Any:  # type: ignore[no-untyped-d
 
 @overload_part(forces_and_slopes)
 def _compile_forces_and_slopes(body, mass, u, floor):  # type: ignore[no-untyped-def]
-    """Compile `forces_and_slopes` for the case of a floor's type, without a branch."""
     function = _forces_of_case(floor.types[floor.fields.index("case")].count)
     return lambda body, mass, u, floor: function(body, mass, u, floor)  # noqa: PLW0108  # numba compiles the lambda
 
@@ -592,7 +583,6 @@ def _stop_at_zero(speed, change):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _mean_velocity(speed, change):  # type: ignore[no-untyped-def]
-    """Return the mean velocity during a step, or until the body stops within it."""
     if (speed + change) * speed > 0.0:
         return speed + change / 2
     return speed / 2
@@ -600,7 +590,6 @@ def _mean_velocity(speed, change):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _distance(speed, acceleration, h):  # type: ignore[no-untyped-def]
-    """Return the distance in a step with constant deceleration, or until the stop."""
     if speed == 0.0:
         return 0.0
     if (speed + h * acceleration) * speed > 0.0:

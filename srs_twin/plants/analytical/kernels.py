@@ -300,7 +300,6 @@ def shorter_fraction(slope_before, slope_after):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _solve3(a, b, c, right):  # type: ignore[no-untyped-def]
-    """Solve the system with the rows a, b, c and a right-hand side by Cramer's rule."""
     p = right.x
     q = right.y
     r = right.yaw
@@ -389,7 +388,6 @@ class _StageEquation(NamedTuple):
 
 @inlined
 def _residual(equation, u, c, s, force):  # type: ignore[no-untyped-def]
-    """Return the residual of a stage at a heading with cosine c and sine s."""
     a = equation.a
     weight = equation.weight
     bx = equation.known_x * c + equation.known_y * s
@@ -404,7 +402,6 @@ def _residual(equation, u, c, s, force):  # type: ignore[no-untyped-def]
 
 @inlined
 def _newton_step(equation, residual, c, s, force):  # type: ignore[no-untyped-def]
-    """Return the change of the velocities that removes a residual."""
     a = equation.a
     acts = equation.acts
     weight = equation.weight

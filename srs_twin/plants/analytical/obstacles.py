@@ -477,9 +477,9 @@ def fill_rates(obstacles, model, free, free_rates, rates, work):  # type: ignore
     Args:
         obstacles: obstacles with the forces of the stage.
         model: a `compliant_kernels.CompliantModel`.
-        free: free bends of the cells, shape (cells,), rad.
-        free_rates: rates of the free bends, shape (cells,), rad/s.
-        rates: rates of the bends, shape (cells,), rad/s.
+        free: free bends of the cells, rad.
+        free_rates: rates of the free bends, rad/s.
+        rates: rates of the bends, rad/s.
         work: work arrays with the bends. `rate`, the rates of the state, is filled.
     """
     k = work.rate

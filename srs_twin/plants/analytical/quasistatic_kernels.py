@@ -141,7 +141,6 @@ def _residual(velocity, body, work, h, slip, out, with_matrix):  # type: ignore[
 
 @compiled
 def _hold_head(residual, matrix, with_matrix):  # type: ignore[no-untyped-def]
-    """Hold the head by setting the first six velocities to 0."""
     for i in range(6):
         residual[i] = 0.0
     if with_matrix:
@@ -152,7 +151,6 @@ def _hold_head(residual, matrix, with_matrix):  # type: ignore[no-untyped-def]
 
 @compiled
 def _solve(matrix, vector):  # type: ignore[no-untyped-def]
-    """Replace a vector by the solution of a symmetric system (Cholesky, in place)."""
     size = vector.shape[0]
     for i in range(size):
         for k in range(i + 1):
@@ -321,7 +319,6 @@ def _fastest_point(velocity, work, count):  # type: ignore[no-untyped-def]
 
 @compiled
 def _set_bends(free, step, share, duration, work):  # type: ignore[no-untyped-def]
-    """Set the free bends after a fraction of a step, and their mean rates."""
     for j in range(work.bend.shape[0]):
         for i in range(2):
             before = free[step, j, i]

@@ -23,11 +23,13 @@ FRICTION_LOSS = 13  # energy that the floor dissipates, J
 INTERNAL_LOSS = 14  # energy that bending and twisting dissipate, J
 DRAG_LOSS = 15  # energy that the drag of vertical and rolling motion dissipates, J
 CLOCK = 16  # time, s
-JUMPS = 17  # number of jumps between resting poses, 1
+JUMPS = 17  # number of jumps between resting poses
 IS_JUMPING = 18  # 1 during a jump, otherwise 0
 BENDS = 19
 
-ROWS = 4  # of `Work.rows`: velocity of a contact along and across the body, and upwards, and rolling velocity
+# Rows of `Work.rows`: velocity of a contact along and across the body and upwards, and
+# rolling velocity.
+ROWS = 4
 ALONG, ACROSS, UP, ROLL = range(ROWS)
 
 
@@ -221,15 +223,9 @@ def _spin(turn, axis):  # type: ignore[no-untyped-def]
 def _arc(w, u, lengths, offset, turn, slopes):  # type: ignore[no-untyped-def]
     """Fill a position behind a connector, in its frame, and the derivatives by w.
 
-    Args:
-        w: rotation vector of the front connector relative to the rear one, rad.
-        u: fraction of the arc, dimensionless.
-        lengths: straight length ahead of the arc, length of the arc, and straight
-            length behind, m.
-        offset: output for the position, shape (3,), m.
-        turn: output for the rotation matrix, shape (3, 3).
-        slopes: output for velocity and angular velocity per rate of each component of w,
-            shape (6, 3).
+    `w` is the rotation vector of the front connector relative to the rear one. `u` is the
+    fraction of the arc. `lengths` are the straight length ahead of the arc, its length, and
+    the straight length behind. `slopes` gets velocity and angular velocity per rate of w.
     """
     front, length, rear = lengths
     x, y, z = w

@@ -207,7 +207,6 @@ def bend_within(at, h, bends, out, row):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _step_error(h, k0, k1, k2, weight, arm):  # type: ignore[no-untyped-def]
-    """Return η of a step (module docstring), m/s."""
     x = k1[STATE_VX] - (1 - GAMMA) * k0[STATE_VX] - GAMMA * k2[STATE_VX]
     y = k1[STATE_VY] - (1 - GAMMA) * k0[STATE_VY] - GAMMA * k2[STATE_VY]
     moment = (k1[MOMENT] - (1 - GAMMA) * k0[MOMENT] - GAMMA * k2[MOMENT]) / (
@@ -281,7 +280,6 @@ def advance(
 
 @inlined
 def _fastest_point(u, rates, reach):  # type: ignore[no-untyped-def]
-    """Return the approximate maximum speed of a point, m/s."""
     fastest = max(abs(u[0]) + abs(u[1]), reach * abs(u[2]))
     for j in range(rates.shape[1]):
         fastest = max(fastest, reach * abs(rates[0, j]))

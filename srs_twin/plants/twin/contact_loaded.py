@@ -493,7 +493,6 @@ def _run(inputs, engine, records, controls, out):  # type: ignore[no-untyped-def
 
 @kernel_only
 def _begin_step(inputs, engine, records, control):  # type: ignore[no-untyped-def]
-    """Move to mid-step and apply the friction of the previous step."""
     contacts, sparsity, state, work, h = records
     _copy(control, inputs.ctrl)
     mj_integratePos(
@@ -506,7 +505,6 @@ def _begin_step(inputs, engine, records, control):  # type: ignore[no-untyped-de
 
 @kernel_only
 def _end_step(inputs, engine, records, step, out):  # type: ignore[no-untyped-def]
-    """Solve for friction, record the step and return whether it is finite."""
     contacts, sparsity, state, work, h = records
     model = engine.model
     nq = engine.qpos.shape[0]

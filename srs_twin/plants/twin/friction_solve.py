@@ -190,7 +190,8 @@ class Workspace(NamedTuple):
     """Arrays of one step with C contacts, nv degrees of freedom and nM entries of M.
 
     Arrays of shape (nv, 6) hold a spatial velocity or force for each degree of freedom. It
-    belongs to the bodies beyond the degree of freedom.
+    belongs to the bodies beyond the degree of freedom. The module docstring lists the
+    symbols.
 
     Attributes:
         jacobian: spatial vectors that give a contact's velocity along, across and upwards,
@@ -200,22 +201,19 @@ class Workspace(NamedTuple):
         response: forces and derivatives of the friction law, with the columns
             `_FORCE_ALONG` to `_SPIN_FORCE`, shape (C, 8).
         normal_force: normal force in the engine's solution v̂, shape (C,), N.
-        theta: fraction θ of the step at which friction is evaluated, 1/2 to 1, shape
-            (C,).
-        step_motion: spatial velocities of v̂ − v₋, shape (nv, 6).
-        mid_motion: spatial velocities of (v₋ + v̂)/2, shape (nv, 6).
+        theta: fraction θ, shape (C,).
+        step_motion, mid_motion: spatial velocities of v̂ − v₋ and of (v₋ + v̂)/2, shape (nv,
+            6).
         motion: spatial velocities of δ, or the spatial forces exerted by friction, shape
             (nv, 6).
         impulse: spatial impulses of the changed contact forces, shape (nv, 6).
         slope: spatial derivatives of the contact forces, shape (nv, 6, 6).
-        inertia: matrix A, shape (nM,).
-        newton_matrix: Newton's matrix, shape (nM,). numba uses the engine's M for it.
-        v_start: velocity v₋, shape (nv,).
-        v_predicted: velocity v̂, shape (nv,).
+        inertia, newton_matrix: A and Newton's matrix, shape (nM,). numba uses the engine's
+            M for Newton's matrix.
+        v_start, v_predicted, v_change: velocities v₋, v̂ and δ, shape (nv,).
         bias: vector b, shape (nv,), kg·m/s or kg·m²/s.
-        v_change: velocity change δ, shape (nv,).
-        residual: residual r, or c(v̄) before the solve, shape (nv,).
-        trial_residual: residual r at a trial of the line search, shape (nv,).
+        residual, trial_residual: residual r, or c(v̄) before the solve, and r at a trial of
+            the line search, shape (nv,).
         direction: Newton step, shape (nv,).
     """
 
@@ -375,7 +373,6 @@ def store_friction(contacts, state, work, force):  # type: ignore[no-untyped-def
 
 @kernel_only
 def _locate_wheels(engine, contacts, work):  # type: ignore[no-untyped-def]
-    """Fill Jacobian and heading of the contacts vertically below the wheel centres."""
     com = engine.subtree_com[1]
     for w in range(contacts.wheels):
         body = contacts.body[w]
@@ -450,7 +447,6 @@ def _read_normal_forces(engine, contacts, work):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _generalised_forces(cdof, contacts, sparsity, force, work, out):  # type: ignore[no-untyped-def]
-    """Fill the generalised forces of given friction forces, shape (nv,)."""
     clear(work.motion)
     for w in range(contacts.body.shape[0]):
         for k in range(6):
@@ -484,7 +480,6 @@ def _contact_velocity(contacts, work, w, theta):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _friction_load(contacts, work, w):  # type: ignore[no-untyped-def]
-    """Return the load in the friction law of a contact (`numerics.LOADS`), N."""
     normal = max(work.normal_force[w] - work.response[w, _UNLOADING], 0.0)
     static = contacts.static_load[w]
     if contacts.load_kind == _MOMENTARY or w >= contacts.wheels:
@@ -510,19 +505,11 @@ def _evaluation_fraction(x):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _friction_law(contacts, w, along, across, load, force, rim, h):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Evaluate the friction law of a contact.
+    """Return the `Traction` and the rim speed (m/s) of a contact.
 
-    Args:
-        contacts: constants of the contacts.
-        w: index of the contact.
-        along, across: velocity of the contact, m/s.
-        load: normal force, N.
-        force: friction of the previous step, a row of `ContactState.force`, N.
-        rim: rim speed at the beginning of the step, m/s.
-        h: time from the beginning of the step to the evaluation, s.
-
-    Returns:
-        The `Traction` and the rim speed (m/s).
+    `force` is the friction of the previous step, a row of `ContactState.force`. `rim` is
+    the rim speed at the beginning of the step. `h` is the time from the beginning of the
+    step to the evaluation.
     """
     floor = contacts.floor
     mu_t = floor.forward
@@ -713,7 +700,7 @@ def _sum_impulses(contacts, state, work, h):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _evaluate_residual(engine, contacts, sparsity, state, work, h, out):  # type: ignore[no-untyped-def]
-    """Fill r(δ) and the response of the friction law, and return the square of r."""
+    """Fill r(δ) and the response of the friction law; return the square of r."""
     change = work.v_change
     spatial_velocities(engine.cdof, sparsity, change, work.motion)
     _evaluate_friction(contacts, state, work, h)

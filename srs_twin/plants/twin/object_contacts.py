@@ -84,8 +84,8 @@ class ObjectContacts(NamedTuple):
         sensor: index into `sensordata` of the force on the hull and its point of
             application, shape (C,).
         load: normal force, constant for a support point, shape (C,), N.
-        friction: friction coefficient, shape (C,), dimensionless.
-        admittance: inverse effective mass, shape (C,), 1/kg.
+        friction, admittance: friction coefficient (dimensionless) and inverse effective
+            mass (1/kg), shape (C,).
         force, slip_speed: see `ObjectState`.
         jacobian: spatial vectors that give the velocity along, across and away from the
             object, for hull and object, shape (C, 2, 3, 6). In a pair the vectors of the
@@ -93,8 +93,8 @@ class ObjectContacts(NamedTuple):
         theta: fraction θ of the step at which friction is evaluated, shape (C,).
         response: friction along and across (N), and its derivatives along, mixed and across
             (N·s/m), shape (C, 5).
-        coupling: block B with one row per degree of freedom of the objects, shape (no, nv).
-        solved: product B P⁻¹, shape (no, nv).
+        coupling, solved: block B and B P⁻¹, with one row per degree of freedom of the
+            objects, shape (no, nv).
         matrix: matrix of the objects with its right-hand side as last column, shape (no,
             no + 1).
     """
@@ -218,7 +218,7 @@ def _locate(jacobian, x, y, z, c, s, sign):  # type: ignore[no-untyped-def]
 
 @compiled_if(has_objects)
 def locate_objects(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
-    """Locate the contacts and read their normal forces, after those of the wheels."""
+    """Locate the contacts and read their normal forces, after the wheels' forces."""
     o = engine.objects
     com = engine.subtree_com[1]
     sensors = engine.sensordata

@@ -67,14 +67,13 @@ class SensorAddresses(NamedTuple):
     """Addresses and indices for another engine that steps the bodies.
 
     Attributes:
-        floor_force: address of the floor's force on each wheel, shape (wheels,).
-        foot_velocity: address of the velocity of each foot, shape (wheels,). The array is
-            empty under loaded contact.
+        floor_force, foot_velocity: addresses of the floor's force on each wheel and of the
+            velocity of each foot, shape (wheels,). The latter are empty under loaded
+            contact.
         obstacle_force: address of the obstacles' force on each hull, shape (hulls,).
-        external_force: addresses of all force components that take energy from the snake,
-            except forces on wheels, shape (components,).
-        external_velocity: addresses of the velocities on which these force components do
-            work, shape (components,).
+        external_force, external_velocity: addresses of other force components that take
+            energy from the snake, and of the velocities on which they do work, shape
+            (components,).
         kinetic_energy: address of the kinetic energy.
         connectors: body ids of the connectors, shape (N,).
         hinges: velocity indices of the bending hinges, shape (segments, hinges per
@@ -98,15 +97,13 @@ class Sensors(NamedTuple):
     """Addresses of all sensor components; the last axis of a vector sensor is x, y, z.
 
     Attributes:
-        floor_force: force of the floor on each wheel, shape (axles, 2, 3).
-        foot_velocity: velocity of each foot, shape (axles, 2, 3). The array is empty under
-            loaded contact.
-        hull_force: force of the obstacles on each hull, shape (hulls, 3).
-        hull_velocity: velocity of each hull's centre, shape (hulls, 3).
+        floor_force, foot_velocity: force of the floor on each wheel and velocity of each
+            foot, shape (axles, 2, 3). The velocities are empty under loaded contact.
+        hull_force, hull_velocity: force of the obstacles on each hull and velocity of the
+            hull's centre, shape (hulls, 3).
         object_force: force of each object on each hull, shape (objects, hulls, 3).
-        drag_force: axial drag of each connector, shape (N,). The array is empty without
-            drag.
-        drag_velocity: velocity of each connector along its heading, shape (N,).
+        drag_force, drag_velocity: axial drag of each connector and velocity along its
+            heading, shape (N,). The forces are empty without drag.
         kinetic_energy: address of the kinetic energy.
     """
 
@@ -559,7 +556,6 @@ class SnakePhysics(Stateful):
     def _run_engine(
         self, chamber_controls: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Run all steps in one call of the engine; return states and sensors."""
         model = self.model
         data = self.data
         steps = len(chamber_controls)
@@ -579,7 +575,6 @@ class SnakePhysics(Stateful):
         return states[0], sensors[0]
 
     def _at_feet(self, sensors: np.ndarray, addresses: np.ndarray) -> np.ndarray:
-        """Return sensor values at the feet, or zeros without a floor."""
         if self.free:
             return sensors[:, addresses]
         return np.zeros((len(sensors), *self._no_force.shape))
@@ -643,7 +638,6 @@ class SnakePhysics(Stateful):
         return self._by_segment(self._rates @ self.data.qvel)
 
     def _by_segment(self, rows: np.ndarray) -> np.ndarray:
-        """Reshape values per component and segment to the shape of the bends."""
         if not self._spec.is_spatial:
             return rows
         pairs: np.ndarray = rows.reshape(*rows.shape[:-1], 2, self._spec.segments)
@@ -700,8 +694,7 @@ def _bend_matrices(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the matrices from qpos to bends and from qvel to bend rates.
 
-    A bend is the sum of hinge angles. For a spatial robot, all bends to the left come
-    first, followed by all bends upwards.
+    For a spatial robot, all bends to the left come first, followed by all bends upwards.
     """
     bends = [
         [

@@ -65,11 +65,9 @@ class Traction(NamedTuple):
     """Friction force of a contact and its derivatives.
 
     Attributes:
-        along: force f_t along the heading, N.
-        across: force f_n across the heading, N.
-        slope_along: derivative ∂f_t/∂v_t, N·s/m.
-        slope_mixed: derivatives ∂f_t/∂v_n = ∂f_n/∂v_t, N·s/m.
-        slope_across: derivative ∂f_n/∂v_n, N·s/m.
+        along, across: forces f_t and f_n along and across the heading, N.
+        slope_along, slope_mixed, slope_across: derivatives ∂f_t/∂v_t, ∂f_t/∂v_n = ∂f_n/∂v_t
+            and ∂f_n/∂v_n, N·s/m.
     """
 
     along: float

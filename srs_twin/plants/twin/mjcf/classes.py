@@ -34,8 +34,8 @@ _HIDDEN_GROUP = 5
 _MAX_FREE_BEND = (
     100.0  # limit of the free bend of a spatial robot, far above any real one, rad
 )
-_FLANGE_RATIO = 1.08  # radius of a connector's disc over that of the body, 1
-_RUNNER_RATIO = 0.25  # radius of a skid's runner over that of a wheel, 1
+_FLANGE_RATIO = 1.08  # radius of a connector's disc over the radius of the body
+_RUNNER_RATIO = 0.25  # radius of a skid's runner over the radius of a wheel
 _PLATE_HALF_HEIGHT = (
     0.003  # of a connector's disc at a length unit of 1 (`robot.scale`), m
 )

@@ -227,11 +227,6 @@ def _include_robot(name: str, robot: str, scene: str) -> str:
 
     MuJoCo does not write `include`, and it does not write contact pairs without their
     geoms.
-
-    Args:
-        name: file name of the robot.
-        robot: XML of the robot.
-        scene: XML of the scene with the robot.
     """
     document = minidom.parseString(scene)
     top = document.documentElement

@@ -361,12 +361,8 @@ def _set_inertia(
 ) -> None:
     """Set mass and inertia of a body with the radius of gyration of a connector.
 
-    Args:
-        body: body, changed in place.
-        spec: the robot.
-        mass: mass of the body itself, kg.
-        fixed: inertia of parts that are fixed to the body.
-        x: position of the centre of mass along the body's x axis, m.
+    `mass` excludes the parts `fixed` to the body. `x` is the position of the centre of mass
+    along the body's x axis, m.
     """
     body.mass = mass + fixed.mass
     body.ipos = [x, 0, 0]  # the default of MjSpec would be the body's `pos`
@@ -384,7 +380,6 @@ def _add_forces_of_floor(mj: MjSpec, spec: RobotSpec, settings: ModelSettings) -
 
 
 def _constrain_curvature(mj: MjSpec, j: int, settings: ModelSettings) -> None:
-    """Constrain all hinges of segment j to the angle of the first one."""
     for k in range(2, settings.hinges_per_segment + 1):
         arc = mj.add_equality(name=f"arc_{j}_{k}", type=mujoco.mjtEq.mjEQ_JOINT)
         arc.name1 = f"hinge_{j}_{k}"

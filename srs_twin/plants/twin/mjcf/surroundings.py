@@ -34,10 +34,8 @@ from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import WALL_M, MovableObject, Step, World
 
 CONTACT_BIT = 2  # contype of obstacles and conaffinity of hulls; floor and wheels have explicit pairs
-HEIGHT_RATIO = 2.0  # half height of a round obstacle over the body's width, 1
-_MIN_CONTACT_STEPS = (
-    2.0  # contact time over the time step, 1: the smallest value that MuJoCo uses
-)
+HEIGHT_RATIO = 2.0  # half height of a round obstacle over the body's width
+_MIN_CONTACT_STEPS = 2.0  # minimum contact time over the time step that MuJoCo uses
 _LEVEL_EXTENT = (
     100.0  # of the first and the last level beyond the steps, at a length unit of 1, m
 )
@@ -256,7 +254,6 @@ def add_objects(mj: mujoco.MjSpec, spec: RobotSpec, world: World) -> None:
 
 
 def _add_self_contacts(mj: mujoco.MjSpec, spec: RobotSpec) -> None:
-    """Add frictionless contacts between hulls more than a body width apart."""
     hull = mj.find_default("hull").geom
     default = mj.add_default("self_contact", mj.default)
     default.pair.condim = 1

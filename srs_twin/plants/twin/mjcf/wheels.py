@@ -50,7 +50,7 @@ from srs_twin.robot.spec import GRAVITY, RobotSpec
 _NET_FORCE = 3  # reduction of a contact sensor: sum over all contacts
 _SIDES = {"left": 1, "right": -1}  # sign of y
 _RUNNER_SLOPE = (
-    0.6  # rise of a runner to the front, 1; far above any pitch of a connector
+    0.6  # slope of a runner, which rises to the front; far above any connector's pitch
 )
 
 # Lengths at a length unit of 1 (`robot.scale`), m.
