@@ -1,6 +1,6 @@
-r"""Attribution of the difference between twin and analytical model to modelling assumptions.
+r"""Attribution of the difference between twin and analytical model to assumptions.
 
-A switch replaces one assumption of the analytical model by that of the twin, so that
+A switch replaces one assumption of the analytical model by the twin's assumption, so
 any subset S of the switches gives a model. v(S) is the difference from the twin with
 the switches in S on. The contribution of switch i is its Shapley value, the average
 over all n! orders of switching:
@@ -8,7 +8,7 @@ over all n! orders of switching:
 $$ \phi_i = \sum_{S \not\ni i} \frac{|S|!\,(n - |S| - 1)!}{n!}\,\bigl[v(S \cup i) - v(S)\bigr]. $$
 
 The contributions add up to v(all) − v(none). Assumptions of one plant alone, such as
-its time step, cannot be switched. They are refined instead: the change under a
+its time step, cannot be switched. They are refined instead, and the change under a
 refinement is extrapolated to the limit.
 """
 
@@ -54,7 +54,7 @@ from srs_twin.trajectory import Trajectory
 
 @dataclass(frozen=True)
 class Contribution:
-    """Contribution of one switch: its average, minimum and maximum over all orders of switching."""
+    """Average, minimum and maximum contribution of a switch over all orders."""
 
     value: np.ndarray
     low: np.ndarray
@@ -77,7 +77,7 @@ def contributions(
 
     Args:
         names: names of the switches.
-        differences: v(S), the difference with each subset S of switches on; arrays of
+        differences: difference v(S) for each subset S of switches that are on; arrays of
             one shape.
     """
     n = len(names)
@@ -104,22 +104,22 @@ def contributions(
 
 FROZEN_CHORDS = "frozen chords"
 MATCHED_STIFFNESS_FACTOR = 45.0
-"""Factor on the bending stiffness of the twin in the matched setting: gen2 gets 20 instead of 0.44 N·m/rad.
+"""Factor on the bending stiffness of the twin in the matched setting.
 
-Such a stiff segment follows its free bend, like the prescribed bends of the analytical
-model.
+Gen2 gets 20 instead of 0.44 N·m/rad. Such a stiff segment follows its free bend, like
+the prescribed bends of the analytical model.
 """
 
 
 class Switch(NamedTuple):
-    """Assumption of the analytical model that can be replaced by that of the twin.
+    """Assumption of the analytical model that the twin's assumption can replace.
 
     Attributes:
         name: short name.
-        title: the assumption of the model → that of the twin.
-        differs: whether the plants of this scenario differ in it.
-        options: arguments of the analytical model with the switch on; later switches
-            take precedence.
+        title: assumption of the model → assumption of the twin.
+        differs: whether the plants of this scenario differ in the assumption.
+        options: arguments of the analytical model with the switch on. Later switches take
+            precedence.
     """
 
     name: str
@@ -132,13 +132,14 @@ class Switch(NamedTuple):
 class Refinement:
     """Reduction of an approximation that only one plant makes.
 
-    The total effect is `factor` times the change under the refinement: 2 for an error
-    of first order that is halved, 4/3 for one of second order that is halved or of
-    first order that is quartered, and 1 if the refinement removes the approximation.
+    The total effect is `factor` times the change under the refinement. The factor is 2 for
+    a first-order error that is halved. It is 4/3 for a second-order error that is halved,
+    or a first-order error that is quartered. It is 1 if the refinement removes the
+    approximation.
 
     Attributes:
         name: short name.
-        title: the approximation.
+        title: description of the approximation.
         options: changed arguments of the plant.
         factor: ratio of the total effect to the change under the refinement.
         plant: plant that makes the approximation, "twin" or "analytical".
@@ -163,8 +164,8 @@ class PlantVariants:
         switches: the other switches in which the plants of the scenario differ, in any
             order.
         first_on: names of the switches in `first`.
-        sets: all sets of switches that are simulated, the largest last.
-        same: names of the switches in which they agree.
+        sets: all sets of switches that are simulated, with the largest set last.
+        same: names of the switches in which the plants agree.
         refinements: refinements of approximations that one plant makes.
     """
 
@@ -255,7 +256,6 @@ class PlantVariants:
         ]
 
     def _contact_refinements(self) -> list[Refinement]:
-        """Return the refinements of the floor contact of the twin."""
         contact = self._twin.build_contact().for_robot(self._scenario.robot)
         if isinstance(contact, PreloadedContact):
             stiffer = replace(
@@ -272,7 +272,6 @@ class PlantVariants:
         return [Refinement("loads that follow the motion", title, changed, 1.0)]
 
     def _wheel_refinements(self) -> list[Refinement]:
-        """Return the refinement of rolling wheels; none for other contacts."""
         if self._scenario.robot.skin is not None or self._twin.law not in (
             "wheel",
             "axis",
@@ -293,8 +292,8 @@ class PlantVariants:
         hinges = self._twin.hinges_per_segment
         arcs = {"numerics": Numerics(constant_curvature=True)}
         finer_hinges = arcs | {"hinges_per_segment": 2 * hinges}
-        # The loaded twin is of second order in its time step, the preloaded one of
-        # first.
+        # The loaded twin is second-order accurate in its time step, the preloaded twin
+        # first-order accurate.
         order_factor = 4 / 3 if self._twin.contact == "loaded" else 2.0
         finer_model = {
             "timestep": self._model.timestep_s / 4,
@@ -363,10 +362,10 @@ class PlantVariants:
         return self._scenario.build_plant("twin", **{"world": free} | options)
 
     def damped_twins(self) -> dict[str, Callable[[], Plant]]:
-        """Return the twins with the damping time at the ends of its 95 % interval.
+        """Return twins with the damping time at the ends of its 95 % interval.
 
-        There are none without an interval, and none if the air depends on the bends,
-        because closed chambers diverge with short damping times (docs/models.md).
+        There are none without an interval. There are none either if the air depends on the
+        bends, because closed chambers diverge with short damping times (docs/models.md).
         """
         if self._scenario.document["pneumatics"]["kind"] != "lag":
             return {}
@@ -397,13 +396,12 @@ class PlantVariants:
         )
 
     def matched(self) -> Plant:
-        """Build the analytical model of the matched setting: friction, inertia and gaps of the twin."""
+        """Build the analytical model with friction, inertia and gaps of the twin."""
         on = {"friction law", "wheel track", "rigid gaps", "connector inertia"}
         return self.analytical(frozenset(on), model="complete", friction_torque=True)
 
 
 def _with_bending(spec: RobotSpec, **changes: float) -> RobotSpec:
-    """Return a robot with changed bending parameters."""
     return replace(spec, bending=replace(spec.bending, **changes))
 
 
@@ -419,12 +417,15 @@ attribution simulates the twin about eleven times.
 _TICK_ROUNDING = 1e-6
 """Tolerance for whole ticks, as a fraction of a tick."""
 _MIN_WINDOW_PERIODS = 4
-"""Smallest number of gait periods of a shortened attribution."""
+"""Minimum number of gait periods of a shortened attribution."""
 
 _TWIN_COST = 1.4
 """Mean computing time of a refined twin relative to the twin of the run."""
 _MODEL_COST = 2.5
-"""Mean computing time of a switched model relative to the model of the run; compliant bends take longer."""
+"""Mean computing time of a switched model relative to the model of the run.
+
+Compliant bends take longer than prescribed bends.
+"""
 
 
 def explain(
@@ -437,23 +438,24 @@ def explain(
 ) -> Attribution:
     """Attribute the difference between the two plants of a run to assumptions.
 
-    Every subset of the switches is simulated with the analytical model and compared
-    with the given twin, which gives the Shapley value of each switch (`contributions`).
-    Then each approximation that only one plant makes is refined, and its effect is
-    measured with all switches on. Contributions and remainder add up to the difference.
+    The analytical model is simulated with every subset of the switches and compared with
+    the given twin, which gives the Shapley value of each switch (`contributions`). Then
+    each approximation that only one plant makes is refined, and the effect is measured with
+    all switches on. Contributions and remainder add up to the difference.
+
     Long runs under a controller that reads the state are attributed over a window from
-    their start (`Attribution.window_s`), to which the difference refers as well. Runs
-    with a contact are attributed up to the first one, and the variants of the twin run
+    their start (`Attribution.window_s`), to which the difference refers as well. Runs with
+    a contact are attributed up to the first contact, and the variants of the twin run
     without obstacles.
 
     Args:
         scenario: scenario of the run.
         trajectories: trajectories of both plants, by plant name.
         progress: function called with the finished fraction, 0 to 1, and the remaining
-            time.
-        wall_s: plant → computing time of its run, s, from which the remaining time is
-            estimated.
-        whole: attribute the whole runs, however long they are.
+            time, s.
+        wall_s: computing time of each plant's run, from which the remaining time is
+            estimated, s.
+        whole: whether to attribute the whole runs, however long they are.
 
     Raises:
         InputError: only one plant ran, or the runs are too short for gait metrics.
@@ -495,11 +497,6 @@ def explain(
 
 
 def _checked_gap(scenario: Scenario, model: Trajectory, twin: Trajectory) -> np.ndarray:
-    """Return the difference of the plants after a check that it can be attributed.
-
-    Raises:
-        InputError: it cannot.
-    """
     try:
         gap = gap_between(model, twin)
     except ValueError as error:
@@ -515,12 +512,9 @@ def _checked_gap(scenario: Scenario, model: Trajectory, twin: Trajectory) -> np.
 
 
 def _window(scenario: Scenario, controller: Controller, end: float) -> float | None:
-    """Return the length of the part of the runs that is attributed, s; None: all of it.
+    """Return the length of the attributed part of the runs (s), or None for all of it.
 
-    Args:
-        scenario: scenario of the runs.
-        controller: its controller.
-        end: end of the longer run, s.
+    `end` is the end of the longer run, s.
     """
     if _is_script(controller) or controller.frequency is None:
         return None
@@ -534,7 +528,7 @@ def _window(scenario: Scenario, controller: Controller, end: float) -> float | N
 
 
 def _is_script(controller: Controller) -> bool:
-    """Return whether a controller ignores the state, so that plants play its commands as a script."""
+    """Return whether a controller ignores the state, so its commands are a script."""
     return type(controller).script is not Controller.script
 
 
@@ -550,10 +544,9 @@ def main_cause(
         trajectories: trajectories of both plants, by plant name.
 
     Returns:
-        `name` of the assumption and its effects on `com_speed_m_s` and
-        `yaw_rate_rad_s`, and `window_s` if they refer to the time before a contact;
-        None if the run has no gait then, the model is compliant already, or the robot
-        is spatial.
+        `name` of the assumption, its effects on `com_speed_m_s` and `yaw_rate_rad_s`, and
+        `window_s` if they refer to the time before a contact. None if the run has no gait,
+        the model is compliant already, or the robot is spatial.
     """
     if scenario.robot.is_spatial:
         return None
@@ -577,7 +570,6 @@ def main_cause(
 
 
 def _builders(variants: PlantVariants) -> dict[str, Callable[[], Plant]]:
-    """Return name and builder of each plant to simulate, other than the two plants of the run."""
     builders: dict[str, Callable[[], Plant]] = {
         "stiff twin": variants.stiff_twin,
         "matched": variants.matched,
@@ -600,7 +592,6 @@ def _builders(variants: PlantVariants) -> dict[str, Callable[[], Plant]]:
 
 
 def _variant_name(changes: frozenset[str] | Mapping[str, Any]) -> str:
-    """Return a name for the model with a set of switches on, or for the twin with changed arguments."""
     if isinstance(changes, frozenset):
         return f"model with {', '.join(sorted(changes))}"
     return f"twin with {', '.join(sorted(map(str, changes.items())))}"
@@ -614,7 +605,6 @@ def _run_all(
     progress: Progress | None,
     wall_s: Mapping[str, float],
 ) -> dict[str, Trajectory]:
-    """Simulate every plant under the controller of the scenario, on all processors."""
     builders = _builders(variants)
     costs = [_relative_cost(name, wall_s) for name in builders]
     report = None
@@ -655,7 +645,6 @@ class _Task(NamedTuple):
 def _in_processes(
     tasks: Sequence[_Task], report: Callable[[int], None] | None
 ) -> list[Trajectory | DivergedError]:
-    """Simulate variants in worker processes; return their results in order."""
     results: dict[int, Any] = {}
     with closing(run_tasks(_simulate, tasks)) as completed:
         for done in completed:
@@ -668,14 +657,12 @@ def _in_processes(
 
 
 def _simulate(task: _Task) -> Trajectory:
-    """Simulate a variant in a worker process."""
     plant = _builders(PlantVariants(task.scenario))[task.variant]()
     timing = task.scenario.timing | {"duration": task.duration}
     return rollout(plant, task.controller, **timing)
 
 
 def _relative_cost(name: str, wall_s: Mapping[str, float]) -> float:
-    """Return the estimated computing time of a variant, s, or relative to other variants."""
     if name == "matched" or name.startswith("model "):
         return _MODEL_COST * wall_s.get("analytical", 0.05)
     return _TWIN_COST * wall_s.get("twin", 1.0)
@@ -684,12 +671,9 @@ def _relative_cost(name: str, wall_s: Mapping[str, float]) -> float:
 def _reporter(
     progress: Progress, costs: Sequence[float], *, is_measured: bool
 ) -> Callable[[int], None]:
-    """Return a function of the number of finished runs that reports progress, and report the start.
+    """Report the start, and return a function that reports the finished runs.
 
-    Args:
-        progress: function to call.
-        costs: estimated computing times of the runs.
-        is_measured: whether the computing times are in seconds.
+    `costs` are the estimated computing times of the runs, in s if `is_measured`.
     """
     start = time.monotonic()
     total = sum(costs)
@@ -710,7 +694,6 @@ def _shares(
     runs: Mapping[str, Trajectory],
     gap: np.ndarray,
 ) -> list[AssumptionShare]:
-    """Return the contributions of switches and refinements to the difference."""
     twin = runs[_variant_name({})]
     names = [switch.name for switch in variants.switches]
     differences = {
@@ -733,7 +716,6 @@ def _shares(
 def _refinement_shares(
     variants: PlantVariants, runs: Mapping[str, Trajectory]
 ) -> list[AssumptionShare]:
-    """Return the contributions of the refinements to the model with all switches on or to the twin."""
     model = runs[_variant_name(variants.sets[-1])]
     twin = runs[_variant_name({})]
     shares = []
@@ -754,7 +736,7 @@ def _refinement_shares(
 def _make_share(
     assumption: Switch | Refinement, how: str, contribution: Contribution
 ) -> AssumptionShare:
-    """Return a contribution to the difference, positive if a switch reduces the difference."""
+    """Return a contribution, positive if a switch reduces the difference."""
     value, low, high = (
         _to_floats(-bound)
         for bound in (contribution.value, contribution.high, contribution.low)

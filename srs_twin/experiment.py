@@ -1,4 +1,4 @@
-"""Runs of scenarios: simulate, compute metrics, compare, write the output folder, and load it again.
+"""Runs of scenarios: simulate, measure, compare, write the results, and load them.
 
 Data flow: scenario → plants → trajectories → metrics → comparison → files.
 """
@@ -78,7 +78,7 @@ _ALL_PRODUCTS = (*PRODUCTS, f"{MEASURED}.parquet")
 """Files of a run with a recording."""
 
 Progress = Callable[..., None]
-"""Function called with a task, its completed fraction (0 to 1) and optionally the remaining time, s."""
+"""Function of a task, its completed fraction (0 to 1) and maybe the remaining time, s."""
 Explain = Callable[..., Attribution]
 """Function that attributes the difference of the plants (`attribution.explain`)."""
 
@@ -89,11 +89,10 @@ class RunResult:
 
     Attributes:
         name: name of the scenario.
-        folder: output folder; it no longer exists if it was temporary.
+        folder: output folder, which no longer exists if it was temporary.
         trajectories: trajectory of each plant, up to its divergence.
-        metrics: content of metrics.json; empty if a plant diverged.
-        diverged: errors of diverged plants; the message names the file with the
-            trajectory.
+        metrics: content of metrics.json, which is empty if a plant diverged.
+        diverged: errors of diverged plants. The message names the file with the trajectory.
         failed_attributions: errors of diverged runs of the attribution.
     """
 
@@ -107,14 +106,6 @@ class RunResult:
 
 @dataclass(frozen=True)
 class _Simulated:
-    """Results of the simulation of the plants.
-
-    Attributes:
-        trajectories: trajectory of each plant, up to its divergence.
-        walls: wall time of each plant, s.
-        diverged: errors of diverged plants.
-    """
-
     trajectories: dict[str, Trajectory] = field(default_factory=dict)
     walls: dict[str, float] = field(default_factory=dict)
     diverged: list[DivergedError] = field(default_factory=list)
@@ -122,10 +113,10 @@ class _Simulated:
 
 @dataclass(frozen=True)
 class PreparedRun:
-    """Scenario with its plants and controllers, and an output folder that can be written.
+    """Scenario with its plants and controllers, and a writable output folder.
 
     Attributes:
-        scenario: scenario.
+        scenario: scenario of the run.
         folder: output folder.
         pairs: plant and controller, by name of the plant.
     """
@@ -138,7 +129,7 @@ class PreparedRun:
     def build(
         cls, scenario: Scenario, folder: Path, plants: Sequence[str] | None
     ) -> PreparedRun:
-        """Build plants and controllers; arguments as in `prepare`."""
+        """Build plants and controllers. The arguments are described in `prepare`."""
         kinds = tuple(plants or scenario.plants)
         scenario = scenario.run_on(plants)
         with scenario.named_in_errors():
@@ -155,28 +146,28 @@ class PreparedRun:
         explain: Explain | None = None,
         main_cause: Callable[..., dict[str, Any] | None] | None = None,
     ) -> RunResult:
-        """Simulate all plants, compute metrics, compare, and write the files, metrics.json last.
+        """Simulate all plants, compute and compare metrics, and write the files.
 
-        If a plant diverges, its trajectory up to that time is written and the other
-        plants still run, but there are no comparison, pictures and metrics.json.
+        metrics.json is written last. If a plant diverges, its trajectory up to that time is
+        written and the other plants still run. There are then no comparison, no pictures and no
+        metrics.json.
 
         Args:
-            progress: called with the name of the plant and the completed fraction.
-            explain: attributes the difference of the plants (`attribution.explain`);
-                None: no attribution.
-            main_cause: computes the main cause of the difference
+            progress: function called with the name of the plant and the completed fraction.
+            explain: function that attributes the difference of the plants
+                (`attribution.explain`), or None for no attribution.
+            main_cause: function that computes the main cause of the difference
                 (`attribution.main_cause`) without `explain`.
 
         Raises:
-            InputError: a file cannot be written, or the difference cannot be
-                attributed.
+            InputError: a file cannot be written, or the difference cannot be attributed.
         """
         scenario = self.scenario
         if explain is not None:
             scenario.robot.require_planar("the attribution of a difference")
         done = _Simulated()
         for kind, (plant, controller) in self.pairs.items():
-            # Compile the kernels first, so that the measured time excludes compilation.
+            # This step compiles the kernels, so the measured time excludes compilation.
             shape = (plant.spec.segments, plant.spec.chambers)
             plant.step(np.full(shape, -1, dtype=np.int8))
             report = partial(progress, kind) if progress else None
@@ -206,7 +197,6 @@ class PreparedRun:
         explain: Explain | None,
         main_cause: Callable[..., dict[str, Any] | None] | None,
     ) -> RunResult:
-        """Compare the simulated plants and write the files; see `execute`."""
         scenario = self.scenario
         attribution = None
         failed: tuple[DivergedError, ...] = ()
@@ -224,8 +214,8 @@ class PreparedRun:
         if main_cause is not None and not (done.diverged or attribution):
             cause = main_cause(scenario, done.trajectories)
         metrics: dict[str, Any] = {}
-        # Replace all files at once, so that an interrupt or a full disk leaves those of
-        # an earlier run.
+        # All files are replaced at once, so an interrupt or a full disk leaves the
+        # files of an earlier run.
         with replace_files(self.folder, _ALL_PRODUCTS) as fresh:
             self._write_trajectories(fresh, done.trajectories)
             if not done.diverged:
@@ -259,7 +249,7 @@ class PreparedRun:
         attribution: Attribution | None = None,
         cause: dict[str, Any] | None = None,
     ) -> tuple[dict[str, Any], RunContent]:
-        """Return the content of metrics.json, and that of report and recording.
+        """Return the content of metrics.json, and the content of report and recording.
 
         Args:
             trajectories: trajectory of each plant.
@@ -305,7 +295,6 @@ class PreparedRun:
         return metrics, RunContent(spec, drawn, comparison, differences, scenario.world)
 
     def _contact_entries(self, runs: Mapping[str, Trajectory]) -> dict[str, Any]:
-        """Return the entries of metrics.json on contacts and overlaps, as far as there are any."""
         entries: dict[str, Any] = {}
         ignoring = [kind for kind, run in runs.items() if ignores_obstacles(run)]
         if ignoring:
@@ -328,9 +317,8 @@ class PreparedRun:
     ) -> dict[str, Any]:
         """Return the entries of metrics.json on expectations.
 
-        Args:
-            metrics: all entries on the plants and their comparison.
-            runs: trajectory of each plant and the measured one.
+        `metrics` holds all entries on the plants and their comparison. `runs` includes the
+        measured trajectory.
         """
         scenario = self.scenario
         # Expectations of plants that were not run do not count as missed.
@@ -362,7 +350,6 @@ class PreparedRun:
         content: RunContent,
         attribution: Attribution | None,
     ) -> None:
-        """Write report, recording and metrics into a folder."""
         # Import late, because rerun alone takes half a second.
         from srs_twin.viewing.html.report import write_report
         from srs_twin.viewing.rerun.recording import write_recording
@@ -387,18 +374,20 @@ INTERVALS = Path("calibration/intervals")
 
 
 def twin_contact(scenario: Scenario) -> str | None:
-    """Return the contact of the twin of a scenario; None without a twin or without a floor."""
+    """Return the contact of the twin of a scenario, or None without twin or floor."""
     contact: str | None = (scenario.document["plants"].get("twin") or {}).get("contact")
     return contact
 
 
 def stored_intervals(scenario: Scenario) -> dict[str, Any]:
-    """Return the intervals stored by `srs-twin uncertainty SCENARIO --write`, in this folder or shipped.
+    """Return the intervals that `srs-twin uncertainty SCENARIO --write` has stored.
+
+    The file is searched in the current folder and among the shipped ones.
 
     Returns:
         "stale": reason why the file does not apply, or None if robot and scenario are
-        unchanged; "file": its path; "renew": the command that renews it; "plants":
-        intervals of the metrics of each plant; "segments": ranges of the twin's speed
+        unchanged. "file": its path. "renew": the command that renews it. "plants":
+        intervals of the metrics of each plant. "segments": ranges of the twin's speed
         over stiffness and damping of its segments, or None.
     """
     if scenario.name in shipped_names("scenario"):
@@ -444,7 +433,6 @@ def stored_intervals(scenario: Scenario) -> dict[str, Any]:
 
 
 def _notable(trajectory: Trajectory) -> list[dict[str, Any]]:
-    """Return the faults of a run, its contacts, and the reason if it ended early."""
     faults = [event for event in trajectory.events if event.kind == "fault"]
     return [
         asdict(event)
@@ -457,7 +445,6 @@ def _compare_with_measured(
     metrics: dict[str, Any],
     trajectories: Mapping[str, Trajectory],
 ) -> dict[str, MeasuredDifference]:
-    """Add the differences from a measured trajectory to the metrics; return them by plant."""
     differences = {
         kind: MeasuredDifference.between(measured, run)
         for kind, run in trajectories.items()
@@ -470,7 +457,7 @@ def _compare_with_measured(
 
 
 def _can_be_explained(done: _Simulated) -> bool:
-    """Return whether no plant diverged or touched something too early to leave a difference to explain."""
+    """Return whether the plants ran long enough without divergence or contact."""
     if done.diverged:
         return False
     before = _before_contact(done.trajectories)
@@ -480,7 +467,7 @@ def _can_be_explained(done: _Simulated) -> bool:
 
 
 def _before_contact(runs: Mapping[str, Trajectory]) -> dict[str, Any] | None:
-    """Return speeds and yaw rates before the first contact (`end_s`); None without a contact.
+    """Return speeds and yaw rates before the first contact, or None without a contact.
 
     They are None if too few whole gait periods precede it.
     """
@@ -500,7 +487,6 @@ def _before_contact(runs: Mapping[str, Trajectory]) -> dict[str, Any] | None:
 def _percents(
     progress: Callable[[float], None] | None, duration: float
 ) -> Callable[[float], None]:
-    """Return a function of the simulated time (s) that reports progress once per percent."""
     reported = -1
 
     def watch(time: float) -> None:
@@ -516,7 +502,7 @@ def _percents(
 
 @dataclass(frozen=True)
 class ComparedRuns(Comparison):
-    """Comparison of both plants in a scenario; displayed as a page in notebooks.
+    """Comparison of both plants in a scenario, displayed as a page in notebooks.
 
     Attributes:
         title: title of the scenario.
@@ -540,7 +526,7 @@ class ComparedRuns(Comparison):
         return notebook_run(self.title, self.results, self.trajectories, self.spec)
 
     def show(self) -> None:
-        """Display the page in a notebook; elsewhere print the headline."""
+        """Display the page in a notebook, or print the headline elsewhere."""
         try:
             from IPython.display import display
         except ImportError:
@@ -557,23 +543,21 @@ def compare(
     set: Mapping[str, object] | None = None,  # noqa: A002  # as --set
     gap_factor: bool = False,
 ) -> Comparison:
-    """Compare two trajectories, or run a scenario on both plants and compare the plants.
+    """Compare two trajectories, or run a scenario and compare its plants.
 
     Args:
-        reference: trajectory of the analytical model; or a scenario, its name or its
-            path.
-        candidate: trajectory of the twin; None with a scenario.
+        reference: trajectory of the analytical model, or a scenario with its name or path.
+        candidate: trajectory of the twin, or None with a scenario.
         set: values that override fields of the scenario, as for `load_scenario`.
-        gap_factor: see `comparison.compare.compare`; with a scenario, the scenario sets
-            it.
+        gap_factor: see `comparison.compare.compare`. A scenario sets it itself.
 
     Returns:
-        `Comparison`; for a scenario `ComparedRuns`, which contains the trajectories as
+        A `Comparison`, or for a scenario `ComparedRuns`, which contains the trajectories as
         well.
 
     Raises:
-        InputError: as `comparison.compare.compare` and `load_scenario`, or for a wrong
-            combination of arguments.
+        InputError: the combination of arguments is wrong, or the trajectories or the
+            scenario are invalid.
         DivergedError: the state of a plant is no longer finite.
     """
     if isinstance(reference, Trajectory):
@@ -613,13 +597,12 @@ def prepare(
     """Build the plants and controllers of a scenario and open its output folder.
 
     Args:
-        scenario: scenario.
-        out: output folder; created if missing, and it may contain other files.
-        plants: names of the plants, in this order; None: the plants of the scenario.
+        scenario: scenario to run.
+        out: output folder, which is created if missing and may contain other files.
+        plants: names of the plants, in this order, or None for the plants of the scenario.
 
     Raises:
-        InputError: a plant or controller cannot be built, or the folder cannot be
-            written.
+        InputError: a plant or controller cannot be built, or the folder cannot be written.
     """
     run = PreparedRun.build(scenario, out, plants)
     check_output_folder(out, _ALL_PRODUCTS)
@@ -627,7 +610,7 @@ def prepare(
 
 
 def check_run(scenario: Scenario, out: Path) -> None:
-    """Check that a scenario can run into a folder, before anything is built or simulated.
+    """Check that a scenario can run into a folder, before anything is built.
 
     Raises:
         InputError: the folder cannot be written, or the plan cannot be computed.
@@ -650,9 +633,9 @@ def run_scenario(
 
     Args:
         scenario: name or path of a scenario, or a loaded scenario.
-        out: output folder; None: nothing is written.
+        out: output folder, or None to write nothing.
         set: values that override fields of the scenario, see `load_scenario`.
-        plants: plants that run, in this order; None: those of the scenario.
+        plants: plants that run, in this order, or None for the plants of the scenario.
         progress: see `PreparedRun.execute`.
         explain: function that attributes the difference of the plants, see
             `PreparedRun.execute`.
@@ -661,8 +644,8 @@ def run_scenario(
         Trajectories and metrics. The error of a plant that diverged is in `diverged`.
 
     Raises:
-        InputError: the scenario cannot run or the folder cannot be written; raised
-            before the simulation.
+        InputError: the scenario cannot run or the folder cannot be written. The error is
+            raised before the simulation.
     """
     loaded = load_scenario(scenario, set=set)
     with folder_or_temporary(out) as folder:
@@ -685,7 +668,7 @@ class FinishedRun:
 
     @property
     def name(self) -> str:
-        """Name of the run: that of its folder."""
+        """Name of the run, which is the name of its folder."""
         return self.folder.resolve().name
 
 
@@ -715,7 +698,7 @@ def load_run(run: str | Path) -> FinishedRun:
 
 
 def find_run(run: str | Path) -> Path:
-    """Return the output folder of a run, given by its path or its name in ``./runs``.
+    """Return the output folder of a run, given by path or by name in ``./runs``.
 
     Raises:
         InputError: there is no such run.

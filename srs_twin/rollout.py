@@ -1,9 +1,9 @@
-"""Rollouts of plants under controllers: `rollout` for one run, `run_many` and `run_batch` for several.
+"""Rollouts of plants under controllers.
 
-`run_many` runs independent jobs on any plants, each with the result that `rollout`
-alone would give. In `run_batch` one policy commands all twins of a batch, tick by tick.
-Kernels and MuJoCo release the interpreter's lock while they step, so that runs overlap
-on threads. Results do not depend on the number of threads.
+`rollout` simulates one run. `run_many` runs independent jobs on any plants, each with
+the result that `rollout` alone would give. In `run_batch` one policy commands all twins
+of a batch, tick by tick. Kernels and MuJoCo release the interpreter's lock while they
+step, so runs overlap on threads. Results do not depend on the number of threads.
 
 >>> from functools import partial
 >>> from srs_twin import AnalyticalSnake, Gait, Job, load_robot, run_many
@@ -80,44 +80,39 @@ def rollout(
 ) -> Trajectory:
     """Simulate a plant under a controller and record the trajectory.
 
-    The snake starts at rest at `pose`, unless `begin` or `resume` is given instead. A
-    controller without sensor input has a script of valve commands, which the plant
-    simulates in chunks of many ticks. With `until` or `observers`, for other
-    controllers, and on plants that cannot play scripts, plant and controller alternate
-    every tick.
+    The snake starts at rest at `pose`, unless `begin` or `resume` is given. The valve
+    commands of a controller without sensor input form a script, which the plant simulates
+    in chunks of many ticks. Otherwise, and with `until` or `observers`, plant and
+    controller alternate every tick.
 
     Args:
         plant: simulated robot.
-        controller: controller of its valves.
-        duration: simulated time, s, a multiple of the plant's tick.
-        pose: initial pose: centre of mass x, y (m), mean heading (rad). Default: all 0.
-        begin: function of plant and seed that sets another initial state, as
-            `Plant.place` does.
-        resume: saved states of plant and controller to continue from; the simulated
-            time continues as well.
+        controller: controller of the robot's valves.
+        duration: simulated time, a multiple of the plant's tick, s.
+        pose: initial centre of mass x, y (m) and mean heading (rad); the default is 0.
+        begin: function of plant and seed that sets another initial state, as `Plant.place`
+            does.
+        resume: saved states of plant and controller to continue from. The simulated time
+            continues as well.
         seed: random seed of plant and controller.
-        record_hz: sampling rate, Hz: a whole number of samples per tick, or one sample
-            per whole number of ticks.
-        until: predicate that ends the run after the first tick for which it returns
-            True.
-        observers: functions called with the initial state and with the state after
-            every tick.
+        record_hz: sampling rate, Hz, with a whole number of samples per tick, or a whole
+            number of ticks per sample.
+        until: predicate that ends the run after the first tick for which it returns True.
+        observers: functions called with the initial state and with the state after every
+            tick.
         progress: function called at intervals with the simulated time, s.
 
     Returns:
-        Samples from the initial state on. If `until` or the controller ends the run
-        between two samples, the last state is recorded as well. The metadata contain
-        the reason for an early end (``ended_by``) and the description of the controller
-        (``control``).
+        Samples from the initial state on. If `until` or the controller ends the run between
+        two samples, the last state is recorded as well. The metadata contain the reason for
+        an early end (``ended_by``) and the description of the controller (``control``).
 
     Raises:
-        InputError: duration, tick, time step and record_hz are not compatible; several
-            of pose, begin and resume are given; the controller cannot drive this valve
-            layout; an obstacle overlaps the body at the start; a saved state belongs to
-            another plant or controller; or another thread uses the plant or the
-            controller.
-        DivergedError: plant or controller diverged; its `trajectory` has the samples
-            recorded before.
+        InputError: the durations are not compatible, several initial states are given, the
+            controller does not fit the valve layout, an obstacle overlaps the body, a saved
+            state belongs to another object, or another thread uses plant or controller.
+        DivergedError: plant or controller diverged. The `trajectory` of the error has the
+            samples recorded before.
     """
     check_types("rollout", rollout, locals())
     if sum(start is not None for start in (pose, begin, resume)) > 1:
@@ -157,7 +152,6 @@ def rollout(
 def _initial_state(
     plant: Plant, pose: Pose | None, begin: PlaceFunction | None, seed: int
 ) -> SnakeState:
-    """Set the initial state of a plant and return it; arguments as in `rollout`."""
     if begin is None:
         state = plant.reset(pose=(0.0, 0.0, 0.0) if pose is None else pose, seed=seed)
         check_start(plant, state, TOUCHING_M)
@@ -169,7 +163,6 @@ def _initial_state(
 
 
 def _check_drives(controller: Controller, plant: Plant) -> None:
-    """Raise `InputError` if a controller cannot drive a plant."""
     if plant.layout not in controller.layouts:
         raise InputError(
             f"controller '{controller.kind}' drives valves of layout"
@@ -181,7 +174,7 @@ def _check_drives(controller: Controller, plant: Plant) -> None:
 
 
 def _script(controller: Controller, start: float, span: float) -> Schedule | None:
-    """Return the commands from a time on (s) over a span (s), if they do not depend on the state."""
+    """Return the commands over a span (s), or None if they depend on the state."""
     script = controller.script(start + span)
     if script is not None and start:
         script = script.slice(start, start + span)
@@ -194,10 +187,10 @@ def _play_script(
     ticks: int,
     progress: Callable[[float], None] | None,
 ) -> bool:
-    """Simulate a script of valve commands in chunks; return False if the plant cannot play scripts.
+    """Simulate a script in chunks; return False if the plant cannot play scripts.
 
-    A chunk is a whole number of recorded ticks. Ticks after the last sample are
-    simulated without recording.
+    A chunk is a whole number of recorded ticks. Ticks after the last sample are simulated
+    without recording.
     """
     plant = recorder.plant
     stride = recorder.stride
@@ -234,7 +227,6 @@ def _step_ticks(
     observers: tuple[Observer, ...],
     progress: Callable[[float], None] | None,
 ) -> None:
-    """Alternate controller and plant, one tick at a time, until the run ends."""
     plant = recorder.plant
     controller = recorder.controller
     for observe in observers:
@@ -265,7 +257,6 @@ def _end_of_run(
     until: Callable[[SnakeState], bool] | None,
     state: SnakeState,
 ) -> str | None:
-    """Return the reason why a run ends in a state, or None."""
     if controller.finished:
         return "controller"
     if until is not None and until(state):
@@ -280,7 +271,7 @@ def _describe_controller(controller: Controller) -> str:
 def sample_counts(
     tick: float, record_hz: float, step: float | None = None
 ) -> tuple[int, int]:
-    """Return samples per tick and ticks per sample; at least one of them is 1.
+    """Return samples per tick and ticks per sample, at least one of which is 1.
 
     Args:
         tick: control tick of the plant, s.
@@ -315,7 +306,7 @@ class Recorder:
         plant: recorded plant.
         controller: controller whose signals are recorded.
         samples: samples per tick.
-        stride: ticks per sample; 1 if there are several samples per tick.
+        stride: ticks per sample, or 1 if there are several samples per tick.
         events: events of the controller.
         ended_by: reason for an early end, "until" or "controller", or None.
     """
@@ -335,7 +326,7 @@ class Recorder:
         self.ended_by: str | None = None
 
     def add(self, state: SnakeState) -> None:
-        """Append one state or a history of states, with the current signals of the controller."""
+        """Append one state or a history, with the current signals of the controller."""
         self._states.append(state)
         self._signals.append(
             (np.size(state.time), _flatten_signals(self.controller.signals()))
@@ -413,7 +404,6 @@ class Recorder:
 
 
 def _planar_columns(states: SnakeState) -> dict[str, np.ndarray]:
-    """Return the columns of a history that a spatial snake has under other names or with more axes."""
     columns: dict[str, np.ndarray] = {}
     for name in ("theta", "bend", "sensed", "torque"):
         columns |= _numbered_columns(f"{name}_", getattr(states, name))
@@ -425,7 +415,6 @@ def _planar_columns(states: SnakeState) -> dict[str, np.ndarray]:
 
 
 def _spatial_columns(states: SpatialState) -> dict[str, np.ndarray]:
-    """Return the columns of a history that have more axes or other names than those of a planar snake."""
     columns = _numbered_columns("theta_", states.theta) | _numbered_columns(
         "z_", states.height
     )
@@ -447,7 +436,6 @@ def _spatial_columns(states: SpatialState) -> dict[str, np.ndarray]:
 
 
 def _flatten_signals(signals: dict[str, float | np.ndarray]) -> dict[str, float]:
-    """Return signals as scalars; the elements of array signals get numbered names, from 1."""
     flat: dict[str, float] = {}
     for name, value in signals.items():
         if np.ndim(value) == 0:
@@ -462,22 +450,24 @@ def _flatten_signals(signals: dict[str, float | np.ndarray]) -> dict[str, float]
 def _numbered_columns(
     prefix: str, values: np.ndarray, names: str | None = None
 ) -> dict[str, np.ndarray]:
-    """Return the columns of a (samples, n) array, named by a prefix and 1…n or the letters of `names`."""
+    """Return the columns of a (samples, n) array.
+
+    Their suffixes are 1…n or the letters of `names`.
+    """
     suffixes = names or [str(i) for i in range(1, values.shape[1] + 1)]
     return {f"{prefix}{suffix}": values[:, i] for i, suffix in enumerate(suffixes)}
 
 
 @dataclass(frozen=True)
 class Job:
-    """One run of `run_many`; the fields are arguments of `rollout`.
+    """One run of `run_many`, with arguments of `rollout`.
 
     Attributes:
-        plant: simulated robot, or a function that builds it. A thread calls the
-            function again only if its last job had another function.
-        controller: controller of the valves, or a function that builds it for every
-            job.
+        plant: simulated robot, or a function that builds it. A thread calls the function
+            again only if its last job had another function.
+        controller: controller of the valves, or a function that builds it for every job.
         duration: simulated time, s.
-        pose: initial pose: centre of mass x, y (m), mean heading (rad). Default: all 0.
+        pose: initial centre of mass x, y (m) and mean heading (rad); the default is 0.
         seed: random seed of plant and controller.
         record_hz: sampling rate, Hz.
         begin: function that sets another initial state of the plant, instead of `pose`.
@@ -502,20 +492,19 @@ def run_many(
     threads: int | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> list[Trajectory | DivergedError]:
-    """Run jobs on several threads; results equal those of `rollout` bit for bit.
+    """Run jobs on several threads, with results bit-identical to `rollout`.
 
     Args:
         jobs: runs in any order, without a common plant or controller object.
-        threads: number of threads (default: one per processor).
-        progress: function called on the calling thread with the number of finished
-            jobs.
+        threads: number of threads; the default is one per processor.
+        progress: function called on the calling thread with the number of finished jobs.
 
     Returns:
         One trajectory per job, in order. A diverged job has its error instead, whose
         `trajectory` has the samples recorded before.
 
     Raises:
-        InputError: two jobs share a plant or a controller, or a job cannot be run; the
+        InputError: two jobs share a plant or a controller, or a job cannot be run. The
             message has the number of the first such job.
     """
     jobs = list(jobs)
@@ -536,9 +525,8 @@ def run_many(
             parts = {"plant": _build_plant(job, thread_data), "controller": controller}
             return rollout(**vars(job) | parts, progress=check_cancelled)
         except DivergedError as error:
-            return error.with_traceback(
-                None
-            )  # the traceback's frames would keep the plant alive
+            # The frames of the traceback would keep the plant alive.
+            return error.with_traceback(None)
         except InputError as error:
             raise InputError(f"job {k + 1} of {len(jobs)}: {error}") from error
 
@@ -561,20 +549,19 @@ def run_batch(
         batch: batch of twins, one per run.
         policy: function from the states of all twins (leading axis: runs) to valve
             commands of shape (runs, segments, 2) or (runs, slots, segments, 2).
-        duration: simulated time, s, a multiple of the tick.
-        poses: initial poses, one per twin, as in `rollout` (default: all at the
-            origin).
+        duration: simulated time, a multiple of the tick, s.
+        poses: initial poses, one per twin, as in `rollout`; the default is the origin.
         seed: random seed of the twins.
-        record_hz: sampling rate, Hz, as in `rollout`.
+        record_hz: sampling rate as in `rollout`, Hz.
         progress: function called with the simulated time after every tick, s.
 
     Returns:
         One trajectory per twin, in order. A diverged twin has its error instead, whose
-        `trajectory` has the samples recorded before; the other twins continue.
+        `trajectory` has the samples recorded before. The other twins continue.
 
     Raises:
-        InputError: duration, tick and record_hz are not compatible, or invalid valve
-            commands.
+        InputError: duration, tick and record_hz are not compatible, or a valve command is
+            invalid.
     """
     ticks = count_steps("duration", duration, "tick", batch.tick)
     with claim(batch):
@@ -605,7 +592,6 @@ def _record_start(
     record_hz: float,
     **start: Any,
 ) -> list[Recorder]:
-    """Reset a batch with the arguments `start`; return recorders that contain the initial states."""
     pairs = zip(batch.twins, controllers, strict=True)
     recorders = [
         Recorder(twin, controller, record_hz, duration) for twin, controller in pairs
@@ -620,7 +606,6 @@ def _record_start(
 def _finish_batch(
     batch: TwinBatch, recorders: Sequence[Recorder]
 ) -> list[Trajectory | DivergedError]:
-    """Return the trajectories of a batch; an error has the trajectory recorded before it."""
     results: list[Trajectory | DivergedError] = []
     for recorder, openings, error in zip(
         recorders, batch.openings(), batch.errors, strict=True
@@ -649,20 +634,19 @@ def run_scripts(
 
     Args:
         batch: batch of twins, one per run.
-        controllers: one controller per twin.
-        duration: simulated time, s, a multiple of the tick.
-        poses: initial poses, one per twin, as in `rollout` (default: all at the
-            origin).
+        controllers: controllers without sensor input, one per twin.
+        duration: simulated time, a multiple of the tick, s.
+        poses: initial poses, one per twin, as in `rollout`; the default is the origin.
         seed: random seed of twins and controllers.
-        record_hz: sampling rate, Hz, as in `rollout`.
+        record_hz: sampling rate as in `rollout`, Hz.
         progress: function called at intervals with the simulated time, s.
 
     Returns:
-        As `run_batch`.
+        Trajectories or errors as returned by `run_batch`.
 
     Raises:
         InputError: a controller uses sensor readings, the numbers of controllers and
-            twins differ, or the errors of `run_batch`.
+            twins differ, or an argument is invalid as in `run_batch`.
     """
     ticks = count_steps("duration", duration, "tick", batch.tick)
     if len(controllers) != len(batch.twins):
@@ -704,7 +688,6 @@ def run_scripts(
 
 
 def _check_not_shared(jobs: Sequence[Job]) -> None:
-    """Raise InputError if two jobs would use one plant or controller at the same time."""
     first_user: dict[int, int] = {}
     for k, job in enumerate(jobs, start=1):
         for kind, shared in (("plant", job.plant), ("controller", job.controller)):
@@ -719,7 +702,7 @@ def _check_not_shared(jobs: Sequence[Job]) -> None:
 
 
 def _build_plant(job: Job, thread_data: threading.local) -> Plant:
-    """Return the plant of a job; a thread reuses its last plant if the job has the same builder."""
+    """Return the plant of a job; a thread reuses its plant for the same builder."""
     if isinstance(job.plant, Plant):
         return job.plant
     if getattr(thread_data, "builder", None) is not job.plant:
@@ -734,7 +717,7 @@ class _CancelledError(Exception):
 
 
 class _PolicyController(Controller):
-    """Placeholder for the controller in recordings of batches that a policy commands; it has no signals."""
+    """Placeholder for the controller in recordings of batches under a policy."""
 
     kind = "policy"
 

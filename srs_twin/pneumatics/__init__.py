@@ -1,4 +1,4 @@
-"""Valves, chambers and free bends for both plants, with two models of the chambers."""
+"""Valves, chambers and free bends for both plants, with two chamber models."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from srs_twin.pneumatics.valves import LAYOUTS as LAYOUTS, Schedule as Schedule
 from srs_twin.robot.spec import RobotSpec
 
 SPATIAL_KINDS: dict[str, Callable[..., Pneumatics]] = {"lag": SpatialLagPneumatics}
-"""Kinds for a robot whose segments bend in two directions."""
+"""Chamber models for a robot whose segments bend in two directions."""
 
 KINDS: dict[str, Callable[..., Pneumatics]] = {
     "lag": LagPneumatics,
@@ -41,7 +41,7 @@ def make_pneumatics(
 
     Raises:
         UnknownNameError: the kind is unknown.
-        InputError: as raised by the class.
+        InputError: the class refuses an argument.
     """
     if isinstance(kind, Pneumatics):
         return kind

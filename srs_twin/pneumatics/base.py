@@ -1,4 +1,4 @@
-"""Abstract pneumatics, which map valve commands to chamber pressures and free bends."""
+"""Abstract pneumatics, which map valve commands to pressures and free bends."""
 
 from __future__ import annotations
 
@@ -20,14 +20,12 @@ OptionalArray = np.ndarray | None
 
 
 class Trace(NamedTuple):
-    """State of the chambers at several times; kernels take it as a tuple.
+    """State of the chambers at several times. Kernels take it as a tuple.
 
     Attributes:
         pressure: gauge pressure, shape (times, segments, 2), Pa.
-        bend: free bend, shape (times, segments), rad.
-        bend_rate: rate of the free bend, shape (times, segments), rad/s.
-        bend_acceleration: acceleration of the free bend, shape (times, segments),
-            rad/s².
+        bend, bend_rate, bend_acceleration: free bend (rad) and its first two derivatives
+            (rad/s, rad/s²), shape (times, segments) each.
         valves: valve states up to each time, shape (times, segments, 2).
         air: pneumatic energy drawn from the supply since `reset`, shape (times,), J.
     """
@@ -43,7 +41,7 @@ class Trace(NamedTuple):
     def empty(
         cls, times: int, segments: int, chambers: int = 2, axes: tuple[int, ...] = ()
     ) -> Trace:
-        """Return an uninitialised trace, with `axes` after the segments in the shape of the bends."""
+        """Return an uninitialised trace whose bends have additional `axes`."""
         sides = times, segments, chambers
         q, dq, ddq = (np.empty((times, segments, *axes)) for _ in range(3))
         return cls(
@@ -62,20 +60,19 @@ class Pneumatics(Stateful, ABC):
     the valve delay.
 
     Attributes:
-        kind: short name.
+        kind: short name of the chamber model.
         depends_on_bend: whether pressures depend on the actual bends. A plant with
-            compliant bends must then pass these to `advance`.
-        coupling_step_s: largest interval between two exchanges of bends and pressures
-            with the plant, if pressures depend on the bends, s.
-        stiffness: largest stiffness that closed chambers add to a segment, N·m/rad.
-        max_pressure_ratio: largest possible chamber pressure as a multiple of the
-            supply pressure, 1.
+            compliant bends must then pass its bends to `advance`.
+        coupling_step_s: maximum interval between two exchanges of bends and pressures with
+            the plant, if pressures depend on the bends, s.
+        stiffness: maximum stiffness that closed chambers add to a segment, N·m/rad.
+        max_pressure_ratio: maximum chamber pressure as a multiple of the supply pressure.
         pressure: current gauge pressures, shape (segments, 2), Pa.
         bend: current free bends, shape (segments,), rad.
-        air: pneumatic energy drawn from the supply since `reset`, J: the supply's gauge
-            pressure times the volume of air drawn from it, measured at the supply's
-            pressure. Venting returns no energy.
-        metered: whether `air` and `openings` are known; otherwise they stay 0.
+        air: pneumatic energy drawn from the supply since `reset`, J. It is the supply's
+            gauge pressure times the volume of drawn air, measured at the supply's pressure.
+            Venting returns no energy.
+        metered: whether `air` and `openings` are known. Otherwise they stay 0.
         openings: number of times that each chamber's inlet has opened since `reset`,
             shape (segments, 2).
         valves: latest valve states, shape (segments, 2).
@@ -125,7 +122,7 @@ class Pneumatics(Stateful, ABC):
         self._pending = Schedule(self._delay, np.zeros(1), self.valves[None])
 
     def place(self, pressure: np.ndarray, bend: np.ndarray) -> None:
-        """Set pressures and free bends; valves and metered quantities stay unchanged.
+        """Set pressures and free bends, but not valves and metered quantities.
 
         Args:
             pressure: gauge pressure, shape (segments, 2), Pa.
@@ -148,11 +145,10 @@ class Pneumatics(Stateful, ABC):
         return trace
 
     def _empty_trace(self, times: int) -> Trace:
-        """Return an uninitialised trace of these chambers."""
         return Trace.empty(times, *self.pressure.shape, self.bend.shape[1:])
 
     def current_trace(self) -> Trace:
-        """Return a trace of the current time, with the rates that follow from the current valve states."""
+        """Return a trace of the current time with the current rates."""
         return self._simulate(
             Schedule(0.0, np.zeros(1), self.valves[None]), np.zeros(1), None, None
         )
@@ -161,9 +157,9 @@ class Pneumatics(Stateful, ABC):
         """Return checked commands as a schedule.
 
         Args:
-            valves: shape (segments, 2), or (slots, segments, 2) with slots of equal
-                length.
-            span: s.
+            valves: valve states, shape (segments, 2), or (slots, segments, 2) for slots of
+                equal length.
+            span: length of the schedule, s.
 
         Raises:
             InputError: the shape is wrong, or the valve layout does not have a state.
@@ -197,7 +193,7 @@ class Pneumatics(Stateful, ABC):
             )
 
     def effective_schedule(self, schedule: Schedule) -> Schedule:
-        """Return the valve states that result from commands, with the valve delay and stuck valves."""
+        """Return the valve states that result from delay, faults and commands."""
         effective = schedule
         if self._delay:
             effective = self._pending.followed_by(schedule).slice(0.0, schedule.span)
@@ -218,12 +214,12 @@ class Pneumatics(Stateful, ABC):
         """Advance over a schedule and return the state of the chambers at some times.
 
         Args:
-            schedule: checked valve states, as commanded.
-            times: ascending, within [0, span], from the start of the schedule, s.
-            bend: actual bends at the start, shape (segments,), rad, for chambers that
-                depend on them; None for bends that follow the free bends.
-            bend_rate: rates of the actual bends, shape (segments,), rad/s, assumed to
-                be constant over the schedule.
+            schedule: checked valve commands.
+            times: times from the start of the schedule, ascending within [0, span], s.
+            bend: actual bends at the start, shape (segments,), rad, for chambers that depend on
+                them, or None for bends that follow the free bends.
+            bend_rate: rates of the actual bends, assumed to be constant over the schedule,
+                shape (segments,), rad/s.
 
         Raises:
             DivergedError: pressures, free bends or the energy drawn are not finite and
@@ -246,7 +242,6 @@ class Pneumatics(Stateful, ABC):
         return trace
 
     def _check_state(self) -> None:
-        """Raise `DivergedError` if the current state is not plausible."""
         if is_plausible(self.pressure, self.bend, self.air):
             return
         for name, values in (
@@ -267,14 +262,13 @@ class Pneumatics(Stateful, ABC):
         bend: OptionalArray,
         bend_rate: OptionalArray,
     ) -> Trace:
-        """Advance as in `advance` under effective valve states; set `pressure`, `bend` and `air`."""
+        """Advance under effective valve states and set `pressure`, `bend` and `air`."""
 
     def set_supply_pressure(self, supply_pa: float) -> None:
-        """Set the pressure of the supply; a `reset` keeps it.
+        """Set the pressure of the supply. A `reset` keeps it.
 
         Args:
-            supply_pa: gauge pressure, Pa; at most the one with which the chambers were
-                constructed.
+            supply_pa: gauge pressure, at most the supply pressure at construction, Pa.
 
         Raises:
             InputError: the pressure is out of range, or the chambers have no regulator.
@@ -294,10 +288,10 @@ class Pneumatics(Stateful, ABC):
 
 
 def check_supply(supply_pa: float, max_pa: float) -> None:
-    """Check a supply pressure (Pa) against the largest one, with which the chambers were constructed.
+    """Check a supply pressure (Pa) against the maximum, set at construction.
 
     Raises:
-        InputError: it is out of range.
+        InputError: the pressure is out of range.
     """
     if not 0 <= supply_pa <= max_pa:
         raise InputError(
@@ -310,7 +304,7 @@ def check_not_negative(**values: float) -> None:
     """Check that numbers are finite and not negative.
 
     Raises:
-        InputError: one of them is not; the message has its name.
+        InputError: a number is invalid; the message names it.
     """
     for name, value in values.items():
         if not (math.isfinite(value) and value >= 0):

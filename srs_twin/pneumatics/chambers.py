@@ -1,13 +1,13 @@
 r"""Volume of a chamber, and the bend law φ that maps pressures to free bends.
 
-**Volume.** A chamber grows when its segment bends to its side, and is never smaller
-than its dead volume V₀:
+**Volume.** A chamber grows when its segment bends to the side of the chamber, and is
+never smaller than its dead volume V₀:
 
 $$ V^\pm(q) = V_0 + A\,\max(0, \pm q). $$
 
 A is the air volume that the dissertation gives for 90° (Sections 2.1.1–2.1.3: 15, 45,
-70 ml), divided by π/2. Air is an ideal gas at constant temperature. Its amount is
-measured as n = P V in J, with the absolute pressure P.
+70 ml), divided by π/2. Air is an ideal gas at constant temperature. The amount of air
+is measured as n = P V in J, with the absolute pressure P.
 
 **Bend law.** With the nominal gain G, the gains g of the two chambers relative to G,
 and the rest bend b,
@@ -18,15 +18,16 @@ y = x - \frac{s w}{2} \ln \frac{\cosh((x + d)/w)}{\cosh((x - d)/w)}. $$
 
 x is called the linear bend. φ is odd, smooth, and monotone for all s ≤ 1, d, w and q_m.
 It is linear, as in the dissertation (Eq. 14), if s = 0 and q_m is infinite. The free
-bend follows x immediately; x follows the pressures with the mode time constant τ₂.
+bend follows x immediately, and x follows the pressures with the mode time constant τ₂.
 
-- *Saturation.* Strips that do not stretch and chambers that touch each other limit the
-  bend to q_m. φ deviates from the linear law by at most 1.5 % up to q_m/2, and its
-  slope is one third at 0.87 q_m.
-- *Dead zone.* A module whose walls must swell before they bend loses the fraction s of
-  the slope for |x| < d, and s d of the bend for larger |x|. The width of the transition
-  is w, and the slope at rest is 1 − s tanh(d/w). For w ≪ d the transition is sharp; for
-  w ≈ d the curve is convex from the start, like powers of the pressure.
+- *Saturation.* Inextensible strips and chambers that touch each other limit the bend to
+  q_m. φ deviates from the linear law by at most 1.5 % up to q_m/2, and its derivative
+  is one third at 0.87 q_m.
+- *Dead zone.* The walls of some modules must swell before the module bends. For |x| < d
+  such a module loses the fraction s of the derivative, and for larger |x| it loses s d
+  of the bend. The width of the transition is w, and the derivative at rest is
+  1 − s tanh(d/w). For w ≪ d the transition is sharp. For w ≈ d the curve is convex from
+  the start, like powers of the pressure.
 """
 
 from __future__ import annotations
@@ -49,12 +50,12 @@ AMBIENT_PA = 101_325.0
 
 @compiled
 def volume(dead, displacement, bend, side):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return the volume of a chamber (m³) and its derivative with respect to the bend (m³/rad).
+    """Return the volume of a chamber (m³) and its derivative (m³/rad).
 
     Args:
         dead: dead volume V₀, m³.
-        displacement: A, m³/rad.
-        bend: q, rad.
+        displacement: displacement A, m³/rad.
+        bend: bend q, rad.
         side: 0 for the + chamber, 1 for the − chamber.
     """
     sign = 1.0 - 2.0 * float(side)
@@ -63,7 +64,7 @@ def volume(dead, displacement, bend, side):  # type: ignore[no-untyped-def]  # n
     return dead, 0.0
 
 
-# Below this linear bend φ(x)/x is replaced by its limit, rad.
+# Below this linear bend, φ(x)/x is replaced by its limit for x → 0, rad.
 _MIN_LINEAR_RAD = 1e-9
 
 # Largest linear bend in the search of `invert_bend_law`, rad.
@@ -74,13 +75,13 @@ NO_LIMIT_RAD = 1e3
 
 
 class BendLaw(NamedTuple):
-    """Parameters of φ.
+    """Parameters of the bend law φ.
 
     Attributes:
-        bend_limit: q_m, rad.
-        onset_share: s, dimensionless.
-        onset: d, rad.
-        onset_width: w, rad.
+        bend_limit: bend limit q_m, rad.
+        onset_share: lost fraction s of the derivative in the dead zone, dimensionless.
+        onset: end d of the dead zone, rad.
+        onset_width: width w of the transition, rad.
     """
 
     bend_limit: float
@@ -96,13 +97,13 @@ def bend_law(spec: RobotSpec) -> BendLaw:
 
 @kernel_only
 def log_cosh(z):  # type: ignore[no-untyped-def]
-    """Return ln cosh z + ln 2; the constant cancels in the difference of two such terms."""
+    """Return ln cosh z + ln 2, whose constant cancels in differences."""
     return abs(z) + np.log(1.0 + np.exp(-2.0 * abs(z)))
 
 
 @compiled
 def apply_bend_law(x, law):  # type: ignore[no-untyped-def]
-    """Return φ(x) (rad) and its first two derivatives (1, 1/rad).
+    """Return φ(x) (rad) and its first two derivatives (dimensionless, 1/rad).
 
     Args:
         x: linear bend, rad.
@@ -166,7 +167,7 @@ def check_pressure(pressure: Array, largest: float) -> Array:
     """Return gauge pressures (Pa) after checking that chambers can have them.
 
     Raises:
-        InputError: a pressure is negative or above the largest allowed one.
+        InputError: a pressure is negative or above the maximum.
     """
     pressure = np.array(pressure, dtype=float)
     outside = ~((pressure >= -1e-6) & (pressure <= largest * (1 + 1e-9)))
@@ -184,20 +185,17 @@ def chamber_gains(spec: RobotSpec) -> Array:
 
 
 def air_bend(spec: RobotSpec, pressure: Array) -> Array:
-    """Return φ(x), the free bends without the rest bends, rad.
+    """Return φ(x), the free bends without the rest bends, shape (…, segments), rad.
 
     Args:
         spec: the robot.
         pressure: gauge pressure, shape (…, segments, 2), Pa.
-
-    Returns:
-        Shape (…, segments).
     """
     return free_bends(spec, _linear_bend(spec, pressure))
 
 
 def vector_bends(spec: RobotSpec, pressure: Array) -> Array:
-    """Return φ(|x|) x/|x|, the free bends of a spatial robot without the rest bends, rad.
+    """Return φ(|x|) x/|x|, the free bends of a spatial robot without rest bends, rad.
 
     Args:
         spec: the robot.
@@ -213,25 +211,24 @@ def vector_bends(spec: RobotSpec, pressure: Array) -> Array:
 
 
 def free_extensions(spec: RobotSpec, pressure: Array) -> Array:
-    r"""Return the free extensions of the segments of a spatial robot, m.
+    r"""Return the free extensions of spatial segments, shape (…, segments), m.
 
-    Chambers of equal section pull with forces that are proportional to their pressures.
-    With C chambers and the extension e per mean pressure,
+    Chambers of equal section exert forces that are proportional to their pressures. With C
+    chambers and the extension e per mean pressure,
 
     $$ \Delta l = \frac{e}{C} \sum_c p_c . $$
 
     Args:
         spec: the robot.
         pressure: gauge pressure, shape (…, segments, chambers), Pa.
-
-    Returns:
-        Shape (…, segments).
     """
     return np.asarray(spec.actuator.extension * pressure.mean(axis=-1))
 
 
 def equivalent_linear_pressure(spec: RobotSpec, pressure: Array) -> Array:
-    """Return the pressures that give the same bends under a linear law, for MuJoCo's linear actuators.
+    """Return the pressures that give the same bends under a linear law.
+
+    MuJoCo's linear actuators take these pressures.
 
     Args:
         spec: the robot.
@@ -241,7 +238,7 @@ def equivalent_linear_pressure(spec: RobotSpec, pressure: Array) -> Array:
     bends = free_bends(spec, linear)
     if bends is linear:
         return pressure
-    # For x → 0, φ(x)/x tends to the slope at rest.
+    # For x → 0, φ(x)/x tends to the derivative at rest.
     slope = apply_bend_law(0.0, bend_law(spec))[1]
     ratio = np.where(
         np.abs(linear) > _MIN_LINEAR_RAD,
@@ -252,7 +249,12 @@ def equivalent_linear_pressure(spec: RobotSpec, pressure: Array) -> Array:
 
 
 def largest_bend(spec: RobotSpec, supply_pa: float) -> float:
-    """Return the free bend of a nominal segment with the supply pressure (Pa) in one chamber, rad."""
+    """Return the free bend of a nominal segment with one chamber filled, rad.
+
+    Args:
+        spec: the robot.
+        supply_pa: supply pressure, Pa.
+    """
     return float(free_bends(spec, np.array(spec.actuator.gain * supply_pa)))
 
 
@@ -263,7 +265,7 @@ def _linear_bend(spec: RobotSpec, pressure: Array) -> Array:
 
 
 def free_bends(spec: RobotSpec, linear: Array) -> Array:
-    """Return φ(x) of linear bends x, rad, with the shape of x; a linear law returns x itself."""
+    """Return φ(x) of linear bends x, rad. A linear law returns x itself."""
     limit, share, d, w = bend_law(spec)
     y = linear
     if share != 0.0:

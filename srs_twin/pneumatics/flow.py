@@ -1,13 +1,14 @@
-r"""Flow through a valve after ISO 6358, with sonic conductance C and critical pressure ratio b.
+r"""Flow through a valve after ISO 6358.
 
-The flow of an amount of air n = P V from the absolute pressure P₁ to P₂, with r = P₂/P₁
-and at constant temperature, is
+The valve has the sonic conductance C and the critical pressure ratio b. The flow of an
+amount of air n = P V from the absolute pressure P₁ to P₂, with r = P₂/P₁ and at
+constant temperature, is
 
 $$ \dot n = P_0\,C\,P_1\,\psi(r),\qquad
 \psi = \begin{cases} 1 & r \le b \\ \sqrt{1 - \bigl(\tfrac{r-b}{1-b}\bigr)^2} & b < r \le r_l \end{cases} $$
 
 P₀ = 100 kPa is the reference pressure of the standard. At equal pressures ψ has an
-infinite slope. Above r_l = 0.999 the flow is therefore linear in P₁ − P₂ (laminar
+infinite derivative. Above r_l = 0.999 the flow is therefore linear in P₁ − P₂ (laminar
 flow), as usual in simulation.
 """
 
@@ -25,22 +26,22 @@ REFERENCE_PA = 100_000.0
 """Absolute pressure of the reference state of ISO 6358, Pa."""
 
 LAMINAR = 0.999
-"""Pressure ratio r_l above which the flow is linear, 1."""
+"""Pressure ratio r_l above which the flow is linear, dimensionless."""
 
 REMAINING = math.exp(-2)
-"""Fraction of a pressure change that remains at the working point, 1: its value after two time constants."""
+"""Fraction of a pressure change that remains after two time constants, at the working point."""
 
 
 @compiled
 def flow(first, second, critical):  # type: ignore[no-untyped-def]
-    """Return P₁ ψ from the first to the second side (Pa) and its partial derivatives by the two pressures.
+    """Return P₁ ψ (Pa) and its derivatives with respect to both pressures.
 
     The flow is negative if it is from the second to the first side.
 
     Args:
         first: absolute pressure on the first side, Pa.
         second: absolute pressure on the second side, Pa.
-        critical: critical pressure ratio b, 1.
+        critical: critical pressure ratio b, dimensionless.
     """
     backward = second > first
     high, low = (second, first) if backward else (first, second)
@@ -68,9 +69,9 @@ class Conductances(NamedTuple):
     """Conductances of the valves of a chamber, and its capacity.
 
     Attributes:
-        fill: C of the inlet, m³/(s Pa).
-        vent: C of the outlet, m³/(s Pa).
-        capacity: K at the working point of filling, J/Pa.
+        fill: conductance C of the inlet, m³/(s Pa).
+        vent: conductance C of the outlet, m³/(s Pa).
+        capacity: capacity K at the working point of filling, J/Pa.
     """
 
     fill: float
@@ -79,14 +80,15 @@ class Conductances(NamedTuple):
 
 
 def conductances(spec: RobotSpec, critical: float) -> Conductances:
-    """Return the conductances of inlet and outlet for which the small-signal response has the robot's τ₁.
+    """Return the conductances that give the robot's τ₁ for small signals.
 
-    One chamber fills or vents, the opposite one is vented, and the bend follows as q ≈
-    G (p − τ₂ ṗ). A change dp of the gauge pressure needs the amount of air K dp with
-    K(p) = V + (p + P_a) A G, so that ṗ = ṅ/K; terms of first order in τ₂ are corrected.
-    Chambers with a first-order lag have dṗ/dp = −1/τ₁ at all pressures. Here C is
-    chosen so that this holds at the working point: where the pressure between ambient
-    and the nominal supply has completed 1 − e⁻² of its change.
+    One chamber fills or vents, the opposite one is vented, and the bend follows as
+    q ≈ G (p − τ₂ ṗ). A change dp of the gauge pressure needs the amount of air K dp with
+    K(p) = V + (p + P_a) A G, so that ṗ = ṅ/K. Terms of first order in τ₂ are corrected.
+
+    Chambers with a first-order lag have dṗ/dp = −1/τ₁ at all pressures. Here C is chosen so
+    that this holds at one working point, where the pressure between ambient and the nominal
+    supply has completed 1 − e⁻² of its change.
 
     Args:
         spec: the robot.
@@ -116,12 +118,7 @@ def _conductance(
 ) -> float:
     """Return the C for which dṗ/dp = −1/τ at the gauge pressure p.
 
-    Args:
-        passed: P₁ ψ of the valve into the chamber as a function of the gauge pressure,
-            Pa.
-        p: gauge pressure at the working point, Pa.
-        tau: time constant τ, s.
-        spec: the robot.
+    `passed` is P₁ ψ of the valve into the chamber as a function of the gauge pressure, Pa.
     """
     dead = spec.chamber.dead_volume
     growth = spec.chamber.displacement * spec.actuator.gain

@@ -12,16 +12,15 @@ $$ \tau_2\,\dot x + x = G\,(g^+ p^+ - g^- p^-),\qquad q = b + \varphi(x), $$
 
 with φ, b and the gains of `chambers`. Nominal modules with τ_fill = τ_vent = τ₁ obey
 Eq. 14–15 as corrected by E1 and E2: q̈ + (1/τ₁ + 1/τ₂) q̇ + q/(τ₁τ₂) = C₀ u/(τ₁τ₂). The
-switching time of a valve, 3 ms, is part of τ₂; a further valve delay is 0 by default.
+switching time of a valve, 3 ms, is part of τ₂. A further valve delay is 0 by default.
 
-A valve that fills for the fraction o of the time and vents for the rest relaxes the
-chamber at the rate a = o/τ_fill + (1 − o)/τ_vent + λ towards P = (o S/τ_fill + r)/a,
-with the supply pressure S and an additional rate of change r (`relaxation_of`, which
-takes arrays of any shape).
+A valve may fill for the fraction o of the time and vent for the rest. The chamber then
+relaxes at the rate a = o/τ_fill + (1 − o)/τ_vent + λ towards P = (o S/τ_fill + r)/a,
+with the supply pressure S and an additional rate of change r (`relaxation_of`).
 
 **Pneumatic energy.** The content n = P V(q) of a filling chamber increases by the
-inflow less the leak, so that a fill draws Δn + λ ∫ p V dt. Δn is exact, with V at the
-free bend; the integral of the leak is evaluated by Simpson's rule between the requested
+inflow minus the leak, so a fill draws Δn + λ ∫ p V dt. Δn is exact, with V at the free
+bend. The integral of the leak is evaluated by Simpson's rule between the requested
 times.
 """
 
@@ -61,14 +60,16 @@ def relaxation_of(
     leak: np.ndarray | float = 0.0,
     other: np.ndarray | float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the relaxation rate a (1/s) of pressures, and their asymptote P (Pa).
+    """Return the relaxation rate a (1/s) of pressures and their asymptote P (Pa).
+
+    The arrays may have any shape.
 
     Args:
-        fill: o/τ_fill, any shape, 1/s.
-        vent: (1 − o)/τ_vent, 1/s.
-        supply: S, gauge, Pa.
-        leak: λ, 1/s.
-        other: r, Pa/s.
+        fill: filling rate o/τ_fill, 1/s.
+        vent: venting rate (1 − o)/τ_vent, 1/s.
+        supply: supply pressure S, gauge, Pa.
+        leak: leak rate λ, 1/s.
+        other: additional rate of change r, Pa/s.
     """
     rate = fill + vent + leak
     return rate, (fill * supply + other) / np.where(rate == 0.0, 1.0, rate)
@@ -88,14 +89,14 @@ def followed(
     tau: float,
     time: float | np.ndarray,
 ) -> np.ndarray:
-    """Return the state of a lag τ₂ behind pressures after a time (s).
+    """Return the state of a lag τ₂ behind pressures after a time.
 
     Args:
         lagged: initial state of the lag, Pa.
         pressure: initial pressures, Pa.
         relaxation: rates and asymptotes, as returned by `relaxation_of`.
-        tau: τ₂, s.
-        time: s.
+        tau: time constant τ₂, s.
+        time: elapsed time, s.
     """
     rate, end = relaxation
     mode = (
@@ -114,30 +115,26 @@ def followed(
 class Relaxation(NamedTuple):
     """Laws of the chambers, and their propagation over a time without valve events.
 
-    Kinds group chambers with equal time constants. Arrays by kind and valve state have
-    the shape (kinds, 3), with the columns −1, 0, +1. The device engine copies the
-    record.
+    Chambers with equal time constants are of one kind. Arrays per kind and valve state have
+    the shape (kinds, 3), with the columns −1, 0, +1. The device engine copies the record.
 
     Attributes:
         kinds: kind of each chamber, shape (segments, 2).
-        rates: a by kind and valve state, 1/s.
-        asymptotes: P by kind and valve state, Pa.
-        decay: work array, factor e^{−at} of the deviation p − P, by kind and valve
+        rates: relaxation rate a per kind and valve state, 1/s.
+        asymptotes: asymptote P per kind and valve state, Pa.
+        decay: work array with the factor e^{−at} of the deviation p − P, per kind and valve
             state.
-        lag: work array, response of x to this deviation, per gain, by kind and valve
+        lag: work array with the response of x to this deviation, per gain, kind and valve
             state.
         mode: work array, factor e^{−t/τ₂} of x, shape (1,).
-        tau: τ₂, s.
-        leak: λ, 1/s.
-        damping_time: c/k of a segment, s.
+        tau: mode time constant τ₂, s.
+        leak: leak rate λ, 1/s.
+        damping_time: damping time c/k of a segment, s.
         gain: gain of each chamber, shape (segments, 2), rad/Pa.
         bias: rest bends, shape (segments,), rad.
-        bend_limit: see `BendLaw`, rad.
-        onset_share: see `BendLaw`.
-        onset: see `BendLaw`, rad.
-        onset_width: see `BendLaw`, rad.
-        dead_volume: V₀ of a chamber, m³.
-        displacement: A of a chamber, m³/rad.
+        bend_limit, onset_share, onset, onset_width: see `BendLaw`.
+        dead_volume: dead volume V₀ of a chamber, m³.
+        displacement: displacement A of a chamber, m³/rad.
         worth: pneumatic energy per amount of air drawn, dimensionless.
     """
 
@@ -166,8 +163,7 @@ class _Chambers(NamedTuple):
 
     Attributes:
         pressure: gauge pressures, shape (segments, 2), Pa.
-        linear: linear bends x, shape (segments,), rad.
-        bend: free bends, shape (segments,), rad.
+        linear, bend: linear bends x and free bends, shape (segments,), rad.
     """
 
     pressure: np.ndarray
@@ -176,7 +172,7 @@ class _Chambers(NamedTuple):
 
 
 _SAME = 1e-6
-"""Value of 1 − a τ₂ below which the two time constants count as equal."""
+"""Value of |1 − a τ₂| below which the two time constants count as equal."""
 
 
 class LagChambers(Pneumatics):
@@ -199,8 +195,7 @@ class LagChambers(Pneumatics):
             spec: the robot.
             supply_pa: supply pressure, gauge, Pa.
             layout: valve layout, one of `LAYOUTS`.
-            leak_per_s: leak rate λ, the relative rate at which a held pressure falls,
-                1/s.
+            leak_per_s: leak rate λ, the relative rate at which a held pressure falls, 1/s.
             valve_delay_s: time from a command until the valve switches, s.
 
         Raises:
@@ -222,7 +217,7 @@ class LagChambers(Pneumatics):
     def _prepare(
         self, spec: RobotSpec, tau_fill: np.ndarray, tau_vent: np.ndarray
     ) -> None:
-        """Prepare the laws for the time constants of the chambers, shape (segments, chambers), s."""
+        """Prepare the laws for time constants of shape (segments, chambers), s."""
 
     def describe(self) -> dict[str, object]:
         """See `Pneumatics.describe`."""
@@ -230,15 +225,15 @@ class LagChambers(Pneumatics):
 
 
 class LagPneumatics(LagChambers):
-    """Chambers with a first-order lag (module docstring)."""
+    """Chambers with a first-order lag. See the module docstring."""
 
     state_attributes = ("_linear", "_asymptote", "_energy_per_amount")
 
     def _prepare(
         self, spec: RobotSpec, tau_fill: np.ndarray, tau_vent: np.ndarray
     ) -> None:
-        # Chambers of one kind have the same time constants and share the evaluation of
-        # exponentials.
+        # Chambers of one kind have equal time constants, so their exponentials are
+        # evaluated once.
         kinds, kind = np.unique(
             np.stack([tau_fill.ravel(), tau_vent.ravel()]), axis=1, return_inverse=True
         )
@@ -285,15 +280,15 @@ class LagPneumatics(LagChambers):
         self.bend = np.array(bend, dtype=float)
 
     def set_supply_pressure(self, supply_pa: float) -> None:
-        """See `Pneumatics.set_supply_pressure`; the pressure changes immediately."""
+        """See `Pneumatics.set_supply_pressure`. The pressure changes immediately."""
         check_supply(supply_pa, self._max_supply)
-        # A leak lowers the equilibrium pressure below that of the supply.
+        # A leak lowers the equilibrium pressure below the supply pressure.
         filling = supply_pa / self._tau_fill / self._law.rates[:, 2]
         self._law.asymptotes[:, 2] = filling
         self._energy_per_amount = supply_pa / (supply_pa + AMBIENT_PA)
 
     def relaxation(self, time: float) -> Relaxation:
-        """Return the propagation over a time (s), in which each chamber is a kind of its own."""
+        """Return the propagation over a time (s), with each chamber as its own kind."""
         kinds = self._law.kinds
         rates = self._law.rates[kinds.ravel()]
         relaxation = self._law._replace(
@@ -328,14 +323,10 @@ class LagPneumatics(LagChambers):
 
 @compiled
 def _fill_trace(now, schedule, times, law, trace):  # type: ignore[no-untyped-def]
-    """Fill a trace at `times`, advance to the end of a schedule, and return the amount of air drawn (J).
+    """Fill a trace at `times` and advance the chambers `now` to the end of a schedule.
 
-    Args:
-        now: state of the chambers, in place.
-        schedule: effective valve states.
-        times: ascending, shape (times,), s.
-        law: a `Relaxation`.
-        trace: out; its air is the amount drawn since the start, J.
+    The result is the drawn amount of air, J. The trace holds the amount drawn since the
+    start.
     """
     starts = schedule.starts
     row = 0
@@ -345,13 +336,13 @@ def _fill_trace(now, schedule, times, law, trace):  # type: ignore[no-untyped-de
         begin = starts[run]
         is_last = run + 1 == starts.shape[0]
         stop = schedule.span if is_last else starts[run + 1]
-        # Filling chambers draw the increase of their content plus their leak; other
+        # A filling chamber draws the increase of its content plus its leak. Other
         # chambers draw nothing.
         content_before = _filling_content(state, now, law)
         leaked = last = 0.0
         while True:
-            # The rows of the trace within the run, then the end of the run, from which
-            # the next one starts.
+            # First come the rows of the trace within the run, then the end of the run,
+            # from which the next run starts.
             requested = row < times.shape[0] and (times[row] <= stop or is_last)
             t = (times[row] if requested else stop) - begin
             if law.leak > 0.0:
@@ -394,7 +385,6 @@ def _fill_trace(now, schedule, times, law, trace):  # type: ignore[no-untyped-de
 
 @inlined
 def _filling_content(state, now, law):  # type: ignore[no-untyped-def]
-    """Return the amount of air in all chambers that fill, J."""
     content = 0.0
     for j in range(now.linear.shape[0]):
         free = law.bias[j] + apply_bend_law(now.linear[j], law)[0]
@@ -406,7 +396,6 @@ def _filling_content(state, now, law):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _drive_rate(state, j, plus, minus, law):  # type: ignore[no-untyped-def]
-    """Return the rate of G (g⁺p⁺ − g⁻p⁻) of a segment (rad/s); arguments as in `advance_segment`."""
     first = law.kinds[j, 0]
     second = law.kinds[j, 1]
     up = state[0] + 1
@@ -418,14 +407,9 @@ def _drive_rate(state, j, plus, minus, law):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _leaked(last, t, state, now, law):  # type: ignore[no-untyped-def]
-    """Return λ ∫ p V dt of the filling chambers from `last` to t (s) by Simpson's rule, J.
+    """Return λ ∫ p V dt of the filling chambers by Simpson's rule, J.
 
-    Args:
-        last: begin, from the start of the run, s.
-        t: end, s.
-        state: valve states, shape (segments, 2).
-        now: chambers at the start of the run.
-        law: a `Relaxation`.
+    The integral extends from `last` to `t`, in s from the start of the run.
     """
     leaked = 0.0
     for at, weight in ((last, 1 / 6), (0.5 * (last + t), 4 / 6), (t, 1 / 6)):
@@ -442,7 +426,6 @@ def _leaked(last, t, state, now, law):  # type: ignore[no-untyped-def]
 
 @compiled
 def _fill_decay(t, law):  # type: ignore[no-untyped-def]
-    """Fill the factors `decay`, `lag` and `mode` of a `Relaxation` after a time t (s)."""
     mode = math.exp(-t / law.tau)
     law.mode[0] = mode
     for kind in range(law.rates.shape[0]):
@@ -455,14 +438,10 @@ def _fill_decay(t, law):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def advance_segment(state, j, pressure, linear, law):  # type: ignore[no-untyped-def]
-    """Return the pressures (Pa) and the linear bend (rad) of a segment after a time without valve events.
+    """Return pressures (Pa) and linear bend (rad) of a segment after a time.
 
-    Args:
-        state: valve states, shape (2,).
-        j: segment.
-        pressure: gauge pressures before, shape (2,), Pa.
-        linear: linear bend before, rad.
-        law: a `Relaxation` with the factors of the time.
+    The time has no valve events, and `law` holds its factors. The given pressures and the
+    linear bend are the initial values.
     """
     first = law.kinds[j, 0]
     second = law.kinds[j, 1]
@@ -488,15 +467,15 @@ def advance_segment(state, j, pressure, linear, law):  # type: ignore[no-untyped
 
 @kernel_only
 def filling_content(state, plus, minus, bend, law, ambient):  # type: ignore[no-untyped-def]
-    """Return the sum of (p + ambient) V over those chambers of a segment that fill, J.
+    """Return the sum of (p + ambient) V over the filling chambers of a segment, J.
 
     Args:
         state: valve states, shape (2,).
         plus: gauge pressure of the + chamber, Pa.
         minus: gauge pressure of the − chamber, Pa.
-        bend: q, rad.
+        bend: bend q, rad.
         law: a `Relaxation`.
-        ambient: ambient pressure, Pa; 0 for the content by gauge pressure.
+        ambient: ambient pressure, or 0 for the content by gauge pressure, Pa.
     """
     total = float(0.0)
     pressure = float(plus)
@@ -512,12 +491,7 @@ def filling_content(state, plus, minus, bend, law, ambient):  # type: ignore[no-
 def _exponential_response(rate, tau, t, decay, mode):  # type: ignore[no-untyped-def]
     """Return y(t) of τ ẏ + y = e^{−at} with y(0) = 0: (e^{−at} − e^{−t/τ})/(1 − aτ).
 
-    Args:
-        rate: a, 1/s.
-        tau: τ, s.
-        t: s.
-        decay: e^{−at}.
-        mode: e^{−t/τ}.
+    `decay` is e^{−at}, and `mode` is e^{−t/τ}.
     """
     gap = 1 - rate * tau
     if abs(gap) < _SAME:

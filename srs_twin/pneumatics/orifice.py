@@ -1,24 +1,25 @@
-r"""Chambers behind orifices (ISO 6358), isothermal and growing with the bend, with one supply.
+r"""Chambers behind orifices (ISO 6358), isothermal and growing with the bend.
 
-The unknowns are the amount of air n = P V of each chamber, the linear bends x, and the
-amount of air in the line between the supply and the inlets:
+One supply feeds all chambers. The unknowns are the amount of air n = P V of each
+chamber, the linear bends x, and the amount of air in the line between the supply and
+the inlets:
 
 $$ \dot n = \dot n_{in} - \dot n_{out} - \Lambda\,(P - P_a),\qquad P = n / V(q),\qquad
 \tau_2\,\dot x + x = G\,(g^+ p^+ - g^- p^-),\qquad q_f = b + \varphi(x). $$
 
-φ, b, V(q) and the gains g are those of `chambers`, the flows those of `flow`.
+`chambers` defines φ, b, V(q) and the gains g, and `flow` defines the flows.
 Conductances follow from the robot's τ₁ (`flow.conductances`). The leak conductance Λ is
 such that a held chamber of a nominal module loses its pressure at the rate `leak_per_s`
 at the working point.
 
-Without a flow limit the line has the pressure of the supply. With one, a compressor
-with a regulator feeds the line. Its flow is at most the limit, measured at ambient
-pressure, and decreases to 0 over the last hundredth of the supply pressure. All inlets
-share the line, so a limited flow slows down all segments.
+Without a flow limit the line has the pressure of the supply. With a flow limit, a
+compressor with a regulator feeds the line. Its flow is at most the limit, measured at
+ambient pressure, and decreases to 0 over the last hundredth of the supply pressure. All
+inlets share the line, so a limited flow slows down all segments.
 
-**Integration.** SDIRK2 (two stages, second order, L-stable) with Newton's method over
-all chambers. Its sub-steps end on valve events; between their ends, states are cubic
-Hermite polynomials.
+**Integration.** SDIRK2 (two stages, second order, L-stable) solves all chambers
+together with Newton's method. Substeps end on valve events. Within a substep, states
+are cubic Hermite polynomials.
 """
 
 from __future__ import annotations
@@ -59,25 +60,25 @@ from srs_twin.pneumatics.valves import Schedule
 from srs_twin.robot.spec import RobotSpec
 
 CRITICAL_RATIO = 0.3
-"""Critical pressure ratio b of a small solenoid valve, 1.
+"""Critical pressure ratio b of a small solenoid valve, dimensionless.
 
-Estimate; such valves have 0.2 to 0.5.
+The value is an estimate; such valves have 0.2 to 0.5.
 """
 
 MAX_CRITICAL_RATIO = 0.8
-"""Largest critical pressure ratio, 1.
+"""Maximum critical pressure ratio, dimensionless.
 
-A choked flow at a working point would not determine C.
+A larger ratio would choke the flow at a working point, which would not determine C.
 """
 
 LINE_VOLUME = 50e-6
-"""Volume between a limited supply and the inlets, m³. Estimate: compressor outlet, tubes and manifold."""
+"""Estimated volume of compressor outlet, tubes and manifold behind a limited supply, m³."""
 
 _SUBSTEP_S = 5e-4
-"""Longest step of the integrator at a time unit of 1 (`robot.scale`), s."""
+"""Maximum step of the integrator at a time unit of 1 (`robot.scale`), s."""
 
 REGULATOR_BAND = 0.01
-"""Fraction of the supply's gauge pressure over which its regulator closes, 1."""
+"""Fraction of the supply's gauge pressure over which its regulator closes."""
 
 
 class OrificeKeywords(TypedDict, total=False):
@@ -97,14 +98,14 @@ class OrificeOptions:
 
     Attributes:
         critical_ratio: critical pressure ratio b of all valves, dimensionless.
-        flow_limit: largest flow of the supply, measured at ambient pressure, m³/s; None
+        flow_limit: maximum flow of the supply, measured at ambient pressure, m³/s, or None
             for no limit.
-        line_volume: volume of the line between supply and inlets, m³; it has an effect
-            only with a flow limit.
-        line_begins: initial gauge pressure in the line, Pa; default that of the supply.
+        line_volume: volume of the line between supply and inlets, m³. It has an effect only
+            with a flow limit.
+        line_begins: initial gauge pressure in the line, Pa; default is the supply pressure.
         leak_per_s: relative rate at which a held pressure falls, 1/s.
-        substep: longest step of the integrator, s; default 0.5 ms times the time unit
-            of the robot (`robot.scale`).
+        substep: maximum step of the integrator, s; default is 0.5 ms times the time unit of
+            the robot (`robot.scale`).
     """
 
     critical_ratio: float = CRITICAL_RATIO
@@ -130,7 +131,7 @@ class OrificeOptions:
         """Return the initial gauge pressure in the line, Pa.
 
         Raises:
-            InputError: it is above that of the supply, or negative.
+            InputError: the pressure is negative or above the supply pressure.
         """
         begins = supply_pa if self.line_begins is None else self.line_begins
         if not 0 <= begins <= supply_pa:
@@ -141,7 +142,7 @@ class OrificeOptions:
         return begins
 
     def describe(self, line_begins: float) -> dict[str, object]:
-        """Return the settings for the provenance of a run, with the initial pressure of the line in Pa."""
+        """Return the settings for the provenance of a run."""
         settings: dict[str, object] = {
             "critical_ratio": self.critical_ratio,
             "flow_limit_l_per_min": None,
@@ -157,22 +158,22 @@ class OrificeOptions:
 
 
 class OrificePneumatics(Pneumatics):
-    """Chambers behind orifices (module docstring).
+    """Chambers behind orifices. See the module docstring.
 
     Attributes:
         conductances: conductances of the inlets and of the outlets, shape (segments, 2)
             each, m³/(s Pa).
         line_pressure: current gauge pressure between supply and inlets, Pa.
-        drawn: amount of air drawn from the supply since `reset`, P V, J.
-        lost: amount of air vented and leaked since `reset`, P V, J.
+        drawn: amount of air P V drawn from the supply since `reset`, J.
+        lost: amount of air P V vented and leaked since `reset`, J.
         plumbing: parameters of the equations.
     """
 
     kind = "orifice"
     state_attributes = ("_state", "_amounts", "plumbing", "_energy_per_amount")
     depends_on_bend = True
-    # A segment that bends away compresses the air in a closed chamber: gen 3 reaches a
-    # ratio of 1.6.
+    # A segment that bends away from a closed chamber compresses the air in it. Gen 3
+    # reaches a ratio of 1.6.
     max_pressure_ratio = 4.0
 
     def __init__(
@@ -247,14 +248,13 @@ class OrificePneumatics(Pneumatics):
         )
 
     def _fill(self, pressure: np.ndarray, bend: np.ndarray) -> None:
-        """Set the amounts of air for gauge pressures (Pa) and bends (rad)."""
         plumbing = self.plumbing
         for j, side in np.ndindex(pressure.shape):
             size, _ = volume(plumbing.dead, plumbing.displacement, bend[j], side)
             self._state[j, side] = (AMBIENT_PA + pressure[j, side]) * size
 
     def place(self, pressure: np.ndarray, bend: np.ndarray) -> None:
-        """See `Pneumatics.place`; the actual bends are set to the free bends."""
+        """See `Pneumatics.place`. The actual bends are set to the free bends."""
         plumbing = self.plumbing
         linear = invert_bend_law(bend - self.rest_bend, plumbing.law)
         self.pressure = check_pressure(
@@ -275,9 +275,9 @@ class OrificePneumatics(Pneumatics):
         """Give one chamber a leak from now on.
 
         Args:
-            segment: segment, from 1 at the head.
+            segment: segment number, counted from 1 at the head.
             side: 0 for the + chamber, 1 for the − chamber.
-            per_s: relative rate at which its pressure falls while it is held, 1/s.
+            per_s: relative rate at which the chamber's pressure falls while it is held, 1/s.
         """
         leaks = self.plumbing.leak.copy()
         leaks[segment - 1, side] = per_s * self._capacity
@@ -290,12 +290,12 @@ class OrificePneumatics(Pneumatics):
 
     @property
     def drawn(self) -> float:
-        """Amount of air drawn from the supply since `reset`, P V, J."""
+        """Amount of air P V drawn from the supply since `reset`, J."""
         return float(self._amounts[DRAWN])
 
     @property
     def lost(self) -> float:
-        """Amount of air vented and leaked since `reset`, P V, J."""
+        """Amount of air P V vented and leaked since `reset`, J."""
         return float(self._amounts[LOST])
 
     def describe(self) -> dict[str, object]:
@@ -329,7 +329,7 @@ class OrificePneumatics(Pneumatics):
 
 
 def _closed_stiffness(spec: RobotSpec, supply_pa: float) -> float:
-    """Return the stiffness of a closed chamber at the supply pressure, dM/dq = k G P A/V₀, N·m/rad."""
+    """Return dM/dq = k G P A/V₀ of a closed chamber at the supply pressure, N·m/rad."""
     chamber = spec.chamber
     strongest = float(chamber_gains(spec).max()) * spec.bending.stiffness
     return (
@@ -342,7 +342,6 @@ def _closed_stiffness(spec: RobotSpec, supply_pa: float) -> float:
 def _chamber_conductances(
     spec: RobotSpec, critical: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the conductances of each chamber's inlet and outlet, shape (segments, 2) each, m³/(s Pa)."""
     modules = spec.modules
     actuator = spec.actuator
     # Chambers with equal parameters share one solution.

@@ -1,8 +1,8 @@
 """Compiled equations of the orifice chambers and their integration (`orifice`).
 
-The state y of a segment is (n⁺, n⁻, x): amounts of air (J) and linear bend (rad). The
-volumes follow either the free bends, or the actual bends of a plant, which are
-extrapolated from the start of a schedule (`ActualBends`).
+The state y of a segment is (n⁺, n⁻, x): two amounts of air (J) and the linear bend
+(rad). The volumes follow either the free bends, or the actual bends of a plant, which
+are extrapolated from the start of a schedule (`ActualBends`).
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from srs_twin.pneumatics.chambers import AMBIENT_PA, BendLaw, apply_bend_law, vo
 from srs_twin.pneumatics.flow import flow
 
 GAMMA = 1 - math.sqrt(0.5)
-"""Diagonal γ of SDIRK2, 1; its stages are at γ h and h."""
+"""Diagonal γ of SDIRK2, whose stages are at γ h and h, dimensionless."""
 
 _MAX_NEWTON = 40  # iterations of a stage
 _NEWTON_TOLERANCE = 1e-12
-"""Largest correction at which Newton's method stops, J and rad."""
+"""Maximum correction at which Newton's method stops, J and rad."""
 
 _X = 2  # column of y: linear bend
 
@@ -35,7 +35,7 @@ _INFLOW = 4
 
 # Last axis of the corrections of a Newton step.
 _ALONE = 0  # without a change of the line
-_BY_LINE = 1  # slope by the pressure of the line
+_BY_LINE = 1  # derivative with respect to the pressure of the line
 
 # Quantities of a chamber for the back substitution.
 _COUPLING = 0
@@ -51,21 +51,19 @@ class Plumbing(NamedTuple):
 
     Attributes:
         dead: dead volume V₀, m³.
-        displacement: A, m³/rad.
+        displacement: displacement A, m³/rad.
         gain: gain of each chamber, shape (segments, 2), rad/Pa.
         bias: rest bends b, shape (segments,), rad.
-        law: a `BendLaw`.
+        law: bend law, a `BendLaw`.
         tau: mode time constant τ₂, s.
-        critical: critical pressure ratio b of the valves, 1.
-        fill: P₀ C of each inlet, shape (segments, 2), m³/s.
-        vent: P₀ C of each outlet, shape (segments, 2), m³/s.
+        critical: critical pressure ratio b of the valves, dimensionless.
+        fill, vent: P₀ C of each inlet and outlet, shape (segments, 2), m³/s.
         leak: leak conductance Λ of each chamber, shape (segments, 2), J/(s Pa).
         supply: absolute supply pressure, Pa.
-        max_flow: largest flow of the supply, J/s.
-        band: pressure range over which its regulator closes, Pa.
-        line_volume: m³.
-        limited: whether the flow is limited; otherwise the line has the pressure of the
-            supply.
+        max_flow: maximum flow of the supply, J/s.
+        band: pressure range over which the regulator closes, Pa.
+        line_volume: volume of the line, m³.
+        limited: whether the flow is limited. Otherwise the line has the supply pressure.
     """
 
     dead: float
@@ -89,9 +87,9 @@ class ActualBends(NamedTuple):
     """Actual bends of a plant.
 
     Attributes:
-        coupled: whether the volumes follow them, instead of the free bends.
-        bend: at the start of the schedule, shape (segments,), rad.
-        rate: shape (segments,), rad/s.
+        coupled: whether the volumes follow the actual bends instead of the free bends.
+        bend: actual bends at the start of the schedule, shape (segments,), rad.
+        rate: rates of the actual bends, shape (segments,), rad/s.
     """
 
     coupled: bool
@@ -103,7 +101,7 @@ class OrificeState(NamedTuple):
     """State of the chambers.
 
     Attributes:
-        y: shape (segments, 3).
+        y: state of each segment, shape (segments, 3).
         amounts: amounts of air of the whole robot, shape (AMOUNTS,), J.
         pressure: gauge pressures, shape (segments, 2), Pa.
         bend: free bends, shape (segments,), rad.
@@ -119,8 +117,7 @@ class _Work(NamedTuple):
     """Work arrays of a step.
 
     Attributes:
-        base: known part of y in a stage, shape (segments, 3).
-        rates: ẏ, shape (segments, 3).
+        base, rates: known part of y in a stage, and ẏ, shape (segments, 3).
         bend: actual bends at a stage, shape (segments,), rad.
         linear: corrections of y (`_ALONE`, `_BY_LINE`), shape (segments, 3, 2).
         terms: quantities of the chambers, shape (segments, 2, _TERMS).
@@ -138,13 +135,11 @@ class ChamberFlow(NamedTuple):
 
     Attributes:
         pressure: absolute pressure P, Pa.
-        per_volume: 1/V, 1/m³.
-        squeeze: −∂P/∂q, Pa/rad.
-        inflow: from the line, J/s.
-        inflow_by_p: derivative by P, J/(s Pa).
-        inflow_by_line: derivative by the pressure of the line, J/(s Pa).
-        outflow: J/s.
-        outflow_by_p: derivative by P, J/(s Pa).
+        per_volume: inverse volume 1/V, 1/m³.
+        squeeze: derivative −∂P/∂q, Pa/rad.
+        inflow, outflow: flow from the line, and flow to the surroundings, J/s.
+        inflow_by_p, outflow_by_p: derivatives of the flows with respect to P, J/(s Pa).
+        inflow_by_line: derivative with respect to the pressure of the line, J/(s Pa).
     """
 
     pressure: float
@@ -164,7 +159,7 @@ def chamber(n, bend, j, side, state, line, air):  # type: ignore[no-untyped-def]
     Args:
         n: amount of air, J.
         bend: bend that determines the volume, rad.
-        j: segment.
+        j: index of the segment.
         side: 0 for the + chamber, 1 for the − chamber.
         state: valve state.
         line: absolute pressure before the inlets, Pa.
@@ -202,7 +197,7 @@ def chamber(n, bend, j, side, state, line, air):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def supply_flow(line, air):  # type: ignore[no-untyped-def]
-    """Return the supply's flow into a line at a pressure (J/s), and its derivative by that pressure."""
+    """Return the supply's flow into the line (J/s) and its pressure derivative."""
     opening = (air.supply - line) / air.band
     if opening <= 0.0:
         return 0.0, 0.0
@@ -213,21 +208,12 @@ def supply_flow(line, air):  # type: ignore[no-untyped-def]
 
 @compiled
 def _newton(y, amounts, line_base, weight, state, coupled, air, work):  # type: ignore[no-untyped-def]
-    """Make one Newton iteration of y = base + weight · ẏ for y and the line; return its size.
+    """Perform one Newton iteration for the stage equation y = base + weight · ẏ.
 
-    Chambers depend on each other only through the bend of their segment and through the
-    line. Each segment is therefore eliminated separately, as a linear function of the
-    change of the line's pressure.
-
-    Args:
-        y: state, shape (segments, 3).
-        amounts: amounts of air of the whole robot.
-        line_base: known part of the amount of air in the line, J.
-        weight: γ h, s.
-        state: valve states, shape (segments, 2).
-        coupled: whether the volumes follow the actual bends.
-        air: the plumbing.
-        work: with the known part of y.
+    The result is the norm of the update. Chambers depend on each other only through the
+    bend of their segment and through the line. Each segment is therefore eliminated
+    separately, as a linear function of the change of the line's pressure. `weight` is γ h,
+    and `line_base` is the known part of the amount of air in the line.
     """
     base = work.base
     linear = work.linear
@@ -248,8 +234,8 @@ def _newton(y, amounts, line_base, weight, state, coupled, air, work):  # type: 
         bend_residual = y[j, _X] * bend_slope - base[j, _X]
         for side in range(2):
             c = chamber(y[j, side], q, j, side, state[j, side], line, air)
-            # Eliminate the amount of air n of the chamber: Newton's row is linear in x
-            # and the line.
+            # The chamber's amount of air n is eliminated, which leaves a row that is
+            # linear in x and in the pressure of the line.
             squeeze = c.squeeze * bend_rate
             rate_by_p = weight * (c.inflow_by_p - c.outflow_by_p)
             pivot = 1.0 - rate_by_p * c.per_volume
@@ -280,7 +266,7 @@ def _newton(y, amounts, line_base, weight, state, coupled, air, work):  # type: 
 
 @inlined
 def _add_segment_to_line(j, residual, slope, weight, linear, terms):  # type: ignore[no-untyped-def]
-    """Correct the chambers of a segment for its bend; return residual and slope of the line with its flow."""
+    """Correct a segment's chambers for its bend, and add their flow to the line."""
     for side in range(2):
         coupling = terms[j, side, _COUPLING]
         inflow = terms[j, side, _FLOW]
@@ -304,13 +290,13 @@ def _add_segment_to_line(j, residual, slope, weight, linear, terms):  # type: ig
 
 @kernel_only
 def _apply_correction(y, amounts, linear, change, air):  # type: ignore[no-untyped-def]
-    """Add the corrections for a change of the line's pressure (Pa) in place; return the largest one."""
+    """Add the corrections for a change of the line's pressure (Pa) in place."""
     amounts[LINE] += change * air.line_volume
     largest = abs(change * air.line_volume)
     for j in range(y.shape[0]):
         for k in range(3):
             step = linear[j, k, _ALONE] + linear[j, k, _BY_LINE] * change
-            # Amounts of air remain positive, so limit their decrease.
+            # The decrease is limited, so that amounts of air remain positive.
             if k == _X:
                 y[j, k] = y[j, k] + step
             else:
@@ -320,8 +306,6 @@ def _apply_correction(y, amounts, linear, change, air):  # type: ignore[no-untyp
 
 
 class _Flows(NamedTuple):
-    """Flow from the supply, total inflow and total outflow of the chambers, J/s."""
-
     supply: float
     inflow: float
     outflow: float
@@ -329,7 +313,6 @@ class _Flows(NamedTuple):
 
 @kernel_only
 def _rates(y, line_amount, state, coupled, bend, air, dy):  # type: ignore[no-untyped-def]
-    """Fill dy with ẏ; return the `_Flows`."""
     if air.limited:
         line = line_amount / air.line_volume
     else:
@@ -345,8 +328,8 @@ def _rates(y, line_amount, state, coupled, bend, air, dy):  # type: ignore[no-un
         for side in range(2):
             c = chamber(y[j, side], q, j, side, state[j, side], line, air)
             dy[j, side] = c.inflow - c.outflow
-            # Gauge pressures: the two gains differ, so ambient pressure does not
-            # cancel.
+            # The two gains differ, so ambient pressure would not cancel. Gauge pressures
+            # are used instead.
             gauge = c.pressure - AMBIENT_PA
             deviation += (1.0 - 2.0 * side) * air.gain[j, side] * gauge
             total_inflow = total_inflow + c.inflow
@@ -358,26 +341,16 @@ def _rates(y, line_amount, state, coupled, bend, air, dy):  # type: ignore[no-un
 
 @kernel_only
 def _extrapolate_bends(bend, actual, time):  # type: ignore[no-untyped-def]
-    """Fill the actual bends at a time after the start of the schedule (s)."""
     for j in range(bend.shape[0]):
         bend[j] = actual.bend[j] + actual.rate[j] * time
 
 
 @kernel_only
 def _step(now, h, begun, state, actual, air, work):  # type: ignore[no-untyped-def]
-    """Advance y and amounts in place by one step of SDIRK2.
+    """Advance y and amounts in place by one step of SDIRK2 from the time `begun` (s).
 
-    Args:
-        now: an `OrificeState`.
-        h: length of the step, s.
-        begun: time at its beginning, s.
-        state: valve states, shape (segments, 2).
-        actual: the actual bends.
-        air: the plumbing.
-        work: its `rates` hold ẏ at the beginning, then at the end of the step.
-
-    Returns:
-        Flow from the supply and total inflow at the end, J/s.
+    `work.rates` holds ẏ at the beginning, then at the end of the step. The result is the
+    flow from the supply and the total inflow at the end, J/s.
     """
     y = now.y
     amounts = now.amounts
@@ -417,8 +390,7 @@ class _End(NamedTuple):
     """One end of a step.
 
     Attributes:
-        y: state, shape (segments, 3).
-        rates: ẏ, shape (segments, 3).
+        y, rates: state and ẏ, shape (segments, 3).
         air: amounts of air, flow from the supply and total inflow, shape (5,).
     """
 
@@ -428,16 +400,7 @@ class _End(NamedTuple):
 
 
 class _StepRows(NamedTuple):
-    """Rows of a trace within a step.
-
-    Attributes:
-        first: first row.
-        until: row after the last one.
-        begun: beginning of the step, s.
-        length: length of the step, s.
-        begin: state at the beginning.
-        end: state at the end.
-    """
+    """Rows `first` to `until` − 1 of a trace within a step, whose times are in s."""
 
     first: int
     until: int
@@ -465,7 +428,6 @@ def _copy_amounts(now, out):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _rows_until(times, row, finish, is_last):  # type: ignore[no-untyped-def]
-    """Return the first row of a trace, from `row` on, after the end of a step; the last step has all rows."""
     while row < times.shape[0] and (times[row] <= finish or is_last):
         row += 1
     return row
@@ -473,16 +435,16 @@ def _rows_until(times, row, finish, is_last):  # type: ignore[no-untyped-def]
 
 @allocating
 def simulate(now, schedule, times, substep, actual, air, trace):  # type: ignore[no-untyped-def]
-    """Advance a state in place over a schedule; fill a trace at `times`.
+    """Advance a state in place over a schedule, and fill a trace at `times`.
 
     Args:
-        now: an `OrificeState`; its pressures and free bends are set at the end.
+        now: an `OrificeState`, whose pressures and free bends are set at the end.
         schedule: effective valve states.
-        times: ascending, shape (times,), s.
-        substep: longest step, s.
+        times: times of the rows of the trace, ascending, shape (times,), s.
+        substep: maximum step, s.
         actual: the actual bends.
         air: the plumbing.
-        trace: out; its air is the amount drawn, J.
+        trace: output. Its air is the amount drawn, J.
     """
     y = now.y
     starts = schedule.starts
@@ -530,7 +492,6 @@ def simulate(now, schedule, times, substep, actual, air, trace):  # type: ignore
 
 @kernel_only
 def _fill_end(now, span, actual, air):  # type: ignore[no-untyped-def]
-    """Fill pressures and free bends at the end of a schedule of length `span` (s)."""
     for j in range(now.y.shape[0]):
         now.bend[j] = air.bias[j] + apply_bend_law(now.y[j, _X], air.law)[0]
         q = now.bend[j]
@@ -551,7 +512,7 @@ class _Sample(NamedTuple):
 
 @allocating
 def _fill_rows(times, step, state, actual, air, trace):  # type: ignore[no-untyped-def]
-    """Fill rows of a trace within a step from the cubic Hermite polynomials through both ends of the step."""
+    """Fill the trace within a step from cubic Hermite polynomials through its ends."""
     h = step.length
     y0 = step.begin.y
     y1 = step.end.y
@@ -593,7 +554,6 @@ def _fill_rows(times, step, state, actual, air, trace):  # type: ignore[no-untyp
 
 @kernel_only
 def _fill_segment(trace, row, j, at, state, actual, air):  # type: ignore[no-untyped-def]
-    """Fill pressures, valves and free bend of a segment in a row of a trace; `at` is a `_Sample`."""
     y = at.y
     dy = at.rates
     free, slope, curve = apply_bend_law(y[j, _X], air.law)

@@ -1,14 +1,14 @@
 r"""Chambers of a spatial robot, which bend a segment in several directions.
 
-Each chamber fills and vents with the first-order lag of `lag`; a lag with the time
-constant τ₂ follows its pressure. With the directions d_c of the chambers
+Each chamber fills and vents with the first-order lag of `lag`, and a lag with the time
+constant τ₂ follows the pressure. With the directions d_c of the chambers
 (`Chamber.directions`), the lagged pressures p̂_c and the bend law φ of `chambers`, the
-free bend of a segment is a vector with the components left and up,
+free bend of a segment is a vector with components to the left and upwards,
 
 $$ x = G \sum_c g_c\, \hat p_c\, d_c, \qquad q = b + \varphi(|x|)\, x / |x| , $$
 
 so that the bend limit applies to the magnitude of the bend. The volume of a chamber
-grows with the bend in its direction: V = V₀ + A max(0, q · d_c).
+grows with the bend in the direction of the chamber: V = V₀ + A max(0, q · d_c).
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from srs_twin.robot.spec import RobotSpec
 
 
 class SpatialLagPneumatics(LagChambers):
-    """Chambers with a first-order lag in several directions (module docstring).
+    """Chambers with a first-order lag in several directions.
 
-    `bend`, `rest_bend` and the bends of a `Trace` have the shape (…, segments, 2): to
-    the left, upwards.
+    See the module docstring. `bend`, `rest_bend` and the bends of a `Trace` have the shape
+    (…, segments, 2) with the components to the left and upwards.
     """
 
     state_attributes = ("_lagged", "_supply")
@@ -48,7 +48,7 @@ class SpatialLagPneumatics(LagChambers):
         self._lagged = np.zeros_like(self.pressure)
 
     def set_supply_pressure(self, supply_pa: float) -> None:
-        """See `Pneumatics.set_supply_pressure`; the pressure changes immediately."""
+        """See `Pneumatics.set_supply_pressure`. The pressure changes immediately."""
         check_supply(supply_pa, self._max_supply)
         self._supply = supply_pa
 
@@ -87,7 +87,6 @@ class SpatialLagPneumatics(LagChambers):
         return trace
 
     def _relaxation(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return rate (1/s) and asymptote (Pa) of each chamber, shape (segments, chambers)."""
         return relaxation_of(
             np.where(state == 1, self._fill, 0.0),
             np.where(state == -1, self._vent, 0.0),
@@ -98,7 +97,6 @@ class SpatialLagPneumatics(LagChambers):
     def _propagate(
         self, state: np.ndarray, times: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return pressures, lagged pressures and free bends after times without a valve event (s)."""
         relaxation = self._relaxation(state)
         tau = self._spec.actuator.tau_mode
         after = times[:, None, None]
@@ -113,14 +111,17 @@ class SpatialLagPneumatics(LagChambers):
         lagged: np.ndarray,
         free: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return rates (rad/s) and accelerations (rad/s²) of the free bends, those of a linear bend law."""
+        """Return rates (rad/s) and accelerations (rad/s²) of the free bends.
+
+        They are computed with a linear bend law.
+        """
         rate, end = self._relaxation(state)
         tau = self._spec.actuator.tau_mode
         gains = chamber_gains(self._spec)
         speed = (pressure - lagged) / tau
         rise = (rate * (end - pressure) - speed) / tau
         linear = (gains * lagged) @ self._spec.chamber.axes
-        # Scale with the mean slope of the bend law, free bend over linear bend.
+        # The bend law is replaced by its secant, free bend over linear bend.
         size = np.maximum(np.linalg.norm(linear, axis=-1, keepdims=True), 1e-9)
         slope = np.where(
             size > 1e-9,
@@ -137,7 +138,6 @@ class SpatialLagPneumatics(LagChambers):
         pressure: np.ndarray,
         free: np.ndarray,
     ) -> np.ndarray:
-        """Return the pneumatic energy that filling chambers have drawn since the start, shape (times,), J."""
         chamber = self._spec.chamber
 
         def content(

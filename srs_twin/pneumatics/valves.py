@@ -20,10 +20,10 @@ class StuckValve:
     """Fault of one valve that stays in one state.
 
     Attributes:
-        segment: from 1, at the head.
-        side: 0 for the valve of the + chamber, 1 for that of the − chamber.
-        state: valve state in which it stays.
-        since: time of the fault, from `Pneumatics.reset`, s.
+        segment: segment number, counted from 1 at the head.
+        side: 0 for the valve of the + chamber, 1 for the valve of the − chamber.
+        state: valve state in which the valve stays.
+        since: time of the fault after `Pneumatics.reset`, s.
     """
 
     segment: int
@@ -33,18 +33,20 @@ class StuckValve:
 
 
 LAYOUTS = {"3/2": (-1, 1), "in_out": (-1, 0, 1)}
-"""Valve layout → possible valve states: one 3/2 valve per chamber, or an inlet and an outlet valve."""
+"""Possible valve states per layout: one 3/2 valve, or an inlet and an outlet valve."""
 
 SLOT_S = 1e-4
 """Time raster of valve events within a control tick, s, at a time unit of 1 (`robot.scale`)."""
 
-# Smallest time between two valve events, s; closer events are merged, which absorbs
-# rounding.
+# Minimum time between two valve events, s. Closer events differ only by rounding and
+# are merged.
 _EVENT_TOLERANCE = 1e-9
 
 
 def valve_slot(tick: float, scale: Scale) -> float:
-    """Return the time raster of valve events, which divides a control tick into a whole number of slots, s.
+    """Return the time raster of valve events, s.
+
+    It divides a control tick into a whole number of slots.
 
     Args:
         tick: control tick, s.
@@ -54,16 +56,16 @@ def valve_slot(tick: float, scale: Scale) -> float:
 
 
 def count_slots(tick: float, scale: Scale) -> int:
-    """Return the number of valve slots of a control tick; arguments as in `valve_slot`.
+    """Return the number of valve slots of a control tick.
 
     Raises:
-        InputError: the tick is not finite or not above 0.
+        InputError: the tick is not finite or not positive.
     """
     return count_steps("tick", tick, "valve slot", valve_slot(tick, scale))
 
 
 class Schedule(NamedTuple):
-    """Piecewise constant valve states over a time span; kernels take it as a tuple.
+    """Piecewise constant valve states over a time span. Kernels take it as a tuple.
 
     Attributes:
         span: length of the schedule, s.
@@ -82,7 +84,7 @@ class Schedule(NamedTuple):
 
         Args:
             commands: valve states, shape (slots, segments, 2).
-            span: s.
+            span: length of the schedule, s.
         """
         if len(commands) == 1:
             return cls(span, np.zeros(1), np.ascontiguousarray(commands))
@@ -94,11 +96,11 @@ class Schedule(NamedTuple):
 
     @property
     def events(self) -> np.ndarray:
-        """Return the times at which a valve changes its state, shape (runs − 1,), s."""
+        """Times at which a valve changes its state, shape (runs − 1,), s."""
         return self.starts[1:]
 
     def slice(self, begin: float, end: float) -> Schedule:
-        """Return the schedule from `begin` to `end` (s), with times from `begin`."""
+        """Return the part of the schedule from `begin` to `end` (s), starting at 0."""
         if (
             begin == 0.0
             and end == self.span
@@ -119,10 +121,11 @@ class Schedule(NamedTuple):
         """Return the schedule with one valve in one state from `begin` on.
 
         Args:
-            begin: s; may be before the schedule. A time after its end changes nothing.
-            segment: from 0.
-            side: 0 for the valve of the + chamber, 1 for that of the − chamber.
-            state: valve state in which it stays.
+            begin: time of the fault, s. It may precede the schedule. A time after the end
+                changes nothing.
+            segment: index of the segment, counted from 0.
+            side: 0 for the valve of the + chamber, 1 for the valve of the − chamber.
+            state: valve state in which the valve stays.
         """
         if begin >= self.span - _EVENT_TOLERANCE:
             return self
@@ -138,7 +141,7 @@ class Schedule(NamedTuple):
 
     def followed_by(self, other: Schedule) -> Schedule:
         """Return the concatenation of this schedule and another one."""
-        # Merge the two runs at the joint if their states are equal.
+        # The two runs at the joint are merged if their states are equal.
         merged = int((self.states[-1] == other.states[0]).all())
         starts = np.concatenate([self.starts, self.span + other.starts[merged:]])
         return Schedule(

@@ -1,8 +1,8 @@
-"""WarpBatch: many twins stepped together by MuJoCo Warp, on a GPU or, for tests, on the CPU.
+"""WarpBatch: many twins stepped together by MuJoCo Warp, on a GPU.
 
-Engine, chambers and friction are those of `TwinSnake`, in single precision. The model
-of each distinct robot is built on the CPU and copied to the device, so that no formula
-of the model is repeated here.
+Tests also run it on the CPU. Engine, chambers and friction are the same as in
+`TwinSnake`, in single precision. The model of each distinct robot is built on the CPU
+and copied to the device, so no formula of the model is repeated here.
 """
 
 from __future__ import annotations
@@ -27,32 +27,33 @@ from srs_twin.warp.engine import DeviceEngine
 from srs_twin.warp.kernels import GaitWave
 
 _INITIAL_LIFT = 1e-8
-"""Lift of the snakes at the start, m: at rest they just touch the floor, so rounding would decide on
-contact."""
+"""Lift of the snakes at the start, m.
+
+At rest they just touch the floor, so rounding would decide on contact.
+"""
 
 _MAX_START_DISTANCE = 16.0
-"""Largest distance of a start from the origin of the device coordinates, m.
+"""Maximum distance of a start from the origin of the device coordinates, m.
 
 Single precision rounds a coordinate x by up to 2⁻²⁴ x, which is 2⁻²⁰ m or 1 µm at 16 m.
-A snake with 0.1 m/s travels 0.1 mm per step of 1 ms, so that the error is 1 % of a step
-at 16 m, and a whole step at 2 km.
+A snake with 0.1 m/s travels 0.1 mm per step of 1 ms. The error is therefore 1 % of a
+step at 16 m, and a whole step at 2 km.
 """
 
 
 class WarpBatch(Claimable):
-    """Many twins with the same number of connectors and the same tick on a device; used like `TwinBatch`.
+    """Twins with equal numbers of connectors and ticks on a device, like `TwinBatch`.
 
     Attributes:
-        twins: twin of each run, which holds its settings; runs with the same robot
-            share one twin.
+        twins: twin of each run, which holds its settings. Runs with the same robot share
+            one twin.
         tick: control tick, s.
-        state: the latest state of every run, with a leading axis of runs on every
-            field.
-        errors: None or the error that ended it, for each run.
+        state: latest state of every run, with a leading axis of runs on every field.
+        errors: error that ended each run, or None.
         device: the Warp device.
-        origins: origin of each run's device coordinates in the world, shape (runs, 2),
-            m. Runs that start more than 16 m from the world's origin have their origin
-            at the start, for single precision.
+        origins: origin of each run's device coordinates in the world, shape (runs, 2), m.
+            Runs that start more than 16 m from the world's origin have their origin at the
+            start, because of single precision.
     """
 
     claiming_methods = (*Claimable.claiming_methods, "run", "follow", "command")
@@ -73,14 +74,13 @@ class WarpBatch(Claimable):
 
         Args:
             twins: twin of each run; runs with the same robot may share one object.
-            device: Warp's name of the device, such as "cuda:0"; None for Warp's
-                default.
-            deterministic: sum in a fixed order, so that repeated runs give the same
-                bits.
+            device: Warp's name of the device, such as "cuda:0", or None for Warp's default.
+            deterministic: whether to sum in a fixed order, so that repeated runs are
+                bit-identical.
 
         Raises:
-            InputError: there is no twin, the twins differ in settings that all runs
-                share, or the device engine does not support a setting.
+            InputError: there is no twin, the twins differ in settings that all runs share, or
+                the device engine does not support a setting.
         """
         self.device = wp.get_device(device)
         if device is None and not self.device.is_cuda:
@@ -112,7 +112,7 @@ class WarpBatch(Claimable):
         """Check that the device engine supports a twin.
 
         Raises:
-            InputError: it does not support a setting; the message names it.
+            InputError: a setting is not supported; the message names it.
         """
         _check_supported(twin, twin)
 
@@ -122,7 +122,7 @@ class WarpBatch(Claimable):
         return bool(wp.get_preferred_device().is_cuda)
 
     def __reduce_ex__(self, protocol: SupportsIndex) -> NoReturn:
-        """Refuse to be copied: the states of the runs are on the device.
+        """Refuse to be copied, because the states of the runs are on the device.
 
         Raises:
             InputError: always.
@@ -137,19 +137,19 @@ class WarpBatch(Claimable):
         return len(self.twins)
 
     def run(self, steps: int, *, gait: bool = False) -> None:
-        """Make time steps without observation; on a GPU each step is one CUDA graph.
+        """Make time steps without observation. On a GPU each step is one CUDA graph.
 
         Args:
             steps: number of steps.
-            gait: whether the gaits of `set_gaits` command the valves, instead of the
-                latest commands.
+            gait: whether the gaits of `set_gaits` command the valves, instead of the latest
+                commands.
         """
         self._time += steps * self._h
         self._unobserved_steps += steps
         self._engine.run(steps, gait=gait)
 
     def set_gaits(self, gaits: Sequence[Any]) -> None:
-        """Set the `control.gait.Gait` of each run, which the device follows in `run` and `follow`.
+        """Set the `control.gait.Gait` of each run, which `run` and `follow` use.
 
         Raises:
             InputError: the number of gaits differs from the number of runs.
@@ -172,15 +172,14 @@ class WarpBatch(Claimable):
         """Lay snakes straight and at rest with empty chambers.
 
         Args:
-            poses: centre of mass x, y (m) and mean heading (rad) of each run that is
-                reset; default the origin.
+            poses: centre of mass x, y (m) and mean heading (rad) of each run that is reset; the
+                default is the origin.
             seed: random seed of the sensor noise.
-            worlds: indices of the runs to reset; None for all, which also resets the
-                time.
+            worlds: indices of the runs to reset, or None for all, which also resets the time.
 
         Raises:
-            InputError: the number of poses is wrong, or a start is too far from the
-                origin in a world with obstacles.
+            InputError: the number of poses is wrong, or a start is too far from the origin in a
+                world with obstacles.
         """
         chosen = np.arange(len(self)) if worlds is None else np.asarray(worlds, int)
         if poses is None:
@@ -219,11 +218,6 @@ class WarpBatch(Claimable):
         return self.state
 
     def _origins_of(self, places: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-        """Return the origins of the device coordinates for given starts, shape (chosen, 2), m.
-
-        Raises:
-            InputError: a start is too far away, and obstacles fix the origin.
-        """
         far = np.hypot(*places[:, :2].T) > _MAX_START_DISTANCE
         for place, k in zip(places[far], chosen[far], strict=True):
             if self.twins[k].touches:
@@ -237,20 +231,20 @@ class WarpBatch(Claimable):
         return np.where(far[:, None], places[:, :2], 0.0)
 
     def update_supply_pressure(self) -> None:
-        """Copy the supply pressures of the twins' chambers to the device after they have changed."""
+        """Copy changed supply pressures of the twins' chambers to the device."""
         self._engine.update_supply_pressure()
 
     def step(self, valves: Any) -> SnakeState:
-        """Advance all runs by one tick and return `state`; see `TwinBatch.step`."""
+        """Advance all runs by one tick and return `state`. See `TwinBatch.step`."""
         self.advance(valves, 1)
         return self.state
 
     def advance(self, valves: Any, samples: int) -> list[SnakeState | None]:
-        """Advance all runs by one tick; see `TwinBatch.advance`.
+        """Advance all runs by one tick. See `TwinBatch.advance`.
 
         Args:
-            valves: see `TwinBatch.step`; an array, or an object with the DLPack
-                interface.
+            valves: valve commands as in `TwinBatch.step`, in an array or an object with the
+                DLPack interface.
             samples: number of equally spaced samples.
         """
         self.command(valves)
@@ -260,12 +254,12 @@ class WarpBatch(Claimable):
         """Set the valve states of each tick from now on.
 
         Args:
-            valves: shape (runs, segments, 2) or (runs, slots, segments, 2), −1 or 1; a
-                NumPy array, or an int32 array on the device with the DLPack interface,
-                whose values are not checked.
+            valves: valve states −1 or 1, shape (runs, segments, 2) or (runs, slots, segments,
+                2). They are a NumPy array, or an int32 array on the device with the DLPack
+                interface, whose values are not checked.
 
         Raises:
-            InputError: wrong shape or type, or a state that the valves do not have.
+            InputError: the shape or type is wrong, or the valves do not have a state.
         """
         shape = tuple(valves.shape)
         segments = self.twins[0].spec.segments
@@ -299,7 +293,7 @@ class WarpBatch(Claimable):
     def play(
         self, schedules: Sequence[Schedule | None], samples: int
     ) -> list[SnakeState | None]:
-        """Follow schedules without feedback; see `TwinBatch.play`."""
+        """Follow schedules without feedback. See `TwinBatch.play`."""
         check_one_per_run("schedules", schedules, len(self))
         if not any(schedules):
             return [None] * len(self)
@@ -340,15 +334,19 @@ class WarpBatch(Claimable):
         return [SnakeState.history(pieces) if pieces else None for pieces in histories]
 
     def follow(self, duration: float, samples: int) -> list[SnakeState | None]:
-        """Follow the gaits of `set_gaits`; the samples are equally spaced, the last one at the end."""
+        """Follow the gaits of `set_gaits` for a duration (s).
+
+        The samples are equally spaced, with the last one at the end.
+        """
         return self._run_observed(
             count_steps("duration", duration, "time step", self._h), samples, gait=True
         )
 
     def arrays(self) -> dict[str, Any]:
-        """Return arrays on the device with a leading axis of runs: qpos, qvel, pressure, valves.
+        """Return qpos, qvel, pressure and valves as arrays on the device, by name.
 
-        They have the DLPack interface. Positions in `qpos` are relative to `origins`.
+        They have a leading axis of runs and the DLPack interface. Positions in `qpos` are
+        relative to `origins`.
         """
         chambers = self._engine.structs["chambers"]
         data = self._engine.data
@@ -364,13 +362,12 @@ class WarpBatch(Claimable):
         return np.asarray(self._engine.structs["chambers"].openings.numpy())
 
     def describe(self) -> dict[str, object]:
-        """Return the settings of the batch for the provenance of a run, in addition to those of its twins."""
+        """Return settings for the provenance of a run, besides the twins' own."""
         return {"engine": "warp", "device": self.device.name}
 
     def _run_observed(
         self, steps: int, samples: int, *, gait: bool
     ) -> list[SnakeState | None]:
-        """Make steps with equally spaced observations; return the history of each run that has not ended."""
         interval = count_steps(
             "sample interval", steps * self._h / samples, "time step", self._h
         )
@@ -399,7 +396,6 @@ class WarpBatch(Claimable):
         return histories
 
     def _last_state(self, history: SnakeState) -> SnakeState:
-        """Return the last sample of all runs."""
         return replace(history.at(-1), time=self._time - self._begun)
 
     def _history_of_run(self, together: SnakeState, k: int) -> SnakeState | None:
@@ -434,9 +430,9 @@ class WarpBatch(Claimable):
 
         Args:
             rows: observations, one per sample.
-            times: shape (samples,), s.
-            steps: time steps before each sample, over which forces are averaged, shape
-                (samples,).
+            times: times of the samples, shape (samples,), s.
+            steps: number of time steps before each sample, over which forces are averaged,
+                shape (samples,).
         """
         table = np.stack([row.numpy() for row in rows]).astype(float)
         shape = table.shape[:2]
@@ -491,14 +487,10 @@ class WarpBatch(Claimable):
         free: np.ndarray,
         free_rate: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the moments of the segments, N·m, and the energy that they store, J.
+        """Return the moments of the segments (N·m) and their stored energy (J).
 
-        Args:
-            qpos: positions, shape (samples, runs, nq).
-            bend: shape (samples, runs, segments), rad.
-            rate: bend rates, rad/s.
-            free: free bends without the rest bends, rad.
-            free_rate: their rates, rad/s.
+        All arguments have leading axes of samples and runs, and angles in rad. Free bends are
+        without the rest bends.
         """
         torque = np.empty_like(bend)
         stored = np.empty(bend.shape[:2])
@@ -513,7 +505,6 @@ class WarpBatch(Claimable):
         return torque, stored
 
     def _sensed(self, bend: np.ndarray, times: np.ndarray) -> np.ndarray:
-        """Return the sensor readings of bends, shape (samples, runs, segments), rad."""
         sensed = bend.copy()
         if self._robots[0].sensor.kind != "ideal":
             for k, twin in enumerate(self.twins):
@@ -522,7 +513,9 @@ class WarpBatch(Claimable):
 
 
 def _moved(qpos: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Return the positions of snakes after a rotation about the origin and a translation, slightly lifted.
+    """Return positions after a rotation about the origin and a translation.
+
+    The snakes are also lifted slightly.
 
     Args:
         qpos: positions, one row per snake.
@@ -535,7 +528,7 @@ def _moved(qpos: np.ndarray, places: np.ndarray) -> np.ndarray:
     moved[:, 0] = places[:, 0] + c * qpos[:, 0] - s * qpos[:, 1]
     moved[:, 1] = places[:, 1] + s * qpos[:, 0] + c * qpos[:, 1]
     moved[:, 2] += _INITIAL_LIFT
-    # Quaternion of the yaw times the present one.
+    # The new orientation is the quaternion of the yaw times the current quaternion.
     w, i, j, k = qpos[:, 3:7].T
     a = np.cos(yaw / 2)
     b = np.sin(yaw / 2)
@@ -546,11 +539,6 @@ def _moved(qpos: np.ndarray, places: np.ndarray) -> np.ndarray:
 
 
 def _check_supported(twin: TwinSnake, first: TwinSnake) -> None:
-    """Check that the device engine supports a twin together with the first twin of the batch.
-
-    Raises:
-        InputError: it does not support a setting; the message names it.
-    """
     air = twin.pneumatics
     twin.spec.require_planar("the device engine")
     unsupported = {

@@ -34,11 +34,10 @@ from srs_twin.warp.translation import (
 )
 
 _CAPACITY_FACTOR = 4
-"""Capacity for contacts and constraint rows, as a multiple of those of a snake at rest.
-"""
+"""Capacity for contacts and constraint rows, as a multiple of their number at rest."""
 
 _UNUSED_FIELDS = ("dof_length",)
-"""Model fields that may differ between runs: they matter for sleeping bodies only, and no body sleeps."""
+"""Model fields that may differ between runs, because only sleeping bodies use them."""
 
 _MAX_ITERATIONS = 50
 """Iterations of the engine's solver."""
@@ -72,8 +71,8 @@ class DeviceEngine:
             robots: the distinct twins.
             robot_of_run: index of each run's twin.
             device: Warp's device.
-            deterministic: sum in a fixed order, so that repeated runs give the same
-                bits.
+            deterministic: whether to sum in a fixed order, so that repeated runs are
+                bit-identical.
 
         Raises:
             InputError: the robots differ in a property that all worlds share.
@@ -116,7 +115,6 @@ class DeviceEngine:
         self._graphs: dict[bool, Any] = {}
 
     def _allocate(self) -> None:
-        """Allocate the arrays that are not records."""
         slots = (self._worlds, self.slots, self._segments, 2)
         self.count = wp.zeros(1, dtype=int)
         self._valves = wp.zeros(slots, dtype=int)
@@ -128,7 +126,6 @@ class DeviceEngine:
         self._damping = wp.array(rows, dtype=float)
 
     def _copy_records(self, qpos: np.ndarray) -> dict[str, WarpStruct]:
-        """Copy the records of all worlds to the device; return their structs by name."""
         addresses = self._robots[0].physics.sensor_addresses
         hulls = len(addresses.obstacle_force)
         contacts = len(addresses.floor_force) + (hulls if self.loaded else 0)
@@ -164,8 +161,8 @@ class DeviceEngine:
                 engine, without=("model", "data", "objects")
             )
             self.structs["engine"] = self._views(structs["engine"], engine._fields[3:])
-            # The solve needs c(v₋) and c(v̄), so copy the first: the engine overwrites
-            # its array with the second.
+            # The solve needs c(v₋) and c(v̄). c(v₋) is copied, because the engine
+            # overwrites its array with c(v̄).
             self.structs["engine"].qfrc_bias = wp.zeros_like(self.data.qfrc_bias)
             self.structs["work"].residual = self.data.qfrc_bias
         # Columns of an observation (kernel `observe`).
@@ -182,7 +179,6 @@ class DeviceEngine:
         return structs
 
     def _chamber_records(self) -> dict[str, list[Any]]:
-        """Return the records of chambers and valves by name."""
         self._chambers = [
             twin.pneumatics
             for twin in self._robots
@@ -209,7 +205,7 @@ class DeviceEngine:
         }
 
     def _view(self, name: str) -> wp.array:
-        """Return an array of vectors or matrices of the engine's data as an array of numbers."""
+        """Return an array of vectors or matrices as an array of numbers."""
         array = getattr(self.data, name)
         size = wp.types.type_size(array.dtype)
         if size == 1:
@@ -225,7 +221,6 @@ class DeviceEngine:
         return views
 
     def _launch(self, gait: bool) -> None:
-        """Launch the kernels of one time step."""
         k = self._kernels
         structs = self.structs
         data = self.data
@@ -253,7 +248,6 @@ class DeviceEngine:
         )
 
     def _step_loaded_bodies(self) -> None:
-        """Launch the steps of the engine with the friction solve, as in `contact_loaded`."""
         k = self._kernels
         model = self._model
         data = self.data
@@ -272,7 +266,7 @@ class DeviceEngine:
         self._start(k.finish_step, *friction, accumulators, self._energy_loss)
 
     def _start(self, kernel: Any, *inputs: Any, axes: int = 1) -> None:
-        """Launch a kernel with one thread per world, or with 2 axes one per world and segment."""
+        """Launch a kernel with one thread per world, or per world and segment."""
         threads = (self._worlds, self._segments)[:axes]
         wp.launch(kernel, dim=threads, inputs=inputs)
 
@@ -283,8 +277,8 @@ class DeviceEngine:
 
         Args:
             chosen: indices of the worlds.
-            qpos: their positions, one row per world.
-            contacts: their states of loaded contacts; empty for others.
+            qpos: positions, one row per chosen world.
+            contacts: states of loaded contacts, one per chosen world, or empty for others.
         """
         self._set(self.data.qpos, chosen, qpos)
         for array in (
@@ -306,7 +300,6 @@ class DeviceEngine:
             self._set(getattr(self.structs["contact_state"], name), chosen, value)
 
     def _set(self, array: wp.array, chosen: np.ndarray, value: ArrayLike) -> None:
-        """Set the rows of the given worlds in an array on the device."""
         if len(chosen) == self._worlds:
             full = np.broadcast_to(np.asarray(value), (self._worlds, *array.shape[1:]))
             array.assign(np.ascontiguousarray(full))
@@ -361,7 +354,7 @@ class DeviceEngine:
                 wp.capture_launch(self._graphs[gait])
 
     def observe(self) -> Any:
-        """Return an observation of all worlds on the device, one row per world; reset the accumulators."""
+        """Return an observation, one row per world, and reset the accumulators."""
         data = self.data
         model = self._model
         out = wp.zeros(
@@ -383,8 +376,8 @@ def _set_individual_parameters(model: Any, models: list[mujoco.MjModel]) -> None
     """Give each world its own values of the model fields in which worlds differ.
 
     Args:
-        model: the model of MuJoCo Warp, made from the first of `models`.
-        models: the model of each world.
+        model: model of MuJoCo Warp, made from the first of `models`.
+        models: model of each world.
 
     Raises:
         InputError: the models differ in a field that the engine shares between worlds.

@@ -1,7 +1,7 @@
-"""Warp kernels around the steps of MuJoCo Warp: chambers, friction of loaded contacts, accumulation.
+"""Warp kernels for chambers, loaded contacts and accumulation.
 
-A kernel has one thread per world, or one per world and segment. The struct of one world
-is a view of that of all worlds.
+They run around the steps of MuJoCo Warp. A kernel has one thread per world, or one per
+world and segment. The struct of one world is a view of the struct of all worlds.
 """
 
 # No `from __future__ import annotations`: Warp needs the types themselves.
@@ -23,10 +23,10 @@ class StepSettings(NamedTuple):
     Attributes:
         h: time step, s.
         slot: length of a valve slot, s.
-        slots: slots per time step.
-        tick: time steps per tick.
-        mean_control: whether the mean control over a step drives it, instead of that at
-            its beginning.
+        slots: number of valve slots per time step.
+        tick: number of time steps per tick.
+        mean_control: whether the mean control over a step drives the bodies, instead of the
+            control at the beginning of the step.
     """
 
     h: float
@@ -42,8 +42,8 @@ class ChamberState(NamedTuple):
     Attributes:
         pressure: gauge pressure, shape (segments, 2), Pa.
         linear: linear bend x, shape (segments,), rad.
-        bend: free bend without the rest bend, shape (segments,), rad.
-        bend_rate: its rate, shape (segments,), rad/s.
+        bend, bend_rate: free bend without the rest bend (rad) and its rate (rad/s), shape
+            (segments,).
         valves: valve states of the latest slot, shape (segments, 2).
         openings: number of openings of each inlet, shape (segments, 2).
         drawn: pneumatic energy of each segment since `reset`, shape (segments,), J.
@@ -62,9 +62,9 @@ class GaitWave(NamedTuple):
     """Parameters of a gait (`control.gait`).
 
     Attributes:
-        frequency: f, Hz.
-        offset: φ, 1.
-        rest: sin(r π/2), with the rest share r, 1.
+        frequency: frequency f, Hz.
+        offset: offset φ, dimensionless.
+        rest: sin(r π/2), where r is the fraction of the period at rest (dimensionless).
         lag: phase lag of each segment, shape (segments,), rad.
     """
 
@@ -91,12 +91,10 @@ class Accumulators(NamedTuple):
 
     Attributes:
         mid_qpos: qpos at mid-step, shape (nq,).
-        step_force: forces on wheels and hulls in the latest step, shape (contacts, 3),
-            N.
-        force_sum: sum of `step_force` over the steps since the latest sample, shape
-            (contacts, 3), N.
-        obstacle_sum: sum of the normal forces of obstacles since then, shape (hulls,
-            3), N.
+        step_force, force_sum: forces on wheels and hulls in the latest step, and their sum
+            since the latest sample, shape (contacts, 3), N.
+        obstacle_sum: sum of the normal forces of obstacles since the latest sample, shape
+            (hulls, 3), N.
     """
 
     mid_qpos: np.ndarray
@@ -108,7 +106,7 @@ class Accumulators(NamedTuple):
 _OPTIONS: dict[str, Any] = {"enable_backward": False, "module": "unique"}
 """Options of the kernels.
 
-Each is compiled separately, because its constants depend on the batch.
+Each kernel is compiled separately, because its constants depend on the batch.
 """
 
 Kernels = dict[str, Any]
@@ -121,7 +119,7 @@ def build_kernels(
     """Return the kernels for structs of given shapes.
 
     Args:
-        structs: struct by name: `relaxation`, `chambers`, `wave`, `accumulators`,
+        structs: structs by name: `relaxation`, `chambers`, `wave`, `accumulators`,
             `addresses`, `bodies`, and under loaded contact `engine`, `contacts`,
             `sparsity`, `contact_state` and `work`.
         settings: constants that are the same for all worlds.
@@ -141,7 +139,6 @@ def build_kernels(
 
 
 def _valve_kernels(wave: WarpStruct, settings: StepSettings) -> Kernels:
-    """Return the kernels that set the valve states of a step's slots."""
     GaitWaves = wave.batched
     wave_of = wave.select
     # Warp takes these as compile-time constants.
@@ -155,7 +152,6 @@ def _valve_kernels(wave: WarpStruct, settings: StepSettings) -> Kernels:
         commands: wp.array4d(dtype=int),
         out: wp.array4d(dtype=int),
     ):
-        """Set the valve states of a step's slots from the commands of its tick."""
         i, j = wp.tid()
         begun = (count[0] % TICK) * SLOTS
         for s in range(SLOTS):
@@ -167,7 +163,6 @@ def _valve_kernels(wave: WarpStruct, settings: StepSettings) -> Kernels:
     def set_gait(
         count: wp.array(dtype=int), waves: GaitWaves, out: wp.array4d(dtype=int)
     ):
-        """Set the valve states of a step's slots from a gait, evaluated in the middle of each slot."""
         i, j = wp.tid()
         gait = wave_of(waves, i)
         for s in range(SLOTS):
@@ -192,7 +187,6 @@ def _chamber_kernel(
     settings: StepSettings,
     functions: Mapping[str, Any],
 ) -> Kernels:
-    """Return the kernel that advances the chambers over a step."""
     slot = functions["advance_slot"]
     bend_law = functions["apply_bend_law"]
     Relaxations = relaxation.batched
@@ -209,7 +203,7 @@ def _chamber_kernel(
         valves: wp.array4d(dtype=int),
         ctrl: wp.array2d(dtype=float),
     ):
-        """Advance the chambers over a step, slot by slot, and set the controls of the bodies."""
+        """Advance the chambers slot by slot, and set the controls of the bodies."""
         i, j = wp.tid()
         law = relaxation_of(relaxations, i)
         air = chambers_of(all_chambers, i)
@@ -237,14 +231,6 @@ def _accumulation_kernel(
     loaded: bool,
     functions: Mapping[str, Any],
 ) -> Kernels:
-    """Return the kernel that adds up what samples are means or integrals of.
-
-    Args:
-        structs: as in `build_kernels`.
-        h: time step, s.
-        loaded: whether the contacts are loaded.
-        functions: Warp functions by name.
-    """
     internal_power = functions["internal_power"]
     preloaded_power = functions["preloaded_power"]
     external_power = functions["external_power"]
@@ -269,7 +255,10 @@ def _accumulation_kernel(
         energy_loss: wp.array(dtype=wp.float64),
         internal_loss: wp.array(dtype=wp.float64),
     ):
-        """Add the forces and energy losses of a step; under a preloaded contact from the engine's sensors."""
+        """Add the forces and energy losses of a step.
+
+        Under a preloaded contact the engine's sensors give the forces.
+        """
         i = wp.tid()
         air = chambers_of(all_chambers, i)
         sums = accumulators_of(all_accumulators, i)
@@ -289,7 +278,6 @@ def _accumulation_kernel(
 def _observation_kernel(
     structs: Mapping[str, WarpStruct], functions: Mapping[str, Any]
 ) -> Kernels:
-    """Return the kernel that writes an observation."""
     write_bodies = functions["write_bodies"]
     write_chambers = functions["write_chambers"]
     move_sums = functions["move_sums"]
@@ -311,7 +299,7 @@ def _observation_kernel(
         internal_loss: wp.array(dtype=wp.float64),
         out: wp.array2d(dtype=float),
     ):
-        """Write the observation of each world into a row of `out`, and reset the accumulators."""
+        """Write each world's observation into a row, and reset the accumulators."""
         i = wp.tid()
         body = bodies_of(bodies, i)
         sums = accumulators_of(all_accumulators, i)
@@ -328,7 +316,7 @@ def _observation_kernel(
 
 
 def advance_slot(law, air, state, j, before):  # type: ignore[no-untyped-def]
-    """Advance the chambers of segment j over a valve slot; return its bend at the end, rad."""
+    """Advance the chambers of segment j over a valve slot; return its bend, rad."""
     pressure = air.pressure[j]
     content_before = filling_content(
         state, pressure[0], pressure[1], before, law, AMBIENT_PA
@@ -349,7 +337,7 @@ def advance_slot(law, air, state, j, before):  # type: ignore[no-untyped-def]
 
 
 def internal_power(air, at, qvel, damping):  # type: ignore[no-untyped-def]
-    """Return the power that the dampers of the segments dissipate, W (`internal_joints`)."""
+    """Return the power that the dampers of the segments dissipate, W."""
     power = float(0.0)
     hinges = at.hinges.shape[1]
     for j in range(at.hinges.shape[0]):
@@ -364,7 +352,7 @@ def internal_power(air, at, qvel, damping):  # type: ignore[no-untyped-def]
 
 
 def preloaded_power(sums, at, sensors):  # type: ignore[no-untyped-def]
-    """Return the power that the floor takes, W, and read its force on the wheels of this step.
+    """Return the power that the floor takes (W), and read its forces on the wheels.
 
     The force of the previous step acts with the velocity that the sensors report now.
     """
@@ -386,7 +374,7 @@ def external_power(at, sensors):  # type: ignore[no-untyped-def]
 
 
 def add_forces(sums, at, sensors):  # type: ignore[no-untyped-def]
-    """Add the forces of this step to the sums."""
+    """Add the forces of the step to the sums."""
     for w in range(sums.step_force.shape[0]):
         for k in range(3):
             sums.force_sum[w, k] = sums.force_sum[w, k] + sums.step_force[w, k]
@@ -397,7 +385,7 @@ def add_forces(sums, at, sensors):  # type: ignore[no-untyped-def]
 
 
 def write_bodies(body, at, row):  # type: ignore[no-untyped-def]
-    """Write the state of the bodies into a row; return the next column."""
+    """Write the state of the bodies into a row and return the next column."""
     k = int(0)
     for n in range(body.qpos.shape[0]):
         row[k] = body.qpos[n]
@@ -419,7 +407,7 @@ def write_bodies(body, at, row):  # type: ignore[no-untyped-def]
 
 
 def write_chambers(air, row, begin):  # type: ignore[no-untyped-def]
-    """Write the state of the chambers into a row from a column on; return the next column."""
+    """Write the state of the chambers into a row and return the next column."""
     k = int(begin)
     for j in range(air.linear.shape[0]):
         for side in range(2):
@@ -433,7 +421,7 @@ def write_chambers(air, row, begin):  # type: ignore[no-untyped-def]
 
 
 def move_sums(sums, row, begin):  # type: ignore[no-untyped-def]
-    """Move sums of forces into a row from a column on, and reset them; return the next column."""
+    """Move sums of forces into a row, reset them, and return the next column."""
     k = int(begin)
     for w in range(sums.shape[0]):
         for n in range(3):
@@ -460,7 +448,10 @@ _PARTS = (
 def integrate_position(
     qpos: wp.array(dtype=float), qvel: wp.array(dtype=float), h: float
 ):
-    """Advance qpos by qvel over the time h: the free joint, which is first, and the hinges."""
+    """Advance qpos by qvel over the time h.
+
+    The free joint comes first, followed by the hinges.
+    """
     for k in range(3):
         qpos[k] = qpos[k] + h * qvel[k]
     rotation = wp.vec3(qvel[3], qvel[4], qvel[5])
@@ -489,7 +480,6 @@ def integrate_position(
 def _middle_kernels(
     structs: Mapping[str, WarpStruct], h: float, set_mid_velocity: Any
 ) -> Kernels:
-    """Return the kernels of loaded contact that move to mid-step, before and after the engine's step."""
     Engines = structs["engine"].batched
     engine_of = structs["engine"].select
     Workspaces = structs["work"].batched
@@ -501,7 +491,6 @@ def _middle_kernels(
     def begin_step(
         engines: Engines, works: Workspaces, all_accumulators: AllAccumulators
     ):
-        """Store v₋ and move to mid-step."""
         i = wp.tid()
         engine = engine_of(engines, i)
         work = work_of(works, i)
@@ -535,7 +524,6 @@ def _middle_kernels(
 def _friction_kernels(
     structs: Mapping[str, WarpStruct], h: float, functions: Mapping[str, Any]
 ) -> Kernels:
-    """Return the kernels of loaded contact that apply and solve for friction."""
     apply_stored_friction = functions["apply_stored_friction"]
     solve_friction = functions["solve_friction"]
     store_friction = functions["store_friction"]
@@ -556,7 +544,6 @@ def _friction_kernels(
         states: ContactStates,
         works: Workspaces,
     ):
-        """Apply the friction of the previous step."""
         i = wp.tid()
         contact = contacts_of(contacts, i)
         sparsity = sparsity_of(sparsities, i)
@@ -574,7 +561,6 @@ def _friction_kernels(
         all_accumulators: AllAccumulators,
         energy_loss: wp.array(dtype=wp.float64),
     ):
-        """Solve for friction, move to the end of the step, and record the friction."""
         i = wp.tid()
         engine = engine_of(engines, i)
         contact = contacts_of(contacts, i)

@@ -1,10 +1,10 @@
 """Translation of numba kernels and their records for Warp.
 
 Warp needs argument types, the Warp versions of called functions under their names, and
-single precision. A function that uses only the common subset of both compilers is
-copied with these; its tolerances are replaced by those of single precision. A record, a
-named tuple of arrays, numbers and further records, becomes a Warp struct of one world
-and one of all worlds.
+single precision. A function in the common subset of both compilers is copied with these
+changes. Its tolerances are replaced by tolerances for single precision. A record is a
+named tuple of arrays, numbers and further records. It becomes a Warp struct of one
+world and a Warp struct of all worlds.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ _TOLERANCES = {
     # (kg·m/s)², of the squared residual (`friction_solve`)
     "_ABSOLUTE_TOLERANCE": 1e-15,
 }
-"""Module constants in the translated functions → their values in single precision."""
+"""Values of module constants of the translated functions in single precision."""
 
 
 def as_warp_functions(
     functions: Sequence[Callable[..., Any]], **translated: Any
 ) -> dict[str, Any]:
-    """Return the Warp versions of functions by name, with those given as `translated`.
+    """Return the Warp versions of functions by name, together with `translated`.
 
     Args:
         functions: functions compiled by numba, callees before their callers.
@@ -89,7 +89,7 @@ _FRICTION_STEP = (
     "solve_friction",
     "store_friction",
 )
-"""Functions of `friction_solve` that call the solution for Newton's direction, in the same order."""
+"""Functions of `friction_solve` that use the Newton step, callees first."""
 
 _OBJECT_FUNCTIONS = (
     "apply_object_friction",
@@ -107,7 +107,7 @@ def _no_objects(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
 
 
 def warp_functions() -> dict[str, Any]:
-    """Return the Warp versions of the chamber laws, friction laws and friction solve, by name."""
+    """Return the Warp versions of chamber laws, friction laws and friction solve."""
     functions = as_warp_functions(
         [
             stick_slip.stick_slip_friction,
@@ -137,7 +137,7 @@ class WarpStruct(NamedTuple):
 
     Attributes:
         single: struct of one world, the argument of translated functions.
-        batched: struct of all worlds; its fields have a leading axis of worlds.
+        batched: struct of all worlds, whose fields have a leading axis of worlds.
         select: Warp function that maps a batched struct and an index to the struct of
             that world.
         inner: Warp versions of the fields that are records themselves, by name.
@@ -154,7 +154,7 @@ def warp_struct(example: Any, without: Sequence[str] = ()) -> WarpStruct:
 
     Args:
         example: record of one world, a named tuple of arrays, numbers and records.
-        without: fields that are left out.
+        without: names of fields that are left out.
     """
     kind = type(example).__name__
     inner: dict[str, WarpStruct] = {}
@@ -187,7 +187,6 @@ def warp_struct(example: Any, without: Sequence[str] = ()) -> WarpStruct:
 
 
 def _struct(name: str, fields: Mapping[str, Any]) -> Any:
-    """Return a Warp struct with fields of given types."""
     members = {"__annotations__": dict(fields), "__module__": __name__}
     return wp.struct(type(name, (), members))
 
@@ -212,7 +211,7 @@ def stack_records(struct: WarpStruct, records: Sequence[Any], device: Any) -> An
 
 
 def single_record(struct: WarpStruct, record: Any) -> Any:
-    """Return a record of integers and arrays of integers as the struct of one world."""
+    """Return a record of integers and integer arrays as the struct of one world."""
     single = struct.single()
     for name, value in record._asdict().items():
         is_array = isinstance(value, np.ndarray)
@@ -221,13 +220,11 @@ def single_record(struct: WarpStruct, record: Any) -> Any:
 
 
 def _type_and_ndim(value: Any) -> tuple[type, int]:
-    """Return the scalar type of a field and its number of axes."""
     array = np.asarray(value)
     return (float if array.dtype.kind == "f" else int), array.ndim
 
 
 def _function_from_source(source: str, namespace: Mapping[str, Any]) -> Any:
-    """Return the Warp function with the given source, which Warp reads through `linecache`."""
     name = source[4 : source.index("(")]
     file = f"<{__name__}.{name}>"
     linecache.cache[file] = len(source), None, source.splitlines(keepends=True), file

@@ -1,18 +1,18 @@
-r"""Bodies of the planar analytical models: mechanics of connectors on segments of constant curvature.
+r"""Bodies of the planar analytical models: connectors on arcs of constant curvature.
 
 `PrescribedBends` follow the chambers regardless of load (models `complete` and
-`simplified`), `ClampedBends` are a chain that is held at its head, and `CompliantBends`
+`simplified`). `ClampedBends` are a chain that is held at its head. `CompliantBends`
 have stiffness and damping (model `compliant`).
 
 The bends of a clamped chain are the free bends of Eq. 14, as on a test bench. Only the
-clamp touches the chain, so its motion follows from the bends alone. The moments of its
-segments follow from the recursive Newton–Euler algorithm: accelerations from the head
-to the tail,
+clamp touches the chain, so its motion follows from the bends alone. The moments of the
+segments follow from the recursive Newton–Euler algorithm. It computes accelerations
+from head to tail,
 
 $$ a_{j+1} = a_j - (\ddot L - L\dot\psi^2)\,e(\psi) - (L\ddot\psi + 2\dot L\dot\psi)\,e_\perp(\psi), $$
 
-with the direction ψ and the length L of chord j, and moments from the tail to the head:
-T_j is the generalised force of the bend q_j.
+with the direction ψ and the length L of chord j, and moments from tail to head. T_j is
+the generalised force of the bend q_j.
 """
 
 from __future__ import annotations
@@ -52,15 +52,13 @@ class Motion(NamedTuple):
     """Motion of a body at several times.
 
     Attributes:
-        states: indices as in `kernels`, shape (samples, STATES or more); in a world
-            with obstacles followed by their mean forces on each point since the
-            previous sample.
+        states: states with the indices of `kernels`, shape (samples, STATES or more). With
+            obstacles, their mean forces on each point since the previous sample follow.
         velocities: velocity of the centre of mass in the mean-heading frame (m/s), yaw
             rate (rad/s) and, for compliant bends, bend rates (rad/s), shape (samples, 3
             or more).
-        bend: bends of the segments, or of the cells of a body with skin, shape
-            (samples, cells), rad.
-        bend_rate: their rates, shape (samples, cells), rad/s.
+        bend, bend_rate: bends (rad) and bend rates (rad/s) of the segments, or of the cells
+            of a body with skin, shape (samples, cells).
         torque: net moment of each segment, shape (samples, segments), N·m.
     """
 
@@ -75,8 +73,8 @@ class Body(Stateful, ABC):
     """Abstract mechanics of an analytical model, driven by the chambers.
 
     Attributes:
-        state: current state. `kernels` names its indices; compliant bends append
-            further entries.
+        state: current state. `kernels` names its indices; compliant bends append further
+            entries.
         velocity: current velocities, in the format of `Motion.velocities`.
         solid: constants of the body for the kernels.
         floor: floor for the kernels.
@@ -91,7 +89,7 @@ class Body(Stateful, ABC):
     obstacles: Obstacles | None = None
 
     compliant = False
-    """Whether the bends are degrees of freedom, instead of the free bends of the chambers."""
+    """Whether the bends are degrees of freedom instead of the chambers' free bends."""
 
     def __init__(
         self,
@@ -100,7 +98,7 @@ class Body(Stateful, ABC):
         cells: Undivided,
         bends: int = 0,
     ) -> None:
-        """Set the constants; `bends` is the number of bends that are degrees of freedom."""
+        """Set the constants; `bends` counts the bends that are degrees of freedom."""
         self.solid = solid
         self.floor = floor
         self.cells = cells
@@ -108,11 +106,11 @@ class Body(Stateful, ABC):
 
     @property
     def jumps(self) -> int:
-        """Number of jumps between resting poses since `reset`; a planar body has one resting pose."""
+        """Number of jumps between resting poses since `reset`, 0 for a planar body."""
         return 0
 
     def bends(self) -> tuple[np.ndarray, np.ndarray] | tuple[None, None]:
-        """Return the current bends (rad) and bend rates (rad/s) if they are degrees of freedom, else None."""
+        """Return bends (rad) and rates (rad/s) that are degrees of freedom, or None."""
         return None, None
 
     def reset(self, pose: Pose) -> None:
@@ -130,7 +128,7 @@ class Body(Stateful, ABC):
         Args:
             velocity: velocity of the centre of mass in the world frame (m/s) and yaw
                 rate (rad/s), shape (3,).
-            bend: shape (segments,), rad.
+            bend: bends of the segments, shape (segments,), rad.
             rate: bend rates, shape (segments,), rad/s.
         """
         bend = self.cells.split(bend)
@@ -153,7 +151,6 @@ class Body(Stateful, ABC):
         return Samples(*(np.zeros((samples, count)) for count in self._shapes))
 
     def _split(self, trace: Trace) -> Trace:
-        """Return a trace with the free bends of the cells."""
         split = self.cells.split
         return trace._replace(
             bend=split(trace.bend),
@@ -169,15 +166,13 @@ class Body(Stateful, ABC):
 
         Args:
             steps: lengths of the steps, shape (steps,), s.
-            trace: pressures and free bends of the chambers at the start and the two
-                stages of each step, 1 + 2 steps rows.
-            sample_steps: number of steps before each sample, ascending, shape
-                (samples,).
+            trace: pressures and free bends of the chambers at the start and the two stages of
+                each step, 1 + 2 · steps rows.
+            sample_steps: number of steps before each sample, ascending, shape (samples,).
 
         Returns:
-            The number of completed steps, smaller than requested after a failure;
-            states and velocities as in `Motion` at the samples, filled as far as they
-            were reached.
+            The number of completed steps, which is smaller than requested after a failure, and
+            states and velocities as in `Motion` at the reached samples.
         """
 
     def stored(self, bend: np.ndarray, free: np.ndarray) -> float | np.ndarray:
@@ -197,7 +192,7 @@ class Body(Stateful, ABC):
 
 
 class PrescribedBends(Body):
-    """Body of `complete` and `simplified`: the bends are the free bends of Eq. 14, regardless of load."""
+    """Body of `complete` and `simplified`, whose bends are the free bends of Eq. 14."""
 
     state_attributes = ("_state_rate",)
 
@@ -238,20 +233,20 @@ class PrescribedBends(Body):
 
 
 class ClampedBends(Body):
-    """Chain that is held at its head in the air (module docstring)."""
+    """Chain that is held at its head in the air. See the module docstring."""
 
     state_attributes = ("_head_pose",)
 
     def __init__(
         self, solid: BodyParameters, floor: FloorFriction, cells: Undivided
     ) -> None:
-        # In the air: no friction.
+        # The chain hangs in the air, without friction.
         super().__init__(
             solid, floor._replace(mu_t=0.0, mu_back=0.0, mu_n=0.0, drag=0.0), cells
         )
 
     def reset(self, pose: Pose) -> None:
-        """See `Body.reset`; the head stays at its initial pose."""
+        """See `Body.reset`. The head stays at its initial pose."""
         super().reset(pose)
         x, y, heading = pose
         ahead = self.cells.com_behind_head
@@ -260,19 +255,19 @@ class ClampedBends(Body):
         )
 
     def place(self, velocity: np.ndarray, bend: np.ndarray, rate: np.ndarray) -> None:
-        """See `Body.place`; a clamped chain can only start at rest."""
+        """See `Body.place`. A clamped chain can only start at rest."""
         raise InputError("a snake that is clamped at its head can only start at rest")
 
     def move(
         self, steps: np.ndarray, trace: Trace, sample_steps: np.ndarray
     ) -> tuple[int, np.ndarray, np.ndarray]:
-        """See `Body.move`; `motion` computes the states."""
+        """See `Body.move`. `motion` computes the states."""
         return len(steps), *self._allocate(len(sample_steps))
 
     def motion(
         self, states: np.ndarray, velocities: np.ndarray, trace: Trace
     ) -> Motion:
-        """See `Body.motion`; the bends determine the motion."""
+        """See `Body.motion`. The bends determine the motion."""
         trace = self._split(trace)
         torque = np.empty_like(trace.bend)
         simulate_clamped(trace, self.solid, self._head_pose, states, velocities, torque)
@@ -285,8 +280,7 @@ class _Chain(NamedTuple):
     """Chain of connectors in the world frame, relative to its head.
 
     Attributes:
-        position: shape (N, 2), m.
-        acceleration: shape (N, 2), m/s².
+        position, acceleration: positions (m) and accelerations (m/s²), shape (N, 2).
         alpha: angular accelerations, shape (N,), rad/s².
         lever: velocity of all connectors behind a segment per bend rate, shape
             (segments, 2), m.
@@ -299,16 +293,7 @@ class _Chain(NamedTuple):
 
 
 class _Centre(NamedTuple):
-    """Motion of the centre of mass relative to the head, and of the mean heading.
-
-    Attributes:
-        x: m.
-        y: m.
-        vx: m/s.
-        vy: m/s.
-        heading: rad.
-        spin: rad/s.
-    """
+    """Motion of the centre of mass relative to the head, and of the mean heading."""
 
     x: float
     y: float
@@ -323,14 +308,14 @@ def simulate_clamped(trace, solid, head, states, velocities, torque):  # type: i
     """Fill states, velocities and moments of a chain that is held at its head.
 
     Args:
-        trace: trace of the chambers; their free bends are the bends of the chain.
+        trace: trace of the chambers, whose free bends are the bends of the chain.
         solid: the chain.
-        head: pose of the head: x, y (m), heading (rad).
-        states: out, pose and velocity of the centre of mass in the world frame, indices
-            as in `kernels`.
-        velocities: out, velocity in the mean-heading frame and mean spin, shape
+        head: pose of the head: x, y (m) and heading (rad).
+        states: output for pose and velocity of the centre of mass in the world frame, with
+            the indices of `kernels`.
+        velocities: output for velocity in the mean-heading frame and mean spin, shape
             (samples, 3).
-        torque: out, net moments of the segments, shape (samples, segments), N·m.
+        torque: output for net moments of the segments, shape (samples, segments), N·m.
     """
     n = solid.mass.shape[0]
     chain = _Chain(
@@ -354,15 +339,10 @@ def simulate_clamped(trace, solid, head, states, velocities, torque):  # type: i
 
 @inlined
 def _accelerate(trace, k, solid, total, heading, chain):  # type: ignore[no-untyped-def]
-    """Fill a chain from head to tail at row k of a trace; return the motion of its centre.
+    """Fill a chain from head to tail at row k of a trace; return its centre's motion.
 
-    Args:
-        trace: trace of the chambers.
-        k: row.
-        solid: the chain.
-        total: its mass, kg.
-        heading: of the head, rad.
-        chain: out; the head stays at 0.
+    The position of the head stays 0. `total` is the mass of the chain in kg, and `heading`
+    is the heading of the head in rad.
     """
     n = solid.mass.shape[0]
     position = chain.position
@@ -397,7 +377,7 @@ def _accelerate(trace, k, solid, total, heading, chain):  # type: ignore[no-unty
         v_y = v_y - chord_rate * s - span * chord_spin * c
         acceleration[j + 1, 0] = acceleration[j, 0] - inward * c + aside * s
         acceleration[j + 1, 1] = acceleration[j, 1] - inward * s - aside * c
-        # The chord shortens, and rotates by half of the bend.
+        # With the bend, the chord shortens and rotates by half of the bend.
         chain.lever[j, 0] = -chord.slope * c - span / 2 * s
         chain.lever[j, 1] = -chord.slope * s + span / 2 * c
         share = solid.mass[j + 1] / total
@@ -412,7 +392,6 @@ def _accelerate(trace, k, solid, total, heading, chain):  # type: ignore[no-unty
 
 @inlined
 def _fill_moments(solid, chain, torque):  # type: ignore[no-untyped-def]
-    """Fill the moments of the segments from tail to head, from the forces on the connectors behind them."""
     n = solid.mass.shape[0]
     position = chain.position
     force_x = force_y = moment = 0.0
@@ -431,10 +410,10 @@ def _fill_moments(solid, chain, torque):  # type: ignore[no-untyped-def]
 class CompliantBends(Body):
     """Body of `compliant`: masses on springs with dampers.
 
-    The stiffness k and the damping c = k · damping_time of a segment act against
-    deviations from its free bend q_f: its moment is k (q_f − q) + c (q̇_f − q̇). A
-    massless segment without load has its free bend, which obeys Eq. 14; inertia and
-    friction deflect it.
+    A segment has the stiffness k and the damping c = k · damping_time, which act against
+    deviations from its free bend q_f. Its moment is k (q_f − q) + c (q̇_f − q̇). A massless
+    segment without load has its free bend, which obeys Eq. 14. Inertia and friction deflect
+    it.
     """
 
     state_attributes = ("_sampled", "_contact_loads")
@@ -498,7 +477,7 @@ class CompliantBends(Body):
 
     @property
     def _contact_loads(self) -> np.ndarray:
-        """Normal forces of the latest stage, from which the next one starts; empty without obstacles."""
+        """Normal forces of the latest stage, from which the next stage starts."""
         if self.obstacles is None:
             return np.empty(0)
         return np.stack([self.obstacles.normal, self.obstacles.load])
@@ -526,7 +505,6 @@ class CompliantBends(Body):
         return done, *samples
 
     def _average_forces(self, impulses: np.ndarray, reached: np.ndarray) -> None:
-        """Convert impulses and times of samples, in place, to the mean forces since the previous sample."""
         if not reached.any():
             return
         last = impulses[reached][-1].copy()

@@ -1,15 +1,16 @@
-r"""Cells of a body with skin, or among obstacles, with which the analytical models compute as with segments.
+"""Cells into which analytical models divide segments with skin or among obstacles.
 
-A segment of constant curvature with the bend q is a chain of cells, arcs with the bends
-s_c q, where s_c is the share of cell c. The masses and contact points of the body are
-at the ends of the cells: the trapezoidal rule along the arcs. The kernels then see a
-longer chain. Its mean heading, which is the mean over all contact points, differs from
-the mean over the connectors by a linear function of the bends.
+A segment of constant curvature with the bend q is a chain of cells. The cells are arcs
+with the bends s_c q, where s_c is the fraction of the bend in cell c. The masses and
+contact points of the body are at the ends of the cells, as in the trapezoidal rule
+along the arcs. The kernels then compute with a longer chain. Its mean heading, averaged
+over all contact points, differs from the mean over the connectors by a linear function
+of the bends.
 
-The moment T_j of a segment does the work T_j δq_j, so that with prescribed bends T_j =
-Σ s_c T_c. In the `compliant` model the bends of the cells are degrees of freedom, with
-the stiffness k/s_c and the damping c/s_c: in series those of the segment. Cells of the
-rigid gap have a stiffness far above that.
+The moment T_j of a segment does the work T_j δq_j, so T_j = Σ s_c T_c with prescribed
+bends. In the `compliant` model the bends of the cells are degrees of freedom. A cell
+has the stiffness k/s_c and the damping c/s_c, so that the cells in series have k and c.
+Cells of the rigid gap are far stiffer.
 
 A body on wheels among obstacles is divided as well, because a load between two
 connectors bends a segment unevenly. Its masses and wheels stay at the connectors.
@@ -25,16 +26,19 @@ from srs_twin.compute.arrays import Array
 from srs_twin.robot.spec import Geometry, RobotSpec
 
 _RIGID_RATIO = 1e6
-"""Stiffness of a cell in the rigid gap over that of a segment, 1: its bends are below a microradian."""
+"""Stiffness of a cell in the rigid gap over the segment's stiffness.
+
+Bends of such a cell are below a microradian.
+"""
 
 
 class Division(NamedTuple):
     """Cells of each segment: arcs of constant curvature between contact points.
 
     Attributes:
-        length: shape (cells,), head first, m.
-        share: fraction of the bend of the segment, shape (cells,), 1; 0 in the rigid
-            gap.
+        length: lengths of the cells, head first, shape (cells,), m.
+        share: fraction of the segment's bend in each cell, 0 in the rigid gap, shape
+            (cells,), dimensionless.
     """
 
     length: Array
@@ -42,7 +46,10 @@ class Division(NamedTuple):
 
     @classmethod
     def of(cls, geometry: Geometry, points: int) -> Division:
-        """Return at least `points` cells of about equal length, whose ends include those of the arc."""
+        """Return at least `points` cells of about equal length.
+
+        The ends of the arc are ends of cells.
+        """
         half_gap = geometry.rigid_gap / 2
         arc = geometry.segment_length
         pieces = [(half_gap, 0.0), (arc, 1.0), (half_gap, 0.0)]
@@ -67,10 +74,10 @@ class Undivided:
     Attributes:
         spec: the robot.
         mass: mass of each connector, or of each end of a cell, shape (points,), kg.
-        length: length of the arc of a segment, m, or of each cell, shape (cells,).
+        length: length of the arc of a segment, or of each cell, shape (cells,), m.
         gap: length of the straight part, which belongs to each arc, m.
-        inverse_share: 1/s_c, shape (segments, cells per segment) for divided segments,
-            1.
+        inverse_share: inverse fraction 1/s_c, shape (segments, cells per segment) for
+            divided segments, dimensionless.
     """
 
     inverse_share: float | Array = 1.0
@@ -92,19 +99,19 @@ class Undivided:
         )
 
     def split(self, bend: Array) -> Array:
-        """Return the bends of all cells, shape (…, cells), from those of the segments, (…, segments)."""
+        """Return the bends of the cells, shape (…, cells), from segment bends."""
         return bend
 
     def total(self, bend: Array) -> Array:
-        """Return the bends of the segments, shape (…, segments), from those of the cells, (…, cells)."""
+        """Return the bends of the segments, shape (…, segments), from cell bends."""
         return bend
 
     def moments(self, torque: Array) -> Array:
-        """Return the moments of the segments, (…, segments), from those of cells with prescribed bends."""
+        """Return the moments of the segments from moments on prescribed cells."""
         return torque
 
     def lead(self, bend: Array) -> float:
-        """Return the mean heading over all points, relative to that over the connectors, rad.
+        """Return the mean heading over all points minus that over the connectors, rad.
 
         Args:
             bend: bends of the cells, or their rates, shape (cells,), rad.
@@ -112,11 +119,11 @@ class Undivided:
         return 0.0
 
     def at_connectors(self, values: Array) -> Array:
-        """Return the values at the connectors, shape (samples, N, …), from those at all points."""
+        """Return the values at the connectors, shape (samples, N, …)."""
         return values
 
     def on_connectors(self, force: Array) -> Array:
-        """Return the forces on the connectors, shape (samples, N, 2), from those at all points."""
+        """Return the forces on the connectors, shape (samples, N, 2)."""
         return force
 
 
@@ -200,11 +207,14 @@ class Cells(Undivided):
 
 
 _MIDDLE = 1e-6
-"""Width of the transition between two halves of a segment over its length, 1; points there count for both."""
+"""Width of the transition between two halves of a segment over the segment's length.
+
+Points in the transition count for both halves.
+"""
 
 
 def cells_of_skin(spec: RobotSpec) -> Cells:
-    """Return the division of a robot with skin, with the masses of the trapezoidal rule."""
+    """Return the division of a robot with skin, with masses by the trapezoidal rule."""
     assert spec.skin is not None and spec.mass.segments is not None, "a robot with skin"
     division = Division.of(spec.geometry, spec.skin.points)
     cells = np.outer(spec.mass.segments, division.length / spec.geometry.pitch).ravel()

@@ -1,37 +1,39 @@
 r"""Compiled kernel of the `compliant` analytical model.
 
-**Equations.** Kinematics and floor are those of `complete` (`kernels`), but the bends q
-are unknown. The velocities are u = (v_c in the frame of the mean heading, θ̇, q̇). The
-velocity along and across and the yaw rate of each connector are linear in u, with three
-rows R_i(q). Lagrange's equations in Hamilton's variables are
+**Equations.** Kinematics and floor are as in `complete` (`kernels`), but the bends q
+are unknown. The velocities are u = (v_c in the frame of the mean heading, θ̇, q̇). Each
+connector has three velocities: along, across, and its yaw rate. They are linear in u
+with three rows R_i(q). Lagrange's equations in Hamilton's variables are
 
 $$ p = M(q)\,u, \quad M = \sum m_i \bigl(R_{t,i}^T R_{t,i} + R_{n,i}^T R_{n,i}\bigr), \qquad
    \dot p_q = \frac{\partial T}{\partial q} + \tau - k q - c \dot q + \sum R_i^T f_i, $$
 
 with the kinetic energy T, the moment of the air τ = k G (p⁺ − p⁻), and the friction
 force and moment f_i of a connector. The first three momenta are M v_c and L, as in
-`complete`. Only the floor changes them, so that the scheme conserves them exactly
-without friction, and no acceleration appears.
+`complete`. Only the floor changes them, so the scheme conserves them exactly without
+friction, and no acceleration appears.
 
-**Integration.** SDIRK2 as in `kernels`. A stage is solved for u by Newton's method. Its
-matrix contains friction, stiffness, damping and, as an antisymmetric part, the
-gyroscopic forces. It neglects the changes of friction and M with q, which are of order
-γ² h². The antisymmetric part is necessary: at the straight shape, alternating rotations
-of connectors move no point mass, so that M is singular and only damping resists that
-motion. Friction has a convex potential, whose slope along a Newton step shows whether
-the step was too long.
+**Integration.** SDIRK2 is used as in `kernels`. A stage is solved for u by Newton's
+method. Its matrix contains friction, stiffness, damping and, as an antisymmetric part,
+the gyroscopic forces. It neglects the changes of friction and M with q, which are of
+order γ² h². The antisymmetric part is necessary. At the straight shape, alternating
+rotations of connectors move no point mass, so M is singular and only damping resists
+that motion. Friction has a convex potential, whose derivative along a Newton step shows
+whether the step was too long.
 
 **Linear cost.** z denotes the velocity of a connector, its spin, and the rate of its
 velocity at constant u, all relative to the mean-heading frame. A segment propagates
 
 $$ z_{j+1} = z_j + \tau_j\,\omega_j + t_j\,\dot q_j, $$
 
-and Newton's matrix is the sum of Zᵀ B Z over the connectors, where B contains mass,
-friction slopes and, between velocities and rates, ± a m. It is solved like an
-articulated body: from tail to head each bend is eliminated from the matrix of the body
-part behind it, and from head to tail the bends are substituted. The z of the head is
-then unknown. Rates must be relative to the centre of mass, Σ m ż = 0; the two Lagrange
-multipliers of this constraint are propagated with z and turn out to be v_c.
+and Newton's matrix is the sum of Zᵀ B Z over the connectors. B contains mass, friction
+derivatives and, between velocities and rates, ± a m. The system is solved like an
+articulated body. From tail to head, each bend is eliminated from the matrix of the body
+part behind it. From head to tail, the bends are substituted.
+
+The z of the head is unknown at first. Rates must be relative to the centre of mass,
+Σ m ż = 0. The two Lagrange multipliers of this constraint are propagated with z and
+turn out to be v_c.
 """
 
 from __future__ import annotations
@@ -105,20 +107,20 @@ from srs_twin.plants.analytical.obstacles import (
 from srs_twin.robot.spec import GRAVITY
 
 BENDS = STATES
-"""Index of the first bend in the state: those of `kernels`, then the bends, then their momenta."""
+"""Index of the first bend in the state; the momenta of the bends follow the bends."""
 
 _NEWTON_STEPS = 1000
-"""Largest number of iterations; many are needed at rest on a slope, at a kink of the law."""
+"""Maximum number of iterations. A body at rest on a slope, at a kink of the law, needs many."""
 _NEWTON_TOLERANCE = 1e-9
 """Tolerance of the velocities at a time unit of 1, m/s."""
 _NEWTON_ARM = 0.1
 """Lever arm that turns rates into velocities, at a length unit of 1, m."""
 _MOST_PASSES = 10
-"""Largest number of updates of the normal forces that friction of obstacles depends on."""
+"""Maximum number of updates of the normal forces in the friction of obstacles."""
 _LOAD_TOLERANCE = 1e-4
-"""Tolerance of these normal forces over the weight, 1."""
+"""Tolerance of these normal forces over the weight."""
 _MARGIN = SPEED_LIMIT / 10
-"""Speed at which the search for near obstacles leaves room, m/s."""
+"""Speed that the search for near obstacles allows for, m/s."""
 
 # Columns of a link, the coefficients that propagate z over a segment: τ by the spin
 # (the spin itself has the coefficient 0), and t by the bend rate (the spin has −1).
@@ -150,9 +152,8 @@ class CompliantModel(NamedTuple):
     Attributes:
         solid: body.
         segments: number of segments.
-        stiffness: k of each cell, shape (cells,), N·m/rad; an undivided segment is one
-            cell.
-        damping: c of each cell, shape (cells,), N·m·s/rad.
+        stiffness, damping: stiffness k (N·m/rad) and damping c (N·m·s/rad) of each cell,
+            shape (cells,). An undivided segment is one cell.
         floor: floor.
         obstacles: obstacles that the body can touch, or None.
     """
@@ -173,7 +174,7 @@ class CompliantModel(NamedTuple):
         floor: FloorFriction,
         obstacles: Obstacles | None = None,
     ) -> CompliantModel:
-        """Return the model; springs are numbers or have the shape (segments, cells per segment)."""
+        """Return the model, with springs per model or (segments, cells per segment)."""
         cells = len(solid.mass) - 1
         if np.ndim(stiffness) == 0:
             segments = cells
@@ -188,15 +189,7 @@ class CompliantModel(NamedTuple):
 
 @kernel_only
 def _fill_propagation(body, q, u, solid, links):  # type: ignore[no-untyped-def]
-    """Fill the coefficients τ and t that propagate z from each connector to the next.
-
-    Args:
-        body: posed body, shape (ROWS, N).
-        q: bends, shape (segments,), rad.
-        u: velocities, shape (3 + segments,).
-        solid: the body.
-        links: out, shape (segments, _LINK_COLUMNS).
-    """
+    """Fill the coefficients τ and t that propagate z from a connector to the next."""
     for j in range(q.shape[0]):
         spin = u[2] + 0.5 * (body[SPIN, j] + body[SPIN, j + 1])
         # The direction of a chord is half a bend behind the heading of its front end.
@@ -221,15 +214,9 @@ def _fill_propagation(body, q, u, solid, links):  # type: ignore[no-untyped-def]
 
 @compiled
 def _fill_loads(body, u, a, solid, floor, loads):  # type: ignore[no-untyped-def]
-    """Fill momentum and friction of each connector, and the symmetric part of Newton's matrix.
+    """Fill momentum, friction and the symmetric part of Newton's matrix.
 
-    Args:
-        body: posed body, shape (ROWS, N).
-        u: velocities, shape (3 + segments,).
-        a: γ h, s.
-        solid: the body.
-        floor: the floor.
-        loads: out, shape (N, LOAD_COLUMNS), see `kinematics`.
+    The columns of `loads`, shape (N, LOAD_COLUMNS), are named in `kinematics`. `a` is γ h.
 
     Returns:
         Force of the floor (x, y), its moment about the centre of mass, and the
@@ -274,13 +261,6 @@ def _fill_loads(body, u, a, solid, floor, loads):  # type: ignore[no-untyped-def
 
 @kernel_only
 def _damper_power(model, rates, free_rates):  # type: ignore[no-untyped-def]
-    """Return the power that the dampers of all cells dissipate, Σ c (q̇ − q̇_f)², W.
-
-    Args:
-        model: see `CompliantModel`.
-        rates: bend rates of the cells, shape (cells,), rad/s.
-        free_rates: rates of their free bends, same shape, rad/s.
-    """
     power = 0.0
     for c in range(rates.shape[0]):
         deviation = rates[c] - free_rates[c]
@@ -290,7 +270,10 @@ def _damper_power(model, rates, free_rates):  # type: ignore[no-untyped-def]
 
 @compiled
 def balance(q, u, moment, a, model, floor, work):  # type: ignore[no-untyped-def]
-    """Evaluate momenta and forces of Lagrange's equations in the frame of the mean heading.
+    """Fill momenta and forces of Lagrange's equations, and the input of `solve`.
+
+    All are in the frame of the mean heading. The result is the power that floor and
+    obstacles take from the body, W.
 
     Args:
         q: bends, shape (segments,), rad.
@@ -298,13 +281,10 @@ def balance(q, u, moment, a, model, floor, work):  # type: ignore[no-untyped-def
             (rad/s), shape (3 + segments,).
         moment: moment k q_f + c q̇_f of the free bend on each segment, shape
             (segments,), N·m.
-        a: γ h for `solve`, s.
-        model: a `CompliantModel`, its obstacles with the pose of the body.
+        a: implicit step γ h for `solve`, s.
+        model: a `CompliantModel`, whose obstacles hold the pose of the body.
         floor: the floor.
-        work: out, momenta and forces, and the input of `solve`.
-
-    Returns:
-        Power that the floor and obstacles take, W.
+        work: a `WorkArrays`.
     """
     solid = model.solid
     body = work.body
@@ -331,7 +311,7 @@ def balance(q, u, moment, a, model, floor, work):  # type: ignore[no-untyped-def
 
 @kernel_only
 def _sum_behind(q, u, moment, model, work):  # type: ignore[no-untyped-def]
-    """Fill momenta and forces of the bends after their first three components; arguments as in `balance`."""
+    """Fill momenta and forces of the bends, after their first three components."""
     mass = model.solid.mass
     n = mass.shape[0]
     momentum = work.momentum
@@ -339,7 +319,8 @@ def _sum_behind(q, u, moment, model, work):  # type: ignore[no-untyped-def]
     fx = force[0]
     fy = force[1]
     floor_moment = force[2]
-    # Sums over all connectors behind a segment, about the connector at its front end.
+    # The sums extend over all connectors behind a segment and refer to the connector at
+    # its front end: momenta p, then forces.
     px = py = pm = x = y = m = 0.0
     for j in range(n - 2, -1, -1):
         load = work.loads[j + 1]
@@ -377,7 +358,7 @@ def _sum_behind(q, u, moment, model, work):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _add_connector(matrix, load, mass, weight, share, a, residual):  # type: ignore[no-untyped-def]
-    """Add B of a connector, the multipliers, and its contribution to the momentum residual of the body."""
+    """Add a connector's B, the multipliers, and its part of the momentum residual."""
     matrix[_X, _X] += load[MASS_XX]
     matrix[_X, _Y] += load[MASS_XY]
     matrix[_Y, _X] += load[MASS_YX]
@@ -398,7 +379,7 @@ def _add_connector(matrix, load, mass, weight, share, a, residual):  # type: ign
 
 @kernel_only
 def _by_bend(link, row):  # type: ignore[no-untyped-def]
-    """Return the derivative by the bend rate of a quantity with the given derivatives by z."""
+    """Return the derivative with respect to the bend rate from derivatives by z."""
     return (
         link[_BEND_X] * row[_X]
         + link[_BEND_Y] * row[_Y]
@@ -410,7 +391,6 @@ def _by_bend(link, row):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _by_spin(link, row):  # type: ignore[no-untyped-def]
-    """Return the derivative by the spin in front of a segment; arguments as in `_by_bend`."""
     return (
         link[_SPIN_X] * row[_X]
         + link[_SPIN_Y] * row[_Y]
@@ -424,9 +404,9 @@ def solve(a, model, work):  # type: ignore[no-untyped-def]
     """Solve Newton's linear system at the point of the preceding `balance`.
 
     Args:
-        a: γ h, positive, s.
-        model: as in `balance`.
-        work: as filled by `balance`, with the residual; its `step` is the solution.
+        a: implicit step γ h, positive, s.
+        model: model as in `balance`.
+        work: work arrays filled by `balance`, with the residual. `step` is the solution.
     """
     mass = model.solid.mass
     loads = work.loads
@@ -446,7 +426,6 @@ def solve(a, model, work):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _eliminate_bend(j, a, model, work):  # type: ignore[no-untyped-def]
-    """Eliminate a bend from the matrix behind it, which then refers to the connector in front."""
     link = work.links[j]
     pivot = work.pivots[j]
     matrix = work.matrix
@@ -481,8 +460,6 @@ def _eliminate_bend(j, a, model, work):  # type: ignore[no-untyped-def]
 
 
 class _HeadSolution(NamedTuple):
-    """Solution at the head: velocity, spin, rate of the velocity, and the multipliers."""
-
     x: float
     y: float
     m: float
@@ -494,7 +471,7 @@ class _HeadSolution(NamedTuple):
 
 @kernel_only
 def _substitute_bends(head, work):  # type: ignore[no-untyped-def]
-    """Fill the step from head to tail; the multipliers are the velocity of the centre of mass."""
+    """Fill the step from head to tail. The multipliers are the velocity v_c."""
     step = work.step
     n = work.loads.shape[0]
     step[0] = head.multiplier_x
@@ -531,7 +508,10 @@ def _substitute_bends(head, work):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _eliminate(matrix):  # type: ignore[no-untyped-def]
-    """Solve for the last column in place; no pivoting: the symmetric part is positive semidefinite."""
+    """Solve for the last column in place.
+
+    The symmetric part is positive semidefinite, so no pivoting is needed.
+    """
     for j in range(_UNKNOWNS):
         for i in range(j + 1, _UNKNOWNS):
             factor = matrix[i, j] / matrix[j, j]
@@ -561,20 +541,16 @@ class WorkArrays(NamedTuple):
             _LINK_COLUMNS).
         loads: momenta, friction and mass matrices of the connectors (`_fill_loads`),
             shape (N, LOAD_COLUMNS).
-        pivots: eliminated rows of the bends, with the right side last, shape (segments,
-            _UNKNOWNS + 1).
-        matrix: Newton's matrix of the body part behind a connector, with the right side
-            last, shape (_UNKNOWNS, _UNKNOWNS + 1).
-        bend: bends at a stage, shape (segments,).
-        moment: moments of the free bends at a stage, shape (segments,).
-        momentum: p, shape (3 + segments,).
-        force: dp/dt, same shape.
-        residual: residual of a stage, same shape.
-        step: Newton's step, same shape.
-        last: velocities before a stage, same shape.
-        drift: rates of change of the velocities between stages, same shape.
-        rate: rates of the state at a stage, shape (state,).
-        known: known part of a stage, shape (state,).
+        pivots: eliminated rows of the bends, with the right-hand side last, shape
+            (segments, _UNKNOWNS + 1).
+        matrix: Newton's matrix of the body part behind a connector, with the right-hand
+            side last, shape (_UNKNOWNS, _UNKNOWNS + 1).
+        bend, moment: bends, and moments of the free bends, at a stage, shape (segments,).
+        momentum, force: p and dp/dt, shape (3 + segments,).
+        residual, step: residual of a stage and Newton step, shape (3 + segments,).
+        last, drift: velocities before a stage, and their rates of change between stages,
+            shape (3 + segments,).
+        rate, known: rates of the state, and known part, at a stage, shape (state,).
     """
 
     body: np.ndarray
@@ -595,7 +571,7 @@ class WorkArrays(NamedTuple):
 
     @classmethod
     def of(cls, n: int, states: int = 0) -> WorkArrays:
-        """Return arrays for n connectors and a number of states (0 for `balance`)."""
+        """Return arrays for n connectors and `states` states (0 for `balance`)."""
         shapes = [
             (ROWS, n),
             (n - 1, _LINK_COLUMNS),
@@ -611,16 +587,7 @@ class WorkArrays(NamedTuple):
 
 @kernel_only
 def _residual(known, a, u, weight, floor, work):  # type: ignore[no-untyped-def]
-    """Fill the residual p(u) − p_known − a dp/dt in the frame of the mean heading.
-
-    Args:
-        known: known part of the stage equation, shape (STATES + 2 segments,).
-        a: γ h, s.
-        u: velocities, shape (3 + segments,).
-        weight: total mass, kg.
-        floor: the floor.
-        work: as filled by `balance`.
-    """
+    """Fill the residual p(u) − p_known − a dp/dt in the mean-heading frame."""
     momentum = work.momentum
     force = work.force
     out = work.residual
@@ -649,7 +616,6 @@ def _dot(a, b):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _begin_stage(bend, rate, model, work):  # type: ignore[no-untyped-def]
-    """Fill the moments of the free bends at a stage, and clear Newton's step."""
     for j in range(bend.shape[0]):
         work.moment[j] = model.stiffness[j] * bend[j] + model.damping[j] * rate[j]
     for j in range(work.step.shape[0]):
@@ -658,19 +624,11 @@ def _begin_stage(bend, rate, model, work):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _stage(a, free, row, model, floor, u, work):  # type: ignore[no-untyped-def]
-    """Solve one implicit stage Y = known + a f(Y); fill f(Y); return the success.
+    """Solve one implicit stage Y = known + a f(Y), and return whether it converged.
 
-    In place of the bends, Y contains their deviations from the free bends, which are
-    known exactly.
-
-    Args:
-        a: γ h, s.
-        free: free bends and their rates.
-        row: row of the stage in `free`.
-        model: a `CompliantModel`.
-        floor: the floor.
-        u: in place, velocities, of which a guess is given.
-        work: with the known part of Y; its `rate` is filled.
+    In place of the bends, Y contains their deviations from the free bends, which are known
+    exactly. `work.known` holds the known part, and `work.rate` gets f(Y). `u` holds a guess
+    of the velocities, and then the solution.
     """
     known = work.known
     q = work.bend
@@ -683,7 +641,7 @@ def _stage(a, free, row, model, floor, u, work):  # type: ignore[no-untyped-def]
     weight = model.solid.weight
     _begin_stage(bend, bend_rate, model, work)
     step_share = 0.0  # fraction of the latest Newton step that has been made
-    slope_before = 0.0  # slope of the potential along that step at its start
+    slope_before = 0.0  # derivative of the potential along that step at its start
     converged = False
     passes = 0
     power = 0.0
@@ -725,7 +683,7 @@ def _stage(a, free, row, model, floor, u, work):  # type: ignore[no-untyped-def]
 
 @inlined
 def _fill_rates(a, power, free, row, model, floor, u, work):  # type: ignore[no-untyped-def]
-    """Fill the rates of the state at a stage; `power` is the power that floor and obstacles take, W."""
+    """Fill the rates of the state; `power` is what floor and obstacles take, W."""
     known = work.known
     force = work.force
     k = work.rate
@@ -754,9 +712,8 @@ class CompliantState(NamedTuple):
     """State of a body with compliant bends.
 
     Attributes:
-        state: that of `kernels` followed by bends (rad), their momenta (kg·m²/s) and,
-            with obstacles, the impulses of the obstacles on each point (N·s) and the
-            time (s).
+        state: state of `kernels`, followed by bends (rad) and their momenta (kg·m²/s). With
+            obstacles, the impulses on each point (N·s) and the time (s) follow.
         velocity: velocities as in `balance`, kept between calls as first guesses.
     """
 
@@ -766,7 +723,6 @@ class CompliantState(NamedTuple):
 
 @inlined
 def _fastest_point(u, reach):  # type: ignore[no-untyped-def]
-    """Return about the largest speed of a point, m/s."""
     fastest = abs(u[0]) + abs(u[1])
     for j in range(2, u.shape[0]):
         fastest = max(fastest, reach * abs(u[j]))
@@ -775,16 +731,16 @@ def _fastest_point(u, reach):  # type: ignore[no-untyped-def]
 
 @compiled
 def advance(now, steps, free, marks, model, samples, work):  # type: ignore[no-untyped-def]
-    """Advance a body in place over given steps; return the number of completed steps.
+    """Advance a body in place and return the number of completed steps.
 
     Args:
         now: a `CompliantState`.
         steps: lengths of the steps, shape (steps,), s.
-        free: free bends and their rates, `Bends`, at the start and at the two stages of
-            each step, shape (1 + 2 steps, segments).
+        free: free bends and their rates at the start and at the two stages of each step, a
+            `Bends` of shape (1 + 2 · steps, segments).
         marks: number of steps before each sample, ascending, shape (samples,).
         model: a `CompliantModel`.
-        samples: out, `Samples`.
+        samples: output, a `Samples`.
         work: a `WorkArrays`.
     """
     state = now.state

@@ -1,28 +1,28 @@
-r"""Compiled friction on the connectors of a moving body, with its slopes.
+r"""Compiled friction on the connectors of a moving body, with its derivatives.
 
 **Coasting.** A straight body that slides without rotation (`slide`) moves like a point
 with the same laws. All connectors move equally, so the mass cancels:
 
 $$ \dot v = f(v; \mu_t/(1 + s), \mu_n), \qquad s = \sum_w \frac{I_w}{M R^2}, $$
 
-with the law f for a load of g per unit mass. s is the inertia of the spinning wheels; 0
-without it. The spin of the wheels adds inertia along the heading, which lengthens the
-stopping distance by the factor 1 + s. No other force acts, so neither velocity
-component changes its sign: each is integrated by the midpoint rule until it is 0, and
-stays 0. Positions are smooth in the velocities and coefficients, as a fit requires.
+with the law f for a load of g per unit mass. The spin of the wheels adds the relative
+inertia s along the heading, which lengthens the stopping distance by the factor 1 + s.
+No other force acts, so neither velocity component changes its sign. Each component is
+integrated by the midpoint rule until it is 0, and stays 0. Positions are smooth in the
+velocities and coefficients, as a fit requires.
 
-**Momentary loads.** A connector has two wheels at ± a, and its centre of mass is at the
-height h. A lateral force increases the load of the outer wheel. The connector does not
-tip over, so that with the law's force φ per unit load, left and right,
+**Instantaneous loads.** A connector has two wheels at ± a, and its centre of mass is at
+the height h. A lateral force increases the load of the outer wheel. The connector does
+not tip over. With the law's force φ per unit load, left and right,
 
 $$ N_{L,R} = \tfrac W2 \mp k F_n, \qquad F_n = N_L φ_L + N_R φ_R
    = \frac W2\,\frac{φ_L + φ_R}{1 - k (φ_R - φ_L)}, \qquad k = \frac h{2a}. $$
 
-Loads are not negative. Slopes are computed at constant loads, which keeps them
-symmetric. The solution is the same; Newton's method needs a few more iterations.
+Loads are not negative. Derivatives are computed at constant loads, which keeps them
+symmetric. The solution is unchanged, but Newton's method needs a few more iterations.
 
-**Skin** has another coefficient for slip towards the tail than towards the head. The
-law `cosine` has no potential, so that its slopes are not symmetric. Both are cases of
+**Skin** has different coefficients for slip towards the tail and towards the head. The
+law `cosine` has no potential, so its derivatives are not symmetric. Both are cases of
 their own, and the kernels of other floors do not depend on them.
 """
 
@@ -40,25 +40,24 @@ from srs_twin.robot.spec import GRAVITY, RobotSpec
 
 
 class FloorFriction(NamedTuple):
-    """Friction parameters and slope of the floor, for the kernels.
+    """Friction parameters and inclination of the floor, for the kernels.
 
     Attributes:
-        case: tuple of None whose length is the index into `_CASES`. The length is part
-            of the type in numba, so that a kernel is compiled for the contacts and the
-            law of its floor only.
-        track: distance of the two contacts of a connector from the centre line, m; 0
-            for one contact.
-        mu_t: friction coefficient along the heading, 1.
-        mu_n: friction coefficient across the heading, 1.
+        case: tuple of None whose length is the index into `_CASES`. The length is part of
+            the type in numba, so that a kernel is compiled only for the contacts and the
+            law of its floor.
+        track: distance of the two contacts of a connector from the centre line, m, or 0 for
+            one contact.
+        mu_t, mu_n: friction coefficients along and across the heading, dimensionless.
         slip: slip speed ε, m/s.
         drag: axial drag on each connector, N.
-        load_transfer: k, load transferred between the wheels per lateral force, 1; 0
-            for static loads.
-        mu_back: friction coefficient along the heading for slip towards the tail, 1.
+        load_transfer: load k transferred between the wheels per lateral force, 0 for static
+            loads, dimensionless.
+        mu_back: friction coefficient along the heading for slip towards the tail,
+            dimensionless.
         gravity: component of gravity normal to the floor, m/s².
-        pull_x: component of gravity along the floor in world x, m/s².
-        pull_y: component of gravity along the floor in world y, m/s².
-        unit: time unit u of the robot (`robot.scale`), for tolerances, 1.
+        pull_x, pull_y: components of gravity along the floor in the world frame, m/s².
+        unit: time unit u of the robot (`robot.scale`), for tolerances.
     """
 
     case: tuple[None, ...]
@@ -76,25 +75,19 @@ class FloorFriction(NamedTuple):
 
 
 class ContactTerms(NamedTuple):
-    """Force and moment of the contacts of a connector, and their slopes.
+    """Force and moment of the contacts of a connector, and their derivatives.
 
-    The slope `tn` is the derivative of t by the velocity across, `tm` by the spin, and
-    `mn` that of the moment by the velocity across; `mt` is always `tm`. Friction is the
-    gradient of a potential, so that the slopes are symmetric, except under the law
+    In the names of derivatives, the first letter is the force or moment and the second the
+    velocity: t along, n across, m about the vertical. `mt` always equals `tm`. Friction is
+    the gradient of a potential, so the derivatives are symmetric, except under the law
     `cosine`.
 
     Attributes:
-        t: force along the heading, N.
-        n: force across the heading, N.
+        t, n: force along and across the heading, N.
         m: moment, N·m.
-        tt: N·s/m.
-        tn: N·s/m.
-        tm: N·s.
-        nt: N·s/m.
-        nn: N·s/m.
-        nm: N·s.
-        mn: N·s.
-        mm: N·m·s.
+        tt, tn, nt, nn: derivatives of forces with respect to velocities, N·s/m.
+        tm, nm, mn: mixed derivatives of forces and spin, or moment and velocity, N·s.
+        mm: derivative of the moment with respect to the spin, N·m·s.
     """
 
     t: float
@@ -112,21 +105,15 @@ class ContactTerms(NamedTuple):
 
 @compiled
 def _one_contact(law, along, across, spin, weight, floor):  # type: ignore[no-untyped-def]
-    """Evaluate `connector_friction` for one contact; `law` is a compiled law of `robot.friction`."""
     t, n, tt, tn, _, nn = law(along, across, weight, floor.mu_t, floor.mu_n, floor.slip)
     return ContactTerms(t, n, 0.0, tt, tn, 0.0, tn, nn, 0.0, 0.0, 0.0)
 
 
 @kernel_only
 def _sum_pair(left, right, a, b, arm):  # type: ignore[no-untyped-def]
-    """Return the terms of two contacts.
+    """Return the terms of two contacts at the distance `arm` from the centre line.
 
-    Args:
-        left: results of a law for the left contact.
-        right: results for the right contact.
-        a: factor on the results of the left contact, 1 or N.
-        b: factor on the results of the right contact, 1 or N.
-        arm: distance of the contacts from the centre line, m.
+    `left` and `right` are results of a law. `a` and `b` are factors on them.
     """
     a_t, a_n, a_tt, a_tn, a_nt, a_nn = left
     b_t, b_n, b_tt, b_tn, b_nt, b_nn = right
@@ -147,7 +134,6 @@ def _sum_pair(left, right, a, b, arm):  # type: ignore[no-untyped-def]
 
 @compiled
 def _two_contacts(law, along, across, spin, weight, floor):  # type: ignore[no-untyped-def]
-    """Evaluate `connector_friction` for two contacts at the track with static loads."""
     arm = floor.track
     half = weight / 2
     left = law(along - spin * arm, across, half, floor.mu_t, floor.mu_n, floor.slip)
@@ -157,17 +143,10 @@ def _two_contacts(law, along, across, spin, weight, floor):  # type: ignore[no-u
 
 @inlined
 def _loaded_pair(law, v_a, v_b, mu_a, mu_b, across, weight, floor):  # type: ignore[no-untyped-def]
-    """Return the terms of two contacts with momentary loads.
+    """Return the terms of two contacts with instantaneous loads.
 
-    Args:
-        law: a compiled law.
-        v_a: velocity of the left contact along the heading, m/s.
-        v_b: velocity of the right contact, m/s.
-        mu_a: friction coefficient of the left contact along the heading.
-        mu_b: friction coefficient of the right contact.
-        across: velocity across the heading, m/s.
-        weight: normal load of both contacts together, N.
-        floor: the floor.
+    `v_a` and `v_b` are the velocities of the left and right contact along the heading.
+    `weight` is the normal load of both contacts together.
     """
     left = law(v_a, across, 1.0, mu_a, floor.mu_n, floor.slip)
     right = law(v_b, across, 1.0, mu_b, floor.mu_n, floor.slip)
@@ -181,7 +160,6 @@ def _loaded_pair(law, v_a, v_b, mu_a, mu_b, across, weight, floor):  # type: ign
 
 @compiled
 def _two_loaded_contacts(law, along, across, spin, weight, floor):  # type: ignore[no-untyped-def]
-    """Evaluate `connector_friction` for two contacts at the track with momentary loads."""
     v_a = along - spin * floor.track
     v_b = along + spin * floor.track
     mu = floor.mu_t
@@ -190,7 +168,7 @@ def _two_loaded_contacts(law, along, across, spin, weight, floor):  # type: igno
 
 @compiled
 def _skin(law, along, across, spin, weight, floor):  # type: ignore[no-untyped-def]
-    """Evaluate `connector_friction` for two contact points of a skin; the track may be 0."""
+    """Evaluate `connector_friction` for two points of a skin; the track may be 0."""
     v_a = along - spin * floor.track
     v_b = along + spin * floor.track
     mu_a = floor.mu_t if v_a >= 0.0 else floor.mu_back
@@ -217,7 +195,7 @@ def floor_friction(
     """Return a level floor without drag at a time unit of 1.
 
     Args:
-        law: one of `robot.friction.LAWS`.
+        law: friction law, one of `robot.friction.LAWS`.
         track: see `FloorFriction`.
         mu_t: see `FloorFriction`.
         mu_n: see `FloorFriction`.
@@ -254,12 +232,12 @@ def floor_friction(
 def with_reduced_slip_speed(floor, speed):  # type: ignore[no-untyped-def]
     """Return a floor on which a body at rest does not creep down a slope.
 
-    A regularised law yields at any force. On a slope the slip speed therefore decreases
-    with the speed of the body.
+    A regularised law yields at any force, so on a slope the slip speed decreases with the
+    speed of the body. A level floor is returned unchanged.
 
     Args:
-        floor: a level floor is returned unchanged.
-        speed: approximate largest speed of the body, m/s.
+        floor: the floor.
+        speed: approximate maximum speed of the body, m/s.
     """
     slip = floor.slip
     if floor.pull_x != 0.0 or floor.pull_y != 0.0:
@@ -296,7 +274,6 @@ def connector_friction(along, across, spin, weight, floor) -> Any:  # type: igno
 
 @compiled
 def _add_drag(terms, along, floor):  # type: ignore[no-untyped-def]
-    """Add the axial drag to the results of `connector_friction`."""
     t = terms.t
     tt = terms.tt
     if floor.drag > 0.0:
@@ -320,7 +297,6 @@ def _add_drag(terms, along, floor):  # type: ignore[no-untyped-def]
 
 @overload_part(connector_friction)
 def _compile_connector_friction(along, across, spin, weight, floor):  # type: ignore[no-untyped-def]
-    """Compile `connector_friction` for the case of a floor's type, without a branch."""
     contacts, law = _CASES[floor.types[floor.fields.index("case")].count]
     return lambda along, across, spin, weight, floor: _add_drag(
         contacts(law, along, across, spin, weight, floor), along, floor
@@ -329,7 +305,10 @@ def _compile_connector_friction(along, across, spin, weight, floor):  # type: ig
 
 @kernel_only
 def slopes_of_force(terms, c, s):  # type: ignore[no-untyped-def]
-    """Return the slopes xx, xy, yx, yy of the force at a heading with the cosine c and the sine s."""
+    """Return the derivatives xx, xy, yx, yy of the force in the frame of the body.
+
+    c and s are cosine and sine of the connector's heading.
+    """
     t_x = terms.tt * c - terms.tn * s
     n_x = terms.nt * c - terms.nn * s
     t_y = terms.tt * s + terms.tn * c
@@ -340,7 +319,7 @@ def slopes_of_force(terms, c, s):  # type: ignore[no-untyped-def]
 class Twist(NamedTuple):
     """Vector of a planar body: two components in its frame, and one about the vertical.
 
-    As a velocity m/s and rad/s, as a momentum kg·m/s and kg·m²/s.
+    The units are m/s and rad/s for a velocity, kg·m/s and kg·m²/s for a momentum.
     """
 
     x: float
@@ -349,25 +328,18 @@ class Twist(NamedTuple):
 
 
 class BodyForces(NamedTuple):
-    """Net force and moment of the floor on a body in its frame, with their slopes.
+    """Net force and moment of the floor on a body in its frame, with their derivatives.
 
-    The slope `xy` is the derivative of the force x by the velocity y, `xz` by the yaw
-    rate, and `zx` that of the moment by the velocity x.
+    `xy` is the derivative of the force x with respect to the velocity y. z stands for the
+    moment and for the yaw rate.
 
     Attributes:
-        x: force, N.
-        y: force, N.
+        x, y: force, N.
         moment: moment about the centre of mass, N·m.
         power: dissipated power, W.
-        xx: N·s/m.
-        xy: N·s/m.
-        xz: N·s.
-        yx: N·s/m.
-        yy: N·s/m.
-        yz: N·s.
-        zx: N·s.
-        zy: N·s.
-        zz: N·m·s.
+        xx, xy, yx, yy: derivatives of the force with respect to the velocity, N·s/m.
+        xz, yz, zx, zy: mixed derivatives, N·s.
+        zz: derivative of the moment with respect to the yaw rate, N·m·s.
     """
 
     x: float
@@ -387,7 +359,6 @@ class BodyForces(NamedTuple):
 
 @compiled
 def _symmetric_forces(body, mass, u, floor):  # type: ignore[no-untyped-def]
-    """Evaluate `forces_and_slopes` under a law with a potential."""
     cosine = body[COS]
     sine = body[SIN]
     spins = body[SPIN]
@@ -408,8 +379,8 @@ def _symmetric_forces(body, mass, u, floor):  # type: ignore[no-untyped-def]
         along = vx * c + vy * s
         across = vy * c - vx * s
         f = connector_friction(along, across, spin, mass[i] * floor.gravity, floor)
-        # Derivatives of the velocities along and across by the yaw rate: the lever arms
-        # of the forces.
+        # The derivatives of the velocities along and across with respect to the yaw
+        # rate are the lever arms of the forces.
         t_arm = px * s - py * c
         n_arm = px * c + py * s
         fx += f.t * c - f.n * s
@@ -434,7 +405,6 @@ def _symmetric_forces(body, mass, u, floor):  # type: ignore[no-untyped-def]
 
 @compiled
 def _unsymmetric_forces(body, mass, u, floor):  # type: ignore[no-untyped-def]
-    """Evaluate `forces_and_slopes` under a law without a potential."""
     fx = fy = moment = power = 0.0
     xx = xy = xz = yx = yy = yz = zx = zy = zz = 0.0
     for i in range(mass.shape[0]):
@@ -449,7 +419,7 @@ def _unsymmetric_forces(body, mass, u, floor):  # type: ignore[no-untyped-def]
         across = vy * c - vx * s
         f = connector_friction(along, across, spin, mass[i] * floor.gravity, floor)
         d_xx, d_xy, d_yx, d_yy = slopes_of_force(f, c, s)
-        # Derivatives by the spin alone, and of the moment by the velocity alone.
+        # These derivatives are taken at constant velocity, or at constant spin.
         spin_x = f.tm * c - f.nm * s
         spin_y = f.tm * s + f.nm * c
         moment_x = f.tm * c - f.mn * s
@@ -485,8 +455,7 @@ def forces_and_slopes(body, mass, u, floor) -> Any:  # type: ignore[no-untyped-d
 
     Args:
         body: posed body, shape (ROWS, N).
-        mass: shape (N,), kg; connector i carries the load m_i g, with gravity normal to
-            the floor.
+        mass: masses of the connectors, shape (N,), kg.
         u: velocity of the centre of mass in the body frame, and yaw rate.
         floor: the floor.
     """
@@ -495,22 +464,21 @@ def forces_and_slopes(body, mass, u, floor) -> Any:  # type: ignore[no-untyped-d
 
 @overload_part(forces_and_slopes)
 def _compile_forces_and_slopes(body, mass, u, floor):  # type: ignore[no-untyped-def]
-    """Compile `forces_and_slopes` for the case of a floor's type, without a branch."""
     function = _forces_of_case(floor.types[floor.fields.index("case")].count)
     return lambda body, mass, u, floor: function(body, mass, u, floor)  # noqa: PLW0108  # numba compiles the lambda
 
 
 @compiled
 def fill_forces(body, mass, u, floor, force):  # type: ignore[no-untyped-def]
-    """Fill the floor's force on each connector, along, across (N) and moment (N·m), shape (N, 3).
+    """Fill the floor's force (N) and moment (N·m) on each connector.
 
     Args:
         body: posed body, shape (ROWS, N).
-        mass: shape (N,), kg.
+        mass: masses of the connectors, shape (N,), kg.
         u: velocity of the centre of mass in the body frame (m/s) and yaw rate (rad/s),
             shape (3 or more,).
         floor: the floor.
-        force: out.
+        force: output with force along, force across and moment, shape (N, 3).
     """
     for i in range(mass.shape[0]):
         c = body[COS, i]
@@ -527,7 +495,7 @@ def fill_forces(body, mass, u, floor, force):  # type: ignore[no-untyped-def]
 
 
 # Ratio of speed to slip speed at which a law has reached its full force within 1e-4,
-# also for an ellipse of 1:14, 1.
+# even for an ellipse of 1:14.
 _SLIDING_RATIO = 1000.0
 
 _MIN_SLIP_SPEED = 1e-7  # on a slope at a time unit of 1, m/s
@@ -538,7 +506,7 @@ _COASTING_SLIP_SPEED = (
 
 
 def spin_share(spec: RobotSpec) -> float:
-    """Return s: inertia of the wheels, as solid discs, divided by the mass of the robot, 1."""
+    """Return s: inertia of the wheels, as solid discs, over the mass of the robot."""
     return 2 * spec.geometry.connectors * (spec.mass.wheel / 2) / spec.mass.total
 
 
@@ -551,18 +519,18 @@ def slide(
     mu_n: float,
     share: float = 0.0,
 ) -> np.ndarray:
-    """Return the positions of a coasting body in the frame of its heading, relative to the start.
+    """Return the positions of a coasting body relative to the start.
 
     Args:
         velocity: initial velocity along and across the heading, m/s.
-        times: ascending from 0, shape (times,), s.
-        law: one of `robot.friction.LAWS`.
-        mu_t: friction coefficient along the heading, 1.
-        mu_n: friction coefficient across the heading, 1.
-        share: s of the module docstring, 1.
+        times: times of the positions, ascending from 0, shape (times,), s.
+        law: friction law, one of `robot.friction.LAWS`.
+        mu_t: friction coefficient along the heading, dimensionless.
+        mu_n: friction coefficient across the heading, dimensionless.
+        share: relative inertia s of the wheels (module docstring), dimensionless.
 
     Returns:
-        Positions along and across, shape (times, 2), m.
+        Positions along and across the heading, shape (times, 2), m.
     """
     floor = floor_friction(law, 0.0, mu_t / (1 + share), mu_n, _COASTING_SLIP_SPEED)
     position = np.empty((len(times), 2))
@@ -578,7 +546,6 @@ def slide(
 
 @compiled
 def _fill_positions(along, across, times, floor, position):  # type: ignore[no-untyped-def]
-    """Integrate the coasting motion and fill its positions at `times`, shape (times, 2), m."""
     x = 0.0
     y = 0.0
     now = 0.0
@@ -601,7 +568,6 @@ def _fill_positions(along, across, times, floor, position):  # type: ignore[no-u
 
 @kernel_only
 def _deceleration(along, across, floor):  # type: ignore[no-untyped-def]
-    """Return the accelerations along and across, m/s²."""
     terms = connector_friction(along, across, 0.0, GRAVITY, floor)
     return terms.t, terms.n
 
@@ -617,7 +583,6 @@ def _stop_at_zero(speed, change):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _mean_velocity(speed, change):  # type: ignore[no-untyped-def]
-    """Return the mean velocity during a step, or during the part of it before the body stops."""
     if (speed + change) * speed > 0.0:
         return speed + change / 2
     return speed / 2
@@ -625,7 +590,6 @@ def _mean_velocity(speed, change):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _distance(speed, acceleration, h):  # type: ignore[no-untyped-def]
-    """Return the distance in a step with constant acceleration, or the distance until the body stops."""
     if speed == 0.0:
         return 0.0
     if (speed + h * acceleration) * speed > 0.0:

@@ -1,7 +1,7 @@
 r"""Compiled kernels of the models with prescribed bends (`complete`, `simplified`).
 
-**Forward dynamics.** Point masses m_i are at the connectors, and the chambers prescribe
-the bends q(t); the unknown is the pose of the body. Let ρ_i(q) and φ_i(q) be position
+**Forward dynamics.** Point masses m_i are at the connectors. The chambers prescribe the
+bends q(t), so the unknown is the pose of the body. Let ρ_i(q) and φ_i(q) be position
 and heading of connector i relative to the centre of mass r_c, in the frame of the mean
 heading θ. Then
 
@@ -10,13 +10,13 @@ $$ M \dot v = \sum f_i, \qquad \dot L = \sum \bigl(r_i - r_c\bigr) \times f_i + 
 
 with I = Σ m_i |ρ_i|² + J_i, h = Σ m_i ρ_i × ρ̇_i + J_i φ̇_i, the moment of inertia J_i
 of a connector (0 for point masses), the friction force f_i, and the yaw moment n_i of
-its wheels. This is Eq. 11 multiplied by eᵀ, which cancels the segment torques. With the
-angular momentum L as a state, the scheme does not need q̈. Jumps of q̈ at valve events
-therefore do not reduce its order.
+its wheels. This is Eq. 11 multiplied by eᵀ, which cancels the segment torques. The
+angular momentum L is a state, so the scheme does not need q̈. Jumps of q̈ at valve
+events therefore do not reduce its order.
 
-Friction is stiff. The three velocities are therefore solved implicitly by the
-two-stage, second-order, L-stable SDIRK method of Alexander (1977), with Newton's method
-in each stage. Friction has a convex potential, whose slope along a Newton step shows
+Friction is stiff. The two-stage, second-order, L-stable SDIRK method of Alexander
+(1977) therefore solves the three velocities implicitly, with Newton's method in each
+stage. Friction has a convex potential, whose derivative along a Newton step shows
 whether the step was too long. `steps` chooses the lengths of the time steps.
 
 **Inverse dynamics.** The moments of the segments for given bends (`inverse_dynamics`)
@@ -29,8 +29,8 @@ $$ M a = \sum f_i - m_i a_i, \qquad
    I \alpha = \sum n_i - J_i \varepsilon_i + \rho_i \times (f_i - m_i a_i). $$
 
 From tail to head, it sums the force F_j and the moment N_j about the rear end of
-segment j that act on all connectors behind it. A massless segment with the chord L e,
-along the mean heading of its ends, does only the work T_j δq_j:
+segment j that act on all connectors behind it. A massless segment has the chord L e
+along the mean heading of its ends, and does only the work T_j δq_j:
 
 $$ T_j = -L'\, F_j \cdot e + \tfrac12 L\, e \times F_j - N_j. $$
 
@@ -82,14 +82,14 @@ class PrescribedModel(NamedTuple):
 
 
 class Bends(NamedTuple):
-    """Bends and their rates, shape (…, segments) each, rad and rad/s."""
+    """Bends (rad) and bend rates (rad/s), shape (…, segments) each."""
 
     bend: np.ndarray
     rate: np.ndarray
 
 
 class Samples(NamedTuple):
-    """States and velocities at the samples, which a kernel fills, shape (samples, …) each."""
+    """States and velocities at the samples, filled by a kernel, shape (samples, …)."""
 
     states: np.ndarray
     velocities: np.ndarray
@@ -129,7 +129,7 @@ def inverse_dynamics(
             yaw rate (rad/s), shape (samples, 3).
         trace: trace of the chambers, whose free bends are the bends.
         model: the constants.
-        torque: out, shape (samples, segments), N·m.
+        torque: output for the moments, shape (samples, segments), N·m.
     """
     n = len(model.solid.mass)
     shapes = [(ROWS, n), (n, 3), (n - 1, _CHORD_COLUMNS), (n, 3)]
@@ -139,7 +139,6 @@ def inverse_dynamics(
 
 @compiled
 def _inverse_dynamics(velocities, trace, model, torque, work):  # type: ignore[no-untyped-def]
-    """Fill the moments, see `inverse_dynamics`."""
     solid = model.solid
     for k in range(trace.bend.shape[0]):
         inertia, _ = pose_body(trace.bend[k], trace.bend_rate[k], solid, work.body)
@@ -151,16 +150,10 @@ def _inverse_dynamics(velocities, trace, model, torque, work):  # type: ignore[n
 
 @kernel_only
 def _fill_accelerations(trace, k, yaw, solid, work):  # type: ignore[no-untyped-def]
-    """Fill the accelerations of the connectors, and the chords, from head to tail.
+    """Fill accelerations of the connectors, and the chords, from head to tail.
 
-    Args:
-        trace: bends and their derivatives.
-        k: row of the trace.
-        yaw: rate of the mean heading, rad/s.
-        solid: the body.
-        work: with the posed body; its `load` gets the accelerations of the positions
-            (m/s²), relative to the head, and of the headings (rad/s²), with a constant
-            rate of their mean.
+    `work.load` gets the accelerations of positions relative to the head (m/s²) and of
+    headings (rad/s²) at row k of the trace. The rate `yaw` of the mean heading is constant.
     """
     q = trace.bend[k]
     rate = trace.bend_rate[k]
@@ -204,11 +197,12 @@ def _fill_accelerations(trace, k, yaw, solid, work):  # type: ignore[no-untyped-
 
 @kernel_only
 def _balance_loads(inertia, model, work):  # type: ignore[no-untyped-def]
-    """Convert the accelerations in `work.load` to forces (N) and moments (N·m), with those of the whole body.
+    """Convert the accelerations in `work.load` to forces (N) and moments (N·m).
+
+    They include the acceleration of the whole body.
 
     Returns:
-        Moment of the loads about the centre of mass, N·m; 0 if the friction moment
-        acts.
+        Moment of the loads about the centre of mass, or 0 if the friction moment acts, N·m.
     """
     solid = model.solid
     body = work.body
@@ -251,11 +245,8 @@ def _balance_loads(inertia, model, work):  # type: ignore[no-untyped-def]
 def _sum_moments(work, remainder, torque):  # type: ignore[no-untyped-def]
     """Fill the moments of the segments from tail to head.
 
-    Args:
-        work: chords, and loads on the connectors.
-        remainder: moment of the loads about the centre of mass, N·m. A bend rotates the
-            head, and with it the whole body, so that the mean heading stays constant.
-        torque: out, shape (segments,), N·m.
+    `remainder` is the moment of the loads about the centre of mass. A bend rotates the
+    head, and with it the whole body, so that the mean heading stays constant.
     """
     chords = work.chords
     load = work.load
@@ -272,7 +263,7 @@ def _sum_moments(work, remainder, torque):  # type: ignore[no-untyped-def]
 
 
 GAMMA = 1 - math.sqrt(0.5)
-"""Diagonal γ of the SDIRK2 method, 1; its stages are at γ h and h."""
+"""Diagonal γ of the SDIRK2 method, whose stages are at γ h and h, dimensionless."""
 
 # Indices into the state.
 STATE_X = 0  # centre of mass, m
@@ -287,29 +278,28 @@ STATES = 7
 SPEED_LIMIT = 100.0
 """Speed above which a state is not plausible, m/s."""
 
-_NEWTON_STEPS = 100  # largest number of iterations of a stage
+_NEWTON_STEPS = 100  # maximum number of iterations of a stage
 _NEWTON_TOLERANCE = 1e-8  # tolerance of the velocities at a time unit of 1, m/s
 _NEWTON_ARM = 0.1
 """Lever arm that turns the yaw rate into a velocity, at a length unit of 1, m."""
 _OVERSHOOT = 0.1
-"""Ratio of the slopes after and before a Newton step above which the step was too long, 1."""
+"""Ratio of the derivatives after and before a Newton step above which it was too long."""
 
 
 @inlined
 def is_too_long(slope_before, slope_after):  # type: ignore[no-untyped-def]
-    """Return whether a Newton step overshot the minimum, across a kink of the friction law."""
+    """Return whether a Newton step overshot the minimum, across a kink of friction."""
     return slope_after < -_OVERSHOOT * slope_before
 
 
 @inlined
 def shorter_fraction(slope_before, slope_after):  # type: ignore[no-untyped-def]
-    """Return the fraction of a step that was too long at which the slope of the potential is about 0."""
+    """Return the fraction of a long step at which the derivative is about 0."""
     return min(max(slope_before / (slope_before - slope_after), 0.1), 0.7)
 
 
 @kernel_only
 def _solve3(a, b, c, right):  # type: ignore[no-untyped-def]
-    """Solve the system with the rows a, b, c and a right side by Cramer's rule."""
     p = right.x
     q = right.y
     r = right.yaw
@@ -328,7 +318,7 @@ def _solve3(a, b, c, right):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _rotate(c, s, angle):  # type: ignore[no-untyped-def]
-    """Return cosine and sine of an angle plus an increment; small increments use a series."""
+    """Return cosine and sine of an angle plus an increment."""
     if abs(angle) > 0.1:  # rad; up to it the neglected terms are below 1e-17
         dc = math.cos(angle)
         ds = math.sin(angle)
@@ -343,7 +333,7 @@ def _rotate(c, s, angle):  # type: ignore[no-untyped-def]
 def copy(values, out):  # type: ignore[no-untyped-def]
     """Copy one array into another.
 
-    A loop: numba would check an assignment to a slice for overlap.
+    The loop avoids the overlap check of numba's assignment to a slice.
     """
     for j in range(out.shape[0]):
         out[j] = values[j]
@@ -351,17 +341,17 @@ def copy(values, out):  # type: ignore[no-untyped-def]
 
 @inlined
 def is_slow(state):  # type: ignore[no-untyped-def]
-    """Return whether the velocity of a state is plausible; a NaN fails every comparison."""
+    """Return whether the velocity is plausible. A NaN fails every comparison."""
     return abs(state[STATE_VX]) < SPEED_LIMIT and abs(state[STATE_VY]) < SPEED_LIMIT
 
 
 @inlined
 def record(state, velocity, marks, done, mark, samples):  # type: ignore[no-untyped-def]
-    """Copy state and velocity to all samples after `done` steps; return the number of the next sample.
+    """Copy state and velocity to the samples after `done` steps; return the next one.
 
     Args:
         state: state after `done` steps.
-        velocity: its velocity.
+        velocity: velocity after `done` steps.
         marks: number of steps before each sample, ascending.
         done: number of completed steps.
         mark: number of the next sample.
@@ -378,12 +368,10 @@ class _StageEquation(NamedTuple):
     """Equation of a stage: momentum = known momentum + a · force, for three velocities.
 
     Attributes:
-        a: γ h, s.
-        weight: M, kg.
-        inertia: I, kg·m².
-        moment: h, kg·m²/s.
-        known_x: known velocity of the centre of mass, with gravity, world frame, m/s.
-        known_y: its other component, m/s.
+        a: implicit step γ h, s.
+        weight, inertia, moment: M (kg), I (kg·m²) and h (kg·m²/s).
+        known_x, known_y: known velocity of the centre of mass, with gravity, world frame,
+            m/s.
         known_moment: known angular momentum, kg·m²/s.
         acts: 1 if the friction moment acts, otherwise 0.
     """
@@ -400,7 +388,6 @@ class _StageEquation(NamedTuple):
 
 @inlined
 def _residual(equation, u, c, s, force):  # type: ignore[no-untyped-def]
-    """Return the residual of a stage for velocities u at a heading with the cosine c and the sine s."""
     a = equation.a
     weight = equation.weight
     bx = equation.known_x * c + equation.known_y * s
@@ -415,7 +402,6 @@ def _residual(equation, u, c, s, force):  # type: ignore[no-untyped-def]
 
 @inlined
 def _newton_step(equation, residual, c, s, force):  # type: ignore[no-untyped-def]
-    """Return the change of the velocities that removes a residual; arguments as in `_residual`."""
     a = equation.a
     acts = equation.acts
     weight = equation.weight
@@ -453,19 +439,10 @@ class _Heading(NamedTuple):
 
 @kernel_only
 def _stage(stage, a, bends, heading, model, work):  # type: ignore[no-untyped-def]
-    """Solve one implicit stage Y = known + a f(Y); fill f(Y).
+    """Solve one implicit stage Y = known + a f(Y), and fill f(Y).
 
-    Args:
-        stage: 0 or 1.
-        a: γ h, s.
-        bends: bends and rates at both stages.
-        heading: heading of `known`.
-        model: the constants.
-        work: with the known part of Y in `after`, and a guess of the velocities in
-            `guess`, which becomes the solution.
-
-    Returns:
-        Whether Newton's method converged.
+    `work.after` holds the known part of Y. `work.guess` holds a guess of the velocities,
+    which becomes the solution. The result is whether Newton's method converged.
     """
     solid = model.solid
     floor = model.floor
@@ -481,7 +458,7 @@ def _stage(stage, a, bends, heading, model, work):  # type: ignore[no-untyped-de
     u = Twist(guess[0], guess[1], guess[2])
     step = Twist(0.0, 0.0, 0.0)
     step_share = 0.0  # fraction of the latest Newton step that has been made
-    slope_before = 0.0  # slope of the potential along that step at its start
+    slope_before = 0.0  # derivative of the potential along that step at its start
     converged = False
     power = 0.0
     c, s = _rotate(heading.cos, heading.sin, heading.ahead + a * u.yaw)
@@ -516,7 +493,7 @@ def _stage(stage, a, bends, heading, model, work):  # type: ignore[no-untyped-de
 
 @inlined
 def _fill_rates(equation, known, c, s, u, power, floor, k):  # type: ignore[no-untyped-def]
-    """Fill k = f(Y), which the equation of the stage gives without a further evaluation."""
+    """Fill k = f(Y), which the stage equation gives without a further evaluation."""
     a = equation.a
     k[STATE_X] = u.x * c - u.y * s
     k[STATE_Y] = u.x * s + u.y * c
@@ -538,7 +515,7 @@ class StepArrays(NamedTuple):
         after: state at the end of a step, shape (STATES,).
         guess: velocity in the body frame (m/s) and yaw rate (rad/s) at the end of a
             step, shape (3,).
-        pace: their rates of change for the first guesses of Newton's method, shape
+        pace: rates of change of `guess`, for the first guesses of Newton's method, shape
             (3,).
     """
 
@@ -556,18 +533,15 @@ class StepArrays(NamedTuple):
 
 @kernel_only
 def step(state, h, bends, model, work):  # type: ignore[no-untyped-def]
-    """Make one step of SDIRK2.
+    """Make one step of SDIRK2 and return whether both stages converged.
 
     Args:
-        state: at the start, shape (STATES,).
+        state: state at the start, shape (STATES,).
         h: length of the step, s.
         bends: bends and rates at the two stages, shape (2, segments).
         model: the constants.
-        work: its `after` and `rates` get the state at the end and the rates at the
-            stages; its `guess` and `pace` are those of the start, then of the end.
-
-    Returns:
-        Whether both stages converged.
+        work: work arrays. `after` and `rates` get the state at the end and the rates at
+            the stages. `guess` and `pace` belong to the start, then to the end.
     """
     u = work.guess
     pace = work.pace
@@ -625,7 +599,7 @@ def observe(
     """Return the observable quantities.
 
     Args:
-        states: shape (samples, STATES or more).
+        states: states with the indices above, shape (samples, STATES or more).
         velocities: velocity of the centre of mass in the mean-heading frame (m/s) and
             yaw rate (rad/s), shape (samples, 3 or more).
         bends: bends and rates, shape (samples, segments).
@@ -636,8 +610,7 @@ def observe(
     n = len(solid.mass)
     shapes = [(count, n, 2), (count, n), (count, n, 2), (count,)]
     out = Observation(*map(np.zeros, shapes))
-    # Contiguous arrays have one type, so that the kernel is compiled once for all
-    # models.
+    # Contiguous arrays have one type, so the kernel is compiled once for all models.
     bends = Bends(*map(np.ascontiguousarray, bends))
     body = np.zeros((ROWS, n))
     _observe(states, velocities, bends, solid, floor, out, body, np.zeros((n, 3)))
@@ -646,7 +619,6 @@ def observe(
 
 @compiled
 def _observe(states, velocities, bends, solid, floor, out, body, friction):  # type: ignore[no-untyped-def]
-    """Fill the observable quantities, see `observe`."""
     angles = bends.bend
     rates = bends.rate
     n = solid.mass.shape[0]

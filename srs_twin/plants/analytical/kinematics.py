@@ -1,7 +1,7 @@
-"""Compiled kinematics of the analytical models: positions and velocities of connectors.
+"""Compiled kinematics of the analytical models.
 
-Both are in the frame of the mean heading, relative to the centre of mass. All
-analytical models share this module.
+Positions and velocities of the connectors are in the frame of the mean heading,
+relative to the centre of mass. All analytical models share this module.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ ROWS = 7
 
 # Columns of the load on a connector in the `compliant` model: momentum relative to the
 # centre of mass, force and moment, and Newton's matrix, which is the mass minus γ h
-# times the slope of the force. XM is the derivative of the force x by the spin.
+# times the derivative of the force. XM is the derivative of the force x with respect to
+# the spin.
 MOMENTUM_X = 0
 MOMENTUM_Y = 1
 MOMENTUM_YAW = 2
@@ -53,13 +54,13 @@ class BodyParameters(NamedTuple):
 
     Attributes:
         mass: masses of the connectors, shape (N,), kg.
-        inertia: moments of inertia of the connectors about their centres, shape (N,),
-            kg·m²; 0 for point masses.
-        length: l of each segment, shape (segments,), m.
-        gap: L_o, m.
-        frozen: 1 keeps all chords at l + L_o (model `simplified`), 0 shortens them with
-            the bend.
-        weight: M, kg.
+        inertia: moments of inertia of the connectors about their centres, 0 for point
+            masses, shape (N,), kg·m².
+        length: length l of each segment, shape (segments,), m.
+        gap: rigid gap L_o, m.
+        frozen: 1 to keep all chords at l + L_o (model `simplified`), or 0 to shorten them
+            with the bend.
+        weight: total mass M, kg.
         pitch: mean distance between the connectors of the straight body, m.
     """
 
@@ -80,7 +81,7 @@ class BodyParameters(NamedTuple):
         gap: float,
         frozen: float = 0.0,
     ) -> BodyParameters:
-        """Return the constants; `length` may be one number for all segments."""
+        """Return the constants, where `length` may be one number for all segments."""
         lengths = np.full(len(mass) - 1, length)
         return cls(
             mass,
@@ -97,11 +98,10 @@ class Chord(NamedTuple):
     """Chord between the ends of a segment.
 
     Attributes:
-        cos_half: cosine of half the bend, by which the chord turns from either end.
-        sin_half: sine of half the bend.
+        cos_half, sin_half: cosine and sine of half the bend, by which the chord turns from
+            either end.
         span: length L, m.
-        slope: dL/dq, m/rad.
-        curvature: d²L/dq², m/rad².
+        slope, curvature: derivatives dL/dq (m/rad) and d²L/dq² (m/rad²).
     """
 
     cos_half: float
@@ -129,10 +129,10 @@ def chord_terms(q, solid, j):  # type: ignore[no-untyped-def]
 
 @inlined
 def _fill_chords(q, rate, solid, out):  # type: ignore[no-untyped-def]
-    """Fill terms of single segments, with `out` as a buffer, in a loop that can be vectorised.
+    """Fill terms of single segments in a loop that can be vectorised.
 
-    Returns:
-        Heading of the head relative to the mean heading (rad), and its rate (rad/s).
+    `out` serves as a buffer. The result is the heading of the head relative to the mean
+    heading (rad) and its rate (rad/s).
     """
     cosine = out[COS]
     sine = out[SIN]
@@ -153,8 +153,6 @@ def _fill_chords(q, rate, solid, out):  # type: ignore[no-untyped-def]
 
 
 class _Centre(NamedTuple):
-    """Position (m) and velocity (m/s) of the centre of mass in the frame of the head."""
-
     x: float
     y: float
     vx: float
@@ -163,7 +161,7 @@ class _Centre(NamedTuple):
 
 @compiled
 def pose_body(q, rate, solid, out):  # type: ignore[no-untyped-def]
-    """Fill a posed body; return its moment of inertia I (kg·m²) and h (kg·m²/s), see `kernels`.
+    """Fill a posed body and return I (kg·m²) and h (kg·m²/s). See `kernels`.
 
     Args:
         q: bends, shape (segments,), rad.
@@ -213,17 +211,10 @@ def pose_body(q, rate, solid, out):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _transform_to_mean(out, solid, centre, lead, lead_rate):  # type: ignore[no-untyped-def]
-    """Transform a body posed in the frame of its head to the centre of mass and the mean heading.
+    """Transform a body from the head's frame to the mean heading; return I and h.
 
-    Args:
-        out: posed body, in place, shape (ROWS, N).
-        solid: the body.
-        centre: the centre of mass.
-        lead: heading of the head relative to the mean heading, rad.
-        lead_rate: its rate, rad/s.
-
-    Returns:
-        I and h, see `pose_body`.
+    `lead` is the heading of the head relative to the mean heading, in rad. The origin moves
+    to the centre of mass.
     """
     mass = solid.mass
     connector_inertia = solid.inertia
@@ -234,7 +225,7 @@ def _transform_to_mean(out, solid, centre, lead, lead_rate):  # type: ignore[no-
     place_y = out[Y]
     rate_x = out[VX]
     rate_y = out[VY]
-    # The lead may exceed a full turn in a long coil: no series expansion.
+    # The lead may exceed a full turn in a long coil, so no series expansion is used.
     a = math.cos(lead)
     b = math.sin(lead)
     inertia = moment = 0.0

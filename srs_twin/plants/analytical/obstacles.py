@@ -1,10 +1,10 @@
-r"""Contact of the `compliant` model with obstacles: unilateral normal forces with Coulomb friction.
+r"""Contact of the `compliant` model with obstacles.
 
-**Shapes.** The body at each point of the chain (`cells`) is a straight stretch along
-the heading, which reaches half way to the neighbouring points, with round ends and the
-half width w. Obstacles are line segments with a radius: circles and the sides of
-polygons. The contact is at the closest points of the two. Its force acts on the
-stretch, and thus changes force and moment at one point only.
+**Shapes.** At each point of the chain (`cells`) the body is a straight stretch along
+the heading, which reaches half way to the neighbouring points. It has round ends and
+the half width w. Obstacles are line segments with a radius: circles and the sides of
+polygons. The contact is at the closest points of stretch and obstacle. Its force acts
+on the stretch, and thus changes force and moment at one point only.
 
 **Law.** With the overlap δ and the normal velocity v_n of the body at the contact,
 positive when it leaves,
@@ -13,17 +13,19 @@ $$ N = k\,δ_+\,(1 - χ v_n)_+, \qquad
    f_t = -μ N \frac{v_t}{\sqrt{v_t^2 + ε^2}}. $$
 
 N never pulls. The factor with χ dissipates energy (Hunt and Crossley, 1975). The
-stiffness is k = m/T², on which the robot with its mass m would oscillate with the time
-constant T = `CONTACT_TIME_S`; T → 0 is rigid contact. Both are evaluated at the end of
-each implicit stage, where δ moves by −a v_n with a = γ h, so that
+stiffness is k = m/T², on which the robot with the mass m would oscillate with the time
+constant T = `CONTACT_TIME_S`. The limit T → 0 is rigid contact. Force and stiffness are
+evaluated at the end of each implicit stage, where δ moves by −a v_n with a = γ h. The
+derivative
 
 $$ \frac{∂N}{∂v_n} = -k\,\bigl(a\,(1 - χ v_n) + χ δ\bigr) $$
 
-enters Newton's matrix, and stiff contacts do not limit the time step. Changes of the
-normal during a step are neglected in the matrix, not in the force. Friction with a
-constant N has a convex potential, on which Newton's method relies. A stage is therefore
-solved a few times, each with the normal forces of the previous solution in the
-friction.
+therefore enters Newton's matrix, and stiff contacts do not limit the time step. The
+matrix, but not the force, neglects changes of the normal during a step.
+
+Newton's method relies on a convex potential, which friction has under constant N. A
+stage is therefore solved a few times, each time with the normal forces of the previous
+solution in the friction.
 
 The twin shares none of this: it has rods between hinges, other shapes, and MuJoCo's
 constraint forces.
@@ -66,10 +68,13 @@ from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import WALL_M, World
 
 CONTACT_TIME_S = 0.001
-"""T, time constant of a contact at a time unit of 1 (`robot.scale`), s; a numerical setting."""
+"""Time constant T of a contact at a time unit of 1 (`robot.scale`), s.
+
+It is a numerical setting.
+"""
 
 _LOSS_S_PER_M = 20.0
-"""χ at a speed unit of 1, s/m: bodies leave an obstacle slower than 1/χ."""
+"""Coefficient χ at a speed unit of 1, s/m. Bodies leave an obstacle slower than 1/χ."""
 
 # Columns of `Obstacles.shape`, m.
 _BEGIN_X = 0
@@ -90,21 +95,21 @@ class Obstacles(NamedTuple):
     """Obstacles and the work arrays of their contacts, for the kernels.
 
     Attributes:
-        shape: ends of a line segment and its radius, shape (obstacles,
-            _SHAPE_COLUMNS), m; the ends of a circle are equal.
+        shape: ends of a line segment and its radius, shape (obstacles, _SHAPE_COLUMNS), m.
+            The ends of a circle are equal.
         stretch: reach of the body ahead of and behind each point, shape (points, 2), m.
-        half_width: w, m.
-        stiffness: k, N/m.
-        loss: χ, s/m.
-        friction: μ, 1.
-        slip: ε, m/s.
+        half_width: half width w, m.
+        stiffness: contact stiffness k, N/m.
+        loss: dissipation coefficient χ, s/m.
+        friction: friction coefficient μ, dimensionless.
+        slip: slip speed ε, m/s.
         pose: work array, pose of the body at the end of a stage, shape (4,).
         near: work array: number of obstacles within reach of the body, and their
             indices.
         force: force of the obstacles on each point at the latest evaluation, world
             frame, shape (points, 2), N.
-        normal: normal forces at the latest evaluation, shape (obstacles, points), N.
-        load: normal forces that friction is proportional to, same shape, N.
+        normal, load: normal forces at the latest evaluation and in the friction law, shape
+            (obstacles, points), N.
     """
 
     shape: np.ndarray
@@ -129,7 +134,7 @@ def make_obstacles(
     Args:
         world: circles, polygons, and the coefficient of friction.
         spec: the robot.
-        cells: division of its segments.
+        cells: division of the segments.
         slip: slip speed, m/s.
     """
     shapes = np.array(list(_shapes(world)), dtype=float).reshape(-1, _SHAPE_COLUMNS)
@@ -188,7 +193,7 @@ def find_near(obstacles, state, reach):  # type: ignore[no-untyped-def]
 
 @compiled_if(is_given)
 def set_pose(obstacles, known, a, u):  # type: ignore[no-untyped-def]
-    """Store the pose at the end of a stage with the known part `known` and the velocities u."""
+    """Store the pose at the end of a stage with velocities u."""
     heading = known[HEADING] + a * u[2]
     c = math.cos(heading)
     s = math.sin(heading)
@@ -200,7 +205,7 @@ def set_pose(obstacles, known, a, u):  # type: ignore[no-untyped-def]
 
 
 class _Line(NamedTuple):
-    """Axis of an obstacle in the frame of the mean heading: one end, and the vector to the other, m."""
+    """Axis of an obstacle in the mean-heading frame: one end and a vector, m."""
 
     x: float
     y: float
@@ -225,15 +230,12 @@ def _axis(shape, pose):  # type: ignore[no-untyped-def]
 
 
 class _Stretch(NamedTuple):
-    """Straight stretch of the body around a point, in the frame of the mean heading.
+    """Straight stretch of the body around a point, in the mean-heading frame.
 
     Attributes:
-        x: the point, m.
-        y: its other coordinate, m.
-        cos: cosine of the heading.
-        sin: sine of the heading.
-        ahead: end of the stretch ahead of the point, m.
-        behind: its other end, negative, m.
+        x, y: position of the point, m.
+        cos, sin: cosine and sine of the heading.
+        ahead, behind: ends of the stretch along the heading, positive and negative, m.
     """
 
     x: float
@@ -248,9 +250,8 @@ class _Gap(NamedTuple):
     """Closest points of the axes of body and obstacle.
 
     Attributes:
-        place: place on the body, along its heading from the point, m.
-        x: vector from the obstacle to the body, m.
-        y: its other component, m.
+        place: position on the body, along its heading from the point, m.
+        x, y: vector from the obstacle to the body, m.
     """
 
     place: float
@@ -270,7 +271,7 @@ def _gap(stretch, line):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _closest(stretch, line):  # type: ignore[no-untyped-def]
-    """Return the closest points: along the heading (m), and along the line from 0 to 1."""
+    """Return the closest points: along the heading (m), and along the line (0 to 1)."""
     px = stretch.x
     py = stretch.y
     ux = stretch.cos
@@ -285,7 +286,7 @@ def _closest(stretch, line):  # type: ignore[no-untyped-def]
     dy = line.y - py
     if size == 0.0:
         return min(max(dx * ux + dy * uy, lowest), highest), 0.0
-    # Perpendicular distance between the lines squared, which is 0 for parallel ones.
+    # This determinant is 0 for parallel lines.
     angle = size - mixed * mixed
     place = 0.5 * (lowest + highest)
     if angle > 1e-12 * size:
@@ -298,17 +299,15 @@ def _closest(stretch, line):  # type: ignore[no-untyped-def]
 
 
 class _Contact(NamedTuple):
-    """Contact of a point of the body with an obstacle, in the frame of the mean heading.
+    """Contact of a point of the body with an obstacle, in the mean-heading frame.
 
     Attributes:
-        n_x: normal away from the obstacle, dimensionless.
-        n_y: its other component.
-        arm_x: lever arm of the contact on the surface of the body about the point, m.
-        arm_y: its other component, m.
-        normal: normal force N, N.
-        tangential: friction f_t, N.
-        normal_slope: derivative of N by the normal velocity, N·s/m.
-        tangential_slope: derivative of f_t by the tangential velocity, N·s/m.
+        n_x, n_y: normal away from the obstacle, dimensionless.
+        arm_x, arm_y: lever arm of the contact on the surface of the body about the point,
+            m.
+        normal, tangential: normal force N and friction f_t, N.
+        normal_slope, tangential_slope: derivatives of N and f_t with respect to the normal
+            and tangential velocity, N·s/m.
         power: power that the contact takes from the body, W.
     """
 
@@ -325,16 +324,11 @@ class _Contact(NamedTuple):
 
 @inlined
 def _contact(o, a, load, reach, stretch, gap, velocity):  # type: ignore[no-untyped-def]
-    """Return the contact of a point with an obstacle (module docstring).
+    """Return the contact of a point with an obstacle. See the module docstring.
 
-    Args:
-        o: an `Obstacles`.
-        a: γ h, s.
-        load: normal force that friction is proportional to, N.
-        reach: distance of the axes at which body and obstacle touch, m.
-        stretch: the body around the point.
-        gap: its distance from the obstacle.
-        velocity: velocity of the point and of the heading, a `Twist`.
+    `a` is γ h in s. `load` is the normal force in the friction law, N. `reach` is the
+    distance of the axes at which body and obstacle touch, m. `velocity` is the `Twist` of
+    the point.
     """
     distance = math.sqrt(gap.x * gap.x + gap.y * gap.y)
     n_x = gap.x / distance
@@ -369,14 +363,14 @@ def _contact(o, a, load, reach, stretch, gap, velocity):  # type: ignore[no-unty
 
 @compiled_if(is_given, otherwise=(0.0, 0.0, 0.0, 0.0))
 def add_contacts(obstacles, body, u, a, loads):  # type: ignore[no-untyped-def]
-    """Add the forces of near obstacles and their slopes to the loads of the points.
+    """Add the forces of near obstacles and their derivatives to the loads of points.
 
     Args:
-        obstacles: an `Obstacles` with the pose of the body; its forces are filled.
+        obstacles: an `Obstacles` with the pose of the body. Its forces are filled.
         body: posed body, shape (ROWS, points).
         u: velocities, shape (3 + cells,).
-        a: γ h, s.
-        loads: in place, see `compliant_kernels._fill_loads`.
+        a: implicit step γ h, s.
+        loads: loads that are changed in place (`compliant_kernels._fill_loads`).
 
     Returns:
         Force (x, y) and moment about the centre of mass in the frame of the mean
@@ -425,7 +419,6 @@ def add_contacts(obstacles, body, u, a, loads):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _add_load(load, contact, a):  # type: ignore[no-untyped-def]
-    """Add a contact to the load of a point."""
     nx = contact.n_x
     ny = contact.n_y
     n_m = contact.arm_x * ny - contact.arm_y * nx
@@ -433,7 +426,8 @@ def _add_load(load, contact, a):  # type: ignore[no-untyped-def]
     load[FORCE_X] += contact.normal * nx - contact.tangential * ny
     load[FORCE_Y] += contact.normal * ny + contact.tangential * nx
     load[FORCE_YAW] += contact.normal * n_m + contact.tangential * t_m
-    # Derivatives of normal and tangential force by the velocity (x, y) and the spin.
+    # These are the derivatives of normal (n) and tangential (t) force with respect to
+    # the velocity (x, y) and the spin (s).
     n_x = contact.normal_slope * nx
     n_y = contact.normal_slope * ny
     n_s = contact.normal_slope * n_m
@@ -456,7 +450,10 @@ def _add_load(load, contact, a):  # type: ignore[no-untyped-def]
 
 @compiled_if(is_given, otherwise=False)
 def update_loads(obstacles, scale):  # type: ignore[no-untyped-def]
-    """Set the loads of friction to the latest normal forces; return whether one changed by `scale` (N)."""
+    """Set the loads of friction to the latest normal forces.
+
+    The result is whether one of them changed by more than `scale` (N).
+    """
     o = obstacles
     changed = False
     for index in range(1, o.near[0] + 1):
@@ -469,21 +466,21 @@ def update_loads(obstacles, scale):  # type: ignore[no-untyped-def]
 
 @compiled_if(is_given)
 def fill_rates(obstacles, model, free, free_rates, rates, work):  # type: ignore[no-untyped-def]
-    r"""Fill the rates of the impulses on each point and of the time, and replace that of the energy column.
+    """Fill the rates of the impulses, of the time and of the energy column.
 
-    The work of the torques is the energy of the body plus the integral of the losses.
-    During impacts, this integral misses what the implicit method dissipates: it
-    evaluates the stiff normal forces at the end of a stage, when the body has almost
-    stopped. The torques are smooth, so the power of the air, Σ T_j q̇_f,j with T = k
-    (q_f − q) + c (q̇_f − q̇) of a whole segment, is integrated instead.
+    The work of the torques is the energy of the body plus the integral of the losses. The
+    implicit method evaluates the stiff normal forces at the end of a stage, when an impact
+    has almost stopped the body. The integral of the losses therefore misses the energy that
+    is dissipated in impacts. The torques are smooth, so the power of the air is integrated
+    instead. It is Σ T_j q̇_f,j with T = k (q_f − q) + c (q̇_f − q̇) of a whole segment.
 
     Args:
-        obstacles: with the forces of the stage.
+        obstacles: obstacles with the forces of the stage.
         model: a `compliant_kernels.CompliantModel`.
-        free: free bends of the cells, shape (cells,), rad.
-        free_rates: their rates, shape (cells,), rad/s.
-        rates: rates of the bends, shape (cells,), rad/s.
-        work: with the bends; its `rate`, the rates of the state, is filled.
+        free: free bends of the cells, rad.
+        free_rates: rates of the free bends, rad/s.
+        rates: rates of the bends, rad/s.
+        work: work arrays with the bends. `rate`, the rates of the state, is filled.
     """
     k = work.rate
     q = work.bend

@@ -1,40 +1,41 @@
-r"""Spatial body without inertia, model `quasistatic`: an arc per segment that rests on the floor and slides.
+r"""Spatial body without inertia (model `quasistatic`) on a floor.
 
 A segment is an arc of constant curvature and twist, with the rotation vector w from its
-rear connector to the front one: the bends to the left and upwards and the twist are the
-components z, −y and x of w. The coordinates are the pose of the head connector and the
-bends q and twists of all segments. Weight and contacts are at points along the axis, a
-radius r above the lowest point of the body.
+rear connector to the front one. The components z, −y and x of w are the bends to the
+left and upwards and the twist. The coordinates are the pose of the head connector and
+the bends q and twists of all segments. Weight and contacts are at points along the
+axis, a radius r above the lowest point of the body.
 
-**Equilibrium.** Without inertia, the forces of every moment balance. With the free
-bends q̂ of the chambers, stiffness k, damping c, the heights z_i, masses m_i and loads
-N_i of the points, and the velocity u of all coordinates, a step of length h minimises
+**Equilibrium.** Without inertia, the forces balance at every time. The free bends of
+the chambers are q̂, with stiffness k and damping c. The points have the heights z_i,
+masses m_i and loads N_i, and u is the velocity of all coordinates. A step of length h
+minimises
 
 $$ \tfrac12 k\,(q + h\dot q - \hat q)^2 + \tfrac h2 c\,\dot q^2
    + \sum_i m_i g\,h \dot z_i + \tfrac{\kappa_i}2 \max(0, r - z_i - h\dot z_i)^2 + h
    \sum_i N_i D(s_i) + \tfrac h2 \sum_i \frac{m_i}{\tau}(\dot z_i^2 + \dot\rho_i^2), $$
 
-divided by h. The terms are the elastic energy, the dissipation of the segments, the
-weight, a floor with the stiffness κ_i = m_i g/δ, in which a resting point sinks by δ,
-and the dissipation potential D of a friction law for the slip s_i, the velocity of the
-material vertically below the axis. So the pose at rest has the least potential energy,
-and the body moves along the floor with the least dissipated power. Friction bends the
-segments as well.
+divided by h. The first terms are the elastic energy, the dissipation of the segments,
+and the weight. The floor has the stiffness κ_i = m_i g/δ, in which a resting point
+sinks by δ. D is the dissipation potential of a friction law for the slip s_i, the
+velocity of the material vertically below the axis. So the pose at rest has the minimum
+potential energy, and the body moves along the floor with the minimum dissipated power.
+Friction bends the segments as well.
 
-The loads in front of D are those of the solution: the step is solved up to four times,
-each time with the loads of the last solution. A friction law without a potential, such
-as `cosine`, has no such minimum.
+The loads in front of D must be the loads of the solution. The step is therefore solved
+up to four times, each time with the loads of the previous solution. A friction law
+without a potential, such as `cosine`, has no such minimum.
 
-**Jumps.** The resting pose can become unstable; the body then topples within a time
-that its inertia would determine. The drag of vertical motion and of rolling (surface
-velocity ρ̇) with the time τ takes the place of the inertia. It changes loads by the
-fraction ż/(g τ) in between, which is below 0.01. A step in which a point moves too far
-is divided. A jump is counted where a point becomes faster than √(g r)/4.
+**Jumps.** The resting pose can become unstable. The body then topples within a time
+that its inertia would determine. In place of the inertia, a drag with the time τ acts
+on vertical motion and on rolling (surface velocity ρ̇). Between jumps it changes loads
+by the fraction ż/(g τ), which is below 0.01. A step in which a point moves too far is
+divided. A jump is counted where a point becomes faster than √(g r)/4.
 
 **Validity.** Inertia may be neglected if the inertia number (2πf)² A/(μ g) is small,
-with the amplitude A of the lateral motion. The sag number m g λ²/(k p), with the
-wavelength λ along the body, the mass m in it and the pitch p, shows how far the weight
-bends the body between its supports.
+with the amplitude A of the lateral motion. The sag number m g λ²/(k p) shows how far
+the weight bends the body between its supports. λ is the wavelength along the body, m
+the mass within a wavelength, and p the pitch.
 """
 
 from __future__ import annotations
@@ -53,23 +54,23 @@ from srs_twin.pneumatics import Trace
 from srs_twin.robot.spec import GRAVITY, RobotSpec
 
 _DEPTH_RATIO = 1 / 2000
-"""Depth of a resting point in the floor over the radius of the body, 1."""
+"""Depth of a resting point in the floor over the radius of the body."""
 _DRAG_TIME_S = 0.5
 """Time τ of the drag of vertical motion and of rolling at a time unit of 1 (`robot.scale`), s."""
 _MOVE_RATIO = 0.05
-"""Longest motion of a point in a substep over the radius of the body, 1."""
+"""Maximum motion of a point in a substep over the radius of the body."""
 _JUMP_RATIO = 0.25
-"""Speed of a point in a jump over √(g r), 1."""
+"""Minimum speed of a point in a jump over √(g r)."""
 
 
 def make_constants(
     spec: RobotSpec, slip_speed: float, base: str
 ) -> kinematics.QuasistaticBody:
-    """Return the constants of a robot on a level floor, or of one that is held at its head.
+    """Return the constants of a robot on a level floor or held at its head.
 
     Args:
         spec: a spatial robot.
-        slip_speed: ε of the friction law, m/s.
+        slip_speed: slip speed ε of the friction law, m/s.
         base: "free" or "clamped".
 
     Raises:
@@ -121,7 +122,7 @@ def make_constants(
 
 
 class QuasistaticArcs(Body):
-    """Body of `quasistatic` (module docstring); indices of its state as in `spatial_kinematics`.
+    """Body of `quasistatic`, with the state indices of `spatial_kinematics`.
 
     Attributes:
         constants: constants of the body and of the floor.
@@ -131,7 +132,7 @@ class QuasistaticArcs(Body):
     state_attributes: ClassVar[tuple[str, ...]] = ("_sampled", "_theta")
 
     def __init__(self, spec: RobotSpec, slip_speed: float, base: str) -> None:
-        """Set the constants; arguments and errors as in `make_constants`."""
+        """Set the constants. Arguments and errors are described in `make_constants`."""
         self._spec = spec
         self.constants = make_constants(spec, slip_speed, base)
         points = len(self.constants.mass)
@@ -150,7 +151,7 @@ class QuasistaticArcs(Body):
         return int(self.state[kinematics.JUMPS])
 
     def reset(self, pose: Pose) -> None:
-        """See `Body.reset`; with the rest bends of the modules."""
+        """See `Body.reset`. The modules have their rest bends."""
         self.state, self.velocity = map(np.zeros, self._shapes)
         constants = self.constants
         segments = self._spec.segments
@@ -168,7 +169,7 @@ class QuasistaticArcs(Body):
         self._theta = np.full(segments + 1, float(pose[2]))
 
     def place(self, velocity: np.ndarray, bend: np.ndarray, rate: np.ndarray) -> None:
-        """See `Body.place`; a body without inertia starts as `reset` lays it."""
+        """See `Body.place`. A body without inertia can only start at rest."""
         raise InputError("model 'quasistatic' can only start straight and at rest")
 
     def move(
@@ -186,7 +187,7 @@ class QuasistaticArcs(Body):
     def motion(
         self, states: np.ndarray, velocities: np.ndarray, trace: Trace
     ) -> Motion:
-        """See `Body.motion`; bends, rates and torques have the shape (samples, segments, 2)."""
+        """See `Body.motion`. The bends have the shape (samples, segments, 2)."""
         shape = len(states), self._spec.segments, 3
         bend = states[:, kinematics.BENDS : self._impulses.start].reshape(shape)[
             ..., :2
@@ -203,7 +204,7 @@ class QuasistaticArcs(Body):
         """Return the history of a motion.
 
         Args:
-            time: shape (samples,), s.
+            time: times of the samples, shape (samples,), s.
             motion: motion at these times.
             trace: trace of the chambers.
             sensed: readings of the bends.
@@ -272,20 +273,19 @@ class QuasistaticArcs(Body):
         return self._mean(self.work.point)
 
     def _mean(self, values: np.ndarray) -> np.ndarray:
-        """Return the mean over the mass of values at the points, shape (points, 3)."""
         mass = self.constants.mass
         mean: np.ndarray = mass @ values / mass.sum()
         return mean
 
     def _exchanged(self, states: np.ndarray) -> np.ndarray:
-        """Return the impulses of the floor and the time of states, shape (samples, 3 points + 1)."""
+        """Return the floor's impulses and the time, shape (samples, 3 · points + 1)."""
         return np.hstack(
             [states[:, self._impulses], states[:, kinematics.CLOCK :][:, :1]]
         )
 
 
 def quaternions(frames: np.ndarray) -> np.ndarray:
-    """Return the quaternions of rotation matrices, w first and not negative, shape (…, 4)."""
+    """Return the quaternions of rotation matrices, w ≥ 0 first, shape (…, 4)."""
     from scipy.spatial.transform import Rotation
 
     turns: np.ndarray = Rotation.from_matrix(frames.reshape(-1, 3, 3)).as_quat(

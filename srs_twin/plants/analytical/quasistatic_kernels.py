@@ -1,4 +1,4 @@
-"""Compiled time steps of the spatial body without inertia (`quasistatic` has the equations)."""
+"""Compiled time steps of the spatial body without inertia (`quasistatic`)."""
 
 from __future__ import annotations
 
@@ -29,25 +29,27 @@ from srs_twin.robot import friction
 from srs_twin.robot.spec import GRAVITY
 
 _MAX_SWEEPS = 4
-"""Solves of a step, each with the loads of the one before in the friction law."""
+"""Maximum number of solves of a step, each with the previous loads in the friction law."""
 _MAX_ITERATIONS = 30
 _SOFTER = (1e3, 1e2, 10.0, 1.0)
-"""Factors on the slip speed, each solved from the solution of the one before, if Newton's method fails, 1."""
+"""Factors on the slip speed that are tried in turn if Newton's method fails.
+
+Each solve starts from the previous solution.
+"""
 _MAX_TRIALS = 14
 _MAX_SLOPE_RATIO = 0.5
-"""A line search ends where the slope is below this fraction of the first one, 1."""
+"""A line search ends where the derivative is below this fraction of the first one."""
 _MAX_HALVINGS = 14
 _TOLERANCE = 1e-6
-"""Residual power over the power of friction at the slip speed at which a solve ends, 1.
-"""
+"""Residual power over the power of friction at the slip speed at which a solve ends."""
 _LOAD_TOLERANCE = 1e-4
-"""Change of a load over the weight of the body at which no further sweep is made, 1."""
+"""Change of a load over the weight of the body below which the sweeps end."""
 _ellipse = compiled(friction.ellipse)
 
 
 @compiled
 def _begin_step(state, body, work, h):  # type: ignore[no-untyped-def]
-    """Fill the part of the residual that is linear in the velocities: springs, dampers, weight and drag."""
+    """Fill the residual's linear part: springs, dampers, weight and drag."""
     segments = work.bend.shape[0]
     count = body.share.shape[0]
     linear = work.linear
@@ -78,7 +80,6 @@ def _begin_step(state, body, work, h):  # type: ignore[no-untyped-def]
 
 @inlined
 def _fill_linear(velocity, work, out, with_matrix):  # type: ignore[no-untyped-def]
-    """Fill the part of the residual that is linear in the velocities and, if asked, its matrix."""
     size = velocity.shape[0]
     for i in range(size):
         total = work.at_rest[i]
@@ -92,7 +93,7 @@ def _fill_linear(velocity, work, out, with_matrix):  # type: ignore[no-untyped-d
 
 @compiled
 def _residual(velocity, body, work, h, slip, out, with_matrix):  # type: ignore[no-untyped-def]
-    """Fill the residual of a step of length h (s) and, if asked, Newton's matrix; `slip` in m/s."""
+    """Fill the residual of a step of length h (s) and, if asked, Newton's matrix."""
     count = body.share.shape[0]
     mu = body.friction
     matrix = work.matrix
@@ -140,7 +141,6 @@ def _residual(velocity, body, work, h, slip, out, with_matrix):  # type: ignore[
 
 @compiled
 def _hold_head(residual, matrix, with_matrix):  # type: ignore[no-untyped-def]
-    """Fix the head: the first six velocities are 0."""
     for i in range(6):
         residual[i] = 0.0
     if with_matrix:
@@ -151,7 +151,6 @@ def _hold_head(residual, matrix, with_matrix):  # type: ignore[no-untyped-def]
 
 @compiled
 def _solve(matrix, vector):  # type: ignore[no-untyped-def]
-    """Replace a vector by the solution of a symmetric positive definite system (Cholesky, in place)."""
     size = vector.shape[0]
     for i in range(size):
         for k in range(i + 1):
@@ -184,7 +183,7 @@ def _product(a, b):  # type: ignore[no-untyped-def]
 
 @compiled
 def _minimise(velocity, body, work, h, slip, tolerance):  # type: ignore[no-untyped-def]
-    """Solve for the velocities of a step under the loads `law_load`; return whether it converged."""
+    """Solve for the velocities under the loads `law_load`; return the success."""
     size = velocity.shape[0]
     g = work.residual
     d = work.direction
@@ -196,7 +195,8 @@ def _minimise(velocity, body, work, h, slip, tolerance):  # type: ignore[no-unty
         first = _product(g, d)
         if not first < -tolerance:
             return np.isfinite(first)
-        # The slope along the direction rises; find where it is nearly 0.
+        # The derivative along the Newton step increases monotonically. The search finds
+        # where it is nearly 0.
         low = 0.0
         high = 0.0
         t = 1.0
@@ -227,7 +227,6 @@ def _minimise(velocity, body, work, h, slip, tolerance):  # type: ignore[no-unty
 
 @compiled
 def _solve_step(velocity, state, body, work, h, weight):  # type: ignore[no-untyped-def]
-    """Solve for velocities and loads of a step of length h; return whether it converged."""
     slip = body.friction.slip
     _begin_step(state, body, work, h)
     converged = True
@@ -235,8 +234,8 @@ def _solve_step(velocity, state, body, work, h, weight):  # type: ignore[no-unty
         tolerance = _TOLERANCE * weight * slip
         converged = _minimise(velocity, body, work, h, slip, tolerance)
         if not converged:
-            # Newton's method overshoots where sticking points are far from it: begin
-            # with smoother friction.
+            # Newton's method overshoots if sticking points are far from the solution,
+            # so the solve begins again with smoother friction.
             for i in range(velocity.shape[0]):
                 velocity[i] = 0.0
             for factor in _SOFTER:
@@ -306,7 +305,6 @@ def move_state(velocity, state, body, work, h, turn, old):  # type: ignore[no-un
 
 @compiled
 def _fastest_point(velocity, work, count):  # type: ignore[no-untyped-def]
-    """Return the largest speed of a point, m/s."""
     largest = 0.0
     for p in range(work.point.shape[0]):
         total = 0.0
@@ -321,7 +319,6 @@ def _fastest_point(velocity, work, count):  # type: ignore[no-untyped-def]
 
 @compiled
 def _set_bends(free, step, share, duration, work):  # type: ignore[no-untyped-def]
-    """Set the free bends after a share of a step, and their mean rates over the step of a duration (s)."""
     for j in range(work.bend.shape[0]):
         for i in range(2):
             before = free[step, j, i]
@@ -332,7 +329,6 @@ def _set_bends(free, step, share, duration, work):  # type: ignore[no-untyped-de
 
 @compiled
 def _count_jump(state, fastest, body):  # type: ignore[no-untyped-def]
-    """Count a jump where a point becomes faster than `jump_speed`."""
     jumping = 1.0 if fastest > body.jump_speed else 0.0
     if jumping > state[IS_JUMPING]:
         state[JUMPS] += 1.0
@@ -341,16 +337,16 @@ def _count_jump(state, fastest, body):  # type: ignore[no-untyped-def]
 
 @allocating
 def advance(now, steps, free, sample_steps, body, work, samples):  # type: ignore[no-untyped-def]
-    """Advance by several steps; return the number of completed steps.
+    """Advance by several steps and return the number of completed steps.
 
     Args:
-        now: a `QuasistaticState`, in place.
+        now: a `QuasistaticState`, changed in place.
         steps: lengths of the steps, shape (steps,), s.
         free: free bends at the start and after each step, shape (steps + 1, S, 2), rad.
         sample_steps: number of steps before each sample.
         body: constants.
         work: workspace.
-        samples: out, `Samples`.
+        samples: output, a `Samples`.
     """
     state = now.state
     velocity = now.velocity
@@ -378,7 +374,8 @@ def advance(now, steps, free, sample_steps, body, work, samples):  # type: ignor
                     fastest = _fastest_point(velocity, work, body.share.shape[0])
                 if h * fastest <= body.longest_move:
                     break
-                # Rejected: solve a shorter step from the same velocity.
+                # The step is rejected, and a shorter step starts from the same
+                # velocity.
                 h /= 2
                 fastest = np.inf
                 copy(start, velocity)

@@ -1,8 +1,8 @@
-"""Compiled kinematics of a spatial body: arcs of constant curvature and twist (`quasistatic`).
+"""Compiled kinematics of a spatial body of arcs with curvature and twist.
 
 Velocities are ordered as the position and the rotation of the head connector in the
-world frame, then the rates of the bends to the left and upwards and of the twist of
-each segment, head first.
+world frame, then, for each segment from the head, the rates of the bends to the left
+and upwards and of the twist. The model is described in `quasistatic`.
 """
 
 from __future__ import annotations
@@ -23,11 +23,13 @@ FRICTION_LOSS = 13  # energy that the floor dissipates, J
 INTERNAL_LOSS = 14  # energy that bending and twisting dissipate, J
 DRAG_LOSS = 15  # energy that the drag of vertical and rolling motion dissipates, J
 CLOCK = 16  # time, s
-JUMPS = 17  # number of jumps between resting poses, 1
+JUMPS = 17  # number of jumps between resting poses
 IS_JUMPING = 18  # 1 during a jump, otherwise 0
 BENDS = 19
 
-ROWS = 4  # of `Work.rows`: velocity of a contact along and across the body, and upwards, and rolling velocity
+# Rows of `Work.rows`: velocity of a contact along and across the body and upwards, and
+# rolling velocity.
+ROWS = 4
 ALONG, ACROSS, UP, ROLL = range(ROWS)
 
 
@@ -35,9 +37,8 @@ class SkinFriction(NamedTuple):
     """Friction coefficients of a skin, and the slip speed of its law.
 
     Attributes:
-        ahead: coefficient for slip towards the head, dimensionless.
-        back: coefficient for slip towards the tail.
-        across: coefficient across the heading.
+        ahead, back: coefficients for slip towards the head and the tail, dimensionless.
+        across: coefficient across the heading, dimensionless.
         slip: slip speed ε, m/s.
     """
 
@@ -48,31 +49,31 @@ class SkinFriction(NamedTuple):
 
 
 class QuasistaticState(NamedTuple):
-    """State of a spatial body, see the layout above, and velocities of all coordinates."""
+    """State of a spatial body in the layout above, and its velocities."""
 
     state: np.ndarray
     velocity: np.ndarray
 
 
 class QuasistaticBody(NamedTuple):
-    """Constants of the body and of the floor. P points per segment, S segments.
+    """Constants of the body and of the floor, with P points per segment, S segments.
 
     Attributes:
-        share: fraction of the arc ahead of a point, shape (P,), 1.
+        share: fraction of the arc ahead of a point, shape (P,), dimensionless.
         front: straight length between the connector and the arc, shape (P,), m.
         rear: straight length between the arc and the point, shape (P,), m.
         mass: masses of the points, shape (S P,), kg.
         length: length of an arc, m.
         gap: straight length at each end of an arc, m.
-        stiffness: against bends and twist, shape (3,), N·m/rad.
-        damping: same order, shape (3,), N·m·s/rad.
-        radius: m.
+        stiffness, damping: stiffness (N·m/rad) and damping (N·m·s/rad) of bends and twist,
+            shape (3,).
+        radius: radius of the body, m.
         depth: depth of the resting points in the floor, m.
         friction: friction of the skin.
         drag_time: mass over the drag of vertical and rolling motion, s.
-        longest_move: longest motion of a point in a substep, m.
-        jump_speed: speed of a point in a jump, m/s.
-        free: 1 for a body on the floor, 0 for one that is held at its head in the air.
+        longest_move: maximum motion of a point in a substep, m.
+        jump_speed: minimum speed of a point in a jump, m/s.
+        free: 1 for a body on the floor, 0 for a body held at its head in the air.
     """
 
     share: np.ndarray
@@ -96,25 +97,24 @@ class Work(NamedTuple):
     """Arrays of a step.
 
     Attributes:
-        position: of the connectors, shape (S + 1, 3), m.
-        frame: rotation matrices of the connectors, shape (S + 1, 3, 3).
-        point: shape (S P, 3), m.
+        position, frame: positions (m) and rotation matrices of the connectors, shapes (S +
+            1, 3) and (S + 1, 3, 3).
+        point: positions of the points, shape (S P, 3), m.
         heading: cosine and sine of the horizontal direction of the body at each point,
             shape (S P, 2).
-        motion: velocity of each point and its angular velocity per velocity, shape (S
-            P, 6, velocities).
-        rows: see `ROWS`, shape (S P, ROWS, velocities).
-        load: normal force on each point, shape (S P,), N.
-        law_load: normal force in the friction law, shape (S P,), N.
+        motion: velocity and angular velocity of each point per velocity of the body,
+            shape (S P, 6, velocities).
+        rows: contact velocities of each point per velocity of the body (`ROWS`), shape (S
+            P, ROWS, velocities).
+        load, law_load: normal force on each point, and in the friction law, shape (S P,),
+            N.
         force: friction along and across, shape (S P, 2), N.
-        linear: slope of the residual without contacts, shape (velocities, velocities).
+        linear: derivative of the residual without contacts, shape (velocities, velocities).
         at_rest: residual without contacts and velocities, shape (velocities,).
         matrix: Newton's matrix, lower triangle, shape (velocities, velocities).
-        residual: shape (velocities,).
-        direction: shape (velocities,).
-        trial: shape (velocities,).
-        bend: free bends and twist (0), shape (S, 3), rad.
-        bend_rate: their rates, shape (S, 3), rad/s.
+        residual, direction, trial: vectors of Newton's method, shape (velocities,).
+        bend, bend_rate: free bends (rad) and their rates (rad/s), with a twist of 0, shape
+            (S, 3).
         base: spatial velocity of the rear connector of each segment per rate of bends,
             shape (S, 6, 3).
     """
@@ -140,7 +140,7 @@ class Work(NamedTuple):
 
 
 def work_arrays(segments: int, points: int) -> Work:
-    """Return arrays for a body with a number of segments and points per segment."""
+    """Return arrays for numbers of segments and of points per segment."""
     n = segments + 1
     count = segments * points
     velocities = 6 + 3 * segments
@@ -194,7 +194,10 @@ def rotate(turn, out):  # type: ignore[no-untyped-def]
 
 @compiled
 def _spin(turn, axis):  # type: ignore[no-untyped-def]
-    """Return the angular velocity of exp([turn]) per rate of one component of `turn` (left Jacobian)."""
+    """Return a column of the left Jacobian of exp([turn]).
+
+    It is the angular velocity per rate of one component of `turn`.
+    """
     x, y, z = turn
     square = x * x + y * y + z * z
     angle = math.sqrt(square)
@@ -218,17 +221,11 @@ def _spin(turn, axis):  # type: ignore[no-untyped-def]
 
 @compiled
 def _arc(w, u, lengths, offset, turn, slopes):  # type: ignore[no-untyped-def]
-    """Fill the place behind a connector, in its frame, and its derivatives by the components of w.
+    """Fill a position behind a connector, in its frame, and the derivatives by w.
 
-    Args:
-        w: rotation vector of the front connector relative to the rear one, rad.
-        u: fraction of the arc, 1.
-        lengths: straight length ahead of the arc, length of the arc, and straight
-            length behind, m.
-        offset: out, shape (3,), m.
-        turn: out, rotation matrix, shape (3, 3).
-        slopes: out, velocity and angular velocity per rate of each component of w,
-            shape (6, 3).
+    `w` is the rotation vector of the front connector relative to the rear one. `u` is the
+    fraction of the arc. `lengths` are the straight length ahead of the arc, its length, and
+    the straight length behind. `slopes` gets velocity and angular velocity per rate of w.
     """
     front, length, rear = lengths
     x, y, z = w
@@ -280,7 +277,6 @@ def _arc(w, u, lengths, offset, turn, slopes):  # type: ignore[no-untyped-def]
 
 @compiled
 def _turned(frame, x, y, z):  # type: ignore[no-untyped-def]
-    """Return a vector in the world frame."""
     return (
         frame[0, 0] * x + frame[0, 1] * y + frame[0, 2] * z,
         frame[1, 0] * x + frame[1, 1] * y + frame[1, 2] * z,
@@ -290,14 +286,9 @@ def _turned(frame, x, y, z):  # type: ignore[no-untyped-def]
 
 @compiled
 def _fill_motion(motion, place, j, work, slopes):  # type: ignore[no-untyped-def]
-    """Fill velocity and angular velocity of a place on segment j per velocity of the body.
+    """Fill the velocities of a position on segment j per velocity of the body.
 
-    Args:
-        motion: out, shape (6, velocities).
-        place: shape (3,), m.
-        j: segment.
-        work: posed body ahead of the place.
-        slopes: as in `_arc`.
+    `motion` has the shape (6, velocities), and `slopes` is filled by `_arc`.
     """
     x = place[0]
     y = place[1]
@@ -337,9 +328,9 @@ def _fill_motion(motion, place, j, work, slopes):  # type: ignore[no-untyped-def
 
 @compiled
 def _turn_slopes(slopes, frame, out, column):  # type: ignore[no-untyped-def]
-    """Write the derivatives by w in the world frame, by bend to the left, bend upwards and twist.
+    """Write derivatives by the bends and the twist in the world frame.
 
-    These are the components z, −y and x of w.
+    The bends to the left and upwards and the twist are the components z, −y and x of w.
     """
     for i in range(3):
         source = 2 - i
@@ -352,7 +343,7 @@ def _turn_slopes(slopes, frame, out, column):  # type: ignore[no-untyped-def]
 
 
 class _Place(NamedTuple):
-    """Work arrays of a place behind a connector, see `_arc`."""
+    """Work arrays of a position behind a connector (`_arc`)."""
 
     offset: np.ndarray
     turn: np.ndarray
@@ -361,7 +352,7 @@ class _Place(NamedTuple):
 
 @allocating
 def pose(state, body, work):  # type: ignore[no-untyped-def]
-    """Fill positions, frames, points and their motions in the workspace for a state."""
+    """Fill positions, frames, points and their motions for a state."""
     place = _Place(np.empty(3), np.empty((3, 3)), np.empty((6, 3)))
     count = body.share.shape[0]
     for i in range(3):
@@ -382,7 +373,6 @@ def pose(state, body, work):  # type: ignore[no-untyped-def]
 
 @inlined
 def _fill_point(j, p, radius, place, work):  # type: ignore[no-untyped-def]
-    """Fill point p of segment j, its heading and its motion."""
     frame = work.frame[j]
     here = work.position[j]
     offset = place.offset
@@ -415,7 +405,6 @@ def _fill_point(j, p, radius, place, work):  # type: ignore[no-untyped-def]
 
 @inlined
 def _fill_connector(j, place, work):  # type: ignore[no-untyped-def]
-    """Fill position and frame of the connector behind segment j, and the velocity of that connector."""
     frame = work.frame[j]
     here = work.position[j]
     there = work.position[j + 1]

@@ -1,23 +1,24 @@
-r"""Time steps of the analytical models, and the adaptive substeps of `complete` and `simplified`.
+r"""Time steps of the analytical models, and adaptive substeps.
 
 Steps end on valve events (`Steps`). Where the slip of a connector changes its sign, its
-friction reverses within a few times the slip speed ε, in a time mostly far shorter than
-a step. A step that misses the time of such a reversal makes the error of a whole
-impulse. `complete` and `simplified` divide steps where friction reverses.
+friction reverses within a few times the slip speed ε, mostly in far less time than a
+step. A step that misses such a reversal makes the error of a whole impulse. `complete`
+and `simplified` therefore divide steps where friction reverses.
 
 **Error estimate.** A step knows three rates of momentum: k₀ at its start, which is the
-last stage of the previous step, and k₁ and k₂ at its stages. If they change linearly,
-k₁ is on the line between the other two. Its deviation, as a velocity change over the
-step,
+last stage of the previous step, and k₁ and k₂ at its stages. If the rate changes
+linearly, k₁ is on the line between the other two. The deviation of k₁, as a velocity
+change over the step,
 
 $$ \eta = \frac{h}{M}\,\bigl|\,k_1 - (1-\gamma)\,k_0 - \gamma\,k_2\,\bigr|, $$
 
-is at least 0.7 times the error of a reversal anywhere in the step, and of third order
+is at least 0.7 times the error of a reversal anywhere in the step. It is of third order
 in h where friction is smooth. The rate of the angular momentum is divided by the radius
-of gyration of the straight body. A step with η above the tolerance is repeated in
-halves, which may be divided again; substeps well below the tolerance are doubled. Bends
-within a step are cubic Hermite polynomials through the bends and rates that the
-chambers give at its stages.
+of gyration of the straight body.
+
+A step with η above the tolerance is repeated in halves, which may be divided again.
+Substeps well below the tolerance are doubled. Bends within a step are cubic Hermite
+polynomials through the bends and rates that the chambers give at its stages.
 """
 
 from __future__ import annotations
@@ -51,7 +52,9 @@ from srs_twin.pneumatics import Trace
 
 @dataclass(frozen=True)
 class Steps:
-    """Time steps of a schedule; equal schedules without valve events share an object, so do not modify it.
+    """Time steps of a schedule.
+
+    Equal schedules without valve events share an object, so do not modify it.
 
     Attributes:
         ends: end of each step, ascending, from the start of the schedule, shape
@@ -72,15 +75,15 @@ class Steps:
         longest: float,
         same: float,
     ) -> Steps:
-        """Return steps on an even grid that contains the samples, and on the valve events.
+        """Return steps on an even grid that contains the samples, and on valve events.
 
         Args:
             span: length of the schedule, s.
             events: times of valve events, ascending, s.
             samples: number of equally spaced samples, the last one at the end.
-            longest: longest step, s.
-            same: events that are closer to the end of another step, or to each other,
-                do not end a step, s.
+            longest: maximum step, s.
+            same: distance below which an event does not end a step of its own, if it is this
+                close to the end of another step or to another event, s.
         """
         per_sample = math.ceil(span / samples / longest * (1 - 1e-12))
         even = _even(span, samples, per_sample)
@@ -88,7 +91,7 @@ class Steps:
             return even
         grid = span / (samples * per_sample)
         steps = events / grid
-        # On either side of a grid point, because of rounding.
+        # Because of rounding, an event may be on either side of a grid point.
         events = events[np.abs(steps - np.round(steps)) * grid > same]
         events = events[np.diff(events, prepend=-1.0) > same]
         sample_steps = even.sample_steps + np.searchsorted(
@@ -104,14 +107,17 @@ class Steps:
 
     @cached_property
     def stage_times(self) -> np.ndarray:
-        """Start of the schedule and the two stages of each step, shape (1 + 2 · steps,), s."""
+        """Start of the schedule and the two stages of each step, s.
+
+        The shape is (1 + 2 · steps,).
+        """
         times = np.zeros(1 + 2 * len(self.ends))
         times[1::2] = self._starts + GAMMA * self.lengths
         times[2::2] = self._starts + self.lengths
         return times
 
     def chunks(self, length: float) -> Iterator[tuple[float, float, Steps]]:
-        """Yield begin, end and steps of chunks with about the given length (s), at least one step each."""
+        """Yield begin, end and steps of chunks with about the given length (s)."""
         firsts = np.unique(
             np.floor(self.ends / length * (1 - 1e-9)), return_index=True
         )[1]
@@ -136,32 +142,30 @@ class Steps:
 
 @lru_cache(maxsize=64)
 def _even(span: float, samples: int, per_sample: int) -> Steps:
-    """Return the steps of the even grid; the cache serves a controller's ticks, which all have the same."""
+    """Return the steps of the even grid.
+
+    The cache serves the ticks of a controller, which are all equal.
+    """
     count = samples * per_sample
     ends = span / count * np.arange(1, count + 1)
     return Steps(ends, np.arange(per_sample, count + 1, per_sample))
 
 
 MAX_SUBSTEPS = 64
-"""Largest number of substeps of a step, a power of 2."""
+"""Maximum number of substeps of a step, a power of 2."""
 
-# Ratios of error to tolerance, 1. Above the first one a step is quartered, because
-# halves would fail again; below the second one the next substep is doubled.
+# Ratios of error to tolerance. Above the first ratio a step is quartered, because
+# halves would fail again. Below the second ratio the next substep is doubled.
 _QUARTER_ABOVE = 4.0
 _DOUBLE_BELOW = 0.5
 
 
 @kernel_only
 def _cubic(at, span, bends, first, out, row):  # type: ignore[no-untyped-def]
-    """Fill bends and rates at a fraction of an interval from those at its ends (cubic Hermite polynomial).
+    """Fill bends and rates within an interval by a cubic Hermite polynomial.
 
-    Args:
-        at: fraction of the interval, 0 to 1.
-        span: length of the interval, s.
-        bends: bends and rates; those at the ends are in two consecutive rows.
-        first: the first of these rows.
-        out: bends and rates to fill.
-        row: row of `out`.
+    `at` is the fraction of the interval. The values at its ends are in the rows `first` and
+    `first` + 1 of `bends`.
     """
     q0 = bends.bend[first]
     q1 = bends.bend[first + 1]
@@ -191,7 +195,7 @@ def bend_within(at, h, bends, out, row):  # type: ignore[no-untyped-def]
         h: length of the step, s.
         bends: bends and rates at the start, first stage and end of the step, shape (3,
             segments).
-        out: bends and rates to fill, shape (rows, segments).
+        out: output for bends and rates, shape (rows, segments).
         row: row of `out`.
     """
     if at < GAMMA:
@@ -203,7 +207,6 @@ def bend_within(at, h, bends, out, row):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _step_error(h, k0, k1, k2, weight, arm):  # type: ignore[no-untyped-def]
-    """Return η of a step (module docstring), m/s."""
     x = k1[STATE_VX] - (1 - GAMMA) * k0[STATE_VX] - GAMMA * k2[STATE_VX]
     y = k1[STATE_VY] - (1 - GAMMA) * k0[STATE_VY] - GAMMA * k2[STATE_VY]
     moment = (k1[MOMENT] - (1 - GAMMA) * k0[MOMENT] - GAMMA * k2[MOMENT]) / (
@@ -216,8 +219,8 @@ class PrescribedState(NamedTuple):
     """State of a body with prescribed bends.
 
     Attributes:
-        state: indices in `kernels`, shape (STATES,).
-        rate: its rates, kept between calls for the error estimate, shape (STATES,).
+        state, rate: state with the indices of `kernels`, and its rates, which are kept
+            between calls for the error estimate, shape (STATES,).
         velocity: velocity in the body frame (m/s) and yaw rate (rad/s), kept between
             calls as first guesses, shape (3,).
     """
@@ -255,13 +258,13 @@ def advance(
     Args:
         now: state of the body.
         steps: lengths of the steps, shape (steps,), s.
-        trace: trace of the chambers at the start and the two stages of each step, 1 + 2
+        trace: trace of the chambers at the start and the two stages of each step, 1 + 2 ·
             steps rows.
         marks: number of steps before each sample, ascending, shape (samples,).
         model: the constants.
-        tolerance: largest allowed η, m/s.
-        samples: out, states and velocities at the samples, shapes (samples, STATES) and
-            (samples, 3).
+        tolerance: maximum allowed η, m/s.
+        samples: output for states and velocities at the samples, shapes (samples, STATES)
+            and (samples, 3).
 
     Returns:
         The number of completed steps, which is smaller than requested after a failure,
@@ -277,7 +280,6 @@ def advance(
 
 @inlined
 def _fastest_point(u, rates, reach):  # type: ignore[no-untyped-def]
-    """Return about the largest speed of a point, m/s."""
     fastest = max(abs(u[0]) + abs(u[1]), reach * abs(u[2]))
     for j in range(rates.shape[1]):
         fastest = max(fastest, reach * abs(rates[0, j]))
@@ -286,7 +288,10 @@ def _fastest_point(u, rates, reach):  # type: ignore[no-untyped-def]
 
 @inlined
 def _fill_stages(done, size, length, bends, stages):  # type: ignore[no-untyped-def]
-    """Fill the bends at the stages of a substep; `done` and `size` in parts of a step."""
+    """Fill the bends at the stages of a substep.
+
+    `done` and `size` count substeps of the minimum length.
+    """
     for stage in range(2):
         at = (done + (GAMMA if stage == 0 else 1.0) * size) / MAX_SUBSTEPS
         bend_within(at, length, bends, stages, stage)
@@ -294,7 +299,6 @@ def _fill_stages(done, size, length, bends, stages):  # type: ignore[no-untyped-
 
 @compiled
 def _advance(now, steps, free, marks, model, tolerance, samples, work):  # type: ignore[no-untyped-def]
-    """Advance a body, see `advance`; `free` are the bends and bend rates of the trace."""
     u = now.velocity
     solid = model.solid
     drift = work.drift

@@ -1,17 +1,18 @@
 """TwinBatch: many twins with individual parameters, stepped in parallel by threads.
 
-Each run is a `TwinSnake` of its spec, so that a batch gives the same bits as that twin
-alone, and no formula of the model is repeated here. Each distinct spec is compiled once
-(24 ms for gen2; a copy takes 2 ms).
+Each run is a `TwinSnake` of its spec, so its results are bit-identical to a twin
+simulated alone. Each distinct spec is compiled once (24 ms for gen2; a copy takes 2
+ms).
 
 Threads process whole twins, including chambers and observation, and every engine call
-releases the global interpreter lock. Alternatives that were considered:
+releases the global interpreter lock. Three alternatives were considered:
 
 - `mujoco.batch.Batch` makes the steps of all runs in one call. It is as fast in the
-  engine and gives the same bits, but its threads wait while Python runs: 5 % of the
-  time if runs are played, a third if they are commanded tick by tick.
-- `mujoco.rollout.Rollout` with threads does not return the warm start, so that a run in
-  chunks has other bits.
+  engine and its results are bit-identical, but its threads wait while Python runs. They
+  wait 5 % of the time if runs are played, and a third if they are commanded tick by
+  tick.
+- `mujoco.rollout.Rollout` with threads does not return the warm start, so a run in
+  chunks would not be bit-identical.
 - Setting parameters in a compiled model would save the 24 ms, compared with one second
   for ten simulated seconds, but would repeat every formula of the model.
 
@@ -46,17 +47,15 @@ ENGINES = ("cpu", "warp")
 
 
 class TwinBatch(Claimable):
-    """Many twins with the same number of connectors and the same tick, stepped in parallel by threads.
-
-    Each run gives the same bits as a `TwinSnake` of its spec alone.
+    """Twins with equal numbers of connectors and equal ticks, stepped in parallel.
 
     Attributes:
-        twins: the runs; each is a `TwinSnake` that can also be used alone.
+        twins: twin of each run, a `TwinSnake` that can also be used alone.
         tick: control tick, s.
-        state: the latest state of every run, with a leading axis of runs on every
-            field; for a run that diverged, its last plausible state.
-        errors: None or the error that ended it, for each run; runs that have ended stop
-            until `reset`.
+        state: latest state of every run, with a leading axis of runs on every field. For a
+            run that diverged it is the last plausible state.
+        errors: error that ended each run, or None. Runs that have ended stop until
+            `reset`.
     """
 
     twins: tuple[TwinSnake, ...]
@@ -70,14 +69,13 @@ class TwinBatch(Claimable):
         device: str | None = None,
         **settings: Any,
     ) -> Any:
-        """Return a batch, or that of the engine "warp".
+        """Return a batch for the chosen engine.
 
         Args:
             *arguments: see `__init__`.
             engine: "cpu", or "warp" for MuJoCo Warp.
-            device: device of Warp, such as "cuda:0" or "cpu"; None for Warp's default.
-            **settings: see `__init__`; with `deterministic=True` Warp sums in a fixed
-                order.
+            device: device of Warp, such as "cuda:0" or "cpu", or None for Warp's default.
+            **settings: see `__init__`; with `deterministic=True` Warp sums in a fixed order.
 
         Raises:
             InputError: MuJoCo Warp is not installed, or does not support the settings.
@@ -101,18 +99,18 @@ class TwinBatch(Claimable):
         """Build the twins.
 
         Args:
-            specs: the robot of each run; friction, stiffness, damping, masses and
-                lengths may all differ.
-            supply_pa: supply pressure of all runs or of each run, Pa; default the
+            specs: robot of each run; friction, stiffness, damping, masses and lengths may all
+                differ.
+            supply_pa: supply pressure of all runs or of each run, Pa; the default is the
                 nominal pressure of each robot.
-            threads: number of threads; default one per processor.
+            threads: number of threads; the default is one per processor.
             engine: see `__new__`.
             **settings: further arguments of `TwinSnake`, for all runs.
 
         Raises:
-            InputError: no run, robots with different numbers of connectors, a wrong
-                number of pressures, chambers given as an object, or as raised by
-                `TwinSnake`.
+            InputError: there is no run, the robots have different numbers of connectors, the
+                number of pressures is wrong, the chambers are given as an object, or
+                `TwinSnake` refuses an argument.
         """
         self._workers = Workers(threads)
         self.twins = _twins(self._workers, specs, supply_pa, settings)
@@ -129,12 +127,12 @@ class TwinBatch(Claimable):
         """Lay all snakes straight and at rest with empty chambers.
 
         Args:
-            poses: centre of mass x, y (m) and mean heading (rad) of each run; default
+            poses: centre of mass x, y (m) and mean heading (rad) of each run; the default is
                 the origin.
             seed: random seed of the twins.
 
         Returns:
-            `state`.
+            The attribute `state`.
 
         Raises:
             InputError: the number of poses differs from the number of runs.
@@ -155,23 +153,22 @@ class TwinBatch(Claimable):
         """Advance all runs by one tick and return `state`.
 
         Args:
-            valves: shape (runs, segments, 2) or (runs, slots, segments, 2), otherwise
-                as in `Plant.step`.
+            valves: valve commands as in `Plant.step`, with a leading axis of runs, shape (runs,
+                segments, 2) or (runs, slots, segments, 2).
 
         Raises:
-            InputError: wrong shape, or a state that the valves do not have; no run has
-                moved then.
+            InputError: the shape is wrong, or the valves do not have a commanded state. No run
+                has moved then.
         """
         self.advance(valves, 1)
         return self.state
 
     def advance(self, valves: np.ndarray, samples: int) -> list[SnakeState | None]:
-        """Advance all runs by one tick; a run with diverged commands ends.
+        """Advance all runs by one tick. A run with diverged commands ends.
 
         Args:
             valves: see `step`.
-            samples: number of equally spaced samples, the last one at the end of the
-                tick.
+            samples: number of equally spaced samples, the last one at the end of the tick.
 
         Returns:
             The history of each run, as in `play`.
@@ -197,18 +194,17 @@ class TwinBatch(Claimable):
         """Follow schedules without feedback.
 
         Args:
-            schedules: schedule of each run, over a whole number of ticks; None for a
-                run that has ended.
-            samples: number of equally spaced samples of each run, the last one at the
-                end.
+            schedules: schedule of each run over a whole number of ticks, or None for a run
+                that has ended.
+            samples: number of equally spaced samples of each run, the last one at the end.
 
         Returns:
-            The history of each run; a run that diverges ends there, and one without
-            samples returns None.
+            The history of each run. The history of a run that diverges ends there, and is None
+            if it has no samples.
 
         Raises:
-            InputError: the number of schedules differs from the number of runs, or as
-                in `Plant.play`.
+            InputError: the number of schedules differs from the number of runs, or a schedule
+                is refused by `Plant.play`.
         """
         check_one_per_run("schedules", schedules, len(self))
         histories = self._workers.run(
@@ -226,11 +222,10 @@ class TwinBatch(Claimable):
         return np.array([twin.openings() for twin in self.twins])
 
     def describe(self) -> dict[str, object]:
-        """Return the settings of the batch for the provenance of a run, in addition to those of its twins."""
+        """Return settings for the provenance of a run, besides the twins' own."""
         return {}
 
     def _command_error(self, k: int, valves: np.ndarray) -> DivergedError | None:
-        """Return the error of a run whose commands have diverged, otherwise None."""
         try:
             check_commands("policy", float(np.asarray(self.state.time)[k]), valves)
         except DivergedError as error:
@@ -245,9 +240,8 @@ class TwinBatch(Claimable):
         try:
             return self.twins[k].play(schedule, samples)
         except DivergedError as error:
-            self.errors[k] = error.with_traceback(
-                None
-            )  # its frames would keep the engine's records alive
+            # The frames of the traceback would keep the engine's records alive.
+            self.errors[k] = error.with_traceback(None)
             history: SnakeState | None = error.history
             return history
 
@@ -256,7 +250,7 @@ def check_one_per_run(name: str, given: Sized, runs: int) -> None:
     """Check that there is one item per run.
 
     Raises:
-        InputError: their number differs.
+        InputError: the number of items differs from the number of runs.
     """
     if len(given) != runs:
         raise InputError(
@@ -273,7 +267,7 @@ def on_warp(
     deterministic: bool = False,
     **settings: Any,
 ) -> Any:
-    """Return a `WarpBatch`; arguments as in `TwinBatch`."""
+    """Return a `WarpBatch`. The other arguments are described in `TwinBatch`."""
     return warp_batch()(
         _twins(Workers(threads), specs, supply_pa, settings, once=True),
         device=device,
@@ -304,7 +298,10 @@ def _twins(
     *,
     once: bool = False,
 ) -> tuple[TwinSnake, ...]:
-    """Build a twin of each spec; with `once`, runs with the same robot and supply pressure share one twin."""
+    """Build a twin of each spec.
+
+    With `once`, runs with the same robot and supply pressure share one twin.
+    """
     supplies = _one_per_run("supply_pa", supply_pa, len(specs))
     counts = sorted({spec.geometry.connectors for spec in specs})
     if len(counts) != 1:

@@ -1,45 +1,46 @@
-r"""Loaded contact: friction as a law on MuJoCo's normal forces, implicit in the velocities.
+r"""Loaded contact: friction as a law on MuJoCo's normal forces, implicit in velocity.
 
-MuJoCo keeps the wheels on the floor with frictionless contacts (condim 1). Friction is
-a law of `robot.friction` on the normal forces of the same step. This module runs the
-time steps in a compiled loop around the engine's C functions; `friction_solve` solves
-for the friction of one step.
+MuJoCo keeps the wheels on the floor with frictionless contacts (condim 1). A law of
+`robot.friction` gives the friction from the normal forces of the same step. This module
+runs the time steps in a compiled loop around the engine's C functions. `friction_solve`
+solves for the friction of one step and lists the symbols.
 
-**Equation of a step.** The step has the length h, begins with the velocities v₋ and
+**Equation of a step.** The step has the length h, begins with the velocity v₋ and
 ends with v. MuJoCo first solves it with the friction forces f̂ of the previous step,
 which gives v̂:
 
-$$ (M + h D)(\hat v - v_-) = h\,\bigl(Q - c(v_-)\bigr) + h J_n^T \hat N + h \sum_w J_w^T \hat f_w , $$
+$$ (M + h D)(\hat v - v_-) = h\,\bigl(Q - c(v_-)\bigr) + h J_n^T \hat N + h \sum_w J_w^T \hat f_w . $$
 
-with the inertia M, the dampers h D that MuJoCo takes implicitly (together with the
-springs, see `_damping_matrices`), the applied forces Q, the Coriolis and centrifugal
-forces c, the normal forces N̂ and the friction forces on the contacts w. The desired
-step has damping C, which is of second order, instead of h D, Coriolis forces at
-mid-step, and its own friction f:
+Here M is the inertia, Q are the applied forces, c are the Coriolis and centrifugal
+forces, N̂ are the normal forces, and f̂_w is the friction force on contact w. MuJoCo
+treats the dampers h D implicitly, together with the springs (`_damping_matrices`).
+
+The desired step has second-order damping C instead of h D, Coriolis forces at mid-step,
+and the friction f of this step:
 
 $$ (M + C)(v - v_-) = h\,\bigl(Q - c(\bar v)\bigr) + h J_n^T N + h \sum_w J_w^T f_w , \qquad
    \bar v = (v_- + v)/2 . $$
 
-Subtracting the first equation, with A = M + C and δ = v − v̂,
+With A = M + C and δ = v − v̂, the difference of the two equations is
 
 $$ \bigl(A + J_n^T R^{-1} J_n\bigr)\,\delta = h \sum_w J_w^T (f_w - \hat f_w)
    + h\,\bigl(c(v_-) - c(\bar v)\bigr) + (h D - C)(\hat v - v_-) . $$
 
 The change of the normal forces, N − N̂ = −J_n δ/(h R), has moved to the left side. J_n
-are the rows of the wheels that press on the floor and R is MuJoCo's regularisation, so
-that friction does not push wheels into the floor. c(v̄) is evaluated with v̂ in place
-of v.
+holds the rows of the wheels that press on the floor, and R is MuJoCo's regularisation.
+This term prevents friction from pushing wheels into the floor. c(v̄) is evaluated with
+v̂ in place of v.
 
 **Obstacles** also press on the hulls of the body without friction in the engine.
-Friction acts on a hull where the force of the obstacle acts (`stick_slip`). There is no
-such row in J_n: the normal force of an obstacle stays N̂. Movable objects have contacts
-of their own (`object_contacts`).
+Friction acts on a hull at the point where the obstacle's force acts (`stick_slip`). J_n
+has no row for hulls, so the normal force of an obstacle stays N̂. Movable objects have
+their own contacts (`object_contacts`).
 
-**Time levels.** Positions are those at mid-step, so that springs, friction and Coriolis
-forces are of second order. MuJoCo's normal contacts act with their state at the end of
-the step, because their time constant is only two steps. The friction of a wheel acts
-where it touches the floor, except for the part that spins the wheel, which acts at the
-hub.
+**Time levels.** Positions are evaluated at mid-step, which makes springs, friction and
+Coriolis forces second-order accurate. MuJoCo's normal contacts act with their state at
+the end of the step, because their time constant is only two steps. The friction of a
+wheel acts at the contact point, except for the part that spins the wheel, which acts at
+the hub.
 """
 
 from __future__ import annotations
@@ -100,17 +101,20 @@ from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import MovableObject
 
 _SKIP_TO_FORCES = int(mujoco.mjtStage.mjSTAGE_VEL)
-"""Stage up to which everything is already evaluated: positions and velocities."""
+"""Stage after which the engine continues: positions and velocities are evaluated."""
 
 _SINKING_TIME = 0.05
-"""Time after which a snake at rest has sunk into the floor, at a time unit of 1, s."""
+"""Time in which a resting snake sinks into the floor, at a time unit of 1, s."""
 
 _MIN_DECAY = 1e-9
-"""Smallest decay of a mode over one step, 1; below it there are only rounding errors of undamped motions."""
+"""Minimum decay exponent of a damped mode over one step, dimensionless.
+
+Smaller values are rounding errors of undamped motions.
+"""
 
 
 class StepRecords(NamedTuple):
-    """Records of the friction solve (`friction_solve`), with the time step h, s."""
+    """Records of the friction solve (`friction_solve`) and the time step h, s."""
 
     contacts: Contacts
     sparsity: Sparsity
@@ -120,11 +124,11 @@ class StepRecords(NamedTuple):
 
 
 class StepOutputs(NamedTuple):
-    """Results of steps, one row per step; see `LoadedStepper.run`.
+    """Results of steps, one row per step. See `LoadedStepper.run`.
 
     Attributes:
-        force: force on each contact in the world frame, for a hull friction only, shape
-            (steps, C, 3), N.
+        force: force on each contact in the world frame, shape (steps, C, 3), N. For a hull
+            it is friction only.
         pair_force: friction of each pair of an object and a hull, shape (steps, pairs,
             3), N.
     """
@@ -140,11 +144,10 @@ class LoadedStepper(Stateful):
     """Time steps of one twin with loaded contact.
 
     Attributes:
-        contact_state: friction, rim speeds and loads that the contacts keep from step
-            to step.
-        object_state: the same of the contacts of objects.
-        hull_jacobian: Jacobians of the stored friction of the hulls, shape (hulls, 4,
-            6).
+        contact_state: friction, rim speeds and loads that the contacts keep from step to
+            step.
+        object_state: state that the contacts of objects keep from step to step.
+        hull_jacobian: Jacobians of the stored friction of the hulls, shape (hulls, 4, 6).
     """
 
     state_attributes = ("contact_state", "object_state", "hull_jacobian")
@@ -161,16 +164,16 @@ class LoadedStepper(Stateful):
         """Collect the constants of the contacts and allocate the arrays of a step.
 
         Args:
-            model: compiled from `settings`.
-            data: data that the steps advance.
+            model: model compiled from `settings`.
+            data: engine data that the steps advance.
             spec: the robot.
-            settings: time step, and a `LoadedContact`.
-            air: largest stiffness that the air in the chambers adds to the joints,
-                shape (nv, nv), N·m/rad; None for no stiffness.
+            settings: settings with the time step and a `LoadedContact`.
+            air: maximum stiffness that the air in the chambers adds to the joints, shape (nv,
+                nv), N·m/rad, or None for no stiffness.
             objects: movable objects of the scene.
         """
-        # The kernels call C functions of the engine by name: make their symbols known
-        # to LLVM.
+        # The kernels call C functions of the engine by name, so LLVM must know their
+        # symbols.
         llvm.load_library_permanently(
             str(next(Path(mujoco.__file__).parent.glob("libmujoco*")))
         )
@@ -184,12 +187,12 @@ class LoadedStepper(Stateful):
         )
         views = (getattr(data, name) for name in EngineData._fields[3:])
         pairs = self._objects if objects else None
-        # MuJoCo gives the addresses of its C structures by these names only.
+        # MuJoCo exposes the addresses of its C structures only under these names.
         model_address = model._address  # noqa: SLF001
         data_address = data._address  # noqa: SLF001
         self._engine = EngineData(model_address, data_address, pairs, *views)
         self._inputs = StepInputs(data.ctrl, data.qacc_warmstart)
-        # Keep references: the kernels hold only addresses.
+        # The kernels hold only addresses, so these references keep the objects alive.
         self._model = model
         self._data = data
         self._h = settings.timestep
@@ -198,7 +201,7 @@ class LoadedStepper(Stateful):
         self._reset_contact_state()
 
     def __reduce_ex__(self, protocol: SupportsIndex) -> NoReturn:
-        """Refuse to be copied: a copy would hold addresses in the data of the original.
+        """Refuse to be copied, because a copy would hold the original's addresses.
 
         Raises:
             InputError: always.
@@ -210,7 +213,7 @@ class LoadedStepper(Stateful):
 
     @property
     def constants(self) -> tuple[Contacts, Sparsity]:
-        """Constants that were taken from the model at construction."""
+        """Constants computed from the model at construction."""
         return self._contacts, self._sparsity
 
     @constants.setter
@@ -219,7 +222,7 @@ class LoadedStepper(Stateful):
 
     @property
     def object_state(self) -> ObjectState:
-        """State of the contacts of objects, views of the arrays that the kernels use."""
+        """State of the contacts of objects, as views of the kernels' arrays."""
         return ObjectState(
             *(getattr(self._objects, name) for name in ObjectState._fields)
         )
@@ -231,7 +234,7 @@ class LoadedStepper(Stateful):
 
     @property
     def hull_jacobian(self) -> np.ndarray:
-        """Jacobians of the hulls, a view; those of the wheels follow from the state of each step."""
+        """View of the Jacobians of the hulls; each step recomputes the wheels'."""
         return self._work.jacobian[self._contacts.wheels :]
 
     @hull_jacobian.setter
@@ -240,7 +243,7 @@ class LoadedStepper(Stateful):
 
     @property
     def records(self) -> dict[str, Any]:
-        """Arguments of `friction_solve` by name, for another engine that steps the bodies."""
+        """Arguments of `friction_solve` by name, for another engine."""
         return {
             "engine": self._engine,
             "contacts": self._contacts,
@@ -250,12 +253,11 @@ class LoadedStepper(Stateful):
         }
 
     def reset(self) -> None:
-        """Sink the snake into the floor until it rests, and give each wheel its static load.
+        """Sink the snake into the floor until it rests, and set the static loads.
 
-        The snake sinks by some micrometres. It does so on a level floor and without
-        friction, because friction would hold the small displacements along the floor
-        that sinking causes. Obstacles do not act, so that the snake stays in its place
-        until its start is checked.
+        The snake sinks by some micrometres. It does so on a level floor without friction,
+        because friction would hold the small displacements along the floor that sinking causes.
+        Obstacles do not act, so that the snake stays in its place until its start is checked.
         """
         model = self._model
         data = self._data
@@ -286,7 +288,7 @@ class LoadedStepper(Stateful):
             array[:] = 0.0
 
     def roll(self) -> None:
-        """Set the rim speed of each wheel to rolling without slip at its current velocity."""
+        """Set the rim speed of each wheel to rolling without slip."""
         contacts = self._contacts
         velocity = np.empty(6)
         for w in range(contacts.wheels):
@@ -302,12 +304,12 @@ class LoadedStepper(Stateful):
         """Make one time step for each row of controls.
 
         Args:
-            controls: shape (steps, nu).
+            controls: controls of the actuators, shape (steps, nu).
 
         Returns:
-            states: time, qpos and qvel at the end of each step, NaN after a step that
-                diverged, shape (steps, 1 + nq + nv).
-            sensors: shape (steps, nsensordata).
+            states: time, qpos and qvel at the end of each step, shape (steps, 1 + nq + nv).
+                They are NaN after a step that diverged.
+            sensors: sensor values of each step, shape (steps, nsensordata).
             floor_force: force of the floor on each wheel in the world frame, shape
                 (steps, axles, 2, 3), N.
             power: power that friction and the normal forces on hulls dissipate, shape
@@ -347,7 +349,6 @@ def _constants(
     settings: ModelSettings,
     air: np.ndarray | None,
 ) -> tuple[Contacts, Sparsity]:
-    """Return the constants of the contacts and of the mass matrix; arguments as in `LoadedStepper`."""
     nv = model.nv
     wheels = treads(spec, settings)
     hulls = surroundings.hulls(model)
@@ -405,8 +406,8 @@ def _contacts(
 
 def _floor_law(spec: RobotSpec, contact: LoadedContact, wheel_spin: float) -> FloorLaw:
     slides = contact.law in ("ellipse", "cosine")
-    # The spin of a rolling solid disc adds half of its mass to the inertia along the
-    # heading.
+    # The spin of a rolling solid disc adds half of the disc's mass to the inertia along
+    # the heading.
     spin_mass = 0.0 if slides else wheel_spin * spec.mass.wheel / 2
     return FloorLaw(
         kind=LAWS_ON_LOADS.index(contact.law),
@@ -421,10 +422,10 @@ def _floor_law(spec: RobotSpec, contact: LoadedContact, wheel_spin: float) -> Fl
 def _reference_dynamics(
     model: mujoco.MjModel, wheels: list[str], hulls: list[str]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return M and the contact Jacobian of the straight snake, shapes (nv, nv) and (C, nv).
+    """Return M and the contact Jacobian of the straight snake.
 
-    The rows of the wheels give their velocity across the heading, those of the hulls
-    their velocity along it.
+    Their shapes are (nv, nv) and (C, nv). A row of the Jacobian gives the velocity of a
+    wheel across the heading, or of a hull along the heading.
     """
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
@@ -452,13 +453,13 @@ def _damping_matrices(
 
     $$ C = M\,\varphi(h M^{-1} D) - M, \qquad \varphi(x) = x/(1 - e^{-x}) = 1 + x/2 + \dots $$
 
-    makes the step (M + C)(v − v₋) = h (f − D v₋) decay as the exact exponential does:
-    with second order, and without ringing of fast modes. M is the inertia of the
+    makes the step (M + C)(v − v₋) = h (f − D v₋) decay as the exact exponential does. The
+    step is then of second order, and fast modes do not ring. M is the inertia of the
     straight snake; other shapes would give the same order.
 
-    The air that the bends compress acts as a further spring K_a, whose force is
-    evaluated at mid-step. The term h² K_a/4 in A makes the step stable for its fastest
-    oscillation, that of a connector between two closed chambers. It changes the results
+    The air that the bends compress acts as a further spring K_a, whose force is evaluated
+    at mid-step. The term h² K_a/4 in A keeps the step stable for its fastest oscillation,
+    in which a connector vibrates between two closed chambers. The term changes the results
     only by terms of second order.
     """
     hinges = model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE
@@ -481,7 +482,6 @@ def _damping_matrices(
 
 @compiled
 def _run(inputs, engine, records, controls, out):  # type: ignore[no-untyped-def]
-    """Make one step per row of controls; fill `out`, a `StepOutputs`."""
     for step in range(controls.shape[0]):
         _begin_step(inputs, engine, records, controls[step])
         mj_forwardSkip(engine.model, engine.data, _SKIP_TO_FORCES, 0)
@@ -493,7 +493,6 @@ def _run(inputs, engine, records, controls, out):  # type: ignore[no-untyped-def
 
 @kernel_only
 def _begin_step(inputs, engine, records, control):  # type: ignore[no-untyped-def]
-    """Move to mid-step and apply the friction of the previous step."""
     contacts, sparsity, state, work, h = records
     _copy(control, inputs.ctrl)
     mj_integratePos(
@@ -506,7 +505,6 @@ def _begin_step(inputs, engine, records, control):  # type: ignore[no-untyped-de
 
 @kernel_only
 def _end_step(inputs, engine, records, step, out):  # type: ignore[no-untyped-def]
-    """Solve for friction, move to the end of the step and record it; return whether the step is finite."""
     contacts, sparsity, state, work, h = records
     model = engine.model
     nq = engine.qpos.shape[0]
@@ -532,7 +530,7 @@ def _end_step(inputs, engine, records, step, out):  # type: ignore[no-untyped-de
 
 @kernel_only
 def _copy(source, target):  # type: ignore[no-untyped-def]
-    # A loop: numba takes seconds to compile an assignment to a slice, for its error
-    # message.
+    # numba takes seconds to compile an assignment to a slice, because of the error
+    # message that such an assignment contains.
     for k in range(source.shape[0]):
         target[k] = source[k]

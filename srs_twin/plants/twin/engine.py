@@ -1,4 +1,4 @@
-"""MuJoCo's C functions and data, as kernels use them."""
+"""C functions and data of MuJoCo for use in compiled kernels."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ from numba import types
 
 
 def c_function(name: str, *more: Any) -> Any:
-    """Return a C function of MuJoCo for kernels, which takes a model, its data, and further arguments."""
+    """Return a C function of MuJoCo that kernels can call.
+
+    Its arguments are the addresses of a model and of its data, and the arguments `more`.
+    """
     return types.ExternalFunction(name, types.void(types.intp, types.intp, *more))
 
 
@@ -23,12 +26,13 @@ mj_integratePos = c_function("mj_integratePos", types.intp, types.float64)
 
 
 class EngineData(NamedTuple):
-    """Views of the engine's data that the friction solve reads and writes, named as in MjData.
+    """Engine data that the friction solve reads and writes, named as in MjData.
 
     Attributes:
-        model: address of the MjModel; only for numba.
-        data: address of the MjData; only for numba.
-        objects: the `ObjectContacts` of movable objects, None without any; only for numba.
+        model: address of the MjModel, used by numba only.
+        data: address of the MjData, used by numba only.
+        objects: contacts of movable objects (`ObjectContacts`), or None without objects.
+            Only numba uses them.
     """
 
     model: int
@@ -48,7 +52,7 @@ class EngineData(NamedTuple):
 
 
 class StepInputs(NamedTuple):
-    """Views of the engine's data that only the loop over steps writes, named as in MjData."""
+    """Views of engine data that only the loop over steps writes, named as in MjData."""
 
     ctrl: np.ndarray
     qacc_warmstart: np.ndarray

@@ -1,40 +1,55 @@
 r"""Newton's method for the implicit friction of one time step.
 
-`contact_loaded` derives the equation of a step. Its unknown is the change of velocity δ
-= v − v̂ that the friction forces f_w of this step make, compared with the engine's
-solution v̂ under the forces f̂_w of the previous step:
+`contact_loaded` derives the equation of a step. Its unknown is the velocity change
+δ = v − v̂. The engine predicts v̂ with the friction forces f̂_w of the previous step, and
+δ is caused by the difference to the friction forces f_w of this step:
 
 $$ r(\delta) = (A + J_n^T R^{-1} J_n)\,\delta - h \sum_w J_w^T \bigl(f_w(u_w) - \hat f_w\bigr) - b = 0, \qquad
    b = h\,\bigl(c(v_-) - c(\bar v)\bigr) + (h D - C)(\hat v - v_-) . $$
 
-- w counts the contacts: the wheels first, then the hulls that may touch an obstacle.
-- J_w maps velocities to the velocity of contact w along and across, J_n to the normal
-  velocities of the wheels that press on the floor, and R is MuJoCo's regularisation of
-  their normal forces.
-- u_w is the velocity of a contact at which its friction is evaluated, u_w = J_w (v₋ + θ
-  (v − v₋)). The fraction θ is 1/2 for a contact that slides (second order) and tends to
-  1 for one that sticks (`_evaluation_fraction`).
+**Symbols**
 
-The part of a wheel's friction that spins the wheel acts at the hub, not at the contact
-point (`_SPIN_FORCE`).
+- v₋: generalised velocity at the beginning of the step.
+- v̂: generalised velocity at the end of the step, as predicted by the engine.
+- v: generalised velocity at the end of the step, v = v̂ + δ.
+- v̄: velocity at mid-step without δ, v̄ = (v₋ + v̂)/2.
+- h: time step, s.
+- A = M + C: joint-space inertia M and the damping matrix C (`contact_loaded`).
+- D: damping matrix of the joints.
+- c(v): Coriolis and centrifugal forces.
+- w: index of a contact. The wheels come first, then the hulls that may touch an
+  obstacle.
+- f_w: friction force of contact w along and across the heading, N.
+- J_w: Jacobian that maps generalised velocities to the velocity of contact w along and
+  across the heading.
+- J_n: Jacobian of the normal velocities of the wheels that press on the floor.
+- R: MuJoCo's regularisation of the normal forces of these wheels, 1/kg.
+- u_w: velocity of contact w at which the friction law is evaluated,
+  u_w = J_w (v₋ + θ (v − v₋)).
+- θ: fraction of the step at which friction is evaluated (`_evaluation_fraction`). It is
+  1/2 for a sliding contact, which gives second order, and tends to 1 for a sticking
+  contact.
+
+One part of a wheel's friction accelerates the spin of the wheel. This part
+(`_SPIN_FORCE`) acts at the hub and not at the contact point.
 
 **Newton's matrix** is A + J_nᵀ R⁻¹ J_n − h Σ θ J_wᵀ (∂f_w/∂u_w) J_w. A contact moves
-with the ancestors of its connector only, so the matrix has the sparsity pattern of the
-joint-space inertia M and is factored like M. As in the composite-rigid-body algorithm
-(Featherstone 2008, Section 6.2), the slopes of the contacts are summed from the ends of
-the chain to its root as spatial 6 × 6 matrices, and projected on the joint axes.
-Spatial vectors have rotation first and refer to the centre of mass of the snake, as
-`cdof` in MuJoCo.
+only with the ancestors of its connector. The matrix therefore has the sparsity pattern
+of M and is factored like M. The derivatives of the contact forces are summed as spatial
+6 × 6 matrices from the ends of the chain to its root, and then projected on the joint
+axes. The composite-rigid-body algorithm does the same with inertias (Featherstone 2008,
+Section 6.2). Spatial vectors have rotation first and refer to the centre of mass of the
+snake, as `cdof` does in MuJoCo.
 
-**Loads.** Friction depends on the normal forces, which themselves depend on δ. The
-equation is solved under the loads of v̂ with one Newton step, and then under the loads
-that this step leaves, to the tolerance.
+**Loads.** Friction depends on the normal forces, which themselves depend on δ. One
+Newton step uses the loads of v̂. The equation is then solved to the tolerance with the
+loads after this step.
 
-Movable objects have contacts of their own, which `object_contacts` adds to the solve.
+`object_contacts` adds the contacts of movable objects to the solve.
 
-The functions use only what both numba and Warp compile: records of arrays, numbers and
-loops. Numbers have a decimal point, and a variable that a loop changes is created with
-`float`.
+Both numba and Warp compile these functions, so they use only records of arrays, numbers
+and loops. Numbers have a decimal point, and a variable that a loop changes is created
+with `float`.
 """
 
 from __future__ import annotations
@@ -83,23 +98,25 @@ _COSINE = LAWS_ON_LOADS.index("cosine")
 _MAX_ITERATIONS = 30  # Newton steps under the final loads
 _MAX_TRIALS = 12  # evaluations of one line search
 
-# Tolerances of the squared residual: relative to the squared friction impulse, so that
-# friction is exact to 1e-7; relative to the largest first residual, below which there
-# are only rounding errors; and absolute, (kg·m/s)². Warp, in single precision, replaces
-# the last one (`warp.translation`).
+# Tolerances of the squared residual. The first is relative to the squared friction
+# impulse and makes friction exact to 1e-7. The second is relative to the largest first
+# residual, below which only rounding errors remain. The third is absolute, (kg·m/s)²;
+# Warp computes in single precision and replaces it (`warp.translation`).
 _RELATIVE_TOLERANCE = 1e-14
 _ROUNDING_TOLERANCE = 1e-24
 _ABSOLUTE_TOLERANCE = 0.0
 
-# A line search ends when the slope has fallen below this fraction of the slope at its
-# start.
+# A line search ends when the derivative has fallen below this fraction of its initial
+# value.
 _MAX_SLOPE_RATIO = 0.5
 
 # Rows of `Workspace.jacobian`.
 _ALONG = 0
 _ACROSS = 1
 _UP = 2
-_NORMAL = 2  # of a hull, away from the obstacle; `regularisation` is infinite, so it has no unloading
+_NORMAL = (
+    2  # for a hull: away from the obstacle, and unused for unloading as R is infinite
+)
 _HUB = 3
 
 # Columns of `Workspace.response`.
@@ -112,28 +129,30 @@ _RIM_SPEED = 5  # rim speed of a wheel when its friction is evaluated, m/s
 _UNLOADING = 6  # decrease of the normal force due to δ, N
 _SPIN_FORCE = 7  # part of the force along that spins the wheel, N
 
-# Columns of `ContactState.force`; the first two are those of the response.
+# Third column of `ContactState.force`. The first two have the same indices as in the
+# response.
 _STORED_SPIN = 2
 
 
 class Contacts(NamedTuple):
-    """Constants of the C possible contacts: the wheels first, then the hulls that may touch obstacles.
+    """Constants of the C possible contacts: first wheels, then hulls near obstacles.
 
     Attributes:
         wheels: number of wheels.
-        body: body of each contact, shape (C,).
+        body: body id of each contact, shape (C,).
         centre: centre of each wheel in the frame of its body, shape (wheels, 3), m.
         last_dof: last degree of freedom that moves the contact, shape (C,).
-        regularisation: R of the normal force, shape (C,), 1/kg; infinite for a hull.
-        admittance: change of velocity per impulse, across for a wheel and along the
+        regularisation: MuJoCo's regularisation R of the normal force, infinite for a hull,
+            shape (C,), 1/kg.
+        admittance: inverse effective mass, across the heading for a wheel and along the
             body for a hull, shape (C,), 1/kg.
-        static_load: shape (C,), N.
-        load_kind: load in the friction law, an index into `numerics.LOADS`.
-        sensor: index into `sensordata` of a wheel's normal force, or of the force on a
+        static_load: normal force at rest, shape (C,), N.
+        load_kind: kind of load in the friction law, an index into `numerics.LOADS`.
+        sensor: index into `sensordata` of the normal force on a wheel, or of the force on a
             hull and its point of application, shape (C,).
-        wheel_radius: m.
+        wheel_radius: radius of the wheels, m.
         floor: friction law of the wheels on the floor.
-        obstacle_friction: friction coefficient between hulls and obstacles, 1.
+        obstacle_friction: friction coefficient between hulls and obstacles, dimensionless.
     """
 
     wheels: int
@@ -154,11 +173,11 @@ class ContactState(NamedTuple):
     """State of the contacts that persists from step to step.
 
     Attributes:
-        force: friction along and across the heading, and its part that spins the wheel,
-            shape (C, 3), N.
-        rim_speed: shape (C,), m/s.
+        force: friction along and across the heading, and the part of it that spins the
+            wheel, shape (C, 3), N.
+        rim_speed: circumferential speed of each wheel, shape (C,), m/s.
         load: normal force in the friction law, shape (C,), N.
-        slip_speed: shape (C,), m/s.
+        slip_speed: slip speed of each contact, shape (C,), m/s.
     """
 
     force: np.ndarray
@@ -168,36 +187,34 @@ class ContactState(NamedTuple):
 
 
 class Workspace(NamedTuple):
-    """Arrays of one step. C contacts, nv degrees of freedom, nM entries of M.
+    """Arrays of one step with C contacts, nv degrees of freedom and nM entries of M.
 
-    Arrays of shape (nv, 6) hold the spatial velocity of, or force on, the bodies beyond
-    a degree of freedom.
+    Arrays of shape (nv, 6) hold a spatial velocity or force for each degree of freedom. It
+    belongs to the bodies beyond the degree of freedom. The module docstring lists the
+    symbols.
 
     Attributes:
-        jacobian: spatial vectors that give a contact's velocity along, across and up,
-            and its hub's velocity along, shape (C, 4, 6). At an obstacle, "along" is
-            horizontal along its face, and "across" is up.
-        heading: cosine and sine of the direction along, shape (C, 2).
-        response: forces and slopes of the friction law, shape (C, 8); columns
-            `_FORCE_ALONG` and so on.
-        normal_force: under v̂, shape (C,), N.
-        theta: fraction θ of the step at which friction is evaluated, 1/2 to 1, shape
-            (C,).
-        step_motion: spatial velocities of v̂ − v₋, shape (nv, 6).
-        mid_motion: spatial velocities of (v₋ + v̂)/2, shape (nv, 6).
-        motion: spatial velocities of δ, or the forces that friction exerts, shape (nv,
+        jacobian: spatial vectors that give a contact's velocity along, across and upwards,
+            and the hub's velocity along the heading, shape (C, 4, 6). At an obstacle,
+            "along" is horizontal along its face, and "across" is up.
+        heading: cosine and sine of the heading of each contact, shape (C, 2).
+        response: forces and derivatives of the friction law, with the columns
+            `_FORCE_ALONG` to `_SPIN_FORCE`, shape (C, 8).
+        normal_force: normal force in the engine's solution v̂, shape (C,), N.
+        theta: fraction θ, shape (C,).
+        step_motion, mid_motion: spatial velocities of v̂ − v₋ and of (v₋ + v̂)/2, shape (nv,
             6).
+        motion: spatial velocities of δ, or the spatial forces exerted by friction, shape
+            (nv, 6).
         impulse: spatial impulses of the changed contact forces, shape (nv, 6).
-        slope: spatial slopes of the contact forces, shape (nv, 6, 6).
-        inertia: A, shape (nM,).
-        newton_matrix: shape (nM,); numba uses the engine's M for it.
-        v_start: v₋, shape (nv,).
-        v_predicted: v̂, shape (nv,).
-        bias: b, shape (nv,), kg·m/s or kg·m²/s.
-        v_change: δ, shape (nv,).
-        residual: r, shape (nv,); c(v̄) before the solve.
-        trial_residual: r at a trial of the line search, shape (nv,).
-        direction: Newton's direction, shape (nv,).
+        slope: spatial derivatives of the contact forces, shape (nv, 6, 6).
+        inertia, newton_matrix: A and Newton's matrix, shape (nM,). numba uses the engine's
+            M for Newton's matrix.
+        v_start, v_predicted, v_change: velocities v₋, v̂ and δ, shape (nv,).
+        bias: vector b, shape (nv,), kg·m/s or kg·m²/s.
+        residual, trial_residual: residual r, or c(v̄) before the solve, and r at a trial of
+            the line search, shape (nv,).
+        direction: Newton step, shape (nv,).
     """
 
     jacobian: np.ndarray
@@ -222,12 +239,12 @@ class Workspace(NamedTuple):
 
 
 def workspace(contacts: int, nv: int, newton_matrix: np.ndarray) -> Workspace:
-    """Return an empty workspace for given numbers of contacts and of degrees of freedom.
+    """Return an empty workspace.
 
     Args:
         contacts: number of contacts.
         nv: number of degrees of freedom.
-        newton_matrix: array for Newton's matrix.
+        newton_matrix: array in which Newton's matrix is stored, shape (nM,).
     """
     spatial = {
         name: np.zeros((nv, 6))
@@ -250,7 +267,7 @@ def workspace(contacts: int, nv: int, newton_matrix: np.ndarray) -> Workspace:
 
 @kernel_only
 def apply_stored_friction(engine, contacts, sparsity, state, work, h):  # type: ignore[no-untyped-def]
-    """Locate the wheels and write the friction of the previous step to `qfrc_applied`."""
+    """Locate the wheels and write the previous step's friction to `qfrc_applied`."""
     _locate_wheels(engine, contacts, work)
     _generalised_forces(
         engine.cdof, contacts, sparsity, state.force, work, engine.qfrc_applied
@@ -269,8 +286,8 @@ def set_mid_velocity(engine, work):  # type: ignore[no-untyped-def]
 def solve_friction(engine, contacts, sparsity, state, work, h):  # type: ignore[no-untyped-def]
     """Solve for the friction of a step and set `qvel` to the velocity at its end.
 
-    On entry the workspace holds v₋ and v̂, its `residual` c(v̄), and `qfrc_bias` of the
-    engine c(v₋).
+    On entry the workspace holds v₋ and v̂, its `residual` holds c(v̄), and the engine's
+    `qfrc_bias` holds c(v₋).
     """
     for i in range(work.v_start.shape[0]):
         work.bias[i] = h * (engine.qfrc_bias[i] - work.residual[i])
@@ -287,8 +304,9 @@ def solve_friction(engine, contacts, sparsity, state, work, h):  # type: ignore[
             mu = contacts.floor.across
         else:
             mu = contacts.obstacle_friction
-        # Friction force per slip speed of the previous step (secant slope), N·s/m. It
-        # decides whether the contact slides (θ near 1/2) or sticks (θ near 1).
+        # Secant stiffness of friction, the force per slip speed of the previous step,
+        # N·s/m. It decides whether the contact slides (θ near 1/2) or sticks (θ near
+        # 1).
         grip = (
             mu
             * work.normal_force[w]
@@ -302,21 +320,21 @@ def solve_friction(engine, contacts, sparsity, state, work, h):  # type: ignore[
 
 @kernel_only
 def store_friction(contacts, state, work, force):  # type: ignore[no-untyped-def]
-    """Store the friction for the next step; return its power, and that of the normal forces of obstacles.
+    """Store the friction for the next step and return the dissipated power.
 
-    The power of a normal force contains the mean velocity of the step: an impact stops
-    the body within a step or two, and with the velocity before it, the loss would be up
-    to twice as large.
+    The power of a normal force is computed with the mean velocity of the step. An impact
+    stops the body within a step or two, and the velocity before it would give up to twice
+    the loss.
 
     Args:
         contacts: constants of the contacts.
-        state: out.
+        state: state of the contacts, changed in place.
         work: workspace after `solve_friction`.
-        force: out, force on each contact in the world frame, shape (C, 3), N. For a
-            hull it is friction only.
+        force: output for the force on each contact in the world frame, shape (C, 3), N. For
+            a hull it is friction only.
 
     Returns:
-        Power that friction and obstacles dissipate, W.
+        Power that friction and the normal forces of obstacles dissipate, W.
     """
     power = float(0.0)
     for w in range(contacts.body.shape[0]):
@@ -330,7 +348,8 @@ def store_friction(contacts, state, work, force):  # type: ignore[no-untyped-def
         state.force[w, _FORCE_ALONG] = f_t
         state.force[w, _FORCE_ACROSS] = f_n
         state.force[w, _STORED_SPIN] = work.response[w, _SPIN_FORCE]
-        # The rim speed is known at the fraction θ of the step: extrapolate to its end.
+        # The rim speed is known at the fraction θ of the step, so it is extrapolated
+        # to the end.
         state.rim_speed[w] += (rim - state.rim_speed[w]) / work.theta[w]
         c = work.heading[w, 0]
         s = work.heading[w, 1]
@@ -354,7 +373,6 @@ def store_friction(contacts, state, work, force):  # type: ignore[no-untyped-def
 
 @kernel_only
 def _locate_wheels(engine, contacts, work):  # type: ignore[no-untyped-def]
-    """Fill Jacobian and heading of each wheel's contact, vertically below the wheel's centre."""
     com = engine.subtree_com[1]
     for w in range(contacts.wheels):
         body = contacts.body[w]
@@ -390,8 +408,8 @@ def _locate_wheels(engine, contacts, work):  # type: ignore[no-untyped-def]
         point_jacobian(work.jacobian[w, _ALONG], x, y, z, c, s, 0.0)
         point_jacobian(work.jacobian[w, _ACROSS], x, y, z, -s, c, 0.0)
         point_jacobian(work.jacobian[w, _UP], x, y, z, 0.0, 0.0, 1.0)
-        # The hub is one radius above the contact, so only the moments differ between
-        # the two rows.
+        # The hub is one radius above the contact, so its row differs from the row
+        # along the heading only in the moments.
         hub = work.jacobian[w, _HUB]
         along = work.jacobian[w, _ALONG]
         for k in range(6):
@@ -402,7 +420,7 @@ def _locate_wheels(engine, contacts, work):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _read_normal_forces(engine, contacts, work):  # type: ignore[no-untyped-def]
-    """Read the normal forces from the sensors; locate the contacts with the vertical faces of obstacles."""
+    """Read the normal forces, and locate the contacts with faces of obstacles."""
     com = engine.subtree_com[1]
     sensors = engine.sensordata
     for w in range(contacts.body.shape[0]):
@@ -429,7 +447,6 @@ def _read_normal_forces(engine, contacts, work):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _generalised_forces(cdof, contacts, sparsity, force, work, out):  # type: ignore[no-untyped-def]
-    """Fill the generalised forces of given friction forces, shape (nv,)."""
     clear(work.motion)
     for w in range(contacts.body.shape[0]):
         for k in range(6):
@@ -446,7 +463,7 @@ def _generalised_forces(cdof, contacts, sparsity, force, work, out):  # type: ig
 
 @kernel_only
 def _contact_velocity(contacts, work, w, theta):  # type: ignore[no-untyped-def]
-    """Return u of a contact along and across at the fraction θ of the step, m/s; `motion` holds δ."""
+    """Return u of a contact at the fraction θ of the step, m/s; `motion` holds δ."""
     last = contacts.last_dof[w]
     middle = work.mid_motion[last]
     step = work.step_motion[last]
@@ -463,7 +480,6 @@ def _contact_velocity(contacts, work, w, theta):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _friction_load(contacts, work, w):  # type: ignore[no-untyped-def]
-    """Return the load in the friction law of a contact (`numerics.LOADS`), N."""
     normal = max(work.normal_force[w] - work.response[w, _UNLOADING], 0.0)
     static = contacts.static_load[w]
     if contacts.load_kind == _MOMENTARY or w >= contacts.wheels:
@@ -477,10 +493,10 @@ def _friction_load(contacts, work, w):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _evaluation_fraction(x):  # type: ignore[no-untyped-def]
-    """Return the fraction θ of a step at which friction is evaluated if slip decays by e^(−x) per step.
+    """Return the fraction θ of a step at which friction is evaluated.
 
-    With this θ the implicit step reproduces the exponential decay. θ is 1/2 for slow
-    decay, 1 for fast decay.
+    If slip decays by the factor e^(−x) per step, this θ makes the implicit step reproduce
+    the exponential decay. θ is 1/2 for slow decay and 1 for fast decay.
     """
     if x > 0.1:
         return 1.0 / (1.0 - np.exp(-x)) - 1.0 / x
@@ -489,19 +505,11 @@ def _evaluation_fraction(x):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _friction_law(contacts, w, along, across, load, force, rim, h):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Evaluate the friction law of a contact.
+    """Return the `Traction` and the rim speed (m/s) of a contact.
 
-    Args:
-        contacts: constants of the contacts.
-        w: contact.
-        along, across: velocity, m/s.
-        load: normal force, N.
-        force: friction of the previous step, a row of `ContactState.force`, N.
-        rim: rim speed at the beginning of the step, m/s.
-        h: time from the beginning of the step to the evaluation, s.
-
-    Returns:
-        `Traction` and rim speed (m/s).
+    `force` is the friction of the previous step, a row of `ContactState.force`. `rim` is
+    the rim speed at the beginning of the step. `h` is the time from the beginning of the
+    step to the evaluation.
     """
     floor = contacts.floor
     mu_t = floor.forward
@@ -538,8 +546,8 @@ def _friction_law(contacts, w, along, across, load, force, rim, h):  # type: ign
         f_t, f_n, tt, tn, nt, nn = skin_friction(
             along, across, load, floor, drag, force[_FORCE_ACROSS], is_cosine
         )
-        # Newton's matrix is symmetric. The geometric mean of the mixed slopes keeps it
-        # positive definite.
+        # Newton's matrix must be symmetric. The geometric mean of the two off-diagonal
+        # derivatives keeps it positive definite.
         return Traction(f_t, f_n, tt, np.sign(tn) * np.sqrt(tn * nt), nn), along
     if floor.kind == _ELLIPSE:
         grip = stick_slip_friction(
@@ -556,15 +564,14 @@ def _friction_law(contacts, w, along, across, load, force, rim, h):  # type: ign
 
 @kernel_only
 def _newton(engine, contacts, sparsity, state, work, h):  # type: ignore[no-untyped-def]
-    """Solve r(δ) = 0 by Newton's method with a line search."""
     change = work.v_change
     direction = work.direction
     for i in range(change.shape[0]):
         change[i] = 0.0
     clear(work.response)
     first = float(0.0)
-    # The first pass uses the loads of v̂ and need not converge; the second pass uses
-    # the loads after the first.
+    # The first pass uses the loads of v̂ and need not converge. The second pass uses
+    # the loads that result from the first pass.
     for iteration in range(2):
         max_iterations = 1 if iteration == 0 else _MAX_ITERATIONS
         friction_impulse = float(0.0)
@@ -593,12 +600,13 @@ def _newton(engine, contacts, sparsity, state, work, h):  # type: ignore[no-unty
 
 @kernel_only
 def _line_search(engine, contacts, sparsity, state, work, h):  # type: ignore[no-untyped-def]
-    """Move along Newton's direction until the residual is nearly normal to it; return its square.
+    """Search along the Newton step, and return the squared residual at the new δ.
 
-    Under given loads friction maximises dissipation, so the residual is the gradient of
-    a convex function, which decreases along Newton's direction. The squared residual
-    may increase where a contact changes between sticking and sliding: a search that
-    requires it to decrease would stall when the robot stops.
+    The search ends when the residual is nearly normal to the Newton step. Under given loads
+    friction maximises dissipation, so the residual is the gradient of a convex function,
+    which decreases along the Newton step. The squared residual may increase where a contact
+    changes between sticking and sliding. A search that requires it to decrease would stall
+    when the robot stops.
     """
     change = work.v_change
     direction = work.direction
@@ -619,8 +627,8 @@ def _line_search(engine, contacts, sparsity, state, work, h):  # type: ignore[no
         )
         slope = inner(work.trial_residual, direction)
         limit = _MAX_SLOPE_RATIO * slope_start
-        # A full step may end early (slope > 0): Newton's next step continues from
-        # there.
+        # A full step may end early with a positive derivative, because the next Newton
+        # step continues from there.
         if slope >= -limit and (scale == 1.0 or slope <= limit):
             break
         if slope < 0.0:
@@ -629,7 +637,7 @@ def _line_search(engine, contacts, sparsity, state, work, h):  # type: ignore[no
         else:
             low = scale
             slope_low = slope
-        # Secant step, at least a tenth of the bracket from either end.
+        # The secant step stays at least a tenth of the bracket away from either end.
         scale = low + min(max(slope_low / (slope_low - slope_high), 0.1), 0.9) * (
             high - low
         )
@@ -638,7 +646,6 @@ def _line_search(engine, contacts, sparsity, state, work, h):  # type: ignore[no
 
 @kernel_only
 def _evaluate_friction(contacts, state, work, h):  # type: ignore[no-untyped-def]
-    """Fill the response of the friction law to δ, whose spatial velocities are in `motion`."""
     response = work.response
     for w in range(contacts.body.shape[0]):
         if w >= contacts.wheels and state.load[w] == 0.0:
@@ -672,7 +679,7 @@ def _evaluate_friction(contacts, state, work, h):  # type: ignore[no-untyped-def
 
 @kernel_only
 def _sum_impulses(contacts, state, work, h):  # type: ignore[no-untyped-def]
-    """Fill the spatial impulses by which the contact forces deviate from those of the engine's step."""
+    """Fill the impulses of the contact forces minus the forces in the engine's step."""
     impulse = work.impulse
     jacobian = work.jacobian
     response = work.response
@@ -693,7 +700,7 @@ def _sum_impulses(contacts, state, work, h):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _evaluate_residual(engine, contacts, sparsity, state, work, h, out):  # type: ignore[no-untyped-def]
-    """Fill r(δ) (kg·m/s or kg·m²/s) and the response of the friction law; return the square of r."""
+    """Fill r(δ) and the response of the friction law; return the square of r."""
     change = work.v_change
     spatial_velocities(engine.cdof, sparsity, change, work.motion)
     _evaluate_friction(contacts, state, work, h)
@@ -708,7 +715,6 @@ def _evaluate_residual(engine, contacts, sparsity, state, work, h, out):  # type
 
 @kernel_only
 def _assemble(engine, contacts, sparsity, state, work, h):  # type: ignore[no-untyped-def]
-    """Fill Newton's matrix: A, the regularised normal forces, and the slopes of friction."""
     matrix = work.newton_matrix
     jacobian = work.jacobian
     response = work.response
@@ -724,8 +730,8 @@ def _assemble(engine, contacts, sparsity, state, work, h):  # type: ignore[no-un
             up = 1.0 / contacts.regularisation[w]
         else:
             up = 0.0
-        # While a wheel rolls, the force along spins it, so its slope acts on the
-        # connector at the hub.
+        # While a wheel rolls, the force along the heading spins the wheel. Its
+        # derivative then acts on the connector at the hub.
         ahead = jacobian[w, _HUB if response[w, _RIM_SPEED] != 0.0 else _ALONG]
         aside = jacobian[w, _ACROSS]
         above = jacobian[w, _UP]
@@ -744,7 +750,7 @@ def _assemble(engine, contacts, sparsity, state, work, h):  # type: ignore[no-un
 
 @kernel_only
 def _solve_direction(engine, sparsity, work):  # type: ignore[no-untyped-def]
-    """Solve for Newton's direction with the engine's own factorisation; numba only."""
+    """Solve for the Newton step with the engine's factorisation, for numba only."""
     mj_factorM(engine.model, engine.data)
     mj_solveM(
         engine.model,
@@ -757,7 +763,7 @@ def _solve_direction(engine, sparsity, work):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def solve_direction_portably(engine, sparsity, work):  # type: ignore[no-untyped-def]
-    """Solve for Newton's direction without the engine's factorisation, as Warp needs it."""
+    """Solve for the Newton step without the engine's factorisation, for Warp."""
     for i in range(work.direction.shape[0]):
         work.direction[i] = work.residual[i]
     factor(work.newton_matrix, sparsity)

@@ -1,8 +1,9 @@
 r"""Energy that the joints of the twin's segments store and dissipate.
 
 A segment has n hinges, each with the stiffness n k and the damping n c. A hinge with
-the angle q_k deviates by e_k = q_k − q_f/n from its share of the free bend q_f. With
-the torque T = k (q_f − q) + c (q̇_f − q̇) of the segment, the power of the air is
+the angle q_k deviates from the equal part q_f/n of the free bend q_f by
+e_k = q_k − q_f/n. With the torque T = k (q_f − q) + c (q̇_f − q̇) of the segment, the air
+exerts the power
 
 $$ T\,\dot q_f = P + \frac{d}{dt} \sum_k \tfrac12 n k\,e_k^2 + \sum_k n c\,\dot e_k^2 , $$
 
@@ -10,9 +11,10 @@ where P is the power that body and floor receive. The pitch and roll joints stor
 dissipate energy with their whole angles.
 
 Under a preloaded contact the pitch and roll joints are not counted. The preloaded
-wheels bounce on the floor and shake these joints with energy that comes from the finite
-time step of the normal forces, not from the torques: in gen2_turn the joints dissipate
-35 mW with steps of 1 ms and 1.6 mW with 0.25 ms, but 0.006 mW under a loaded contact.
+wheels bounce on the floor and shake these joints. The energy for this comes from the
+finite time step of the normal forces, not from the torques. In gen2_turn the joints
+dissipate 35 mW with steps of 1 ms and 1.6 mW with 0.25 ms, but 0.006 mW under a loaded
+contact.
 """
 
 from __future__ import annotations
@@ -29,12 +31,12 @@ class InternalJoints:
 
     Attributes:
         hinges: velocity indices of the bending hinges, shape (segments, hinges per
-            segment); those of the tilt hinges of a spatial robot follow, shape (2
-            segments, hinges per segment).
-        out_of_plane: velocity indices of the pitch and roll joints that count, shape
+            segment). For a spatial robot the tilt hinges follow, shape (2 · segments,
+            hinges per segment).
+        out_of_plane: velocity indices of the pitch and roll joints that are counted, shape
             (joints,).
-        damping: damping of each velocity, shape (nv,), N·m·s/rad; 0 for velocities of
-            other joints.
+        damping: damping coefficient of each velocity, 0 for other joints, shape (nv,),
+            N·m·s/rad.
     """
 
     def __init__(
@@ -66,7 +68,7 @@ class InternalJoints:
         self.out_of_plane = model.jnt_dofadr[out_of_plane].astype(int)
         stiffness = model.jnt_stiffness.reshape(model.njnt, -1)[:, 0]
         # The integrator evaluates springs at the end of a step, which adds the damping
-        # h k; the damping in the model is smaller by that much (`mjcf.classes`).
+        # h k. The dampers in the model are reduced by h k (`mjcf.classes`).
         added = model.opt.timestep * stiffness[joints]
         dofs = model.jnt_dofadr[joints]
         self._joint_damping = model.dof_damping[dofs] + added
@@ -81,11 +83,11 @@ class InternalJoints:
 
         Args:
             qpos: generalised positions, shape (…, nq).
-            free_bend: free bends, shape (…, segments), rad, or (…, segments, 2) for a
-                spatial robot.
+            free_bend: free bends, shape (…, segments), or (…, segments, 2) for a spatial
+                robot, rad.
 
         Returns:
-            Shape (…,).
+            Energy of each sample, shape (…,).
         """
         deviations = self._deviations(
             qpos, free_bend, self._hinge_positions, self._out_of_plane_positions
@@ -98,11 +100,10 @@ class InternalJoints:
 
         Args:
             qvel: generalised velocities, shape (…, nv).
-            free_rate: rates of the free bends, in the shape of `free_bend` of `stored`,
-                rad/s.
+            free_rate: rates of the free bends, shaped like `free_bend` of `stored`, rad/s.
 
         Returns:
-            Shape (…,).
+            Power of each sample, shape (…,).
         """
         deviations = self._deviations(qvel, free_rate, self.hinges, self.out_of_plane)
         power: np.ndarray = (self._joint_damping * deviations**2).sum(axis=-1)
@@ -115,8 +116,8 @@ class InternalJoints:
         hinges: np.ndarray,
         out_of_plane: np.ndarray,
     ) -> np.ndarray:
-        """Return deviations of hinges from their shares of free values, then the values of other joints."""
-        if self._spatial:  # all hinges to the left come first
+        """Return the deviations e_k of the hinges, then the values of other joints."""
+        if self._spatial:  # the bending hinges come before the tilt hinges
             free = np.concatenate([free[..., 0], free[..., 1]], axis=-1)
         angles = values[..., hinges] - free[..., None] / hinges.shape[1]
         flat = angles.reshape(*values.shape[:-1], hinges.size)

@@ -1,23 +1,25 @@
-r"""Friction of movable objects on the floor and on the body, as a part of the friction solve of a time step.
+r"""Friction of movable objects on the floor and on the body.
 
-An object touches hulls of the body, and stands on the floor on four points
-(`MovableObject.supports`). The friction of both kinds of contacts is that of
-`stick_slip`, implicit in the velocities, like that of the wheels (`friction_solve`,
-whose symbols this module uses). The law uses the velocity of a hull relative to the
-object, and the friction on the object is opposite. The points carry constant loads; the
-normal forces of hulls remain those of v̂. The vertical friction of a hull does not
-change the loads of the points.
+The friction solve of a time step includes these contacts. An object touches hulls of
+the body and stands on the floor on four support points (`MovableObject.supports`). Both
+kinds of contacts follow the law of `stick_slip`, which is implicit in the velocities as
+for the wheels. The symbols are listed in `friction_solve`.
 
-Each object is a separate kinematic tree. The slopes of its contacts with hulls couple
-its motion with that of the snake. They add a block B to Newton's matrix, which M does
-not contain. Block elimination solves for the motion of the objects first,
+The law uses the velocity of a hull relative to the object, and the object receives the
+opposite friction force. The support points carry constant loads. The normal forces on
+hulls keep their values from v̂. The vertical friction of a hull does not change the
+loads of the support points.
+
+Each object is a separate kinematic tree. The derivatives of its contacts with hulls
+couple the motion of the object with the motion of the snake. They add a block B to
+Newton's matrix, which is outside the sparsity pattern of M. Block elimination solves
+for the motion of the objects first,
 
 $$ (Q - B P^{-1} B^T)\,y = r_o - B P^{-1} r_s, \qquad x = P^{-1} (r_s - B^T y), $$
 
 with the factored matrices P of the snake and Q of the objects without B.
 
-`friction_solve` calls these functions at the points that their docstrings state.
-Without objects they are not compiled. Warp omits them.
+Without objects these functions are not compiled. Warp omits them.
 """
 
 from __future__ import annotations
@@ -58,9 +60,9 @@ class ObjectState(NamedTuple):
 
     Attributes:
         force: friction along and across, shape (C, 2), N.
-        slip_speed: shape (C,), m/s.
-        jacobian: as in `ObjectContacts`, at which the friction of the previous step
-            acts.
+        slip_speed: slip speed of each contact, shape (C,), m/s.
+        jacobian: Jacobian with which the previous step's friction acts, laid out as in
+            `ObjectContacts`.
     """
 
     force: np.ndarray
@@ -69,31 +71,32 @@ class ObjectState(NamedTuple):
 
 
 class ObjectContacts(NamedTuple):
-    """The C contacts of all objects: first the pairs of an object and a hull, then the support points.
+    """The C contacts of all objects: pairs of object and hull, then support points.
 
     Attributes:
         pairs: number of pairs.
         first: first degree of freedom of the objects.
         slip: slip speed ε, m/s.
-        dof: last degree of freedom of the hull, −1 for a point, and of the object,
+        dof: last degree of freedom of the hull (−1 for a support point) and of the object,
             shape (C, 2).
-        object_body: body of the object, shape (C,).
-        place: place of a point in the frame of the object, shape (C, 2), m.
+        object_body: body id of the object, shape (C,).
+        place: position of a support point in the frame of the object, shape (C, 2), m.
         sensor: index into `sensordata` of the force on the hull and its point of
             application, shape (C,).
-        load: normal force, constant for a point, shape (C,), N.
-        friction: friction coefficient, shape (C,), 1.
-        admittance: change of velocity per impulse, shape (C,), 1/kg.
-        force, slip_speed, jacobian: see `ObjectState`; the Jacobian has the spatial
-            vectors that give the velocity along, across and away from the object, for
-            hull and object, shape (C, 2, 3, 6). In a pair the part of the object has a
-            negative sign.
-        theta: fraction of the step at which friction is evaluated, shape (C,).
-        response: force along and across (N), and its slopes along, mixed and across
+        load: normal force, constant for a support point, shape (C,), N.
+        friction, admittance: friction coefficient (dimensionless) and inverse effective
+            mass (1/kg), shape (C,).
+        force, slip_speed: see `ObjectState`.
+        jacobian: spatial vectors that give the velocity along, across and away from the
+            object, for hull and object, shape (C, 2, 3, 6). In a pair the vectors of the
+            object have a negative sign.
+        theta: fraction θ of the step at which friction is evaluated, shape (C,).
+        response: friction along and across (N), and its derivatives along, mixed and across
             (N·s/m), shape (C, 5).
-        coupling: B, one row per degree of freedom of the objects, shape (no, nv).
-        solved: B P⁻¹, same shape.
-        matrix: matrix of the objects and its right side, shape (no, no + 1).
+        coupling, solved: block B and B P⁻¹, with one row per degree of freedom of the
+            objects, shape (no, nv).
+        matrix: matrix of the objects with its right-hand side as last column, shape (no,
+            no + 1).
     """
 
     pairs: int
@@ -126,9 +129,9 @@ def object_contacts(
 
     Args:
         model: compiled scene.
-        objects: its objects.
+        objects: movable objects of the scene.
         slip: slip speed, m/s.
-        hull_admittance: change of a hull's velocity per impulse, shape (hulls,), 1/kg.
+        hull_admittance: inverse effective mass of each hull, shape (hulls,), 1/kg.
     """
     hulls = surroundings.hulls(model)
     names = object_names(model)
@@ -177,7 +180,7 @@ def object_contacts(
 
 
 def has_objects(engine: types.NamedTuple) -> bool:
-    """Return whether a record of the engine, as a numba type, has the contacts of objects."""
+    """Return whether a numba type of `EngineData` includes contacts of objects."""
     return not isinstance(engine[engine.fields.index("objects")], types.NoneType)
 
 
@@ -188,7 +191,7 @@ def _last_dof(model: mujoco.MjModel, body: np.ndarray) -> np.ndarray:
 
 @compiled_if(has_objects)
 def apply_object_friction(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
-    """Add the friction of the previous step to `qfrc_applied`, after that of the wheels was added."""
+    """Add the previous friction to `qfrc_applied`, after the wheels' friction."""
     o = engine.objects
     for w in range(o.force.shape[0]):
         for side in range(2):
@@ -215,7 +218,7 @@ def _locate(jacobian, x, y, z, c, s, sign):  # type: ignore[no-untyped-def]
 
 @compiled_if(has_objects)
 def locate_objects(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
-    """Locate the contacts and read their normal forces, after those of the wheels are known."""
+    """Locate the contacts and read their normal forces, after the wheels' forces."""
     o = engine.objects
     com = engine.subtree_com[1]
     sensors = engine.sensordata
@@ -256,7 +259,6 @@ def locate_objects(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _velocity(o, work, w, theta):  # type: ignore[no-untyped-def]
-    """Return the velocity of a contact along and across at the fraction θ of the step, m/s."""
     u_t = 0.0
     u_n = 0.0
     for side in range(2):
@@ -283,7 +285,7 @@ def _velocity(o, work, w, theta):  # type: ignore[no-untyped-def]
 
 @compiled_if(has_objects)
 def add_object_impulses(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
-    """Evaluate the friction at the velocities `motion`, and subtract its impulses from `impulse`."""
+    """Evaluate friction at the velocities `motion`, and subtract it from `impulse`."""
     o = engine.objects
     for w in range(o.force.shape[0]):
         u_t, u_n = _velocity(o, work, w, o.theta[w])
@@ -320,7 +322,7 @@ def add_object_impulses(engine, sparsity, work, h):  # type: ignore[no-untyped-d
 
 @compiled_if(has_objects)
 def add_object_slopes(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
-    """Add the slopes of friction to the spatial matrices `slope` of hulls and objects, and fill B."""
+    """Add the derivatives of friction to `slope` of hulls and objects, and fill B."""
     o = engine.objects
     clear(o.coupling)
     for w in range(o.force.shape[0]):
@@ -358,7 +360,10 @@ def add_object_slopes(engine, sparsity, work, h):  # type: ignore[no-untyped-def
 
 @kernel_only
 def _eliminate(matrix, x):  # type: ignore[no-untyped-def]
-    """Solve a system whose matrix has its right side as last column, and needs no pivoting."""
+    """Solve a system whose matrix has its right-hand side as last column.
+
+    The matrix is changed in place. It must not need pivoting.
+    """
     count = matrix.shape[0]
     for i in range(count):
         for j in range(i + 1, count):
@@ -374,7 +379,7 @@ def _eliminate(matrix, x):  # type: ignore[no-untyped-def]
 
 @compiled_if(has_objects)
 def couple_objects(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
-    """Correct Newton's direction, which was solved without B."""
+    """Add the effect of B to the Newton step, which was solved without B."""
     o = engine.objects
     first = engine.objects.first
     direction = work.direction
@@ -405,14 +410,16 @@ def couple_objects(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
 
 @compiled_if(has_objects, otherwise=0.0)
 def store_object_friction(engine, sparsity, work, force):  # type: ignore[no-untyped-def]
-    """Store the friction for the next step; return the power that it and the normal forces dissipate, W.
+    """Store the friction for the next step and return the dissipated power, W.
+
+    The power includes the normal forces between hulls and objects.
 
     Args:
-        engine: with the contacts.
+        engine: engine data, which include the contacts of objects.
         sparsity: not used.
         work: workspace after the friction solve.
-        force: out, friction on the hull of each pair in the world frame, shape (pairs,
-            3), N.
+        force: output for the friction on the hull of each pair in the world frame, shape
+            (pairs, 3), N.
     """
     o = engine.objects
     power = 0.0

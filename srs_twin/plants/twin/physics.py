@@ -1,4 +1,4 @@
-"""Physics of the twin: bodies in MuJoCo, driven by the chambers, and the quantities read from them."""
+"""Bodies of the twin in MuJoCo, driven by the chambers."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class StepBatch:
             halves of its segments in each step, world frame, shape (steps, N, 3), N.
         power: power that the snake loses to floor and obstacles in each step, shape
             (steps,), W.
-        internal: power that the joints of segments dissipate in each step
+        internal: power that the joints of the segments dissipate in each step
             (`internal_joints`), shape (steps,), W.
     """
 
@@ -64,19 +64,18 @@ class StepBatch:
 
 
 class SensorAddresses(NamedTuple):
-    """Sensor addresses, body ids and velocity indices for another engine that steps the bodies.
+    """Addresses and indices for another engine that steps the bodies.
 
     Attributes:
-        floor_force: address of the floor's force on each wheel, shape (wheels,).
-        foot_velocity: address of the velocity of each foot, shape (wheels,); empty
-            under loaded contact.
+        floor_force, foot_velocity: addresses of the floor's force on each wheel and of the
+            velocity of each foot, shape (wheels,). The latter are empty under loaded
+            contact.
         obstacle_force: address of the obstacles' force on each hull, shape (hulls,).
-        external_force: addresses of all force components, except those on wheels, that
-            take energy from the snake, shape (components,).
-        external_velocity: addresses of the velocities that belong to them, shape
+        external_force, external_velocity: addresses of other force components that take
+            energy from the snake, and of the velocities on which they do work, shape
             (components,).
         kinetic_energy: address of the kinetic energy.
-        connectors: body ids, shape (N,).
+        connectors: body ids of the connectors, shape (N,).
         hinges: velocity indices of the bending hinges, shape (segments, hinges per
             segment).
         out_of_plane: velocity indices of the pitch and roll joints of `InternalJoints`,
@@ -95,17 +94,16 @@ class SensorAddresses(NamedTuple):
 
 
 class Sensors(NamedTuple):
-    """Addresses of the components of all vector sensors, x, y and z last, and of scalar sensors.
+    """Addresses of all sensor components; the last axis of a vector sensor is x, y, z.
 
     Attributes:
-        floor_force: force of the floor on each wheel, shape (axles, 2, 3).
-        foot_velocity: velocity of each foot, in the shape of `floor_force`; empty under
-            loaded contact.
-        hull_force: force of the obstacles on each hull, shape (hulls, 3).
-        hull_velocity: velocity of each hull's centre, shape (hulls, 3).
+        floor_force, foot_velocity: force of the floor on each wheel and velocity of each
+            foot, shape (axles, 2, 3). The velocities are empty under loaded contact.
+        hull_force, hull_velocity: force of the obstacles on each hull and velocity of the
+            hull's centre, shape (hulls, 3).
         object_force: force of each object on each hull, shape (objects, hulls, 3).
-        drag_force: axial drag of each connector, shape (N,); empty without drag.
-        drag_velocity: velocity of each connector along its heading, shape (N,).
+        drag_force, drag_velocity: axial drag of each connector and velocity along its
+            heading, shape (N,). The forces are empty without drag.
         kinetic_energy: address of the kinetic energy.
     """
 
@@ -153,18 +151,18 @@ def find_sensors(
 
 @dataclass(frozen=True)
 class Kinematics:
-    """Positions and velocities of the bodies in several states, world frame, connectors head first.
+    """Positions and velocities in several states, world frame, connectors head first.
 
     Attributes:
         qpos: generalised positions, shape (samples, nq).
         com: centre of mass, shape (samples, 3), m.
-        com_velocity: shape (samples, 3), m/s.
+        com_velocity: velocity of the centre of mass, shape (samples, 3), m/s.
         positions: positions of the connectors, shape (samples, N, 3), m.
         headings: headings of the connectors, wrapped to (−π, π], shape (samples, N),
             rad.
-        bends: shape (samples, segments), rad, or (samples, segments, 2) for a spatial
-            robot.
-        bend_rates: same shape, rad/s.
+        bends: bends of the segments, shape (samples, segments), or (samples, segments, 2)
+            for a spatial robot, rad.
+        bend_rates: bend rates, in the shape of `bends`, rad/s.
         orientations: quaternions of the connectors, w first, shape (samples, N, 4).
     """
 
@@ -179,37 +177,40 @@ class Kinematics:
 
 
 class EngineWarnings(threading.local):
-    """MuJoCo's latest warnings on this thread, which belong to the twin that runs on it."""
+    """Latest MuJoCo warnings on this thread, which belong to the twin running on it."""
 
     def __init__(self) -> None:
         self.last: deque[str] = deque(maxlen=4)
 
 
 ENGINE_WARNINGS = EngineWarnings()
-"""Warnings for the message of a DivergedError; without a handler MuJoCo writes them to a log file."""
+"""Warnings for the message of a DivergedError.
+
+Without a handler MuJoCo would write them to a log file.
+"""
 
 
 def _keep_warning(text: str) -> None:
-    ENGINE_WARNINGS.last.append(text)  # the list of this thread
+    ENGINE_WARNINGS.last.append(text)
 
 
 mujoco.set_mju_user_warning(_keep_warning)
 _ROLLOUT = mujoco_rollout.Rollout(nthread=0)  # runs on the calling thread
 _ROLLOUT_STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _SNAKE = 1  # body that carries the whole snake; objects are other trees
-# With the warm start, so that steps continue bit for bit.
+# This state includes the warm start, so that resumed steps are bit-identical.
 _SAVED_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
 class SnakePhysics(Stateful):
-    """Bodies of a snake in MuJoCo, driven by its chambers, and the quantities read from them.
+    """Bodies of a snake in MuJoCo, driven by its chambers.
 
     Attributes:
-        model: compiled model; it belongs to this physics alone and may be changed.
-        data: present state of the bodies.
-        free: whether the snake moves on a floor; otherwise its head is clamped.
+        model: compiled model. It belongs to this physics alone and may be changed.
+        data: current state of the bodies.
+        free: whether the snake moves on a floor. Otherwise its head is clamped.
         internal_joints: energy of joint motions that leave the bends unchanged.
-        stepper: time steps under loaded contact; None under a preloaded contact or
+        stepper: time steps under loaded contact, or None under a preloaded contact or
             without a floor.
     """
 
@@ -228,12 +229,12 @@ class SnakePhysics(Stateful):
 
         Args:
             spec: the robot.
-            settings: time step, discretisation, contact.
+            settings: time step, discretisation and contact.
             chambers: chambers of the robot.
-            supply_pa: largest pressure that can occur, Pa.
-            world: obstacles and floor; None for a level floor without obstacles.
+            supply_pa: maximum pressure that can occur, Pa.
+            world: obstacles and floor, or None for a level floor without obstacles.
         """
-        # Other worlds do not affect the scene: share the compiled model.
+        # Other worlds do not affect the scene, so they share one compiled model.
         matters = world is not None and (world.is_solid or world.uneven)
         relevant = world if matters else None
         # A copy, so that changes of one twin's model do not affect other twins.
@@ -248,7 +249,7 @@ class SnakePhysics(Stateful):
         chambers: Pneumatics,
         world: World,
     ) -> None:
-        """Take over a compiled scene; the arguments are those of `build`."""
+        """Take over a compiled scene. The arguments are described in `build`."""
         self.model = model
         self.data = mujoco.MjData(model)
         mujoco.mj_forward(model, self.data)
@@ -279,7 +280,7 @@ class SnakePhysics(Stateful):
             )
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Copy the model and the state; the engine's data are created again, because they hold addresses."""
+        """Copy model and state, but not the engine's data, which hold addresses."""
         arguments = (
             self.model,
             self._spec,
@@ -287,8 +288,8 @@ class SnakePhysics(Stateful):
             self._pneumatics,
             self._world,
         )
-        # The model may have been changed since these constants were taken from it: copy
-        # them, too.
+        # The model may have been changed since these constants were computed from it,
+        # so they are copied, too.
         constants = {
             name: value
             for name, value in vars(self).items()
@@ -328,12 +329,15 @@ class SnakePhysics(Stateful):
         return bends, self._by_segment(qvel @ self._rates.T)
 
     def connector_forces(self, hull_force: np.ndarray) -> np.ndarray:
-        """Return the obstacles' forces on connectors, shape (…, N, 3), from those on hulls, (…, hulls, 3)."""
+        """Return the obstacles' forces on the connectors, shape (…, N, 3), N.
+
+        They are computed from the forces on the hulls, shape (…, hulls, 3).
+        """
         force: np.ndarray = np.einsum("ih,...hk->...ik", self._hull_shares, hull_force)
         return force
 
     def lay_down(self, pose: Pose) -> None:
-        """Reset to a snake at rest with its rest bends, empty chambers and a given pose.
+        """Reset to a snake at rest with rest bends and empty chambers.
 
         Args:
             pose: centre of mass x, y (m) and mean heading (rad).
@@ -353,7 +357,8 @@ class SnakePhysics(Stateful):
         self._last_force = self._no_force
         if self.stepper is not None:
             self.stepper.reset()
-            self._move_to_pose(pose)  # sinking moved it by some nanometres
+            # Sinking into the floor has moved the snake by some nanometres.
+            self._move_to_pose(pose)
             self.refresh()
         if self.free:
             # At rest each wheel carries its static load and its preload.
@@ -362,13 +367,13 @@ class SnakePhysics(Stateful):
     def place(
         self, pose: Pose, velocity: np.ndarray, bend: np.ndarray, rate: np.ndarray
     ) -> None:
-        """Set pose, velocity, bends and bend rates of a snake after `lay_down`; its wheels roll.
+        """Set pose, velocities and bends after `lay_down`. The wheels start rolling.
 
         Args:
             pose: centre of mass x, y (m) and mean heading (rad).
             velocity: velocity of the centre of mass in the world frame (m/s) and yaw
                 rate of the mean heading (rad/s), shape (3,).
-            bend: shape (segments,), rad.
+            bend: bends of the segments, shape (segments,), rad.
             rate: bend rates, shape (segments,), rad/s.
 
         Raises:
@@ -385,7 +390,7 @@ class SnakePhysics(Stateful):
         self._move_to_pose(pose)
         data.qvel[:] = (rate / hinges) @ self._rates
         self.refresh()
-        # Add a rigid rotation, then a translation, so that the means have the given
+        # A rigid rotation and then a translation give the mean velocities the given
         # values.
         data.qvel[5] += velocity[2] - data.cvel[self._connectors, 2].mean()
         self.refresh()
@@ -395,7 +400,6 @@ class SnakePhysics(Stateful):
         self.refresh()
 
     def _roll_wheels(self) -> None:
-        """Set the spin of the wheels to rolling without slip along their headings."""
         model = self.model
         data = self.data
         if self.stepper is not None:
@@ -419,7 +423,7 @@ class SnakePhysics(Stateful):
             )
 
     def state_dict(self) -> dict[str, object]:
-        """Return the saved state; the engine's part is MuJoCo's integration state."""
+        """Return the saved state, which includes MuJoCo's integration state."""
         engine = np.empty(mujoco.mj_stateSize(self.model, _SAVED_STATE))
         mujoco.mj_getState(self.model, self.data, engine, _SAVED_STATE)
         return super().state_dict() | {"engine": engine}
@@ -428,7 +432,7 @@ class SnakePhysics(Stateful):
         """Restore a saved state.
 
         Raises:
-            InputError: the state is incomplete, or of another kind.
+            InputError: the state is incomplete or belongs to another model.
         """
         engine = np.asarray(state.get("engine"))
         if engine.shape != (mujoco.mj_stateSize(self.model, _SAVED_STATE),):
@@ -440,7 +444,6 @@ class SnakePhysics(Stateful):
         self.refresh()
 
     def _move_to_pose(self, pose: Pose) -> None:
-        """Rotate and translate the snake to the centre of mass x, y (m) and mean heading (rad) of a pose."""
         data = self.data
         self._update_kinematics(data)
         angle = pose[2] - float(np.unwrap(self.connector_headings()).mean())
@@ -450,37 +453,40 @@ class SnakePhysics(Stateful):
         data.qpos[:2] += pose[:2] - data.subtree_com[_SNAKE][:2]
 
     def advance_chambers(self, schedule: Schedule, steps: int) -> Trace:
-        """Advance the chambers over a schedule; return them at the beginning of each step and at the end."""
+        """Advance the chambers over a schedule.
+
+        The trace has a row for the beginning of each step and one for the end.
+        """
         times = schedule.span * np.arange(steps + 1) / steps
         return self._pneumatics.advance(
             schedule, times, bend=self.bend_angles(), bend_rate=self.bend_rates()
         )
 
     def run(self, trace: Trace) -> StepBatch:
-        """Advance the bodies under given chambers and return the results (see `advance_bodies`)."""
+        """Advance the bodies under given chambers and evaluate the steps."""
         return self.evaluate(trace.bend_rate[1:], *self.advance_bodies(trace))
 
     def advance_bodies(self, trace: Trace) -> tuple[np.ndarray, ...]:
-        """Advance the bodies under given chambers; return the arguments of `evaluate` after the first.
+        """Advance the bodies under given chambers.
 
-        The results of several calls may be concatenated before `evaluate`.
+        The result holds the arguments of `evaluate` after the first. The results of several
+        calls may be concatenated before `evaluate`.
 
         Args:
-            trace: chambers at the beginning of each step and at the end, steps + 1
-                rows.
+            trace: chambers at the beginning of each step and at the end, steps + 1 rows.
         """
         controls = self.controls(trace)
         if self.stepper is None:
-            # Positions are those at the beginning of a step.
+            # MuJoCo evaluates positions at the beginning of a step.
             return self._run_engine(controls[:-1])
-        # Positions are those at the middle of a step.
+        # The stepper evaluates positions at mid-step.
         return self.stepper.run((controls[:-1] + controls[1:]) / 2)
 
     def controls(self, trace: Trace) -> np.ndarray:
         """Return the controls of the actuators for each row of a trace.
 
-        The joints have springs and dampers against the rest bends, so the air exerts
-        the rest of the moment k (q_f − q) + c (q̇_f − q̇).
+        The springs and dampers of the joints act relative to the rest bends. The air therefore
+        exerts the remainder of the moment k (q_f − q) + c (q̇_f − q̇).
         """
         spec = self._spec
         driven = (
@@ -509,15 +515,16 @@ class SnakePhysics(Stateful):
         """Evaluate the latest engine steps.
 
         Args:
-            free_rate: rates of the free bends at the end of each step, shape (steps,
-                segments), rad/s, or (steps, segments, 2) for a spatial robot.
-            states: as in `StepBatch`; the last one is the present state.
-            sensors: all sensors, shape (steps, nsensordata).
-            floor_force: as in `StepBatch`; None to read it from the sensors.
-            contact_power: power that floor, obstacles and objects take, shape (steps,),
-                W; None to compute it from the sensors.
-            obstacle_friction: friction of obstacles, then of each object, on hulls that
-                the sensors do not contain, shape (steps, 1 + objects, hulls, 3), N.
+            free_rate: rates of the free bends at the end of each step, shape (steps, segments),
+                or (steps, segments, 2) for a spatial robot, rad/s.
+            states: states as in `StepBatch`. The last one is the current state.
+            sensors: values of all sensors, shape (steps, nsensordata).
+            floor_force: force on the wheels as in `StepBatch`, or None to read it from the
+                sensors.
+            contact_power: power that floor, obstacles and objects take from the snake, shape
+                (steps,), W, or None to compute it from the sensors.
+            obstacle_friction: friction of obstacles, then of each object, on hulls. The
+                sensors do not contain it. Shape (steps, 1 + objects, hulls, 3), N.
         """
         self.refresh()
         at = self._sensors
@@ -549,7 +556,6 @@ class SnakePhysics(Stateful):
     def _run_engine(
         self, chamber_controls: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Run all steps in one call of the engine; return states and sensors as in `evaluate`."""
         model = self.model
         data = self.data
         steps = len(chamber_controls)
@@ -569,20 +575,19 @@ class SnakePhysics(Stateful):
         return states[0], sensors[0]
 
     def _at_feet(self, sensors: np.ndarray, addresses: np.ndarray) -> np.ndarray:
-        """Return sensor values at the feet, shape (steps, axles, 2, 3); 0 without a floor."""
         if self.free:
             return sensors[:, addresses]
         return np.zeros((len(sensors), *self._no_force.shape))
 
     def refresh(self) -> None:
-        """Recompute positions and velocities from the state; contacts stay those of the last step."""
+        """Recompute positions and velocities from the state, but not the contacts."""
         self._update_kinematics(self.data)
 
     def kinematics(self, states: np.ndarray) -> Kinematics:
-        """Return positions and velocities in given states; the present state stays unchanged.
+        """Return positions and velocities in given states.
 
         Args:
-            states: as in `StepBatch`.
+            states: states as in `StepBatch`.
         """
         count = len(states)
         n = len(self._connectors)
@@ -616,7 +621,7 @@ class SnakePhysics(Stateful):
         mujoco.mj_subtreeVel(model, data)
 
     def kinetic_energy(self) -> float:
-        """Return the bodies' kinetic energy, J."""
+        """Return the kinetic energy of the bodies, J."""
         model = self.model
         data = self.data
         mujoco.mj_crb(model, data)
@@ -625,15 +630,14 @@ class SnakePhysics(Stateful):
         return float(momentum @ data.qvel) / 2
 
     def bend_angles(self) -> np.ndarray:
-        """Return the bends, shape (segments,), rad, or (segments, 2) for a spatial robot."""
+        """Return the bends, shape (segments,), or (segments, 2) if spatial, rad."""
         return self._by_segment(self._angles @ self.data.qpos)
 
     def bend_rates(self) -> np.ndarray:
-        """Return the bend rates, rad/s, in the shape of `bend_angles`."""
+        """Return the bend rates in the shape of `bend_angles`, rad/s."""
         return self._by_segment(self._rates @ self.data.qvel)
 
     def _by_segment(self, rows: np.ndarray) -> np.ndarray:
-        """Return values per component and segment, shape (…, rows), with the shape of the bends."""
         if not self._spec.is_spatial:
             return rows
         pairs: np.ndarray = rows.reshape(*rows.shape[:-1], 2, self._spec.segments)
@@ -654,10 +658,13 @@ class SnakePhysics(Stateful):
         return np.array(self.data.subtree_com[_SNAKE])
 
     def floor_forces(self) -> np.ndarray:
-        """Return the floor's mean force on each wheel over the last `run`, without the preload.
+        """Return the floor's mean force on each wheel over the last `run`.
+
+        The preload is subtracted.
 
         Returns:
-            World frame, shape (axles, 2, 3): axle, left and right wheel, x y z, N.
+            Force in the world frame, indexed by axle, left and right wheel, and x y z, shape
+            (axles, 2, 3), N.
         """
         force = self._floor_force.copy()
         force[..., 2] -= self._preload
@@ -666,17 +673,12 @@ class SnakePhysics(Stateful):
     def wheel_loads(self) -> np.ndarray:
         """Return the mean load of each wheel over the last `run`, shape (axles, 2), N.
 
-        A negative load means that the wheel would lift without the preload.
+        A negative load means that the wheel would lift off without the preload.
         """
         return self.floor_forces()[..., 2]
 
 
 def _hull_shares(hulls: list[str], connectors: int) -> np.ndarray:
-    """Return the share of each hull that counts for each connector, shape (connectors, hulls).
-
-    Hulls 0…n of segment j are numbered from the head. The front half of the segment
-    counts for connector j, the rear half for connector j + 1.
-    """
     shares = np.zeros((connectors, len(hulls)))
     for k, hull in enumerate(hulls):
         segment, number = place_of(hull)
@@ -692,8 +694,7 @@ def _bend_matrices(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the matrices from qpos to bends and from qvel to bend rates.
 
-    A bend is the sum of hinge angles. The rows of a spatial robot are all bends to the
-    left, then all bends upwards.
+    For a spatial robot, all bends to the left come first, followed by all bends upwards.
     """
     bends = [
         [
@@ -716,14 +717,14 @@ def _bend_matrices(
 def _compile_scene(
     spec: RobotSpec, settings: ModelSettings, supply_pa: float, world: World | None
 ) -> mujoco.MjModel:
-    """Return the compiled scene; the cache makes further twins of a robot ten times as fast to build."""
+    """Return the compiled scene; the cache makes further twins ten times faster."""
     model = scene_mjcf(spec, settings, supply_pa=supply_pa, world=world).compile()
     # The controls contain the rates of the free bends, so they may exceed the pressures
     # of the chambers.
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
     # MuJoCo stops where an iteration improves the cost by less than the tolerance times
-    # the mean of the diagonal of M, which holds masses and moments of inertia. Weigh
-    # them as at a length unit of 1.
+    # the mean of the diagonal of M, which holds masses and moments of inertia. The
+    # moments of inertia scale with the length unit, which this factor corrects.
     if settings.base == "free":
         masses = 3 * model.body_subtreemass[_SNAKE]
     else:

@@ -1,7 +1,7 @@
-"""Algebra of spatial vectors and of matrices on the tree of bodies, compiled by numba and by Warp.
+"""Algebra of spatial vectors and tree-structured matrices, for numba and Warp.
 
 Spatial vectors have rotation first and refer to the centre of mass of the snake, as
-`cdof` in MuJoCo. Symmetric matrices have the sparsity pattern of the joint-space
+`cdof` does in MuJoCo. Symmetric matrices have the sparsity pattern of the joint-space
 inertia M (`Sparsity`).
 """
 
@@ -15,18 +15,19 @@ from srs_twin.compute.compiled import kernel_only
 
 
 class Sparsity(NamedTuple):
-    """Lower triangle of M in compressed rows, and the damping matrices with the same pattern.
+    """Lower triangle of M in compressed rows, and damping matrices with this pattern.
 
-    The entries of a row belong to the ancestors of its degree of freedom, which is
-    itself the last entry.
+    The entries of a row belong to the ancestors of its degree of freedom. The last entry is
+    the degree of freedom itself.
 
     Attributes:
         row_length: number of entries of each row, shape (nv,).
         row_start: index of the first entry of each row, shape (nv,).
         column: column of each entry, shape (nM,).
-        parent: ancestor before each degree of freedom, −1 for the root, shape (nv,).
-        damping: C of the module docstring, A = M + C, shape (nM,), kg or kg·m².
-        damping_excess: h D − C, shape (nM,), same unit.
+        parent: parent of each degree of freedom, −1 for the root, shape (nv,).
+        damping: damping matrix C in A = M + C (`contact_loaded`), shape (nM,), kg or
+            kg·m².
+        damping_excess: matrix h D − C, shape (nM,), kg or kg·m².
     """
 
     row_length: np.ndarray
@@ -39,7 +40,7 @@ class Sparsity(NamedTuple):
 
 @kernel_only
 def dot(a, b):  # type: ignore[no-untyped-def]
-    """Return the product of two spatial vectors."""
+    """Return the inner product of two spatial vectors."""
     return (
         a[0] * b[0]
         + a[1] * b[1]
@@ -81,7 +82,7 @@ def add_product(sparsity, matrix, x, out):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def point_jacobian(row, x, y, z, ex, ey, ez):  # type: ignore[no-untyped-def]
-    """Fill the spatial vector that gives the velocity of the point (x, y, z) along the axis e."""
+    """Fill the row that gives the velocity of the point (x, y, z) along the axis e."""
     row[0] = y * ez - z * ey
     row[1] = z * ex - x * ez
     row[2] = x * ey - y * ex
@@ -92,7 +93,7 @@ def point_jacobian(row, x, y, z, ex, ey, ez):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def spatial_velocities(cdof, sparsity, velocity, motion):  # type: ignore[no-untyped-def]
-    """Fill the spatial velocity beyond each degree of freedom, from the root to the ends."""
+    """Fill the spatial velocity beyond each degree of freedom, starting at the root."""
     for i in range(velocity.shape[0]):
         p = sparsity.parent[i]
         for k in range(6):
@@ -103,7 +104,10 @@ def spatial_velocities(cdof, sparsity, velocity, motion):  # type: ignore[no-unt
 
 @kernel_only
 def project(cdof, sparsity, force, out):  # type: ignore[no-untyped-def]
-    """Sum spatial forces toward the root, in place, and fill the generalised forces `out`, shape (nv,)."""
+    """Sum spatial forces towards the root and fill the generalised forces `out`.
+
+    `force` is changed in place; `out` has the shape (nv,).
+    """
     for i in range(out.shape[0] - 1, -1, -1):
         out[i] = dot(cdof[i], force[i])
         p = sparsity.parent[i]
@@ -114,17 +118,17 @@ def project(cdof, sparsity, force, out):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def project_slopes(cdof, sparsity, slope, force, matrix):  # type: ignore[no-untyped-def]
-    """Sum spatial slopes toward the root, in place, and add their projection to a matrix.
+    """Sum spatial derivatives towards the root and add their projection to a matrix.
 
     As in the composite-rigid-body algorithm, the sum beyond each degree of freedom is
     projected on this degree of freedom and its ancestors.
 
     Args:
-        cdof: spatial axes, shape (nv, 6).
-        sparsity: pattern of the matrix.
-        slope: spatial slopes, shape (nv, 6, 6).
+        cdof: spatial axes of the degrees of freedom, shape (nv, 6).
+        sparsity: sparsity pattern of the matrix.
+        slope: spatial derivatives, changed in place, shape (nv, 6, 6).
         force: workspace, shape (nv, 6).
-        matrix: in place, shape (nM,).
+        matrix: matrix that is changed in place, shape (nM,).
     """
     for i in range(sparsity.row_length.shape[0] - 1, -1, -1):
         d = cdof[i]
@@ -145,8 +149,8 @@ def project_slopes(cdof, sparsity, slope, force, matrix):  # type: ignore[no-unt
 @kernel_only
 def factor(matrix, sparsity):  # type: ignore[no-untyped-def]
     """Factor a matrix with the pattern of M into LᵀDL, in place and without fill-in."""
-    # From the ends of the chain to the root: eliminating a row changes only rows of its
-    # ancestors.
+    # The elimination goes from the ends of the chain to the root, because eliminating a
+    # row changes only the rows of its ancestors.
     for k in range(sparsity.row_length.shape[0] - 1, -1, -1):
         row = sparsity.row_start[k]
         last = sparsity.row_length[k] - 1

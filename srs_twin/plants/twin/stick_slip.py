@@ -1,19 +1,18 @@
 r"""Friction of a contact that can stick, and of a wheel whose spin has inertia.
 
-Both laws map the velocity of a contact to its friction force and the slopes of that
-force. They are written in the subset of Python that numba and Warp compile: numbers in,
-numbers out.
+Both laws map the velocity of a contact to its friction force and the derivatives of the
+force. They take and return plain numbers, because numba and Warp compile them.
 
-The contact is elastic-plastic in its force. With the force p̂ of the previous step,
-scaled by the friction limits μ_t N and μ_n N along and across the heading,
+The contact is elastic-plastic in its force. The force p̂ of the previous step is scaled
+by the friction limits μ_t N along and μ_n N across the heading, which gives q̂. Then
 
 $$ y = \hat q - \frac{1}{\varepsilon \mu}\,(\mu_t v_t, \mu_n v_n), \qquad
    f = N\,(\mu_t y_t, \mu_n y_n)\,/\,\max(1, |y|), \qquad \mu = \min(\mu_t, \mu_n) . $$
 
-For |y| ≤ 1 the contact sticks: the force changes in proportion to the velocity and
-keeps its value at rest. For |y| > 1 it slides with the force of
-`robot.friction.ellipse`. With y = q̂ − v/ε it slides with that of
-`robot.friction.cosine`: its forces lie on the same ellipse.
+For |y| ≤ 1 the contact sticks: the force changes in proportion to the velocity and is
+constant at rest. For |y| > 1 the contact slides with the force of
+`robot.friction.ellipse`. With y = q̂ − v/ε it slides with the force of
+`robot.friction.cosine`, which lies on the same ellipse.
 """
 
 from __future__ import annotations
@@ -25,16 +24,19 @@ import numpy as np
 from srs_twin.compute.compiled import compiled
 
 _MIN_LIMIT = 1e-12
-"""Smallest friction limit as a divisor of a force, N; smaller limits cannot carry a force."""
+"""Lower bound on a friction limit that divides a force, N."""
 
 _MIN_RATIO = 0.01
-"""Smallest ratio of the two coefficients in the stiffness 1/(ε μ), 1.
+"""Lower bound on μ/max(μ_t, μ_n) in the stiffness 1/(ε μ), dimensionless.
 
-It keeps the stiffness of a contact without friction along its heading finite.
+It keeps the stiffness finite if one of the coefficients is zero.
 """
 
 _RIM_TOLERANCE = 1e-12
-"""Relative tolerance of the rim speed, 1; Warp, in single precision, replaces it (`warp.translation`)."""
+"""Relative tolerance of the rim speed, dimensionless.
+
+Warp computes in single precision and replaces it (`warp.translation`).
+"""
 
 _MAX_RIM_ITERATIONS = 60
 
@@ -44,11 +46,11 @@ class FloorLaw(NamedTuple):
 
     Attributes:
         kind: friction law, an index into `numerics.LAWS_ON_LOADS`.
-        forward: friction coefficient μ_t for slip towards the head, 1.
-        across: friction coefficient μ_n across the heading, 1.
-        slip_speed: ε, m/s.
+        forward: friction coefficient μ_t for slip towards the head, dimensionless.
+        across: friction coefficient μ_n across the heading, dimensionless.
+        slip_speed: slip speed ε, m/s.
         spin_mass: moment of inertia of a wheel's spin over its squared radius, kg.
-        backward: friction coefficient μ_t for slip towards the tail, 1.
+        backward: friction coefficient μ_t for slip towards the tail, dimensionless.
     """
 
     kind: int
@@ -60,14 +62,12 @@ class FloorLaw(NamedTuple):
 
 
 class Traction(NamedTuple):
-    """Friction force of a contact and its slopes.
+    """Friction force of a contact and its derivatives.
 
     Attributes:
-        along: f_t, force along the heading, N.
-        across: f_n, force across the heading, N.
-        slope_along: ∂f_t/∂v_t, N·s/m.
-        slope_mixed: ∂f_t/∂v_n = ∂f_n/∂v_t, N·s/m.
-        slope_across: ∂f_n/∂v_n, N·s/m.
+        along, across: forces f_t and f_n along and across the heading, N.
+        slope_along, slope_mixed, slope_across: derivatives ∂f_t/∂v_t, ∂f_t/∂v_n = ∂f_n/∂v_t
+            and ∂f_n/∂v_n, N·s/m.
     """
 
     along: float
@@ -79,12 +79,12 @@ class Traction(NamedTuple):
 
 @compiled
 def stick_slip_friction(v_t, v_n, load, mu_t, mu_n, slip, p_t, p_n):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return the `Traction` of a contact that can stick (module docstring).
+    """Return the `Traction` of a contact that can stick. See the module docstring.
 
     Args:
         v_t, v_n: velocity along and across the heading, m/s.
         load: normal force N, N.
-        mu_t, mu_n: friction coefficients along and across the heading, 1.
+        mu_t, mu_n: friction coefficients along and across the heading, dimensionless.
         slip: slip speed ε, m/s.
         p_t, p_n: friction force of the previous step, N.
     """
@@ -93,11 +93,11 @@ def stick_slip_friction(v_t, v_n, load, mu_t, mu_n, slip, p_t, p_n):  # type: ig
     greatest = max(mu_t, mu_n)
     if not greatest * load > 0.0:
         return Traction(0.0, 0.0, 0.0, 0.0, 0.0)
-    # The contact yields over a slip of ε in the direction of the smaller coefficient,
-    # over less in the other.
+    # In the direction of the smaller coefficient the contact yields at the slip speed
+    # ε; in the other direction it yields earlier.
     stiffness = 1.0 / (slip * max(min(mu_t, mu_n), _MIN_RATIO * greatest))
-    # Previous force in units of the friction limits. A smaller load shrinks it onto the
-    # friction ellipse.
+    # q is the previous force in units of the friction limits. If the load has
+    # decreased, q is scaled back onto the friction ellipse.
     q_t = p_t / max(limit_t, _MIN_LIMIT)
     q_n = p_n / max(limit_n, _MIN_LIMIT)
     shrink = 1.0 / max(1.0, np.sqrt(q_t * q_t + q_n * q_n))
@@ -121,15 +121,18 @@ def stick_slip_friction(v_t, v_n, load, mu_t, mu_n, slip, p_t, p_n):  # type: ig
 
 @compiled
 def skin_friction(v_t, v_n, load, law, p_t, p_n, is_cosine):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return friction force and slopes of a skin that can stick (module docstring).
+    """Return friction and its derivatives for a skin that can stick.
+
+    The module docstring states the law.
 
     Args:
         v_t, v_n, load, p_t, p_n: as in `stick_slip_friction`.
-        law: a `FloorLaw`.
+        law: friction on the floor, a `FloorLaw`.
         is_cosine: whether the law is `cosine` instead of `ellipse`.
 
     Returns:
-        f_t, f_n (N), and the slopes ∂f_t/∂v_t, ∂f_t/∂v_n, ∂f_n/∂v_t, ∂f_n/∂v_n (N·s/m).
+        The forces f_t and f_n (N), and the derivatives ∂f_t/∂v_t, ∂f_t/∂v_n, ∂f_n/∂v_t and
+        ∂f_n/∂v_n (N·s/m).
     """
     mu_ahead = law.forward
     mu_back = law.backward
@@ -139,7 +142,8 @@ def skin_friction(v_t, v_n, load, law, p_t, p_n, is_cosine):  # type: ignore[no-
     greatest = max(along, mu_n)
     if not greatest * load > 0.0:
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    # Friction opposes the slip: the force of slip towards the head points to the tail.
+    # Friction opposes the slip, so a force towards the tail belongs to slip towards the
+    # head and its coefficient.
     mu_p = mu_ahead if p_t <= 0.0 else mu_back
     mu_v = mu_ahead if v_t >= 0.0 else mu_back
     q_t = p_t / max(mu_p * load, _MIN_LIMIT)
@@ -172,9 +176,9 @@ def skin_friction(v_t, v_n, load, law, p_t, p_n, is_cosine):  # type: ignore[no-
 
 @compiled
 def rolling_friction(v_t, v_n, load, law, p_t, p_n, rim, inertia):  # type: ignore[no-untyped-def]  # noqa: D417
-    r"""Return the `Traction` of a wheel whose spin has inertia, and its rim speed, m/s.
+    r"""Return the `Traction` and rim speed (m/s) of a wheel whose spin has inertia.
 
-    The contact has the coefficient μ_n in every direction; the axle brakes with μ_t.
+    The contact has the coefficient μ_n in every direction, and the axle brakes with μ_t.
     The rim speed w at the end of the step balances both:
 
     $$ k\,(w - w_0) = -f_t(v_t - w) - \mu_t N \operatorname{sgn} w . $$
@@ -184,10 +188,10 @@ def rolling_friction(v_t, v_n, load, law, p_t, p_n, rim, inertia):  # type: igno
 
     Args:
         v_t, v_n, load, p_t, p_n: as in `stick_slip_friction`.
-        law: a `FloorLaw`; without a difference between forward and backward slip.
+        law: a `FloorLaw` with equal coefficients for forward and backward slip.
         rim: rim speed w₀ at the beginning of the step, m/s.
-        inertia: k, moment of inertia of the wheel over its squared radius and the time
-            step, kg/s.
+        inertia: coefficient k, the moment of inertia of the wheel over its squared radius
+            and the time step, kg/s.
     """
     mu_n = law.across
     slip = law.slip_speed
@@ -196,8 +200,8 @@ def rolling_friction(v_t, v_n, load, law, p_t, p_n, rim, inertia):  # type: igno
     demand = inertia * rim - grip.along
     if abs(demand) <= drag:
         return grip, 0.0
-    # The excess of the driving force decreases in w and is positive at 0: a bracketed
-    # Newton iteration.
+    # The excess of the driving force decreases in w and is positive at 0, so a
+    # bracketed Newton iteration converges.
     side = 1.0 if demand > 0.0 else -1.0
     low = float(0.0)
     high = (abs(demand) - drag) / inertia
@@ -217,8 +221,8 @@ def rolling_friction(v_t, v_n, load, law, p_t, p_n, rim, inertia):  # type: igno
         w += step
         if not low < w < high:
             w = 0.5 * (low + high)
-    # The rim follows the wheel's motion, which softens the slope along the heading
-    # (implicit function theorem).
+    # The rim follows the wheel's motion, which reduces the derivative along the
+    # heading by the implicit function theorem.
     softness = inertia - grip.slope_along
     share = inertia / softness
     mixed = grip.slope_mixed
@@ -241,8 +245,8 @@ def axis_friction(v_t, v_n, load, law, p_t, p_n, rim, inertia):  # type: ignore[
     The spin of the wheel adds mass along the heading.
 
     Args:
-        v_t, v_n, load, law, p_t, p_n, rim, inertia: as in `rolling_friction`; p_t
-            without the part that spins the wheel.
+        v_t, v_n, load, law, p_t, p_n, rim, inertia: as in `rolling_friction`, but p_t
+            excludes the part that spins the wheel.
     """
     mu_t = law.forward
     mu_n = law.across

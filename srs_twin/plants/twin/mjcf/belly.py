@@ -1,11 +1,13 @@
-"""Bodies and contact points of a robot with skin, whose mass is spread along its length.
+"""Bodies and contact points of a robot with skin and distributed mass.
 
-Hinges divide the body into rods: each connector with the adjoining ends of its
-segments, and the links between the hinges of a segment. A rod has the mass of its part
-of the body, as a block with the width of the body and twice the height of its centre of
-mass. It touches the floor in the middles of equally long patches, at two points side by
-side, with frictionless spheres around the height of the centre of mass. Friction is a
-law on their contact forces (`contact_loaded`).
+Hinges divide the body into rods. A rod is either a connector with the adjoining ends of
+its segments, or a link between the hinges of a segment. A rod has the mass of its part
+of the body, and the inertia of a block with the width of the body and twice the height
+of the centre of mass.
+
+A rod touches the floor in the middles of equally long patches, at two points side by
+side. The contact geoms are frictionless spheres around the height of the centre of
+mass. Friction is a law on their contact forces (`contact_loaded`).
 """
 
 from __future__ import annotations
@@ -19,17 +21,17 @@ from srs_twin.plants.twin.mjcf.numerics import ModelSettings, hinge_stations
 from srs_twin.robot.spec import RobotSpec
 
 _MIN_LENGTH = 1e-9
-"""Length of a part of a rod over the pitch, 1; less is rounding."""
+"""Minimum length of a part of a rod over the pitch; shorter parts are rounding errors."""
 
 
 class Rod(NamedTuple):
-    """Rigid part of the body; places are distances behind the head of a straight snake, m.
+    """Rigid part of the body. Places are distances behind the head when straight, m.
 
     Attributes:
-        name: name of its MuJoCo body.
+        name: name of the rod's MuJoCo body.
         origin: place of the frame of this body.
-        front: front end.
-        back: rear end.
+        front: place of the front end.
+        back: place of the rear end.
     """
 
     name: str
@@ -63,10 +65,10 @@ class Patch(NamedTuple):
     """Part of a rod that belongs to one segment and touches the floor in its middle.
 
     Attributes:
-        rod: the rod.
-        place: its middle, m behind the head.
-        length: m.
-        mass: kg.
+        rod: rod to which the patch belongs.
+        place: distance of the patch's middle behind the head, m.
+        length: length of the patch, m.
+        mass: mass of the patch, kg.
     """
 
     rod: Rod
@@ -76,7 +78,10 @@ class Patch(NamedTuple):
 
 
 def patches(spec: RobotSpec, settings: ModelSettings) -> list[Patch]:
-    """Return the patches of a robot with skin, head first; equally long ones on each part of a rod."""
+    """Return the patches of a robot with skin, head first.
+
+    The patches on a part of a rod are equally long.
+    """
     assert spec.skin is not None, "wheels have no patches"
     assert spec.mass.segments is not None, "a robot with skin has masses of segments"
     pitch = spec.geometry.pitch
@@ -97,7 +102,7 @@ def patches(spec: RobotSpec, settings: ModelSettings) -> list[Patch]:
 
 
 def add_belly(mj: MjSpec, spec: RobotSpec, settings: ModelSettings) -> None:
-    """Set the masses of all bodies and add the contact points; without a floor there are no contacts."""
+    """Set the masses of all bodies, and add contact points if there is a floor."""
     all_patches = patches(spec, settings)
     for rod in rods(spec, settings):
         _set_inertia(
@@ -118,7 +123,6 @@ def add_belly(mj: MjSpec, spec: RobotSpec, settings: ModelSettings) -> None:
 
 
 def _set_inertia(mj: MjSpec, spec: RobotSpec, rod: Rod, parts: list[Patch]) -> None:
-    """Set mass, centre of mass and moments of inertia of a rod with given patches."""
     place, length, mass = np.array([patch[1:] for patch in parts]).T
     total = mass.sum()
     centre = (mass @ place) / mass.sum()
@@ -137,10 +141,11 @@ def _set_inertia(mj: MjSpec, spec: RobotSpec, rod: Rod, parts: list[Patch]) -> N
 
 
 def root_connector(spec: RobotSpec) -> int:
-    """Return the number of the connector with the free joint: the middle one.
+    """Return the number of the connector with the free joint, which is the middle one.
 
-    No contact is then more than half of the chain away from the root, which makes a
-    step a third faster than with the head as root. The integrator, which evaluates
-    inertia at the beginning of a step, has a fifth of the error in the mean speed.
+    No contact is then more than half of the chain away from the root, which makes a step a
+    third faster than with the head as root. The integrator evaluates inertia at the
+    beginning of a step. With the root in the middle, its error in the mean speed is a fifth
+    of the error with the head as root.
     """
     return (spec.geometry.connectors + 1) // 2

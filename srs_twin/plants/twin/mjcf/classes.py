@@ -1,4 +1,4 @@
-"""Default classes of the MJCF: common properties of a robot's hinges, wheels and actuators.
+"""Default classes of the MJCF with common properties of hinges, wheels and actuators.
 
 Elements name their class and state only their own properties: name, position, and
 values that depend on the mass of their connector (axle friction, preload).
@@ -34,8 +34,8 @@ _HIDDEN_GROUP = 5
 _MAX_FREE_BEND = (
     100.0  # limit of the free bend of a spatial robot, far above any real one, rad
 )
-_FLANGE_RATIO = 1.08  # radius of a connector's disc over that of the body, 1
-_RUNNER_RATIO = 0.25  # radius of a skid's runner over that of a wheel, 1
+_FLANGE_RATIO = 1.08  # radius of a connector's disc over the radius of the body
+_RUNNER_RATIO = 0.25  # radius of a skid's runner over the radius of a wheel
 _PLATE_HALF_HEIGHT = (
     0.003  # of a connector's disc at a length unit of 1 (`robot.scale`), m
 )
@@ -50,9 +50,9 @@ def add_classes(
     """Add the classes of a robot.
 
     Args:
-        mj: model, in place.
+        mj: model, changed in place.
         spec: the robot.
-        settings: time step, discretisation, contact.
+        settings: time step, discretisation and contact.
         limit_pa: upper limit of the chamber pressures, Pa.
     """
     root = mj.add_default(ROOT, mj.default)
@@ -64,7 +64,7 @@ def add_classes(
     muscle = mj.add_default("muscle", root).actuator
     muscle.ctrllimited = True
     muscle.ctrlrange = [0, limit_pa]
-    if spec.is_spatial:  # the controls are free bends, which the chambers limit
+    if spec.is_spatial:  # the controls are free bends, which the chambers already limit
         muscle.ctrlrange = [-_MAX_FREE_BEND, _MAX_FREE_BEND]
     muscle.gainprm[0] = spec.bending.stiffness * spec.actuator.gain
     press = mj.add_default("press", root).actuator
@@ -79,8 +79,8 @@ def add_classes(
         drag.gear = [1, 0, 0, 0, 0, 0]
         drag.biastype = mujoco.mjtBias.mjBIAS_AFFINE
         drag.gainprm[0] = 0.0
-        # Proportional to the speed up to the slip speed, which the integrator takes
-        # implicitly; then constant.
+        # The drag is proportional to the speed up to the slip speed, which the
+        # integrator treats implicitly, and then constant.
         drag.biasprm[2] = -limit / stated(settings.contact.slip_speed)
         drag.forcelimited = True
         drag.forcerange = [-limit, limit]
@@ -89,7 +89,7 @@ def add_classes(
 
 
 def foot_radius(spec: RobotSpec, contact: Contact) -> float:
-    """Return the radius of the spheres that touch the floor, of wheels or of the lower ends of runners, m."""
+    """Return the radius of the spheres or runner ends that touch the floor, m."""
     return spec.geometry.wheel_radius * (1.0 if contact.rolling else _RUNNER_RATIO)
 
 
@@ -99,7 +99,10 @@ def drawn_radius(spec: RobotSpec) -> float:
 
 
 def drawn_height(spec: RobotSpec) -> float:
-    """Return the height of the drawn body above the centres of mass, so that it clears the floor, m."""
+    """Return the height of the drawn body above the centres of mass, m.
+
+    At this height the drawn body clears the floor.
+    """
     unit = spec.scale.length
     height = (
         drawn_radius(spec) * _FLANGE_RATIO
@@ -114,9 +117,9 @@ def _add_joints(
 ) -> None:
     """Add the classes of the joints.
 
-    The integrator evaluates a spring at the end of its step, which adds the damping h
-    k. The dampers are smaller by that much, so that spring and damper together have the
-    nominal damping.
+    The integrator evaluates a spring at the end of its step, which adds the damping h k.
+    The dampers are reduced by h k, so that spring and damper together have the nominal
+    damping.
     """
     bending = spec.bending
     n = settings.hinges_per_segment
@@ -179,7 +182,6 @@ def _add_geoms(
 def _add_feet(
     mj: mujoco.MjSpec, root: mujoco.MjsDefault, spec: RobotSpec, settings: ModelSettings
 ) -> None:
-    """Add the class ``tread`` of the geoms on the floor: runners of skids, or spheres drawn as ``rim``."""
     tread = mj.add_default("tread", root).geom
     tread.size = [foot_radius(spec, settings.contact), 0, 0]
     if not settings.contact.rolling:

@@ -1,18 +1,18 @@
 """RobotSpec → MJCF files in the layout of MuJoCo Menagerie.
 
-``<robot>.xml`` contains the robot; ``scene.xml`` includes it and adds floor, light,
+``<robot>.xml`` contains the robot. ``scene.xml`` includes it and adds floor, light,
 contact pairs and floor-force sensors. Numbers are written in full precision, so that
-the files compile to the same model as the twin's, bit for bit. ``scene_mjx.xml`` has
-the same robot and floor without the parts that MJX and MuJoCo Warp refuse.
+the files compile to a model that is bit-identical to the twin's model. ``scene_mjx.xml``
+has the same robot and floor, but omits what MJX and MuJoCo Warp do not support.
 
 The controls are pressures. If the damping time c/k of the segments differs from the
-mode time constant τ₂, each chamber has two actuators, `plus_1` and `plus_1_lag`: the
-pressure, and its mean over the time step.
+mode time constant τ₂, each chamber has two actuators. `plus_1` takes the pressure, and
+`plus_1_lag` takes its mean over the time step.
 
-MuJoCo's actuators are linear in the pressures. A limit of the bends is therefore a
-limit of the moments, and a robot with a dead zone is refused unless its pressures are
-converted before they become controls (`equivalent_linear_pressure` of
-`pneumatics.chambers`). `describe_departures` names what the files lack.
+MuJoCo's actuators are linear in the pressures, so a limit of the bends becomes a limit
+of the moments. A robot with a dead zone is refused unless its pressures are converted
+before they become controls (`equivalent_linear_pressure` of `pneumatics.chambers`).
+`describe_departures` names what the files lack.
 """
 
 from __future__ import annotations
@@ -65,11 +65,11 @@ _DEPARTURES = {
     "modules.sensor_gain_spread": _SENSORS,
     "modules.sensor_bias_spread_rad": _SENSORS,
 }
-"""Path of a number of a robot file → how the exported model departs from the twin with this number."""
+"""Departure of the exported model from the twin, per path of a number of a robot file."""
 
 
 def describe_departures(robot: RobotFile) -> Iterator[str]:
-    """Yield a line for each number of a robot that its exported model lacks or approximates."""
+    """Yield a line for each number of a robot that its export omits or approximates."""
     on_bench = robot.geometry.connectors.value == 2
     for path, record in robot.records().items():
         departure = _DEPARTURES.get(path)
@@ -79,7 +79,7 @@ def describe_departures(robot: RobotFile) -> Iterator[str]:
 
 
 def export_robot(spec: RobotSpec, folder: Path) -> list[Path]:
-    """Write the files of `robot_files`; return their paths.
+    """Write the files of `robot_files` and return their paths.
 
     Raises:
         InputError: the folder cannot be written, or the robot cannot be exported.
@@ -88,10 +88,13 @@ def export_robot(spec: RobotSpec, folder: Path) -> list[Path]:
 
 
 def write_files(files: dict[str, str], folder: Path) -> list[Path]:
-    """Write files together into a folder, which is created if it is missing; return their paths.
+    """Write files together into a folder and return their paths.
+
+    A missing folder is created.
 
     Args:
-        files: file name → text, files before those that include them.
+        files: mapping from file name to text, in which a file precedes those that include
+            it.
         folder: path of the folder.
 
     Raises:
@@ -106,17 +109,17 @@ def write_files(files: dict[str, str], folder: Path) -> list[Path]:
 def robot_files(
     spec: RobotSpec, *, supply_pa: float | None = None, linear: bool = False
 ) -> dict[str, str]:
-    """Return a robot's MJCF files, file name → text.
+    """Return a robot's MJCF files as a mapping from file name to text.
 
     Args:
         spec: the robot.
         supply_pa: upper limit of the controls, Pa; at least the limits of the robot are
             used.
-        linear: export a robot with a dead zone without it.
+        linear: whether to export a robot with a dead zone without its dead zone.
 
     Raises:
-        InputError: the robot has a skin, a tail on two axles, or a dead zone without
-            `linear`.
+        InputError: the robot has a skin or a tail on two axles, or it has a dead zone and
+            `linear` is false.
     """
     if spec.skin is not None:
         raise InputError(
@@ -131,7 +134,7 @@ def robot_files(
             " as if it had none; --linear exports it for controls that you convert"
             " (models/README.md)"
         )
-    # A single segment cannot crawl: simulate it on a test bench.
+    # A single segment cannot crawl, so it is simulated on a test bench.
     bench = spec.segments == 1
     timestep = ModelSettings.timestep * spec.scale.time
     base = "clamped" if bench else "free"
@@ -160,11 +163,11 @@ def robot_files(
 
 
 def _add_lags(mj: mujoco.MjSpec, spec: RobotSpec) -> None:
-    """Add to each chamber a second actuator that follows the pressure with the mode time constant.
+    """Add to each chamber a second actuator that lags behind the pressure.
 
-    The moment of a nominal segment is k x + c ẋ, where x lags behind the pressures with
-    τ₂. With T = c/k it is (1 − T/τ₂) k x + (T/τ₂) k G (p⁺ − p⁻), so no second actuator
-    is needed if T = τ₂.
+    The moment of a nominal segment is k x + c ẋ, where x lags behind the pressures with the
+    time constant τ₂. With T = c/k the moment equals (1 − T/τ₂) k x + (T/τ₂) k G (p⁺ − p⁻),
+    so no second actuator is needed if T = τ₂.
     """
     share = spec.bending.damping_time / spec.actuator.tau_mode
     if math.isclose(share, 1.0, rel_tol=1e-9):
@@ -186,7 +189,6 @@ def _add_lags(mj: mujoco.MjSpec, spec: RobotSpec) -> None:
 
 
 def _limit_moments(mj: mujoco.MjSpec, spec: RobotSpec) -> None:
-    """Limit the moment of the air on each segment to the moment at the limit of its bend."""
     limit = spec.bending.stiffness * spec.actuator.bend_limit
     for tendon in mj.tendons if math.isfinite(limit) else ():
         tendon.actfrclimited = True
@@ -194,10 +196,10 @@ def _limit_moments(mj: mujoco.MjSpec, spec: RobotSpec) -> None:
 
 
 def _adapt_to_mjx(mj: mujoco.MjSpec) -> None:
-    """Remove what MJX and MuJoCo Warp refuse: the contact sensors, the integrator and a flag.
+    """Remove what MJX and MuJoCo Warp do not support.
 
-    The other integrator adds no damping to the springs, which have their full dampers
-    again.
+    This concerns the contact sensors, the integrator and a flag. The other integrator adds
+    no damping to the springs, so the dampers get their full values again.
     """
     for sensor in mj.sensors:
         mj.delete(sensor)
@@ -214,7 +216,6 @@ def _comment(*lines: str) -> str:
 
 
 def _text(mj: mujoco.MjSpec) -> str:
-    """Return the XML of a model as it was built, with its classes and with numbers in full precision."""
     mj.compiler.savecompiled = False
     mj.compiler.savecanonical = False
     text: str = mj.to_xml()
@@ -222,15 +223,10 @@ def _text(mj: mujoco.MjSpec) -> str:
 
 
 def _include_robot(name: str, robot: str, scene: str) -> str:
-    """Return the XML of a scene in which the robot's elements are replaced by an `include` of its file.
+    """Replace the robot's elements in the XML of a scene by an `include` of its file.
 
-    MuJoCo does not write `include`, and does not write contact pairs without their
+    MuJoCo does not write `include`, and it does not write contact pairs without their
     geoms.
-
-    Args:
-        name: file name of the robot.
-        robot: XML of the robot.
-        scene: XML of the scene with the robot.
     """
     document = minidom.parseString(scene)
     top = document.documentElement
@@ -259,7 +255,6 @@ def _elements(node: minidom.Element) -> list[minidom.Element]:
 
 
 def _remove(parent: minidom.Element, element: minidom.Element) -> None:
-    """Remove an element and the white space before it, which keeps the layout of the other elements."""
     before = element.previousSibling
     if isinstance(before, minidom.Text):
         parent.removeChild(before)

@@ -2,25 +2,26 @@
 
 The robot is a free-floating chain in three dimensions, built in both directions from
 its middle connector. A connector is a body with two feet on the floor (`wheels`), or
-the whole body lies on the floor (`belly`). A segment is a chain of n equal bending
-hinges with the stiffness n k and the damping n c each, in series k and c, with one
-pitch and one roll hinge in its middle, which distribute the load of the floor. The
-chamber pressures are the controls, in Pa: the actuators ``plus_j`` and ``minus_j``
-exert the moment k G (p⁺ − p⁻) on the tendon ``bend_j``, whose length is the bend q_j of
-the segment.
+the whole body lies on the floor (`belly`).
 
-A spatial robot has a tilt hinge at each bending hinge, which turns the head end
-upwards, and no pitch hinge. The two hinges of a place are in the opposite order at
-every second place, so that the twist which a pair of rotations about two axes contains
-cancels. The actuators ``air_left_j`` and ``air_up_j`` exert k times the free bend,
-which is their control, on the tendons ``bend_j`` and ``tilt_j``. With
+A segment is a chain of n equal bending hinges, each with the stiffness n k and the
+damping n c, so that they have k and c in series. One pitch hinge and one roll hinge in
+the middle of the segment distribute the load of the floor. The chamber pressures in Pa
+are the controls. The actuators ``plus_j`` and ``minus_j`` exert the moment
+k G (p⁺ − p⁻) on the tendon ``bend_j``, whose length is the bend q_j of the segment.
+
+A spatial robot has no pitch hinge. Each bending hinge is paired with a tilt hinge,
+which turns the head end upwards. A pair of rotations about two axes contains a twist.
+To cancel it, the two hinges are in the opposite order at every second place. The
+actuators ``air_left_j`` and ``air_up_j`` act on the tendons ``bend_j`` and ``tilt_j``.
+Their control is the free bend, and they exert k times the free bend. With
 `Actuator.extension` the link in the middle of a segment has a slide joint ``stretch_j``
-with the axial stiffness of a solid round section, and the actuator ``air_along_j``
-exerts this stiffness times the free extension.
+with the axial stiffness of a solid round section. The actuator ``air_along_j`` exerts
+this stiffness times the free extension.
 
-With a clamped base (`ModelSettings.base`) the head is fixed to the world. There is no
-floor, so the model has no wheels and no preload. It has no pitch and roll hinges
-either: the chain bends in the horizontal plane, in which gravity does no work.
+With a clamped base (`ModelSettings.base`) the head is fixed to the world. The model
+then has no floor, wheels or preload. It has no pitch and roll hinges either, because
+the chain bends in the horizontal plane, in which gravity does no work.
 """
 
 from __future__ import annotations
@@ -72,11 +73,11 @@ def robot_mjcf(
 
     Args:
         spec: the robot.
-        settings: time step, discretisation, contact.
+        settings: time step, discretisation and contact.
         supply_pa: upper limit of the controls, Pa; at least the limits of the robot are
             used.
         obstacle_friction: friction coefficient of hulls that touch obstacles
-            (`surroundings`), 1; None for a body without hulls.
+            (`surroundings`), dimensionless, or None for a body without hulls.
 
     Raises:
         InputError: the twin does not support the robot with these settings (`rules`).
@@ -117,13 +118,15 @@ def scene_mjcf(
     supply_pa: float | None = None,
     world: World | None = None,
 ) -> MjSpec:
-    """Build the robot on a floor with obstacles and objects, contact pairs and sensors (world frame, N).
+    """Build the robot on a floor with obstacles, objects, contact pairs and sensors.
+
+    The sensors measure forces in the world frame, N.
 
     Args:
         spec: the robot.
-        settings: time step, discretisation, contact.
-        supply_pa: as in `robot_mjcf`.
-        world: floor and obstacles; None for a level floor without obstacles.
+        settings: time step, discretisation and contact.
+        supply_pa: upper limit of the controls, as in `robot_mjcf`.
+        world: floor and obstacles, or None for a level floor without obstacles.
 
     Raises:
         InputError: the twin does not support the combination (`rules`).
@@ -154,9 +157,9 @@ def _set_options(mj: MjSpec, settings: ModelSettings) -> None:
     option.iterations = 50
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     if settings.loaded:
-        # Normal forces alone are few: the engine selects the Jacobian by size. Errors
-        # of 1e-7 in the loads push stopping wheels sideways, in a direction that
-        # depends on the processor.
+        # There are few normal forces, and the engine selects the Jacobian by their
+        # number. Errors of 1e-7 in the loads would push stopping wheels sideways, in a
+        # direction that depends on the processor.
         option.jacobian = mujoco.mjtJacobian.mjJAC_AUTO
         option.tolerance = 1e-12
     else:
@@ -170,9 +173,9 @@ def _set_options(mj: MjSpec, settings: ModelSettings) -> None:
 class _Chain:
     """Chain of connectors and segments that is added to a model.
 
-    Stations are distances from the connector at which a segment begins, along the
-    straight segment. `ahead` is the direction of a segment along the x axis: −1 behind
-    the root, 1 in front of it. Names count from the head in both directions.
+    Stations are distances along the straight segment from the connector at which it begins.
+    `ahead` is the direction of a segment along the x axis: −1 behind the root, 1 in front
+    of it. Names count from the head in both directions.
     """
 
     mj: MjSpec
@@ -180,7 +183,6 @@ class _Chain:
     settings: ModelSettings
 
     def add_bodies(self) -> None:
-        """Add all bodies with their joints, from the root to both ends."""
         g = self.spec.geometry
         free = self.settings.base == "free"
         middle = root_connector(self.spec) if free else 1
@@ -198,7 +200,6 @@ class _Chain:
                 self._fill_connector(body, i + step)
 
     def _fill_connector(self, body: MjsBody, i: int) -> None:
-        """Add plate, mass and wheels of connector i to its body."""
         spec = self.spec
         self._add_geom(body, "plate", name=f"plate_{i}", pos=[0, 0, drawn_height(spec)])
         if spec.skin is not None:
@@ -220,9 +221,10 @@ class _Chain:
             add_wheels(self.mj, body, spec, i, self.settings)
 
     def _add_segment(self, body: MjsBody, near: int, far: int) -> MjsBody:
-        """Add the segment between two neighbouring connectors; return the body of the far connector.
+        """Add the segment between two neighbouring connectors.
 
-        Each hinge carries the body beyond it; the last hinge carries the far connector.
+        Each hinge carries the body beyond it, and the last hinge carries the far connector,
+        whose body is returned.
 
         Args:
             body: body of the near connector.
@@ -249,7 +251,7 @@ class _Chain:
             anchor = ahead * (hinges[k] - origins[k])
             in_middle = k == n // 2
             if in_middle and spec.actuator.extension:
-                # First, so that it is along the link in front of it.
+                # The slide joint comes first, so that it is along the link in front.
                 self._add_joint(body, "stretch", f"stretch_{j}", anchor, ahead)
             self._add_hinges(body, j, k, anchor, ahead)
             if in_middle:
@@ -265,7 +267,7 @@ class _Chain:
         return body
 
     def _add_hinges(self, body: MjsBody, j: int, k: int, x: float, ahead: int) -> None:
-        """Add the hinges at the place k of segment j, counted from 0 in the direction of the chain."""
+        """Add the hinges at place k of segment j, counted from 0 away from the root."""
         n = self.settings.hinges_per_segment
         kinds = list(bend_joints(self.spec))
         if k % 2 == 1:
@@ -291,14 +293,17 @@ class _Chain:
     def _add_joint(
         self, body: MjsBody, kind: str, name: str, x: float, ahead: int
     ) -> MjsJoint:
-        """Add a joint at x (m); ahead of the root its axis is reversed, so that its sign stays the same."""
+        """Add a joint at x (m).
+
+        In front of the root the axis is reversed, so that the sign of the joint is equal in
+        both directions.
+        """
         joint = body.add_joint(self.mj.find_default(kind), name=name, pos=[x, 0, 0])
         if ahead > 0:
             joint.axis = [-component for component in joint.axis]
         return joint
 
     def _add_skin(self, body: MjsBody, name: str, front: float, back: float) -> None:
-        """Add the drawn body, and its hull if there is one, between two stations of a body's x axis (m)."""
         z = drawn_height(self.spec)
         self._add_geom(
             body, "skin", name=f"skin_{name}", fromto=[front, 0, z, back, 0, z]
@@ -319,7 +324,7 @@ class _Chain:
             self._add_muscle(name, tendon, mjtTrn.mjTRN_TENDON).gainprm[0] *= gain
 
     def add_spatial_actuators(self, j: int) -> None:
-        """Add the tendons ``bend_j`` and ``tilt_j``, and the actuators of all directions of a segment."""
+        """Add the tendons ``bend_j`` and ``tilt_j``, and the actuators of a segment."""
         spec = self.spec
         bend = self._add_tendon("bend", "hinge", j)
         left = self._add_muscle(f"air_left_{j}", bend, mjtTrn.mjTRN_TENDON)
@@ -334,7 +339,6 @@ class _Chain:
             along.gainprm[0] = spec.axial_stiffness
 
     def _add_tendon(self, name: str, hinge: str, j: int) -> str:
-        """Add a tendon along hinges of segment j; return its name."""
         tendon = self.mj.add_tendon(name=f"{name}_{j}")
         for k in range(1, self.settings.hinges_per_segment + 1):
             tendon.wrap_joint(f"{hinge}_{j}_{k}", 1.0)
@@ -355,14 +359,10 @@ def _set_inertia(
     fixed: FixedInertia = FixedInertia(0.0, np.zeros(3)),  # noqa: B008
     x: float = 0.0,
 ) -> None:
-    """Set mass and inertia of a body with the gyration of a connector.
+    """Set mass and inertia of a body with the radius of gyration of a connector.
 
-    Args:
-        body: in place.
-        spec: the robot.
-        mass: mass of the body itself, kg.
-        fixed: parts that are fixed to the body.
-        x: centre of mass along the body's x axis, m.
+    `mass` excludes the parts `fixed` to the body. `x` is the position of the centre of mass
+    along the body's x axis, m.
     """
     body.mass = mass + fixed.mass
     body.ipos = [x, 0, 0]  # the default of MjSpec would be the body's `pos`
@@ -380,7 +380,6 @@ def _add_forces_of_floor(mj: MjSpec, spec: RobotSpec, settings: ModelSettings) -
 
 
 def _constrain_curvature(mj: MjSpec, j: int, settings: ModelSettings) -> None:
-    """Constrain all hinges of segment j to the angle of the first one."""
     for k in range(2, settings.hinges_per_segment + 1):
         arc = mj.add_equality(name=f"arc_{j}_{k}", type=mujoco.mjtEq.mjEQ_JOINT)
         arc.name1 = f"hinge_{j}_{k}"
@@ -391,7 +390,7 @@ def _constrain_curvature(mj: MjSpec, j: int, settings: ModelSettings) -> None:
 
 
 def _add_home_keyframe(mj: MjSpec) -> None:
-    """Add the keyframe ``home``: straight, at rest, wheels on the floor, chambers empty."""
+    """Add the keyframe ``home``: straight, at rest, on the floor, chambers empty."""
     root = mj.worldbody.first_body()
     qpos = [0.0] * len(mj.joints)
     if any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in mj.joints):

@@ -1,4 +1,4 @@
-"""Settings of a twin that are not the robot's: time step, discretisation, contact with the floor."""
+"""Numerical settings of a twin: time step, discretisation and floor contact."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ TIMESTEP_S = 0.001
 """Default time step at a time unit of 1 (`robot.scale`), s."""
 
 MAX_STEP_RATIO = 1.5
-"""Upper limit of the time step over the damping time of the segments, 1; from 2 on the springs diverge."""
+"""Upper limit of the time step over the damping time of the segments.
+
+The springs diverge if the ratio is 2 or more.
+"""
 
 SLIP_SPEED_M_S = 0.001
 """Default slip speed at a time unit of 1, m/s."""
@@ -33,10 +36,10 @@ LAWS_ON_LOADS: tuple[Law, ...] = get_args(Law)
 LOADS = ("momentary", "across", "static")
 """Load of a wheel in the friction law.
 
-- momentary: its normal force.
+- momentary: the instantaneous normal force.
 - across: the weight of the connector, divided in the ratio of the normal forces of its
   two wheels, as in the analytical model.
-- static: half of the weight.
+- static: half of the weight of the connector.
 """
 
 Wheels = Literal["rolling", "skid"]
@@ -46,11 +49,11 @@ LAW_OF: dict[Wheels, Law] = {"rolling": "wheel", "skid": "ellipse"}
 """Friction law of wheels and of skids."""
 
 PRELOAD = {"rolling": 39.0, "skid": 99.0}
-"""Preload κ of a wheel and of a skid, 1.
+"""Preload κ of a wheel and of a skid, dimensionless.
 
-A skid slides in both directions, so that its contact opens more easily. With κ = 19
+A skid slides in both directions, so its contact opens more easily. With κ = 19
 connectors rocked from one skid to the other, and their loads oscillated by as much as
-their mean; with κ = 59 only those of the tail did.
+their mean. With κ = 59 only the loads of the tail did.
 """
 
 
@@ -59,14 +62,13 @@ class LoadedContact:
     """Floor contact with normal forces from MuJoCo and friction as a law on them.
 
     Attributes:
-        law: friction law, "wheel", "ellipse", "axis" or "cosine" (docs/models.md); a
-            skin has its own.
-        load: load of a wheel in the law, one of `LOADS`; those other than "momentary"
-            are for comparison.
-        slip_speed: slip speed ε; below the friction limit μN the force changes by μN/ε
-            times the velocity, so that a resting contact does not creep (`stick_slip`),
-            m/s; None for `SLIP_SPEED_M_S` times the time unit of the robot
-            (`robot.scale`).
+        law: friction law, "wheel", "ellipse", "axis" or "cosine" (docs/models.md). A skin
+            has its own law.
+        load: load of a wheel in the law, one of `LOADS`. All except "momentary" are for
+            comparison.
+        slip_speed: slip speed ε, m/s. Below the friction limit μN the force changes by μN/ε
+            times the velocity, so that a resting contact does not creep (`stick_slip`).
+            None means `SLIP_SPEED_M_S` times the time unit of the robot (`robot.scale`).
     """
 
     name: ClassVar[Literal["loaded"]] = "loaded"
@@ -82,7 +84,7 @@ class LoadedContact:
         _check_positive(self, "slip_speed")
 
     def for_robot(self, spec: RobotSpec) -> LoadedContact:
-        """Return the contact with the settings that are None in the units of a robot."""
+        """Return the contact with missing settings in the units of a robot."""
         return replace(self, slip_speed=_scaled(self.slip_speed, SLIP_SPEED_M_S, spec))
 
 
@@ -90,19 +92,19 @@ class LoadedContact:
 class PreloadedContact:
     """Floor contact with MuJoCo's own friction, on wheels or skids with a preload.
 
-    The friction is that of the static load, as in the analytical model.
+    The friction acts as if each wheel carried its static load, as in the analytical model.
 
     Attributes:
-        wheels: "rolling" (wheels on hinges) or "skid" (runners).
-        preload: κ, additional normal force on each wheel as a multiple of its static
-            load; None for `PRELOAD`.
+        wheels: kind of feet, "rolling" (wheels on hinges) or "skid" (runners).
+        preload: preload κ, the additional normal force on each wheel as a multiple of its
+            static load. None means `PRELOAD`.
         slip_time: time constant with which contact friction stops a slip
-            (`solreffriction`), s; None for `SLIP_TIME_S` times the time unit of the
-            robot (`robot.scale`).
-        axle_time: time constant with which the friction of an axle stops its rotation,
-            s; None for `AXLE_TIME_S` times the time unit.
-        slip_speed: slip speed of the axial drag, m/s; None for `SLIP_SPEED_M_S` times
-            the time unit.
+            (`solreffriction`), s. None means `SLIP_TIME_S` times the time unit of the robot
+            (`robot.scale`).
+        axle_time: time constant with which the friction of an axle stops its rotation, s.
+            None means `AXLE_TIME_S` times the time unit.
+        slip_speed: slip speed of the axial drag, m/s. None means `SLIP_SPEED_M_S` times the
+            time unit.
     """
 
     name: ClassVar[Literal["preloaded"]] = "preloaded"
@@ -123,7 +125,7 @@ class PreloadedContact:
             )
 
     def for_robot(self, spec: RobotSpec) -> PreloadedContact:
-        """Return the contact with the settings that are None in the units of a robot."""
+        """Return the contact with missing settings in the units of a robot."""
         return replace(
             self,
             slip_time=_scaled(self.slip_time, SLIP_TIME_S, spec),
@@ -138,7 +140,7 @@ class PreloadedContact:
 
     @property
     def preload_ratio(self) -> float:
-        """κ, with the default of `PRELOAD`, 1."""
+        """Preload κ, by default the value in `PRELOAD`, dimensionless."""
         if self.preload is None:
             return PRELOAD[self.wheels]
         return self.preload
@@ -154,7 +156,6 @@ def _check_positive(contact: LoadedContact | PreloadedContact, *names: str) -> N
 
 
 def _scaled(value: float | None, default: float, spec: RobotSpec) -> float:
-    """Return a time or speed, by default that of the robot's time unit."""
     if value is None:
         return default * spec.scale.time
     return value
@@ -169,8 +170,7 @@ def stated(setting: float | None) -> float:
 Contact = LoadedContact | PreloadedContact
 ContactName = Literal["loaded", "preloaded"]
 UNSTATED_CONTACT: ContactName = "preloaded"
-"""Contact of the twin in stored results without this setting, which are older than it.
-"""
+"""Contact of the twin in stored results that are older than this setting."""
 
 
 def as_contact(contact: Contact | str) -> Contact:
@@ -191,11 +191,12 @@ class Numerics:
 
     Attributes:
         link_share: mass between the hinges of a segment as a fraction of the lightest
-            connector's mass, 1; the dissertation places all of the mass at the
+            connector's mass, dimensionless. The dissertation places all of the mass at the
             connectors.
-        wheel_spin: factor on the wheels' moment of inertia about their axles, 1.
-        constant_curvature: constrain the hinges of a segment to equal angles, as in the
-            analytical model; otherwise a loaded segment also bends into an S.
+        wheel_spin: factor on the wheels' moment of inertia about their axles,
+            dimensionless.
+        constant_curvature: whether to constrain the hinges of a segment to equal angles, as
+            in the analytical model. Otherwise a loaded segment also bends into an S.
     """
 
     link_share: float = 0.02
@@ -208,11 +209,11 @@ class ModelSettings:
     """Settings of an MJCF model that are not properties of the robot.
 
     Attributes:
-        timestep: s.
-        hinges_per_segment: bending hinges per segment, 1 or more.
+        timestep: time step, s.
+        hinges_per_segment: number of bending hinges per segment, 1 or more.
         contact: contact with the floor.
-        base: "free", or "clamped": the head is held, and the chain hangs in the air and
-            bends in the horizontal plane only.
+        base: "free" or "clamped". With a clamped base the head is held, and the chain hangs
+            in the air and bends in the horizontal plane only.
         numerics: switches for studies of the twin.
     """
 
@@ -228,18 +229,21 @@ class ModelSettings:
         return isinstance(self.contact, LoadedContact) and self.base == "free"
 
     def for_robot(self, spec: RobotSpec) -> ModelSettings:
-        """Return the settings with those of the contact that are None in the units of a robot."""
+        """Return the settings with missing contact settings in the units of a robot."""
         return replace(self, contact=self.contact.for_robot(spec))
 
     def link_mass(self, spec: RobotSpec) -> float:
-        """Return the mass of one link between two hinges, kg; it is subtracted from the connectors."""
+        """Return the mass of a link between two hinges, kg.
+
+        This mass is subtracted from the connectors.
+        """
         links = max(1, self.hinges_per_segment - 1)
         return self.numerics.link_share * min(spec.mass.connectors) / links
 
     def contact_time(self, spec: RobotSpec) -> float:
         """Return the time constant of the normal contact, s.
 
-        Under loaded contact it is two time steps, because the loads oscillate with one.
+        Under loaded contact it is two time steps, because the loads would oscillate with one.
         Under a preload it is a fraction of the damping time of pitch and roll, which
         distribute the load.
         """
@@ -249,22 +253,22 @@ class ModelSettings:
 
 
 _CONTACT_RATIO = 10.0
-"""Damping time of pitch and roll over the contact time under a preload, 1."""
+"""Damping time of pitch and roll over the contact time under a preload."""
 
 Preset = Literal["reference", "fast"]
 PRESETS: dict[str, dict[str, float]] = {
     "reference": {"timestep": 0.00025},
     "fast": {"timestep": 0.002},
 }
-"""Preset → settings of a twin, for `TwinSnake(spec, **PRESETS["fast"])`.
+"""Settings of a twin per preset, for `TwinSnake(spec, **PRESETS["fast"])`.
 
-benchmarks/presets.py measures their errors. 2 ms is the longest step below the damping
-time of the segments.
+benchmarks/presets.py measures the errors of the presets. 2 ms is the maximum step below
+the damping time of the segments.
 """
 
 
 def preset_of(settings: ModelSettings) -> str | None:
-    """Return the name of the preset with these settings, or None."""
+    """Return the name of the preset with the time step of these settings, or None."""
     if not settings.loaded:
         return None
     for name, preset in PRESETS.items():
@@ -281,16 +285,16 @@ def bend_joints(spec: RobotSpec) -> tuple[str, ...]:
 
 
 def hinge_stations(hinges: int, length: float, gap: float) -> np.ndarray:
-    """Return the distances of a straight segment's hinges from its front connector, shape (n,), m.
+    """Return the distances of the hinges from the front connector, shape (n,), m.
 
-    With n ≥ 2 hinges that share a bend q equally, the chord agrees with that of the
-    arc, l sin(q/2)/(q/2), through order q² if the first and last hinges are 1/(2(n+1))
-    of the length from the ends, and the others evenly spaced between them.
+    The first and the last of n ≥ 2 hinges are at 1/(2(n+1)) of the length from the ends,
+    and the others are evenly spaced between them. If the hinges share a bend q equally, the
+    chord then agrees with the chord of the arc, l sin(q/2)/(q/2), through order q².
 
     Args:
-        hinges: n.
+        hinges: number of hinges n.
         length: length l of the part that bends, m.
-        gap: length L_o of the two straight ends together, m.
+        gap: total length L_o of the two straight ends, m.
 
     Raises:
         InputError: n is less than 1.
@@ -304,5 +308,10 @@ def hinge_stations(hinges: int, length: float, gap: float) -> np.ndarray:
 
 
 def stable_step(step: float, damping_time: float) -> float:
-    """Return the largest part of a time step (s) that suits a damping time of the segments (s)."""
+    """Return the largest equal part of a time step (s) that is stable.
+
+    Args:
+        step: time step, s.
+        damping_time: damping time of the segments, s.
+    """
     return step / math.floor(step / (MAX_STEP_RATIO * damping_time) + 1)

@@ -1,20 +1,21 @@
 """Surroundings of a snake: floor, sky, light, obstacles and movable objects.
 
-Obstacles consist of capsules. A circle is an upright capsule of its radius. A polygon
-has a capsule of 1 mm radius along each side, so that it is 1 mm larger all round. The
-hulls of the body are copies of the capsules of its skin at the height of the centres of
-mass, with the width of the robot. Between two capsules MuJoCo computes the contact in
-closed form, in the plane. Hulls exist only in worlds with obstacles or objects, so that
-other worlds have no additional cost.
+**Obstacles** consist of capsules. A circle is an upright capsule with the radius of the
+circle. A polygon has a capsule of 1 mm radius along each side, so that it is 1 mm
+larger all round. The hulls of the body are copies of the capsules of its skin at the
+height of the centres of mass, with the width of the robot. MuJoCo computes the contact
+between two capsules in closed form, in the plane. Hulls exist only in worlds with
+obstacles or objects, so other worlds have no additional cost.
 
-An object is a cylinder or a box that slides and turns on the floor: a body with two
-slide joints and a hinge about z, so that its position in `qpos` is x, y and heading in
-the world. It does not tip. Its weight and its friction on the floor are those of four
-points (`MovableObject.supports`). `friction_solve` computes the friction of these
-points, and that between object and body. MuJoCo computes the normal forces, and the
-friction of an object on obstacles and on other objects. In a world with objects the
-body can also touch itself: a tail that holds an object and the wave in front of it
-would otherwise pass through each other.
+**An object** is a cylinder or a box that slides and turns on the floor. It is a body
+with two slide joints and a hinge about z, so its position in `qpos` is x, y and heading
+in the world. It does not tip. Four points carry its weight and its friction on the
+floor (`MovableObject.supports`).
+
+`friction_solve` computes the friction at these points and between object and body.
+MuJoCo computes the normal forces, and the friction of an object on obstacles and on
+other objects. In a world with objects the body can also touch itself. Otherwise a tail
+that holds an object and the wave in front of it would pass through each other.
 """
 
 from __future__ import annotations
@@ -33,15 +34,13 @@ from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import WALL_M, MovableObject, Step, World
 
 CONTACT_BIT = 2  # contype of obstacles and conaffinity of hulls; floor and wheels have explicit pairs
-HEIGHT_RATIO = 2.0  # half height of a round obstacle over the body's width, 1
-_MIN_CONTACT_STEPS = (
-    2.0  # contact time over the time step, 1: the smallest value that MuJoCo uses
-)
+HEIGHT_RATIO = 2.0  # half height of a round obstacle over the body's width
+_MIN_CONTACT_STEPS = 2.0  # minimum contact time over the time step that MuJoCo uses
 _LEVEL_EXTENT = (
     100.0  # of the first and the last level beyond the steps, at a length unit of 1, m
 )
-# Impedance of an obstacle at first touch and at full depth, 1. The rods of a segment
-# are so light that with 0.95 and 0.99 a post sinks into them by a quarter of a
+# Impedance of an obstacle at first touch and at full depth, dimensionless. The rods of
+# a segment are so light that with 0.95 and 0.99 a peg sinks into them by a quarter of a
 # millimetre per newton.
 _IMPEDANCE = 0.99, 0.999
 _TRANSITION_DEPTH = 0.0005  # depth over which a contact reaches its full stiffness, at a length unit of 1, m
@@ -54,7 +53,7 @@ _CHECKER = mujoco.mjtBuiltin.mjBUILTIN_CHECKER
 def add_hull_class(
     mj: mujoco.MjSpec, spec: RobotSpec, settings: ModelSettings, friction: float
 ) -> None:
-    """Add the class ``hull`` of the geoms that touch obstacles with a coefficient of friction."""
+    """Add the class ``hull`` of the geoms that touch obstacles."""
     depth = _TRANSITION_DEPTH * spec.scale.length
     hull = mj.add_default("hull", mj.find_default(ROOT)).geom
     hull.type = mjtGeom.mjGEOM_CAPSULE
@@ -62,7 +61,7 @@ def add_hull_class(
     hull.conaffinity = CONTACT_BIT
     hull.group = _HULL_GROUP
     hull.priority = 1
-    # Under loaded contact MuJoCo computes normal forces only.
+    # Under loaded contact MuJoCo computes only the normal forces.
     hull.condim = 1 if settings.loaded else 3
     hull.friction = [friction, 0.005, 0.0001]
     hull.solref = [_MIN_CONTACT_STEPS * settings.timestep, 1]
@@ -107,14 +106,14 @@ def add_obstacles(mj: mujoco.MjSpec, spec: RobotSpec, world: World) -> None:
 
 
 def add_steps(mj: mujoco.MjSpec, steps: tuple[Step, ...], spec: RobotSpec) -> list[str]:
-    """Add boxes for the raised levels of the floor, and lower the floor; return the boxes' names.
+    """Lower the floor, add boxes for its raised levels and return the boxes' names.
 
-    Before the first step, at the smallest x, the height of the floor is 0.
+    The floor before the first step, at the smallest x, has the height 0.
 
     Args:
-        mj: model, in place.
+        mj: model, changed in place.
         steps: steps of the floor.
-        spec: the robot; cameras use its length instead of the extent of the boxes.
+        spec: the robot. Cameras use its length instead of the extent of the boxes.
     """
     if not steps:
         return []
@@ -162,7 +161,7 @@ def hulls(mj: mujoco.MjSpec | mujoco.MjModel) -> list[str]:
 
 
 def friction_of(model: mujoco.MjModel) -> float:
-    """Return the coefficient of friction between the body and obstacles; 0 without hulls."""
+    """Return the friction coefficient between body and obstacles, 0 without hulls."""
     names = hulls(model)
     if names:
         return float(model.geom(names[0]).friction[0])
@@ -170,13 +169,14 @@ def friction_of(model: mujoco.MjModel) -> float:
 
 
 def add_surroundings(mj: mujoco.MjSpec, body_length: float) -> None:
-    """Add the floor ``floor``, sky, light ``sun`` and camera ``track``; the last two follow the snake.
+    """Add the floor ``floor``, the sky, the light ``sun`` and the camera ``track``.
 
-    The floor has no collisions by itself: wheels touch it through explicit pairs.
+    Light and camera follow the snake. The floor has no collisions by itself: wheels touch
+    it through explicit pairs.
 
     Args:
-        mj: model, in place.
-        body_length: length of the snake, m; it determines the distance of the camera.
+        mj: model, changed in place.
+        body_length: length of the snake, which determines the distance of the camera, m.
     """
     visual = mj.visual
     visual.headlight.ambient = [0.3, 0.3, 0.3]
@@ -210,8 +210,8 @@ def add_surroundings(mj: mujoco.MjSpec, body_length: float) -> None:
     floor.conaffinity = 0
     floor.material = "floor"
     follow = mujoco.mjtCamLight.mjCAMLIGHT_TRACKCOM
-    # From directly above: an oblique directional light draws shadow artefacts on an
-    # infinite floor.
+    # The light comes from directly above, because an oblique directional light draws
+    # shadow artefacts on an infinite floor.
     sun = mj.worldbody.add_light(name="sun", pos=[0, 0, 1], dir=[0, 0, -1], mode=follow)
     sun.type = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
     camera = mj.worldbody.add_camera(
@@ -224,7 +224,7 @@ _COLOR = [0.86, 0.56, 0.22, 1]  # RGBA
 
 
 def add_objects(mj: mujoco.MjSpec, spec: RobotSpec, world: World) -> None:
-    """Add the objects of a world after the robot, with their initial poses in the keyframe ``home``.
+    """Add the objects of a world after the robot, and their poses to keyframe ``home``.
 
     Sensors measure the force of each object on each hull with its point of application,
     and the velocity and the angular velocity of each object (world frame).
@@ -232,8 +232,8 @@ def add_objects(mj: mujoco.MjSpec, spec: RobotSpec, world: World) -> None:
     default = mj.add_default("object", mj.default)
     hull = mj.find_default("hull").geom
     solid = default.geom
-    # Hulls have a higher priority, so that their contacts with objects have normal
-    # forces only.
+    # Hulls have a higher priority, so their contacts with objects have only normal
+    # forces.
     solid.contype = solid.conaffinity = CONTACT_BIT
     solid.condim = 3
     solid.friction = [world.friction, 0.005, 0.0001]
@@ -254,7 +254,6 @@ def add_objects(mj: mujoco.MjSpec, spec: RobotSpec, world: World) -> None:
 
 
 def _add_self_contacts(mj: mujoco.MjSpec, spec: RobotSpec) -> None:
-    """Add frictionless contacts between hulls whose segments are more than a body width apart."""
     hull = mj.find_default("hull").geom
     default = mj.add_default("self_contact", mj.default)
     default.pair.condim = 1
@@ -300,7 +299,7 @@ def _add_object(
             default, name=f"{name}_solid", type=mjtGeom.mjGEOM_BOX, size=size, quat=turn
         )
     else:
-        # A capsule, so that the contact with a hull is computed in closed form, in the
+        # With a capsule, the contact with a hull is computed in closed form in the
         # plane.
         ends = [0, 0, -height, 0, 0, height]
         geom = body.add_geom(

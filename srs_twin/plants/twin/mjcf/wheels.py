@@ -1,6 +1,6 @@
 """Wheels and skids of the connectors, their contacts with the floor, and their preload.
 
-A connector touches the floor in two points at ± half the track, directly below its
+A connector touches the floor at two points at ± half the track, directly below its
 frame.
 
 **Loaded contact.** The wheels are frictionless spheres, and friction is a law on their
@@ -8,23 +8,24 @@ contact forces (`contact_loaded`).
 
 **Preloaded contact.**
 
-- ``rolling``: wheels on hinges. They touch the floor as spheres with the isotropic
-  coefficient μ_n; the `frictionloss` of the axle is μ_t × load × radius.
-- ``skid``: runners that are fixed to the connector and slide with μ_t along it and μ_n
-  across. MuJoCo aligns the contact frame with a geom only between a plane and a
-  capsule, along the axis of the capsule. A horizontal capsule touches with both ends;
-  runners rise to the front like the tip of a ski and touch with the rear end.
+- ``rolling``: the feet are wheels on hinges. They touch the floor as spheres with the
+  isotropic coefficient μ_n. The `frictionloss` of the axle is μ_t × load × radius.
+- ``skid``: the feet are runners fixed to the connector, which slide with μ_t along it
+  and μ_n across. MuJoCo aligns the contact frame with a geom only between a plane and a
+  capsule, along the axis of the capsule. A horizontal capsule would touch with both
+  ends, so runners rise to the front like the tip of a ski and touch with the rear end.
 
 MuJoCo's friction is convex, which lifts a sliding contact off the floor. Without
-preload, the wheels of a snake are in the air for more than half of the time, and it is
-up to a tenth too fast. The actuators ``press_i``, which have no control, press each
-connector down with κ times its static load, and the friction coefficients of the pairs
-are those of the robot over 1 + κ. The contacts stay closed, and the friction is that of
-the static load, as in the analytical model. Floor forces without the preload are the
-true loads, at rest within 2 %. docs/twin.md describes the drawbacks.
+preload, the wheels of a snake are in the air for more than half of the time, and the
+snake is up to a tenth too fast. The actuators ``press_i``, which have no control, press
+each connector down with κ times its static load. The friction coefficients of the
+contact pairs are the robot's coefficients divided by 1 + κ. The contacts then stay
+closed, and friction acts as under the static load, as in the analytical model. Floor
+forces without the preload are the true loads, within 2 % at rest. docs/twin.md
+describes the drawbacks.
 
-Contacts are explicit pairs, which name the floor, so that they belong to the scene and
-not to the robot.
+Contacts are explicit pairs, which name the floor. They belong to the scene and not to
+the robot.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ from srs_twin.robot.spec import GRAVITY, RobotSpec
 _NET_FORCE = 3  # reduction of a contact sensor: sum over all contacts
 _SIDES = {"left": 1, "right": -1}  # sign of y
 _RUNNER_SLOPE = (
-    0.6  # rise of a runner to the front, 1; far above any pitch of a connector
+    0.6  # slope of a runner, which rises to the front; far above any connector's pitch
 )
 
 # Lengths at a length unit of 1 (`robot.scale`), m.
@@ -75,7 +76,7 @@ _PRELOAD_SITES = {
 
 
 def axle_masses(spec: RobotSpec, settings: ModelSettings) -> list[float]:
-    """Return the mass on each axle or on each pair of contact points of a skin, head first, kg."""
+    """Return the mass on each axle or pair of skin contacts, head first, kg."""
     return [
         pair.mass
         for pair in (spec.axles if spec.skin is None else patches(spec, settings))
@@ -83,7 +84,7 @@ def axle_masses(spec: RobotSpec, settings: ModelSettings) -> list[float]:
 
 
 def treads(spec: RobotSpec, settings: ModelSettings = ModelSettings()) -> list[str]:  # noqa: B008
-    """Return the names of the geoms that touch the floor: head first, left before right."""
+    """Return the names of the geoms on the floor: head first, left before right."""
     return [
         f"tread_{side}_{i + 1}"
         for i in range(len(axle_masses(spec, settings)))
@@ -94,7 +95,7 @@ def treads(spec: RobotSpec, settings: ModelSettings = ModelSettings()) -> list[s
 def static_loads(
     spec: RobotSpec, settings: ModelSettings, gravity: float = GRAVITY
 ) -> np.ndarray:
-    """Return the load of each contact of a snake at rest, head first, shape (axles, 2), N."""
+    """Return the load of each contact at rest, head first, shape (axles, 2), N."""
     return np.repeat(
         [[mass * gravity / 2] for mass in axle_masses(spec, settings)], 2, axis=1
     )
@@ -108,7 +109,10 @@ def preload_force(spec: RobotSpec, contact: PreloadedContact) -> np.ndarray:
 
 
 def pair_attributes(spec: RobotSpec, settings: ModelSettings) -> dict[str, Any]:
-    """Return the attributes of a contact pair of floor and wheel or skid; friction is along, then across."""
+    """Return the attributes of a contact pair of floor and wheel or skid.
+
+    The friction coefficients are first along, then across the heading.
+    """
     mu_t = spec.friction.mu_t
     mu_n = spec.friction.mu_n
     contact = settings.contact.for_robot(spec)
@@ -133,7 +137,7 @@ class FixedInertia(NamedTuple):
     """Inertia of parts that are fixed to a body.
 
     Attributes:
-        mass: kg.
+        mass: mass of the parts, kg.
         moments: moments of inertia, shape (3,), kg·m².
     """
 
@@ -144,9 +148,9 @@ class FixedInertia(NamedTuple):
 def fixed_inertia(spec: RobotSpec, settings: ModelSettings) -> FixedInertia:
     """Return the inertia of skids or wheels fixed to a connector.
 
-    Skids have the mass of the wheels that they replace. Under a preloaded contact,
-    wheels on axles are separate bodies and add 0. Without a floor the wheels do not
-    turn and are fixed. Under loaded contact their spin is part of the friction law.
+    Skids have the mass of the wheels that they replace. Wheels on axles under a preloaded
+    contact are separate bodies and add 0. Without a floor the wheels do not turn and are
+    fixed. Under loaded contact the spin of the wheels is part of the friction law.
     """
     rolling = settings.contact.rolling and settings.base == "free"
     if rolling and not settings.loaded:
@@ -191,7 +195,6 @@ def add_wheels(
 
 
 def _wheels(spec: RobotSpec, i: int) -> Iterator[tuple[str, list[float]]]:
-    """Yield side and axle number of the wheels of connector i, with their centres in its frame, m."""
     g = spec.geometry
     for number, axle in enumerate(spec.axles, start=1):
         x = 0.0 - axle.behind  # 0 instead of −0, which exported files would show
@@ -224,8 +227,8 @@ def _add_wheel(
 def add_preload(mj: MjSpec, spec: RobotSpec, contact: PreloadedContact) -> None:
     """Press each connector down with a constant force along the world's z axis.
 
-    The force acts at the height of the centre about which a tilted foot rolls on the
-    floor, so that it exerts no moment on the connector.
+    A tilted foot rolls on the floor about its centre. The force acts at the height of this
+    centre, so it exerts no moment on the connector.
     """
     mj.worldbody.add_site(mj.find_default(ROOT), name="origin")
     height = foot_radius(spec, contact) - spec.geometry.com_height
@@ -243,7 +246,7 @@ def add_preload(mj: MjSpec, spec: RobotSpec, contact: PreloadedContact) -> None:
 
 
 def add_drag(mj: MjSpec, spec: RobotSpec) -> None:
-    """Brake each connector along its heading with an equal share of the robot's axial drag."""
+    """Brake each connector along its heading with an equal part of the axial drag."""
     for i in range(1, spec.geometry.connectors + 1):
         mj.body(f"connector_{i}").add_site(mj.find_default(ROOT), name=f"drag_{i}")
         actuator = mj.add_actuator(
@@ -272,13 +275,13 @@ def add_feet(mj: MjSpec, spec: RobotSpec) -> None:
 def add_contacts(
     mj: MjSpec, spec: RobotSpec, settings: ModelSettings, levels: list[str]
 ) -> None:
-    """Add the contact pairs of wheels or skids with the floor and its levels, and their sensors.
+    """Add the contact pairs of wheels or skids with the floor, and their sensors.
 
-    The sensors measure the force of the floor on each wheel (world frame, N), and under
-    a preloaded contact the velocity of the foot (world frame, m/s).
+    The sensors measure the force of the floor on each wheel (world frame, N). Under a
+    preloaded contact they also measure the velocity of each foot (world frame, m/s).
 
     Args:
-        mj: model, in place.
+        mj: model, changed in place.
         spec: the robot.
         settings: contact and time step.
         levels: names of raised levels of the floor.
@@ -306,8 +309,8 @@ def add_contacts(
     for pair, factor in zip(
         pairs, itertools.cycle(_contact_time_factors(mj, spec, settings)), strict=False
     ):
-        # Rounded to 0.1 µs, so that the file reads well, in units that scale without
-        # rounding.
+        # The time is rounded to 0.1 µs, so that the file reads well. The unit of time
+        # makes the rounding independent of the robot's scale.
         pair.solref = [round(settings.contact_time(spec) * factor / unit, 7) * unit, 1]
     for tread in treads(spec, settings):
         if levels:
@@ -323,7 +326,7 @@ def add_contacts(
 
 
 def add_velocity_sensor(mj: MjSpec, name: str, kind: mjtObj, target: str) -> None:
-    """Add a sensor of the velocity of a site or of a geom's centre, world frame, m/s."""
+    """Add a sensor of the velocity of a site or geom centre, world frame, m/s."""
     mj.add_sensor(
         name=name, type=mjtSensor.mjSENS_FRAMELINVEL, objtype=kind, objname=target
     )
@@ -335,12 +338,12 @@ def add_force_sensor(
     """Add a sensor of the contact force on a geom, world frame, N.
 
     Args:
-        mj: model, in place.
+        mj: model, changed in place.
         name: name of the sensor.
-        kind: whether `source` is a geom or a body.
-        source: geom, or body with all its geoms, that exerts the force.
-        on: geom on which the force acts.
-        position: whether to measure the point of application, too, m.
+        kind: type of `source`, a geom or a body.
+        source: name of the geom, or of the body with all its geoms, that exerts the force.
+        on: name of the geom on which the force acts.
+        position: whether to measure the point of application (m) as well.
     """
     sensor = mj.add_sensor(
         name=name, type=mjtSensor.mjSENS_CONTACT, objtype=kind, objname=source
@@ -355,11 +358,11 @@ def add_force_sensor(
 def _contact_time_factors(
     mj: MjSpec, spec: RobotSpec, settings: ModelSettings
 ) -> np.ndarray:
-    """Return the factors on the contact time constant with which all wheels sink in equally, 1 or more.
+    """Return factors on the contact time constant that make all wheels sink equally.
 
-    MuJoCo derives the regularisation R of a contact from the tree of bodies; at the
-    root of gen 2 it is 1.25 times that at the ends. A contact that sinks deeper
-    transfers part of its load to its neighbours.
+    MuJoCo derives the regularisation R of a contact from the tree of bodies. For gen 2, R
+    is 1.25 times as large at the root as at the ends. A contact that sinks deeper transfers
+    part of its load to its neighbours. The factors are 1 or more.
     """
     depth = contact_regularisation(mj.compile(), spec, settings)
     depth *= static_loads(spec, settings).ravel()
@@ -370,7 +373,10 @@ def _contact_time_factors(
 def contact_regularisation(
     model: mujoco.MjModel, spec: RobotSpec, settings: ModelSettings
 ) -> np.ndarray:
-    """Return MuJoCo's regularisation R of each normal contact, in the order of `treads`, 1/kg."""
+    """Return MuJoCo's regularisation R of each normal contact, 1/kg.
+
+    The order is the order of `treads`.
+    """
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
     data.qpos[2] -= _REFERENCE_DEPTH * spec.scale.length
