@@ -99,7 +99,6 @@ class RecordedPressures(Pneumatics):
         return trace
 
     def _at(self, time: np.ndarray) -> Trace:
-        """Return the state of the chambers at times since the start of the run (s)."""
         trace = self._empty_trace(len(time))
         row = np.clip(
             np.searchsorted(self._time, time, side="right") - 1, 0, len(self._time) - 1

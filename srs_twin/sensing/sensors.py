@@ -126,7 +126,6 @@ def _block(seed: int, number: int, segments: int) -> np.ndarray:
 
 
 def _normal_numbers(seed: int, slot: np.ndarray, segments: int) -> np.ndarray:
-    """Return the numbers for int64 slots of shape (…,), with shape (…, segments)."""
     # NumPy would warn about the intended overflow of a scalar, so arrays are used.
     start = _splitmix(np.full(segments, seed, dtype=np.uint64) + _GOLDEN)
     start = _splitmix(start ^ (np.arange(1, segments + 1, dtype=np.uint64) * _GOLDEN))

@@ -297,8 +297,6 @@ def _body_shape(
 
 
 class _RecordingFits:
-    """Fitted states of all frames; `bend_error` holds for the assumed noise."""
-
     def __init__(self, frames: int, markers: int, prior: StatePrior) -> None:
         segments = len(prior.length_mean)
         self._bends = prior.bends
@@ -330,7 +328,6 @@ class _RecordingFits:
 def _estimated_prior(
     measured: np.ndarray, placement: MarkerPlacement, model: LengthModel, noise: float
 ) -> StatePrior:
-    """Estimate the prior by expectation-maximisation on some frames."""
     straight = placement.geometry.segment_length
     segments = placement.geometry.connectors - 1
     fixed = model is LengthModel.FIXED
