@@ -330,6 +330,8 @@ def fit_frames(
     for _ in range(_MAX_STEPS):
         body = placement.kinematics(state[active])
         residual[active] = difference = measured[active] - body.marker
+        # `inner` is the Gauss-Newton matrix of the markers alone; the prior adds its
+        # information matrix.
         weighted = (body.jacobian.conj() * weight[active][..., None]).transpose(0, 2, 1)
         data[active] = inner = (weighted @ body.jacobian).real
         gradient = (weighted @ difference[..., None])[..., 0].real

@@ -348,6 +348,8 @@ def _estimated_prior(
             prior.length_mean = np.median(length, axis=0)
         else:
             prior.length_mean = length.mean(axis=0)
+        # The spread of the fitted lengths omits their uncertainty, so the variance is
+        # added.
         prior.length_std = float(
             np.sqrt(((length - prior.length_mean) ** 2 + variance).mean())
         )
