@@ -293,7 +293,6 @@ def _exit_cause(exit_code: int) -> str:
 
 
 def _longest_round_divisor(period_s: float, step_s: float) -> float:
-    """Return the longest divisor, at most one step, with four digits or fewer."""
     fewest = max(1, math.ceil(period_s / step_s))
     divisors = (period_s / n for n in range(fewest, min(20 * fewest, fewest + 1000)))
     short = (
@@ -307,7 +306,7 @@ def _longest_round_divisor(period_s: float, step_s: float) -> float:
 def format_names(
     names: Sequence[str], listing: str = "", longest: int = MAX_LISTED_NAMES
 ) -> str:
-    """Return the names for a message, or for many names their number and a listing."""
+    """Return a short list of names, or the number of names and the place of the list."""
     if len(names) > longest:
         return f"{len(names)} names{listing and f'; {listing} lists them'}"
     return ", ".join(names) or "none"

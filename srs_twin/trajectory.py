@@ -97,8 +97,8 @@ class Trajectory(HtmlResult):
     ``valve_minus_1…``, the signals of the controller, for the twin ``qpos_1…``, and in
     a world with objects ``object_x_1…``, ``object_y_1…`` and ``object_heading_1…``. In
     a world with obstacles or objects, ``clearance`` is the distance from the body to
-    the nearest one. A plant with contact forces also has ``obstacle_force_x_1…`` and
-    ``obstacle_force_y_1…``.
+    the nearest one. A plant that allows contact with them has ``obstacle_force_x_1…``
+    and ``obstacle_force_y_1…``.
 
     A spatial robot also has ``pitch_1…`` (bends upwards), ``sensed_pitch_1…``,
     ``torque_pitch_1…``, ``z_1…``, ``quaternion_w_1…`` to ``quaternion_z_1…`` and

@@ -427,8 +427,6 @@ def _position(mark: yaml.Mark) -> Position:
 
 
 class _Reader:
-    """Recursive reader of parse events, with limits on depth and size."""
-
     def __init__(self, parsed: Iterator[yaml.Event], document: Document) -> None:
         self.document = document
         self.last: Position = (1, 1)
@@ -560,8 +558,6 @@ _Dumper.add_representer(str, _represent_text)
 
 
 class _CompactDumper(_Dumper):
-    """Writer of lists and dicts that contain only numbers in one line each."""
-
     def represent_sequence(
         self, tag: str, sequence: Collection[object], flow_style: object = None
     ) -> yaml.Node:

@@ -174,7 +174,6 @@ def _restore(folder: Path, staging: Path) -> None:
 
 @contextmanager
 def _staging_folder(folder: Path, products: Sequence[str]) -> Iterator[Path]:
-    """Clean up after killed processes, and yield a new locked staging folder."""
     with ExitStack() as locks:
         # The lock keeps other processes from removing the new staging folder as
         # abandoned.

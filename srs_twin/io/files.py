@@ -269,10 +269,7 @@ def missing_folders(folder: Path) -> list[Path]:
 
 
 def remove_empty_folders(folders: Iterable[Path]) -> None:
-    """Remove the empty ones among these folders.
-
-    Other processes may have written files into the others.
-    """
+    """Remove the empty folders; another process may use the remaining ones."""
     for folder in folders:
         with suppress(OSError):
             folder.rmdir()
@@ -365,7 +362,7 @@ def _temporary_file(target: Path) -> Iterator[Path]:
 def create_numbered_file(folder: Path, name: str) -> Path:
     """Create an empty file with the lowest free number in its name.
 
-    Processes that do so at one time get different files.
+    Concurrent processes get different files.
 
     Args:
         folder: folder, created if missing.

@@ -82,10 +82,6 @@ class DeepCopied:
 
 
 def _why_not_copyable(value: object) -> str | None:
-    """Return the reason that a value can be neither copied nor pickled, or None.
-
-    A copy of a nested function would share the variables of the enclosing function.
-    """
     if isinstance(value, partial):
         return _why_not_copyable(value.func)
     if isinstance(value, MethodType):

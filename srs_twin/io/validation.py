@@ -273,10 +273,6 @@ def _message(item: ErrorDetails, schema: Schema, loc: Loc, data: object) -> str:
 
 
 def _suggest_unit(value: object, loc: Loc, options: Iterable[Schema]) -> str:
-    """Suggest a number that would be allowed after a common change of unit.
-
-    The text is '; did you mean 48.3?', or empty.
-    """
     if (
         isinstance(value, bool)
         or not isinstance(value, int | float)
@@ -338,7 +334,7 @@ def _describe_value(value: Any) -> str:
 
 
 def _format_number(value: float) -> str:
-    if abs(value) > 1e300:  # integers too large for a float included
+    if abs(value) > 1e300:  # also an integer that no float can hold
         return "infinity"
     if math.isnan(value):
         return "NaN"
@@ -408,10 +404,6 @@ def _choices(schema: Schema, root: Schema) -> list[Any]:
 def _alternatives(
     schema: Schema, root: Schema, data: object = _ANY
 ) -> Iterator[Schema]:
-    """Yield the alternatives of a schema, without references and nested unions.
-
-    The discriminator in `data` selects one member of a union.
-    """
     while "$ref" in schema:
         schema = root["$defs"][schema["$ref"].rsplit("/", 1)[1]]
     inner = schema.get("anyOf") or schema.get("oneOf")

@@ -162,7 +162,7 @@ class CsvTable:
         columns: Sequence[CsvColumn],
         rate_hz: float | None = None,
     ) -> TimedRows:
-        """Return the numbers of columns in SI with their times.
+        """Read columns in SI with their times.
 
         Without a time column, the times are counted from the row numbers and `rate_hz`.
 

@@ -183,8 +183,6 @@ class _Sample(NamedTuple):
 
 
 class _Message(NamedTuple):
-    """Message below the topics of a plant, with its type."""
-
     topic: str
     kind: str
     content: object

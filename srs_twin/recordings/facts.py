@@ -52,7 +52,7 @@ class MarkerFacts(_Facts):
     longest_gap_s: Seconds
     """Duration of the longest gap."""
     noise_mm: Millimetres | None
-    """Standard deviation of the noise of a coordinate; null if it was never detected."""
+    """Standard deviation of the noise of a coordinate; null if never detected."""
     noise_m: Metres | None
     """Standard deviation of the noise of a coordinate in m."""
     height_mm: Millimetres | None
@@ -114,7 +114,10 @@ class RobotFacts(_Facts):
     length_mm: list[Millimetres] | None = None
     """Median arc length of each segment, head first."""
     stretch: list[Ratio] | None = None
-    """Range of each length (98 % minus 2 % quantile) relative to the robot, head first."""
+    """Range of each length (98 % minus 2 % quantile) relative to the robot's length.
+
+    The lengths are ordered from the head.
+    """
 
 
 class RecordingFacts(_Facts):
@@ -129,9 +132,9 @@ class RecordingFacts(_Facts):
     sha256: str
     """Checksum of the file."""
     rate_hz: Hertz | None = None
-    """Frames per second from the median step, or rows of a log per second of its duration.
+    """Frames per second from the median step, or average rows of a log per second.
 
-    It is null if the time does not increase.
+    The value is null if the time does not increase.
     """
     duration_s: Seconds | None = None
     """Time from the first frame or row to the last."""
@@ -160,7 +163,7 @@ class RecordingFacts(_Facts):
     bodies: list[str] | None = None
     """Names of the rigid bodies with a rotation."""
     tracks: Count | None = None
-    """Number of possible markers of the robot, detected on at least 20 % of the frames."""
+    """Number of possible robot markers detected on at least 20 % of the frames."""
     positions_of_nothing: Count | None = None
     """Number of positions that do not belong to a tracked marker."""
     noise_mm: Millimetres | None = None
@@ -168,7 +171,7 @@ class RecordingFacts(_Facts):
     rigid_pairs: list[Pair] | None = None
     """Pairs of markers on one rigid part."""
     order: list[str] | None = None
-    """Markers from one end of the body to the other; empty unless they form one line."""
+    """Markers from one end of the body to the other; empty unless they form a line."""
     distances: list[DistanceFacts] | None = None
     """Distances of neighbouring markers, in the order along the body."""
     layouts: dict[str, Count] | None = None

@@ -312,7 +312,6 @@ def _body_facts(
 
 
 def _neighbour_distance(points: np.ndarray) -> float:
-    """Return the median distance between nearest markers, m, or NaN without pairs."""
     nearest = np.fmin.reduce(pairwise_distances(points, _DISTANCE_FRAMES), axis=2)
     if np.isnan(nearest).all():
         return float("nan")
@@ -369,7 +368,6 @@ def _heads(
     pairs: Sequence[tuple[int, int]],
     near: float,
 ) -> Iterator[tuple[int, str]]:
-    """Yield the ends that may be the head with reasons, most likely first."""
     if len(order) <= 2:
         return
     for end, second in (order[:2], order[:-3:-1]):

@@ -97,7 +97,7 @@ AS_FOUND = Dialect()
 
 
 class Times(NamedTuple):
-    """Times of the rows of a table.
+    """Times of the rows.
 
     Attributes:
         time: times of the rows, shape (rows,), s.
@@ -559,7 +559,6 @@ def _cells(line: str, separator: str) -> list[str]:
 
 
 def _separator(header: str, row: str) -> str:
-    """Return the separator that gives both lines equally many cells, a comma last."""
     present = [mark for mark in ";\t|," if mark in header]
     words = header.split()
     by_spaces = present in ([], [","]) and len(words) == len(row.split()) > 1
@@ -577,7 +576,6 @@ def _separator(header: str, row: str) -> str:
 
 
 def _are_since_1970(time: np.ndarray, unit: str) -> bool:
-    """Guess whether times count from 1970, by size and, without a unit, by steps."""
     scale = TIMES[unit or "s"]
     low, high = _EPOCH_RANGE
     in_range = low <= float(time.min()) * scale <= high

@@ -99,7 +99,6 @@ class RecordedPressures(Pneumatics):
         return trace
 
     def _at(self, time: np.ndarray) -> Trace:
-        """Return the state of the chambers at times since the start of the run (s)."""
         trace = self._empty_trace(len(time))
         row = np.clip(
             np.searchsorted(self._time, time, side="right") - 1, 0, len(self._time) - 1
@@ -132,6 +131,7 @@ def _linear_bend_at_samples(
     linear[0] = drive[0]
     decay = np.exp(-np.diff(time) / tau)
     for k, factor in enumerate(decay):
+        # This is the exact solution for a linearly changing drive.
         lag = slope[k] * tau
         linear[k + 1] = drive[k + 1] - lag + (linear[k] - drive[k] + lag) * factor
     return linear
@@ -144,6 +144,7 @@ def _fill_bends(motion, bias, law, trace):  # type: ignore[no-untyped-def]
         for j in range(linear.shape[1]):
             bend, slope, curve = apply_bend_law(linear[k, j], law)
             trace.bend[k, j] = bias[j] + bend
+            # The chain rule gives the derivatives of the nonlinear bend.
             trace.bend_rate[k, j] = slope * speed[k, j]
             trace.bend_acceleration[k, j] = (
                 slope * acceleration[k, j] + curve * speed[k, j] * speed[k, j]

@@ -130,9 +130,9 @@ class ValveLog:
         return time, np.repeat(self.values, 2, axis=0)[:-1]
 
     def gait_frequency(self) -> float | None:
-        """Return the frequency at which all chambers open, Hz; None if it is irregular.
+        """Return the frequency at which all chambers open periodically, Hz, or None.
 
-        The first opening is ignored, because a log may begin within a period. Openings
+        The first opening is ignored, because a gait may begin within a period. Openings
         in rapid succession come from a carrier and count as one.
         """
         if self.kind != "valve":
@@ -158,7 +158,7 @@ class ValveLog:
 
 
 def held_values(time: np.ndarray, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return the values of the last row before each time, or of the first row."""
+    """Return the values of the last row at or before each time, or of the first row."""
     return np.asarray(
         values[np.maximum(np.searchsorted(rows, time, side="right") - 1, 0)]
     )
@@ -475,14 +475,14 @@ def in_slots(table: MarkerTable, points: np.ndarray) -> Tracks:
 def robot_tracks(
     table: MarkerTable, slots: Tracks, longest_gap: float, reach: float
 ) -> tuple[Tracks, list[str]]:
-    """Return the tracks that may belong to the robot, and notes on the other tracks.
+    """Return the tracks that may belong to the robot, and notes on other tracks.
 
     The tracks have no heights. Rigid bodies are identified by name and not tracked.
     Columns with a place belong to the robot.
 
     Args:
         table: marker file.
-        slots: positions as returned by `in_slots`.
+        slots: positions from `in_slots`.
         longest_gap: maximum gap that is filled, frames.
         reach: maximum distance of a marker from its expected position, m.
     """

@@ -44,7 +44,7 @@ class MarkerPlace(StrictModel):
     middle: Annotated[int, Field(ge=1, le=999)] | None = None
     """Number of the segment at whose middle it is, 1 at the head."""
     side: Literal["ahead", "behind", "left", "right"] | None = None
-    """Side of the connector's centre; two markers without a side are on both sides of it."""
+    """Side of the connector's centre; two markers without a side lie on both sides."""
 
     @property
     def station(self) -> tuple[int, str]:
@@ -64,7 +64,7 @@ class LogColumn(StrictModel):
 
 
 class RecordingMap(StrictModel):
-    """Meanings of columns and markers in the files of a recording (docs/logs.md#recording-map)."""
+    """Meanings of columns and markers in a recording (docs/logs.md#recording-map)."""
 
     units: Literal["m", "cm", "mm", "in", "ft", "px"] | None = None
     """Unit of length, for files that do not state it."""

@@ -176,7 +176,7 @@ def _log_of(take: Path) -> str:
 
 
 class ReplayFile(ControllerSection):
-    """Controller that replays recorded valve states or pressures; requires a recording."""
+    """Controller that replays recorded valve states or pressures of a recording."""
 
     kind: Literal["replay"]
     """Kind of controller."""

@@ -126,11 +126,11 @@ def _block(seed: int, number: int, segments: int) -> np.ndarray:
 
 
 def _normal_numbers(seed: int, slot: np.ndarray, segments: int) -> np.ndarray:
-    """Return the numbers for int64 slots of shape (…,), with shape (…, segments)."""
     # NumPy would warn about the intended overflow of a scalar, so arrays are used.
     start = _splitmix(np.full(segments, seed, dtype=np.uint64) + _GOLDEN)
     start = _splitmix(start ^ (np.arange(1, segments + 1, dtype=np.uint64) * _GOLDEN))
     place = start + (slot.view(np.uint64)[..., None] << np.uint64(1)) * _GOLDEN
+    # Two uniform 53-bit integers per number enter the Box-Muller transform.
     radius = (_splitmix(place) >> np.uint64(11)).astype(float) + 1  # 1 … 2⁵³, never 0
     angle = (_splitmix(place + _GOLDEN) >> np.uint64(11)).astype(float)
     return np.asarray(

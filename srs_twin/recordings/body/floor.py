@@ -242,6 +242,7 @@ def _fit_slopes(place: np.ndarray, height: np.ndarray) -> tuple[np.ndarray, floa
         )[0]
         deviation = np.abs(z[known] - position @ slopes)
         residual = float(np.median(deviation))
+        # Cauchy weights reduce the influence of markers that move up and down.
         weight = 1 / (1 + (deviation / (3 * residual + 1e-4)) ** 2)
     return slopes, residual
 

@@ -76,14 +76,6 @@ A sample beyond it is tried as the other marker of its pair.
 
 
 class _Kinematics(NamedTuple):
-    """Positions of markers and connectors for given states.
-
-    Attributes:
-        marker: marker positions, shape (frames, markers), complex, m.
-        jacobian: derivatives of the marker positions with respect to the state, shape
-            (frames, markers, 3 + 2 segments), complex.
-    """
-
     marker: np.ndarray
     jacobian: np.ndarray
     connector: np.ndarray
@@ -242,12 +234,12 @@ class StatePrior:
 
     @property
     def bends(self) -> slice:
-        """Components of the state that are bends."""
+        """Slice of the bends in the state."""
         return slice(3, 3 + len(self.length_mean))
 
     @property
     def lengths(self) -> slice:
-        """Components of the state that are lengths."""
+        """Slice of the lengths in the state."""
         return slice(3 + len(self.length_mean), None)
 
     @property
@@ -338,6 +330,8 @@ def fit_frames(
     for _ in range(_MAX_STEPS):
         body = placement.kinematics(state[active])
         residual[active] = difference = measured[active] - body.marker
+        # `inner` is the Gauss-Newton matrix of the markers alone; the prior adds its
+        # information matrix.
         weighted = (body.jacobian.conj() * weight[active][..., None]).transpose(0, 2, 1)
         data[active] = inner = (weighted @ body.jacobian).real
         gradient = (weighted @ difference[..., None])[..., 0].real

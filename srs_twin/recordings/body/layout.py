@@ -267,7 +267,7 @@ def rigid_pairs(points: np.ndarray, connectors: int) -> np.ndarray:
 
 
 def distance_statistics(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return medians and standard deviations of all distances, (markers, markers), m.
+    """Return medians and standard deviations of distances, shape (markers, markers), m.
 
     The standard deviations come from quartiles, so a few wrong frames have no effect.
     """

@@ -297,8 +297,6 @@ def _body_shape(
 
 
 class _RecordingFits:
-    """Fitted states of all frames; `bend_error` holds for the assumed noise."""
-
     def __init__(self, frames: int, markers: int, prior: StatePrior) -> None:
         segments = len(prior.length_mean)
         self._bends = prior.bends
@@ -330,7 +328,6 @@ class _RecordingFits:
 def _estimated_prior(
     measured: np.ndarray, placement: MarkerPlacement, model: LengthModel, noise: float
 ) -> StatePrior:
-    """Estimate the prior by expectation-maximisation on some frames."""
     straight = placement.geometry.segment_length
     segments = placement.geometry.connectors - 1
     fixed = model is LengthModel.FIXED
@@ -351,6 +348,8 @@ def _estimated_prior(
             prior.length_mean = np.median(length, axis=0)
         else:
             prior.length_mean = length.mean(axis=0)
+        # The spread of the fitted lengths omits their uncertainty, so the variance is
+        # added.
         prior.length_std = float(
             np.sqrt(((length - prior.length_mean) ** 2 + variance).mean())
         )

@@ -210,6 +210,7 @@ def moving_slope(
         t = (time[shifted] - time[middle])[:, None]
         y = flat[shifted] - flat[middle]
         sums[middle] += np.concatenate([np.ones_like(t), t, t * t, y, t * y], axis=1)
+    # The sums over each window are named after their terms: t, t², y and t y.
     count = sums[:, :1]
     t = sums[:, 1:2]
     tt = sums[:, 2:3]

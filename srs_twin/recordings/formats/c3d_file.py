@@ -47,13 +47,6 @@ _ELEMENT_BYTES: Final = {-1: 1, 1: 1, 2: 2, 4: 4}
 
 
 class _Parameter(NamedTuple):
-    """Array of a parameter.
-
-    Attributes:
-        shape: dimensions, the fastest first; empty for a single value.
-        data: raw bytes.
-    """
-
     kind: int
     shape: tuple[int, ...]
     data: bytes
@@ -81,14 +74,12 @@ class _Contents:
         return np.frombuffer(words.tobytes(), "<f4") / 4
 
     def number(self, key: str, header_byte: int) -> float:
-        """Return a float parameter, or the float in the header if it is missing."""
         parameter = self.parameters.get(key)
         if parameter is None or len(parameter.data) < 4:
             return float(self.floats(self.data[header_byte : header_byte + 4])[0])
         return float(self.floats(parameter.data[:4])[0])
 
     def integer(self, key: str) -> int:
-        """Return an integer parameter, stored as a float or as 16-bit words, or 0."""
         parameter = self.parameters.get(key)
         if parameter is None or len(parameter.data) < 2:
             return 0
@@ -145,7 +136,6 @@ def _contents(file: RecordedFile) -> _Contents:
 
 
 def _parameter(data: bytes, place: int) -> _Parameter:
-    """Return the parameter whose type byte is at `place` in the file."""
     kind = int.from_bytes(data[place : place + 1], signed=True)
     first = place + 2 + data[place + 1]
     shape = tuple(data[place + 2 : first])
@@ -237,13 +227,6 @@ def _units(
 
 
 class _Frames(NamedTuple):
-    """Frames of the data section.
-
-    Attributes:
-        samples: x, y, z and residual in the unit of the file, shape (frames, points,
-            4).
-    """
-
     samples: np.ndarray
     first: int
     announced: int

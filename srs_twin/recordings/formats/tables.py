@@ -311,7 +311,6 @@ def _unit_notes(used: list[CsvColumn], given: str | None) -> list[str]:
 
 
 def _place(marker: str) -> tuple[int, str]:
-    """Return connector number and letter of a marker such as 1, 1a or 1b."""
     number = marker.rstrip(ascii_letters)
     return int(number), marker[len(number) :]
 

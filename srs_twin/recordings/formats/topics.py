@@ -411,7 +411,6 @@ def _frames(bodies: Mapping[str, np.ndarray], main: str) -> _Frames:
 
 
 def _sorted(series: _Series, width: int) -> dict[str, np.ndarray]:
-    """Return the rows of each label in chronological order, with times in s."""
     tables = {
         label: np.array(flat).reshape(-1, width) for label, flat in series.items()
     }

@@ -117,6 +117,7 @@ def estimate_offset(
         shift = float(np.clip((left - right) / (2 * curvature), -0.5, 0.5))
         fraction = _independent_fraction(bends, model, int(lags[best]))
         independent = max(1.0, count[best] * bends.shape[1] * fraction)
+        # The loss is S divided by the variance, so this is √(2 s²/S'').
         error = float(step * np.sqrt(2 * loss[best] / independent / curvature))
     return Offset(
         float(start_difference + (lags[best] + shift) * step), error, explained, True
@@ -146,6 +147,7 @@ def _losses(
     n = np.maximum(count, 1.0)[:, None]
     # Sums over the common samples of each delay; squares and products are taken about
     # the means.
+    # In the names, b is the measured bend, m the modelled bend and s a sum.
     sb = correlate(bends, other_ones)
     sm = correlate(ones, model)
     bb = correlate(bends**2, other_ones) - sb**2 / n
@@ -202,6 +204,7 @@ def _independent_fraction(bends: np.ndarray, model: np.ndarray, lag: int) -> flo
         return 1.0
     correlation = float((residual[1:] * residual[:-1]).sum()) / power
     correlation = min(max(correlation, 0.0), 0.999)
+    # This is the fraction of independent samples of an AR(1) process.
     return (1 - correlation) / (1 + correlation)
 
 

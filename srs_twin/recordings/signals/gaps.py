@@ -186,6 +186,7 @@ def _track_outliers(
         (rows.ravel(), columns.ravel(), 5 * np.arange(len(middle) + 1)),
         (len(middle), len(frames)),
     )
+    # With the matrix A = `cubics`, these are |a_k·r| and |a_k| for every sample k.
     projection = np.linalg.norm(cubics.T @ (cubics @ points), axis=1)
     size = np.sqrt((cubics**2).sum(axis=0))
     score = projection / size

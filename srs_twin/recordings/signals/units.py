@@ -68,7 +68,7 @@ _CAMEL = re.compile(r"(?<=[a-z])[A-Z]+[a-z]*$")
 
 
 def clean(text: str) -> str:
-    """Return text in Unicode compatibility form (µ, ², no-break spaces) and trimmed."""
+    """Return text in Unicode compatibility form (µ, ², blanks) with single spaces."""
     return " ".join(unicodedata.normalize("NFKC", text).split())
 
 
@@ -118,7 +118,6 @@ def stated_unit(name: str, units: Mapping[str, float]) -> str | None:
 
 
 def _unit_in_word(word: str, units: Mapping[str, float]) -> str | None:
-    """Return the unit that a word is or ends with; None if it is ambiguous."""
     camel = _CAMEL.search(word)
     lower = [unit.lower() for unit in units]
     for end in (word, word.rpartition("/")[2], camel[0] if camel else ""):
