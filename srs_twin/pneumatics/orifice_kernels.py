@@ -328,8 +328,8 @@ def _rates(y, line_amount, state, coupled, bend, air, dy):  # type: ignore[no-un
         for side in range(2):
             c = chamber(y[j, side], q, j, side, state[j, side], line, air)
             dy[j, side] = c.inflow - c.outflow
-            # The two gains differ, so ambient pressure would not cancel. Gauge pressures
-            # are used instead.
+            # The two gains differ, so ambient pressure would not cancel in absolute
+            # pressures.
             gauge = c.pressure - AMBIENT_PA
             deviation += (1.0 - 2.0 * side) * air.gain[j, side] * gauge
             total_inflow = total_inflow + c.inflow

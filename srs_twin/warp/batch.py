@@ -489,8 +489,8 @@ class WarpBatch(Claimable):
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the moments of the segments (N·m) and their stored energy (J).
 
-        All arguments have leading axes of samples and runs, and angles in rad. Free bends are
-        without the rest bends.
+        All arguments have leading axes of samples and runs, and angles in rad. `free` excludes
+        the rest bends.
         """
         torque = np.empty_like(bend)
         stored = np.empty(bend.shape[:2])

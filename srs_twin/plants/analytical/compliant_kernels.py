@@ -110,7 +110,7 @@ BENDS = STATES
 """Index of the first bend in the state; the momenta of the bends follow the bends."""
 
 _NEWTON_STEPS = 1000
-"""Maximum number of iterations. A body at rest on a slope, at a kink of the law, needs many."""
+"""Maximum number of iterations; a body at rest on a slope needs many."""
 _NEWTON_TOLERANCE = 1e-9
 """Tolerance of the velocities at a time unit of 1, m/s."""
 _NEWTON_ARM = 0.1

@@ -283,7 +283,7 @@ _NEWTON_TOLERANCE = 1e-8  # tolerance of the velocities at a time unit of 1, m/s
 _NEWTON_ARM = 0.1
 """Lever arm that turns the yaw rate into a velocity, at a length unit of 1, m."""
 _OVERSHOOT = 0.1
-"""Ratio of the derivatives after and before a Newton step above which it was too long."""
+"""Ratio of the derivatives after and before a Newton step that was too long."""
 
 
 @inlined

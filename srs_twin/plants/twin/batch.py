@@ -218,7 +218,7 @@ class TwinBatch(Claimable):
         return histories
 
     def openings(self) -> np.ndarray:
-        """Return the number of openings of each chamber's inlet, shape (runs, segments, 2)."""
+        """Return the number of openings of each inlet, shape (runs, segments, 2)."""
         return np.array([twin.openings() for twin in self.twins])
 
     def describe(self) -> dict[str, object]:

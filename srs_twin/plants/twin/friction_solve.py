@@ -348,7 +348,7 @@ def store_friction(contacts, state, work, force):  # type: ignore[no-untyped-def
         state.force[w, _FORCE_ALONG] = f_t
         state.force[w, _FORCE_ACROSS] = f_n
         state.force[w, _STORED_SPIN] = work.response[w, _SPIN_FORCE]
-        # The rim speed is known at the fraction θ of the step, so it is extrapolated
+        # The solve gives the rim speed at the fraction θ of the step. It is extrapolated
         # to the end.
         state.rim_speed[w] += (rim - state.rim_speed[w]) / work.theta[w]
         c = work.heading[w, 0]
@@ -722,7 +722,9 @@ def _assemble(engine, contacts, sparsity, state, work, h):  # type: ignore[no-un
     for i in range(slope.shape[0]):
         clear(slope[i])
     for w in range(contacts.body.shape[0]):
-        weight = -work.theta[w] * h  # ∂u/∂δ = θ, and friction enters r with −h
+        # t is along and n across the heading. tt, tn and nn are derivatives of r with
+        # respect to δ: ∂u/∂δ is θ J, and friction enters r with the factor −h.
+        weight = -work.theta[w] * h
         tt = weight * response[w, _SLOPE_ALONG]
         tn = weight * response[w, _SLOPE_MIXED]
         nn = weight * response[w, _SLOPE_ACROSS]

@@ -101,6 +101,8 @@ def stick_slip_friction(v_t, v_n, load, mu_t, mu_n, slip, p_t, p_n):  # type: ig
     q_t = p_t / max(limit_t, _MIN_LIMIT)
     q_n = p_n / max(limit_n, _MIN_LIMIT)
     shrink = 1.0 / max(1.0, np.sqrt(q_t * q_t + q_n * q_n))
+    # y is the elastic trial force, and a is the trial force limited to the ellipse, both
+    # in units of the friction limits.
     y_t = shrink * q_t - mu_t * stiffness * v_t
     y_n = shrink * q_n - mu_n * stiffness * v_n
     size = np.sqrt(y_t * y_t + y_n * y_n)

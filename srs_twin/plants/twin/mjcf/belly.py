@@ -21,7 +21,7 @@ from srs_twin.plants.twin.mjcf.numerics import ModelSettings, hinge_stations
 from srs_twin.robot.spec import RobotSpec
 
 _MIN_LENGTH = 1e-9
-"""Minimum length of a part of a rod over the pitch; shorter parts are rounding errors."""
+"""Minimum length of a part of a rod over the pitch; less is a rounding error."""
 
 
 class Rod(NamedTuple):
