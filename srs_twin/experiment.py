@@ -556,8 +556,8 @@ def compare(
         well.
 
     Raises:
-        InputError: the combination of arguments is wrong, or the trajectories or the
-            scenario are invalid.
+        InputError: the combination of arguments is wrong, or `comparison.compare.compare`
+            or `load_scenario` refuses an argument.
         DivergedError: the state of a plant is no longer finite.
     """
     if isinstance(reference, Trajectory):

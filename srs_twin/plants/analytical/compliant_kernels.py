@@ -174,7 +174,7 @@ class CompliantModel(NamedTuple):
         floor: FloorFriction,
         obstacles: Obstacles | None = None,
     ) -> CompliantModel:
-        """Return the model, with springs per model or (segments, cells per segment)."""
+        """Return the model; springs are numbers or (segments, cells) arrays."""
         cells = len(solid.mass) - 1
         if np.ndim(stiffness) == 0:
             segments = cells

@@ -106,11 +106,8 @@ _CHORD_COLUMNS = 4
 class _InverseArrays(NamedTuple):
     """Work arrays of the inverse dynamics.
 
-    Attributes:
-        body: posed body, shape (ROWS, N).
-        friction: friction on the connectors (`fill_forces`), shape (N, 3).
-        chords: L' e (m/rad) and L e (m), shape (segments, _CHORD_COLUMNS).
-        load: accelerations of the connectors, then the loads on them, shape (N, 3).
+    `chords` holds L' e (m/rad) and L e (m) of each segment. `load` holds accelerations of
+    the connectors, then the loads on them.
     """
 
     body: np.ndarray
@@ -347,15 +344,10 @@ def is_slow(state):  # type: ignore[no-untyped-def]
 
 @inlined
 def record(state, velocity, marks, done, mark, samples):  # type: ignore[no-untyped-def]
-    """Copy state and velocity to the samples after `done` steps; return the next one.
+    """Copy state and velocity after `done` steps to all samples at this step.
 
-    Args:
-        state: state after `done` steps.
-        velocity: velocity after `done` steps.
-        marks: number of steps before each sample, ascending.
-        done: number of completed steps.
-        mark: number of the next sample.
-        samples: a `Samples`.
+    `marks` are the numbers of steps before each sample. The result is the number of the
+    next sample after `mark`.
     """
     while mark < marks.shape[0] and marks[mark] == done:
         copy(state, samples.states[mark])

@@ -190,13 +190,8 @@ def _cubic(at, span, bends, first, out, row):  # type: ignore[no-untyped-def]
 def bend_within(at, h, bends, out, row):  # type: ignore[no-untyped-def]
     """Fill bends and rates at the fraction `at` of a step of length h (s).
 
-    Args:
-        at: fraction of the step, 0 to 1.
-        h: length of the step, s.
-        bends: bends and rates at the start, first stage and end of the step, shape (3,
-            segments).
-        out: output for bends and rates, shape (rows, segments).
-        row: row of `out`.
+    `bends` has the rows start, first stage and end of the step. The result goes to `row` of
+    `out`.
     """
     if at < GAMMA:
         _cubic(at / GAMMA, GAMMA * h, bends, 0, out, row)
@@ -231,13 +226,7 @@ class PrescribedState(NamedTuple):
 
 
 class _AdvanceArrays(NamedTuple):
-    """Work arrays of `advance`.
-
-    Attributes:
-        step: work arrays of a substep.
-        drift: rates of change of the velocities before a substep, shape (3,).
-        stages: bends and rates at the stages of a substep, shape (2, segments).
-    """
+    """Work arrays of `advance`; `drift` holds the rates of change of the velocities."""
 
     step: StepArrays
     drift: np.ndarray

@@ -139,9 +139,9 @@ class Contacts(NamedTuple):
 
     Attributes:
         wheels: number of wheels.
-        body: body id of each contact, shape (C,).
+        body, last_dof: body id, and last degree of freedom that moves the contact, shape
+            (C,).
         centre: centre of each wheel in the frame of its body, shape (wheels, 3), m.
-        last_dof: last degree of freedom that moves the contact, shape (C,).
         regularisation: MuJoCo's regularisation R of the normal force, infinite for a hull,
             shape (C,), 1/kg.
         admittance: inverse effective mass, across the heading for a wheel and along the
@@ -175,9 +175,9 @@ class ContactState(NamedTuple):
     Attributes:
         force: friction along and across the heading, and the part of it that spins the
             wheel, shape (C, 3), N.
-        rim_speed: circumferential speed of each wheel, shape (C,), m/s.
+        rim_speed, slip_speed: circumferential speed of each wheel, and slip speed of each
+            contact, shape (C,), m/s.
         load: normal force in the friction law, shape (C,), N.
-        slip_speed: slip speed of each contact, shape (C,), m/s.
     """
 
     force: np.ndarray

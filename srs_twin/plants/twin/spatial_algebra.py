@@ -21,13 +21,12 @@ class Sparsity(NamedTuple):
     the degree of freedom itself.
 
     Attributes:
-        row_length: number of entries of each row, shape (nv,).
-        row_start: index of the first entry of each row, shape (nv,).
+        row_length, row_start: number and first index of the entries of each row, shape
+            (nv,).
         column: column of each entry, shape (nM,).
         parent: parent of each degree of freedom, −1 for the root, shape (nv,).
-        damping: damping matrix C in A = M + C (`contact_loaded`), shape (nM,), kg or
-            kg·m².
-        damping_excess: matrix h D − C, shape (nM,), kg or kg·m².
+        damping, damping_excess: matrix C in A = M + C (`contact_loaded`), and matrix h D −
+            C, shape (nM,), kg or kg·m².
     """
 
     row_length: np.ndarray
@@ -121,14 +120,8 @@ def project_slopes(cdof, sparsity, slope, force, matrix):  # type: ignore[no-unt
     """Sum spatial derivatives towards the root and add their projection to a matrix.
 
     As in the composite-rigid-body algorithm, the sum beyond each degree of freedom is
-    projected on this degree of freedom and its ancestors.
-
-    Args:
-        cdof: spatial axes of the degrees of freedom, shape (nv, 6).
-        sparsity: sparsity pattern of the matrix.
-        slope: spatial derivatives, changed in place, shape (nv, 6, 6).
-        force: workspace, shape (nv, 6).
-        matrix: matrix that is changed in place, shape (nM,).
+    projected on this degree of freedom and its ancestors. `slope` is changed in place, and
+    `force` is a workspace of shape (nv, 6).
     """
     for i in range(sparsity.row_length.shape[0] - 1, -1, -1):
         d = cdof[i]

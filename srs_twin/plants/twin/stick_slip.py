@@ -46,11 +46,11 @@ class FloorLaw(NamedTuple):
 
     Attributes:
         kind: friction law, an index into `numerics.LAWS_ON_LOADS`.
-        forward: friction coefficient μ_t for slip towards the head, dimensionless.
+        forward, backward: friction coefficients μ_t for slip towards the head and the tail,
+            dimensionless.
         across: friction coefficient μ_n across the heading, dimensionless.
         slip_speed: slip speed ε, m/s.
         spin_mass: moment of inertia of a wheel's spin over its squared radius, kg.
-        backward: friction coefficient μ_t for slip towards the tail, dimensionless.
     """
 
     kind: int
