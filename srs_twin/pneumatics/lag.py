@@ -430,8 +430,14 @@ def _fill_decay(t, law):  # type: ignore[no-untyped-def]
 def advance_segment(state, j, pressure, linear, law):  # type: ignore[no-untyped-def]
     """Return pressures (Pa) and linear bend (rad) of a segment after a time.
 
-    The time has no valve events, and `law` holds its factors. The given pressures and the
-    linear bend are the initial values.
+    The time has no valve events, and `law` holds its factors.
+
+    Args:
+        state: valve states, shape (2,).
+        j: index of the segment.
+        pressure: initial gauge pressures, shape (2,), Pa.
+        linear: initial linear bend, rad.
+        law: a `Relaxation`.
     """
     first = law.kinds[j, 0]
     second = law.kinds[j, 1]

@@ -152,10 +152,16 @@ class ChamberFlow(NamedTuple):
 
 @compiled
 def chamber(n, bend, j, side, state, line, air):  # type: ignore[no-untyped-def]
-    """Return the `ChamberFlow` of one chamber with the amount of air n.
+    """Return the `ChamberFlow` of one chamber.
 
-    `bend` is the bend that determines the volume, `side` is 0 for the + chamber and 1 for
-    the − chamber, and `line` is the absolute pressure before the inlets.
+    Args:
+        n: amount of air, J.
+        bend: bend that determines the volume, rad.
+        j: index of the segment.
+        side: 0 for the + chamber, 1 for the − chamber.
+        state: valve state.
+        line: absolute pressure before the inlets, Pa.
+        air: the plumbing.
     """
     size, growth = volume(air.dead, air.displacement, bend, side)
     pressure = n / size

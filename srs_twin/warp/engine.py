@@ -334,7 +334,10 @@ class DeviceEngine:
     def run(self, steps: int, *, gait: bool = False) -> None:
         """Make time steps without observation. On a GPU each step is one CUDA graph.
 
-        `gait` selects the gaits of `set_waves` instead of the latest commands.
+        Args:
+            steps: number of steps.
+            gait: whether the gaits of `set_waves` command the valves, instead of the latest
+                commands.
         """
         with wp.ScopedDevice(self._device):
             if not self._device.is_cuda:
@@ -371,10 +374,6 @@ class DeviceEngine:
 
 def _set_individual_parameters(model: Any, models: list[mujoco.MjModel]) -> None:
     """Give each world its own values of the model fields in which worlds differ.
-
-    Args:
-        model: model of MuJoCo Warp, made from the first of `models`.
-        models: model of each world.
 
     Raises:
         InputError: the models differ in a field that the engine shares between worlds.

@@ -272,8 +272,7 @@ def _damper_power(model, rates, free_rates):  # type: ignore[no-untyped-def]
 def balance(q, u, moment, a, model, floor, work):  # type: ignore[no-untyped-def]
     """Fill momenta and forces of Lagrange's equations, and the input of `solve`.
 
-    All are in the frame of the mean heading. The result is the power that floor and
-    obstacles take from the body, W.
+    All are in the frame of the mean heading.
 
     Args:
         q: bends, shape (segments,), rad.
@@ -285,6 +284,9 @@ def balance(q, u, moment, a, model, floor, work):  # type: ignore[no-untyped-def
         model: a `CompliantModel`, whose obstacles hold the pose of the body.
         floor: the floor.
         work: a `WorkArrays`.
+
+    Returns:
+        Power that floor and obstacles take from the body, W.
     """
     solid = model.solid
     body = work.body

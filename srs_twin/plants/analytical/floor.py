@@ -474,7 +474,8 @@ def fill_forces(body, mass, u, floor, force):  # type: ignore[no-untyped-def]
     Args:
         body: posed body, shape (ROWS, N).
         mass: masses of the connectors, shape (N,), kg.
-        u: velocity of the centre of mass in the body frame (m/s) and yaw rate (rad/s).
+        u: velocity of the centre of mass in the body frame (m/s) and yaw rate (rad/s),
+            shape (3 or more,).
         floor: the floor.
         force: output, shape (N, 3).
     """

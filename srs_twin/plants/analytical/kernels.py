@@ -196,10 +196,8 @@ def _fill_accelerations(trace, k, yaw, solid, work):  # type: ignore[no-untyped-
 def _balance_loads(inertia, model, work):  # type: ignore[no-untyped-def]
     """Convert the accelerations in `work.load` to forces (N) and moments (N·m).
 
-    They include the acceleration of the whole body.
-
-    Returns:
-        Moment of the loads about the centre of mass, or 0 if the friction moment acts, N·m.
+    They include the acceleration of the whole body. The result is the moment of the loads
+    about the centre of mass (N·m), or 0 if the friction moment acts.
     """
     solid = model.solid
     body = work.body
@@ -346,8 +344,16 @@ def is_slow(state):  # type: ignore[no-untyped-def]
 def record(state, velocity, marks, done, mark, samples):  # type: ignore[no-untyped-def]
     """Copy state and velocity after `done` steps to all samples at this step.
 
-    `marks` are the numbers of steps before each sample. The result is the number of the
-    next sample after `mark`.
+    Args:
+        state: state after `done` steps.
+        velocity: velocity after `done` steps.
+        marks: number of steps before each sample, ascending.
+        done: number of completed steps.
+        mark: number of the next sample.
+        samples: a `Samples`.
+
+    Returns:
+        The number of the sample that is next after the copy.
     """
     while mark < marks.shape[0] and marks[mark] == done:
         copy(state, samples.states[mark])
@@ -525,7 +531,7 @@ class StepArrays(NamedTuple):
 
 @kernel_only
 def step(state, h, bends, model, work):  # type: ignore[no-untyped-def]
-    """Make one step of SDIRK2 and return whether both stages converged.
+    """Make one step of SDIRK2.
 
     Args:
         state: state at the start, shape (STATES,).
@@ -534,6 +540,9 @@ def step(state, h, bends, model, work):  # type: ignore[no-untyped-def]
         model: the constants.
         work: work arrays. `after` and `rates` get the state at the end and the rates at
             the stages. `guess` and `pace` belong to the start, then to the end.
+
+    Returns:
+        Whether both stages converged.
     """
     u = work.guess
     pace = work.pace

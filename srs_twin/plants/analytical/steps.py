@@ -188,10 +188,15 @@ def _cubic(at, span, bends, first, out, row):  # type: ignore[no-untyped-def]
 
 @compiled
 def bend_within(at, h, bends, out, row):  # type: ignore[no-untyped-def]
-    """Fill bends and rates at the fraction `at` of a step of length h (s).
+    """Fill bends and rates within a step.
 
-    `bends` has the rows start, first stage and end of the step. The result goes to `row` of
-    `out`.
+    Args:
+        at: fraction of the step, 0 to 1.
+        h: length of the step, s.
+        bends: bends and rates at the start, first stage and end of the step, shape (3,
+            segments).
+        out: output for bends and rates, shape (rows, segments).
+        row: row of `out`.
     """
     if at < GAMMA:
         _cubic(at / GAMMA, GAMMA * h, bends, 0, out, row)

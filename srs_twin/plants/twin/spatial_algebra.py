@@ -120,8 +120,14 @@ def project_slopes(cdof, sparsity, slope, force, matrix):  # type: ignore[no-unt
     """Sum spatial derivatives towards the root and add their projection to a matrix.
 
     As in the composite-rigid-body algorithm, the sum beyond each degree of freedom is
-    projected on this degree of freedom and its ancestors. `slope` is changed in place, and
-    `force` is a workspace of shape (nv, 6).
+    projected on this degree of freedom and its ancestors.
+
+    Args:
+        cdof: spatial axes of the degrees of freedom, shape (nv, 6).
+        sparsity: sparsity pattern of the matrix.
+        slope: spatial derivatives, changed in place, shape (nv, 6, 6).
+        force: workspace, shape (nv, 6).
+        matrix: matrix that is changed in place, shape (nM,).
     """
     for i in range(sparsity.row_length.shape[0] - 1, -1, -1):
         d = cdof[i]
