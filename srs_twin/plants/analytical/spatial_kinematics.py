@@ -1,8 +1,8 @@
 """Compiled kinematics of a spatial body of arcs with curvature and twist.
 
-Velocities are ordered as the position and the rotation of the head connector in the
-world frame, then, for each segment from the head, the rates of the bends to the left
-and upwards and of the twist. The model is described in `quasistatic`.
+The first six velocities are the velocity and the angular velocity of the head connector
+in the world frame. For each segment, head first, the rates of the bends to the left and
+upwards and of the twist follow. `quasistatic` describes the model.
 """
 
 from __future__ import annotations

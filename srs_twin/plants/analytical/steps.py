@@ -82,8 +82,8 @@ class Steps:
             events: times of valve events, ascending, s.
             samples: number of equally spaced samples, the last one at the end.
             longest: maximum step, s.
-            same: distance below which an event does not end a step of its own, if it is this
-                close to the end of another step or to another event, s.
+            same: minimum distance of an event from the end of another step and from other
+                events, s. A closer event does not end a step.
         """
         per_sample = math.ceil(span / samples / longest * (1 - 1e-12))
         even = _even(span, samples, per_sample)

@@ -108,7 +108,7 @@ class TwinBatch(Claimable):
             **settings: further arguments of `TwinSnake`, for all runs.
 
         Raises:
-            InputError: there is no run, the robots have different numbers of connectors, the
+            InputError: there is no run, the robots differ in the number of connectors, the
                 number of pressures is wrong, the chambers are given as an object, or
                 `TwinSnake` refuses an argument.
         """

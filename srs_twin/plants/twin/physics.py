@@ -66,7 +66,7 @@ class SensorAddresses(NamedTuple):
 
     Attributes:
         floor_force, foot_velocity: addresses of the floor's force on each wheel and of the
-            velocity of each foot, shape (wheels,). The latter are empty under loaded
+            velocity of each foot, shape (wheels,). There are no velocities under loaded
             contact.
         obstacle_force: address of the obstacles' force on each hull, shape (hulls,).
         external_force, external_velocity: addresses of other force components that take
