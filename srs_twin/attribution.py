@@ -406,10 +406,10 @@ def _with_bending(spec: RobotSpec, **changes: float) -> RobotSpec:
 
 
 Progress = Callable[[float, float | None], None]
-"""Function called with the finished fraction, 0 to 1, and an estimate of the remaining time, s."""
+"""Function of the finished fraction, 0 to 1, and the estimated remaining time, s."""
 
 _MAX_STEPS = 12_000
-"""Time steps of the twin after which the attribution ends if the controller reads the state.
+"""Maximum number of the twin's time steps if the controller reads the state.
 
 Such a controller acts at every tick, which costs several times the physics. The
 attribution simulates the twin about eleven times.

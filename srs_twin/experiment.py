@@ -78,7 +78,7 @@ _ALL_PRODUCTS = (*PRODUCTS, f"{MEASURED}.parquet")
 """Files of a run with a recording."""
 
 Progress = Callable[..., None]
-"""Function of a task, its completed fraction (0 to 1) and maybe the remaining time, s."""
+"""Function of a task, its completed fraction and optionally the remaining time, s."""
 Explain = Callable[..., Attribution]
 """Function that attributes the difference of the plants (`attribution.explain`)."""
 
@@ -556,8 +556,8 @@ def compare(
         well.
 
     Raises:
-        InputError: the combination of arguments is wrong, or the trajectories or the
-            scenario are invalid.
+        InputError: the combination of arguments is wrong, or `comparison.compare.compare`
+            or `load_scenario` refuses an argument.
         DivergedError: the state of a plant is no longer finite.
     """
     if isinstance(reference, Trajectory):

@@ -108,9 +108,11 @@ def rollout(
         an early end (``ended_by``) and the description of the controller (``control``).
 
     Raises:
-        InputError: the durations are not compatible, several initial states are given, the
-            controller does not fit the valve layout, an obstacle overlaps the body, a saved
-            state belongs to another object, or another thread uses plant or controller.
+        InputError: duration, tick, time step and record_hz are not compatible, or several
+            of pose, begin and resume are given. The error is also raised if the
+            controller cannot drive this valve layout, or an obstacle overlaps the body at
+            the start. Further reasons are a saved state of another plant or controller,
+            and another thread that uses the plant or the controller.
         DivergedError: plant or controller diverged. The `trajectory` of the error has the
             samples recorded before.
     """

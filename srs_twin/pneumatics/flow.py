@@ -29,7 +29,7 @@ LAMINAR = 0.999
 """Pressure ratio r_l above which the flow is linear, dimensionless."""
 
 REMAINING = math.exp(-2)
-"""Fraction of a pressure change that remains after two time constants, at the working point."""
+"""Fraction of a pressure change that remains at the working point, e⁻²."""
 
 
 @compiled

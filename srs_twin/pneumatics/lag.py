@@ -120,21 +120,17 @@ class Relaxation(NamedTuple):
 
     Attributes:
         kinds: kind of each chamber, shape (segments, 2).
-        rates: relaxation rate a per kind and valve state, 1/s.
-        asymptotes: asymptote P per kind and valve state, Pa.
-        decay: work array with the factor e^{−at} of the deviation p − P, per kind and valve
+        rates, asymptotes: relaxation rate a (1/s) and asymptote P (Pa) per kind and valve
             state.
-        lag: work array with the response of x to this deviation, per gain, kind and valve
-            state.
-        mode: work array, factor e^{−t/τ₂} of x, shape (1,).
-        tau: mode time constant τ₂, s.
-        leak: leak rate λ, 1/s.
+        decay, lag, mode: work arrays with the factor e^{−at} of the deviation p − P, with
+            the response of x to this deviation per gain, and with the factor e^{−t/τ₂} of
+            x.
+        tau, leak: mode time constant τ₂ (s) and leak rate λ (1/s).
         damping_time: damping time c/k of a segment, s.
         gain: gain of each chamber, shape (segments, 2), rad/Pa.
         bias: rest bends, shape (segments,), rad.
         bend_limit, onset_share, onset, onset_width: see `BendLaw`.
-        dead_volume: dead volume V₀ of a chamber, m³.
-        displacement: displacement A of a chamber, m³/rad.
+        dead_volume, displacement: V₀ (m³) and A (m³/rad) of a chamber.
         worth: pneumatic energy per amount of air drawn, dimensionless.
     """
 
@@ -159,12 +155,7 @@ class Relaxation(NamedTuple):
 
 
 class _Chambers(NamedTuple):
-    """State of the chambers in a kernel.
-
-    Attributes:
-        pressure: gauge pressures, shape (segments, 2), Pa.
-        linear, bend: linear bends x and free bends, shape (segments,), rad.
-    """
+    """Gauge pressures (Pa), linear bends x and free bends (rad) in a kernel."""
 
     pressure: np.ndarray
     linear: np.ndarray
@@ -440,11 +431,18 @@ def _fill_decay(t, law):  # type: ignore[no-untyped-def]
 def advance_segment(state, j, pressure, linear, law):  # type: ignore[no-untyped-def]
     """Return pressures (Pa) and linear bend (rad) of a segment after a time.
 
-    The time has no valve events, and `law` holds its factors. The given pressures and the
-    linear bend are the initial values.
+    The time has no valve events, and `law` holds its factors.
+
+    Args:
+        state: valve states, shape (2,).
+        j: index of the segment.
+        pressure: initial gauge pressures, shape (2,), Pa.
+        linear: initial linear bend, rad.
+        law: a `Relaxation`.
     """
     first = law.kinds[j, 0]
     second = law.kinds[j, 1]
+    # The valve states −1, 0 and +1 are the columns 0, 1 and 2 of the law.
     up = state[0] + 1
     down = state[1] + 1
     mode = law.mode[0]
@@ -489,10 +487,6 @@ def filling_content(state, plus, minus, bend, law, ambient):  # type: ignore[no-
 
 @kernel_only
 def _exponential_response(rate, tau, t, decay, mode):  # type: ignore[no-untyped-def]
-    """Return y(t) of τ ẏ + y = e^{−at} with y(0) = 0: (e^{−at} − e^{−t/τ})/(1 − aτ).
-
-    `decay` is e^{−at}, and `mode` is e^{−t/τ}.
-    """
     gap = 1 - rate * tau
     if abs(gap) < _SAME:
         return t / tau * mode

@@ -72,7 +72,7 @@ A larger ratio would choke the flow at a working point, which would not determin
 """
 
 LINE_VOLUME = 50e-6
-"""Estimated volume of compressor outlet, tubes and manifold behind a limited supply, m³."""
+"""Estimated volume of compressor outlet, tubes and manifold, m³."""
 
 _SUBSTEP_S = 5e-4
 """Maximum step of the integrator at a time unit of 1 (`robot.scale`), s."""

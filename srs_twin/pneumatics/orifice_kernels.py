@@ -50,8 +50,7 @@ class Plumbing(NamedTuple):
     """Parameters of the equations.
 
     Attributes:
-        dead: dead volume V₀, m³.
-        displacement: displacement A, m³/rad.
+        dead, displacement: dead volume V₀ (m³) and displacement A (m³/rad).
         gain: gain of each chamber, shape (segments, 2), rad/Pa.
         bias: rest bends b, shape (segments,), rad.
         law: bend law, a `BendLaw`.
@@ -59,8 +58,7 @@ class Plumbing(NamedTuple):
         critical: critical pressure ratio b of the valves, dimensionless.
         fill, vent: P₀ C of each inlet and outlet, shape (segments, 2), m³/s.
         leak: leak conductance Λ of each chamber, shape (segments, 2), J/(s Pa).
-        supply: absolute supply pressure, Pa.
-        max_flow: maximum flow of the supply, J/s.
+        supply, max_flow: absolute pressure (Pa) and maximum flow (J/s) of the supply.
         band: pressure range over which the regulator closes, Pa.
         line_volume: volume of the line, m³.
         limited: whether the flow is limited. Otherwise the line has the supply pressure.
@@ -328,8 +326,8 @@ def _rates(y, line_amount, state, coupled, bend, air, dy):  # type: ignore[no-un
         for side in range(2):
             c = chamber(y[j, side], q, j, side, state[j, side], line, air)
             dy[j, side] = c.inflow - c.outflow
-            # The two gains differ, so ambient pressure would not cancel. Gauge pressures
-            # are used instead.
+            # The two gains differ, so ambient pressure would not cancel in absolute
+            # pressures.
             gauge = c.pressure - AMBIENT_PA
             deviation += (1.0 - 2.0 * side) * air.gain[j, side] * gauge
             total_inflow = total_inflow + c.inflow
@@ -387,12 +385,7 @@ def _step(now, h, begun, state, actual, air, work):  # type: ignore[no-untyped-d
 
 
 class _End(NamedTuple):
-    """One end of a step.
-
-    Attributes:
-        y, rates: state and ẏ, shape (segments, 3).
-        air: amounts of air, flow from the supply and total inflow, shape (5,).
-    """
+    """State, rates and amounts of air with two flows at one end of a step."""
 
     y: np.ndarray
     rates: np.ndarray
@@ -512,7 +505,6 @@ class _Sample(NamedTuple):
 
 @allocating
 def _fill_rows(times, step, state, actual, air, trace):  # type: ignore[no-untyped-def]
-    """Fill the trace within a step from cubic Hermite polynomials through its ends."""
     h = step.length
     y0 = step.begin.y
     y1 = step.end.y

@@ -1,9 +1,9 @@
 r"""Chambers of a spatial robot, which bend a segment in several directions.
 
 Each chamber fills and vents with the first-order lag of `lag`, and a lag with the time
-constant τ₂ follows the pressure. With the directions d_c of the chambers
-(`Chamber.directions`), the lagged pressures p̂_c and the bend law φ of `chambers`, the
-free bend of a segment is a vector with components to the left and upwards,
+constant τ₂ follows the pressure. d_c are the directions of the chambers
+(`Chamber.directions`), p̂_c the lagged pressures, and φ is the bend law of `chambers`.
+The free bend of a segment is a vector with components to the left and upwards,
 
 $$ x = G \sum_c g_c\, \hat p_c\, d_c, \qquad q = b + \varphi(|x|)\, x / |x| , $$
 

@@ -36,7 +36,7 @@ LAYOUTS = {"3/2": (-1, 1), "in_out": (-1, 0, 1)}
 """Possible valve states per layout: one 3/2 valve, or an inlet and an outlet valve."""
 
 SLOT_S = 1e-4
-"""Time raster of valve events within a control tick, s, at a time unit of 1 (`robot.scale`)."""
+"""Time raster of valve events at a time unit of 1 (`robot.scale`), s."""
 
 # Minimum time between two valve events, s. Closer events differ only by rounding and
 # are merged.

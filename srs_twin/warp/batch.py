@@ -428,11 +428,8 @@ class WarpBatch(Claimable):
     ) -> SnakeState:
         """Return the history of all runs, with axes of samples and runs.
 
-        Args:
-            rows: observations, one per sample.
-            times: times of the samples, shape (samples,), s.
-            steps: number of time steps before each sample, over which forces are averaged,
-                shape (samples,).
+        `rows` holds one observation per sample. Forces are averaged over the time steps before
+        each sample, `steps`.
         """
         table = np.stack([row.numpy() for row in rows]).astype(float)
         shape = table.shape[:2]
@@ -489,8 +486,8 @@ class WarpBatch(Claimable):
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the moments of the segments (N·m) and their stored energy (J).
 
-        All arguments have leading axes of samples and runs, and angles in rad. Free bends are
-        without the rest bends.
+        All arguments have leading axes of samples and runs, and angles in rad. `free` excludes
+        the rest bends.
         """
         torque = np.empty_like(bend)
         stored = np.empty(bend.shape[:2])
@@ -513,13 +510,9 @@ class WarpBatch(Claimable):
 
 
 def _moved(qpos: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Return positions after a rotation about the origin and a translation.
+    """Return positions after a rotation, a translation and a small lift.
 
-    The snakes are also lifted slightly.
-
-    Args:
-        qpos: positions, one row per snake.
-        places: translation x, y (m) and rotation (rad) of each snake, shape (…, 3).
+    `places` holds the translation x, y (m) and the rotation (rad) of each snake.
     """
     moved = qpos.copy()
     yaw = places[:, 2]

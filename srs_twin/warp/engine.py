@@ -315,14 +315,14 @@ class DeviceEngine:
             wp.copy(getattr(self.structs["wave"], name), getattr(stacked, name))
 
     def command(self, commands: wp.array) -> None:
-        """Set the valve states of each tick from now on, shape (worlds, slots, segments, 2)."""
+        """Set the valve states per tick, shape (worlds, slots, segments, 2)."""
         if commands.shape != self._commands.shape:
             self._commands = wp.empty_like(commands)
             self._graphs = {}
         wp.copy(self._commands, commands)
 
     def update_supply_pressure(self) -> None:
-        """Copy the supply pressures of the twins' chambers to the device after they have changed."""
+        """Copy changed supply pressures of the twins' chambers to the device."""
         relaxations = [chambers.relaxation(self._slot) for chambers in self._chambers]
         for name in ("asymptotes", "worth"):
             rows = np.array(
@@ -332,12 +332,12 @@ class DeviceEngine:
             getattr(self.structs["relaxation"], name).assign(rows)
 
     def run(self, steps: int, *, gait: bool = False) -> None:
-        """Make time steps without observation; on a GPU each step is one CUDA graph.
+        """Make time steps without observation. On a GPU each step is one CUDA graph.
 
         Args:
             steps: number of steps.
-            gait: whether the gaits of `set_waves` command the valves, instead of the
-                latest commands.
+            gait: whether the gaits of `set_waves` command the valves, instead of the latest
+                commands.
         """
         with wp.ScopedDevice(self._device):
             if not self._device.is_cuda:
@@ -374,10 +374,6 @@ class DeviceEngine:
 
 def _set_individual_parameters(model: Any, models: list[mujoco.MjModel]) -> None:
     """Give each world its own values of the model fields in which worlds differ.
-
-    Args:
-        model: model of MuJoCo Warp, made from the first of `models`.
-        models: model of each world.
 
     Raises:
         InputError: the models differ in a field that the engine shares between worlds.

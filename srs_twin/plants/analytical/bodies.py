@@ -279,11 +279,7 @@ class ClampedBends(Body):
 class _Chain(NamedTuple):
     """Chain of connectors in the world frame, relative to its head.
 
-    Attributes:
-        position, acceleration: positions (m) and accelerations (m/s²), shape (N, 2).
-        alpha: angular accelerations, shape (N,), rad/s².
-        lever: velocity of all connectors behind a segment per bend rate, shape
-            (segments, 2), m.
+    `lever` is the velocity of all connectors behind a segment per bend rate, m.
     """
 
     position: np.ndarray

@@ -90,7 +90,7 @@ class Undivided:
 
     @property
     def com_behind_head(self) -> float:
-        """Distance of the centre of mass behind the first connector of a straight body, m."""
+        """Distance of a straight body's centre of mass behind the head connector, m."""
         pitch = self.spec.geometry.pitch
         return (
             pitch

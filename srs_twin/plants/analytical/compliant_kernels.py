@@ -110,7 +110,7 @@ BENDS = STATES
 """Index of the first bend in the state; the momenta of the bends follow the bends."""
 
 _NEWTON_STEPS = 1000
-"""Maximum number of iterations. A body at rest on a slope, at a kink of the law, needs many."""
+"""Maximum number of iterations; a body at rest on a slope needs many."""
 _NEWTON_TOLERANCE = 1e-9
 """Tolerance of the velocities at a time unit of 1, m/s."""
 _NEWTON_ARM = 0.1
@@ -174,7 +174,7 @@ class CompliantModel(NamedTuple):
         floor: FloorFriction,
         obstacles: Obstacles | None = None,
     ) -> CompliantModel:
-        """Return the model, with springs per model or (segments, cells per segment)."""
+        """Return the model; springs are numbers or (segments, cells) arrays."""
         cells = len(solid.mass) - 1
         if np.ndim(stiffness) == 0:
             segments = cells
@@ -272,8 +272,7 @@ def _damper_power(model, rates, free_rates):  # type: ignore[no-untyped-def]
 def balance(q, u, moment, a, model, floor, work):  # type: ignore[no-untyped-def]
     """Fill momenta and forces of Lagrange's equations, and the input of `solve`.
 
-    All are in the frame of the mean heading. The result is the power that floor and
-    obstacles take from the body, W.
+    All are in the frame of the mean heading.
 
     Args:
         q: bends, shape (segments,), rad.
@@ -285,6 +284,9 @@ def balance(q, u, moment, a, model, floor, work):  # type: ignore[no-untyped-def
         model: a `CompliantModel`, whose obstacles hold the pose of the body.
         floor: the floor.
         work: a `WorkArrays`.
+
+    Returns:
+        Power that floor and obstacles take from the body, W.
     """
     solid = model.solid
     body = work.body

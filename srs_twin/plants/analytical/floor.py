@@ -146,7 +146,6 @@ def _loaded_pair(law, v_a, v_b, mu_a, mu_b, across, weight, floor):  # type: ign
     """Return the terms of two contacts with instantaneous loads.
 
     `v_a` and `v_b` are the velocities of the left and right contact along the heading.
-    `weight` is the normal load of both contacts together.
     """
     left = law(v_a, across, 1.0, mu_a, floor.mu_n, floor.slip)
     right = law(v_b, across, 1.0, mu_b, floor.mu_n, floor.slip)
@@ -470,7 +469,7 @@ def _compile_forces_and_slopes(body, mass, u, floor):  # type: ignore[no-untyped
 
 @compiled
 def fill_forces(body, mass, u, floor, force):  # type: ignore[no-untyped-def]
-    """Fill the floor's force (N) and moment (N·m) on each connector.
+    """Fill the floor's force along and across (N) and moment (N·m) on each connector.
 
     Args:
         body: posed body, shape (ROWS, N).
@@ -478,7 +477,7 @@ def fill_forces(body, mass, u, floor, force):  # type: ignore[no-untyped-def]
         u: velocity of the centre of mass in the body frame (m/s) and yaw rate (rad/s),
             shape (3 or more,).
         floor: the floor.
-        force: output with force along, force across and moment, shape (N, 3).
+        force: output, shape (N, 3).
     """
     for i in range(mass.shape[0]):
         c = body[COS, i]

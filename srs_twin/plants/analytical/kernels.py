@@ -106,11 +106,8 @@ _CHORD_COLUMNS = 4
 class _InverseArrays(NamedTuple):
     """Work arrays of the inverse dynamics.
 
-    Attributes:
-        body: posed body, shape (ROWS, N).
-        friction: friction on the connectors (`fill_forces`), shape (N, 3).
-        chords: L' e (m/rad) and L e (m), shape (segments, _CHORD_COLUMNS).
-        load: accelerations of the connectors, then the loads on them, shape (N, 3).
+    `chords` holds L' e (m/rad) and L e (m) of each segment. `load` holds accelerations of
+    the connectors, then the loads on them.
     """
 
     body: np.ndarray
@@ -199,10 +196,8 @@ def _fill_accelerations(trace, k, yaw, solid, work):  # type: ignore[no-untyped-
 def _balance_loads(inertia, model, work):  # type: ignore[no-untyped-def]
     """Convert the accelerations in `work.load` to forces (N) and moments (N·m).
 
-    They include the acceleration of the whole body.
-
-    Returns:
-        Moment of the loads about the centre of mass, or 0 if the friction moment acts, N·m.
+    They include the acceleration of the whole body. The result is the moment of the loads
+    about the centre of mass (N·m), or 0 if the friction moment acts.
     """
     solid = model.solid
     body = work.body
@@ -283,7 +278,7 @@ _NEWTON_TOLERANCE = 1e-8  # tolerance of the velocities at a time unit of 1, m/s
 _NEWTON_ARM = 0.1
 """Lever arm that turns the yaw rate into a velocity, at a length unit of 1, m."""
 _OVERSHOOT = 0.1
-"""Ratio of the derivatives after and before a Newton step above which it was too long."""
+"""Ratio of the derivatives after and before a Newton step that was too long."""
 
 
 @inlined
@@ -347,7 +342,7 @@ def is_slow(state):  # type: ignore[no-untyped-def]
 
 @inlined
 def record(state, velocity, marks, done, mark, samples):  # type: ignore[no-untyped-def]
-    """Copy state and velocity to the samples after `done` steps; return the next one.
+    """Copy state and velocity after `done` steps to all samples at this step.
 
     Args:
         state: state after `done` steps.
@@ -356,6 +351,9 @@ def record(state, velocity, marks, done, mark, samples):  # type: ignore[no-unty
         done: number of completed steps.
         mark: number of the next sample.
         samples: a `Samples`.
+
+    Returns:
+        The number of the sample that is next after the copy.
     """
     while mark < marks.shape[0] and marks[mark] == done:
         copy(state, samples.states[mark])
@@ -533,7 +531,7 @@ class StepArrays(NamedTuple):
 
 @kernel_only
 def step(state, h, bends, model, work):  # type: ignore[no-untyped-def]
-    """Make one step of SDIRK2 and return whether both stages converged.
+    """Make one step of SDIRK2.
 
     Args:
         state: state at the start, shape (STATES,).
@@ -542,6 +540,9 @@ def step(state, h, bends, model, work):  # type: ignore[no-untyped-def]
         model: the constants.
         work: work arrays. `after` and `rates` get the state at the end and the rates at
             the stages. `guess` and `pace` belong to the start, then to the end.
+
+    Returns:
+        Whether both stages converged.
     """
     u = work.guess
     pace = work.pace

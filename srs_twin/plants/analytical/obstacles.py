@@ -99,13 +99,10 @@ class Obstacles(NamedTuple):
             The ends of a circle are equal.
         stretch: reach of the body ahead of and behind each point, shape (points, 2), m.
         half_width: half width w, m.
-        stiffness: contact stiffness k, N/m.
-        loss: dissipation coefficient χ, s/m.
-        friction: friction coefficient μ, dimensionless.
-        slip: slip speed ε, m/s.
-        pose: work array, pose of the body at the end of a stage, shape (4,).
-        near: work array: number of obstacles within reach of the body, and their
-            indices.
+        stiffness, loss: contact stiffness k (N/m) and dissipation coefficient χ (s/m).
+        friction, slip: friction coefficient μ (dimensionless) and slip speed ε (m/s).
+        pose: pose of the body at the end of a stage, shape (4,).
+        near: number of obstacles within reach of the body, and their indices.
         force: force of the obstacles on each point at the latest evaluation, world
             frame, shape (points, 2), N.
         normal, load: normal forces at the latest evaluation and in the friction law, shape
@@ -230,13 +227,7 @@ def _axis(shape, pose):  # type: ignore[no-untyped-def]
 
 
 class _Stretch(NamedTuple):
-    """Straight stretch of the body around a point, in the mean-heading frame.
-
-    Attributes:
-        x, y: position of the point, m.
-        cos, sin: cosine and sine of the heading.
-        ahead, behind: ends of the stretch along the heading, positive and negative, m.
-    """
+    """Straight stretch of the body around a point, in the mean-heading frame."""
 
     x: float
     y: float
@@ -249,9 +240,8 @@ class _Stretch(NamedTuple):
 class _Gap(NamedTuple):
     """Closest points of the axes of body and obstacle.
 
-    Attributes:
-        place: position on the body, along its heading from the point, m.
-        x, y: vector from the obstacle to the body, m.
+    `place` is the position on the body, along its heading from the point. (x, y) is the
+    vector from the obstacle to the body, m.
     """
 
     place: float

@@ -56,7 +56,7 @@ from srs_twin.robot.spec import GRAVITY, RobotSpec
 _DEPTH_RATIO = 1 / 2000
 """Depth of a resting point in the floor over the radius of the body."""
 _DRAG_TIME_S = 0.5
-"""Time τ of the drag of vertical motion and of rolling at a time unit of 1 (`robot.scale`), s."""
+"""Drag time τ of vertical motion and of rolling at a time unit of 1, s."""
 _MOVE_RATIO = 0.05
 """Maximum motion of a point in a substep over the radius of the body."""
 _JUMP_RATIO = 0.25

@@ -29,7 +29,7 @@ from srs_twin.robot import friction
 from srs_twin.robot.spec import GRAVITY
 
 _MAX_SWEEPS = 4
-"""Maximum number of solves of a step, each with the previous loads in the friction law."""
+"""Maximum number of solves of a step, each with the loads of the previous solve."""
 _MAX_ITERATIONS = 30
 _SOFTER = (1e3, 1e2, 10.0, 1.0)
 """Factors on the slip speed that are tried in turn if Newton's method fails.

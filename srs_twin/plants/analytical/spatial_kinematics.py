@@ -1,8 +1,8 @@
 """Compiled kinematics of a spatial body of arcs with curvature and twist.
 
-Velocities are ordered as the position and the rotation of the head connector in the
-world frame, then, for each segment from the head, the rates of the bends to the left
-and upwards and of the twist. The model is described in `quasistatic`.
+The first six velocities are the velocity and the angular velocity of the head connector
+in the world frame. For each segment, head first, the rates of the bends to the left and
+upwards and of the twist follow. `quasistatic` describes the model.
 """
 
 from __future__ import annotations
@@ -60,15 +60,13 @@ class QuasistaticBody(NamedTuple):
 
     Attributes:
         share: fraction of the arc ahead of a point, shape (P,), dimensionless.
-        front: straight length between the connector and the arc, shape (P,), m.
-        rear: straight length between the arc and the point, shape (P,), m.
+        front, rear: straight lengths from the connector to the arc, and from the arc to the
+            point, shape (P,), m.
         mass: masses of the points, shape (S P,), kg.
-        length: length of an arc, m.
-        gap: straight length at each end of an arc, m.
+        length, gap: length of an arc, and straight length at each end of an arc, m.
         stiffness, damping: stiffness (N·m/rad) and damping (N·m·s/rad) of bends and twist,
             shape (3,).
-        radius: radius of the body, m.
-        depth: depth of the resting points in the floor, m.
+        radius, depth: radius of the body, and depth of its resting points in the floor, m.
         friction: friction of the skin.
         drag_time: mass over the drag of vertical and rolling motion, s.
         longest_move: maximum motion of a point in a substep, m.

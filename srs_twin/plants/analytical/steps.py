@@ -82,8 +82,8 @@ class Steps:
             events: times of valve events, ascending, s.
             samples: number of equally spaced samples, the last one at the end.
             longest: maximum step, s.
-            same: distance below which an event does not end a step of its own, if it is this
-                close to the end of another step or to another event, s.
+            same: minimum distance of an event from the end of another step and from other
+                events, s. A closer event does not end a step.
         """
         per_sample = math.ceil(span / samples / longest * (1 - 1e-12))
         even = _even(span, samples, per_sample)
@@ -188,7 +188,7 @@ def _cubic(at, span, bends, first, out, row):  # type: ignore[no-untyped-def]
 
 @compiled
 def bend_within(at, h, bends, out, row):  # type: ignore[no-untyped-def]
-    """Fill bends and rates at the fraction `at` of a step of length h (s).
+    """Fill bends and rates within a step.
 
     Args:
         at: fraction of the step, 0 to 1.
@@ -231,13 +231,7 @@ class PrescribedState(NamedTuple):
 
 
 class _AdvanceArrays(NamedTuple):
-    """Work arrays of `advance`.
-
-    Attributes:
-        step: work arrays of a substep.
-        drift: rates of change of the velocities before a substep, shape (3,).
-        stages: bends and rates at the stages of a substep, shape (2, segments).
-    """
+    """Work arrays of `advance`; `drift` holds the rates of change of the velocities."""
 
     step: StepArrays
     drift: np.ndarray

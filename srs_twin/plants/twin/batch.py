@@ -108,7 +108,7 @@ class TwinBatch(Claimable):
             **settings: further arguments of `TwinSnake`, for all runs.
 
         Raises:
-            InputError: there is no run, the robots have different numbers of connectors, the
+            InputError: there is no run, the robots differ in the number of connectors, the
                 number of pressures is wrong, the chambers are given as an object, or
                 `TwinSnake` refuses an argument.
         """
@@ -218,7 +218,7 @@ class TwinBatch(Claimable):
         return histories
 
     def openings(self) -> np.ndarray:
-        """Return the number of openings of each chamber's inlet, shape (runs, segments, 2)."""
+        """Return the number of openings of each inlet, shape (runs, segments, 2)."""
         return np.array([twin.openings() for twin in self.twins])
 
     def describe(self) -> dict[str, object]:

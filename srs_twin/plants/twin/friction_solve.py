@@ -139,9 +139,9 @@ class Contacts(NamedTuple):
 
     Attributes:
         wheels: number of wheels.
-        body: body id of each contact, shape (C,).
+        body, last_dof: body id, and last degree of freedom that moves the contact, shape
+            (C,).
         centre: centre of each wheel in the frame of its body, shape (wheels, 3), m.
-        last_dof: last degree of freedom that moves the contact, shape (C,).
         regularisation: MuJoCo's regularisation R of the normal force, infinite for a hull,
             shape (C,), 1/kg.
         admittance: inverse effective mass, across the heading for a wheel and along the
@@ -175,9 +175,9 @@ class ContactState(NamedTuple):
     Attributes:
         force: friction along and across the heading, and the part of it that spins the
             wheel, shape (C, 3), N.
-        rim_speed: circumferential speed of each wheel, shape (C,), m/s.
+        rim_speed, slip_speed: circumferential speed of each wheel, and slip speed of each
+            contact, shape (C,), m/s.
         load: normal force in the friction law, shape (C,), N.
-        slip_speed: slip speed of each contact, shape (C,), m/s.
     """
 
     force: np.ndarray
@@ -348,7 +348,7 @@ def store_friction(contacts, state, work, force):  # type: ignore[no-untyped-def
         state.force[w, _FORCE_ALONG] = f_t
         state.force[w, _FORCE_ACROSS] = f_n
         state.force[w, _STORED_SPIN] = work.response[w, _SPIN_FORCE]
-        # The rim speed is known at the fraction θ of the step, so it is extrapolated
+        # The solve gives the rim speed at the fraction θ of the step. It is extrapolated
         # to the end.
         state.rim_speed[w] += (rim - state.rim_speed[w]) / work.theta[w]
         c = work.heading[w, 0]
@@ -722,7 +722,9 @@ def _assemble(engine, contacts, sparsity, state, work, h):  # type: ignore[no-un
     for i in range(slope.shape[0]):
         clear(slope[i])
     for w in range(contacts.body.shape[0]):
-        weight = -work.theta[w] * h  # ∂u/∂δ = θ, and friction enters r with −h
+        # t is along and n across the heading. tt, tn and nn are derivatives of r with
+        # respect to δ: ∂u/∂δ is θ J, and friction enters r with the factor −h.
+        weight = -work.theta[w] * h
         tt = weight * response[w, _SLOPE_ALONG]
         tn = weight * response[w, _SLOPE_MIXED]
         nn = weight * response[w, _SLOPE_ACROSS]

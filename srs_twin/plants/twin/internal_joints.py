@@ -47,7 +47,7 @@ class InternalJoints:
         Args:
             model: compiled scene.
             spec: the robot.
-            settings: discretisation and contact of the scene.
+            settings: settings of the scene.
         """
         hinges = np.array(
             [

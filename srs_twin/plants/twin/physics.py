@@ -49,10 +49,8 @@ class StepBatch:
         energy: kinetic energy at the beginning of each step, shape (steps,), J.
         obstacle_force: mean force of all obstacles on each connector and the adjoining
             halves of its segments in each step, world frame, shape (steps, N, 3), N.
-        power: power that the snake loses to floor and obstacles in each step, shape
-            (steps,), W.
-        internal: power that the joints of the segments dissipate in each step
-            (`internal_joints`), shape (steps,), W.
+        power, internal: power that the snake loses to floor and obstacles, and power that
+            the joints of the segments dissipate (`internal_joints`), shape (steps,), W.
     """
 
     states: np.ndarray
@@ -68,7 +66,7 @@ class SensorAddresses(NamedTuple):
 
     Attributes:
         floor_force, foot_velocity: addresses of the floor's force on each wheel and of the
-            velocity of each foot, shape (wheels,). The latter are empty under loaded
+            velocity of each foot, shape (wheels,). There are no velocities under loaded
             contact.
         obstacle_force: address of the obstacles' force on each hull, shape (hulls,).
         external_force, external_velocity: addresses of other force components that take
@@ -155,14 +153,13 @@ class Kinematics:
 
     Attributes:
         qpos: generalised positions, shape (samples, nq).
-        com: centre of mass, shape (samples, 3), m.
-        com_velocity: velocity of the centre of mass, shape (samples, 3), m/s.
+        com, com_velocity: position (m) and velocity (m/s) of the centre of mass, shape
+            (samples, 3).
         positions: positions of the connectors, shape (samples, N, 3), m.
         headings: headings of the connectors, wrapped to (−π, π], shape (samples, N),
             rad.
-        bends: bends of the segments, shape (samples, segments), or (samples, segments, 2)
-            for a spatial robot, rad.
-        bend_rates: bend rates, in the shape of `bends`, rad/s.
+        bends, bend_rates: bends (rad) and bend rates (rad/s) of the segments, shape
+            (samples, segments), or (samples, segments, 2) for a spatial robot.
         orientations: quaternions of the connectors, w first, shape (samples, N, 4).
     """
 

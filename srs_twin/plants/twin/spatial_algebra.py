@@ -21,13 +21,12 @@ class Sparsity(NamedTuple):
     the degree of freedom itself.
 
     Attributes:
-        row_length: number of entries of each row, shape (nv,).
-        row_start: index of the first entry of each row, shape (nv,).
+        row_length, row_start: number and first index of the entries of each row, shape
+            (nv,).
         column: column of each entry, shape (nM,).
         parent: parent of each degree of freedom, −1 for the root, shape (nv,).
-        damping: damping matrix C in A = M + C (`contact_loaded`), shape (nM,), kg or
-            kg·m².
-        damping_excess: matrix h D − C, shape (nM,), kg or kg·m².
+        damping, damping_excess: matrix C in A = M + C (`contact_loaded`), and matrix h D −
+            C, shape (nM,), kg or kg·m².
     """
 
     row_length: np.ndarray

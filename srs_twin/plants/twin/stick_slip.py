@@ -46,11 +46,11 @@ class FloorLaw(NamedTuple):
 
     Attributes:
         kind: friction law, an index into `numerics.LAWS_ON_LOADS`.
-        forward: friction coefficient μ_t for slip towards the head, dimensionless.
+        forward, backward: friction coefficients μ_t for slip towards the head and the tail,
+            dimensionless.
         across: friction coefficient μ_n across the heading, dimensionless.
         slip_speed: slip speed ε, m/s.
         spin_mass: moment of inertia of a wheel's spin over its squared radius, kg.
-        backward: friction coefficient μ_t for slip towards the tail, dimensionless.
     """
 
     kind: int
@@ -101,6 +101,8 @@ def stick_slip_friction(v_t, v_n, load, mu_t, mu_n, slip, p_t, p_n):  # type: ig
     q_t = p_t / max(limit_t, _MIN_LIMIT)
     q_n = p_n / max(limit_n, _MIN_LIMIT)
     shrink = 1.0 / max(1.0, np.sqrt(q_t * q_t + q_n * q_n))
+    # y is the elastic trial force, and a is the trial force limited to the ellipse, both
+    # in units of the friction limits.
     y_t = shrink * q_t - mu_t * stiffness * v_t
     y_n = shrink * q_n - mu_n * stiffness * v_n
     size = np.sqrt(y_t * y_t + y_n * y_n)

@@ -2,8 +2,8 @@
 
 Hinges divide the body into rods. A rod is either a connector with the adjoining ends of
 its segments, or a link between the hinges of a segment. A rod has the mass of its part
-of the body, and the inertia of a block with the width of the body and twice the height
-of the centre of mass.
+of the body. Its inertia is computed for a block with the width of the body and twice
+the height of the centre of mass.
 
 A rod touches the floor in the middles of equally long patches, at two points side by
 side. The contact geoms are frictionless spheres around the height of the centre of
@@ -21,7 +21,7 @@ from srs_twin.plants.twin.mjcf.numerics import ModelSettings, hinge_stations
 from srs_twin.robot.spec import RobotSpec
 
 _MIN_LENGTH = 1e-9
-"""Minimum length of a part of a rod over the pitch; shorter parts are rounding errors."""
+"""Minimum length of a part of a rod over the pitch; less is a rounding error."""
 
 
 class Rod(NamedTuple):

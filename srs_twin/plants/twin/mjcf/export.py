@@ -65,7 +65,7 @@ _DEPARTURES = {
     "modules.sensor_gain_spread": _SENSORS,
     "modules.sensor_bias_spread_rad": _SENSORS,
 }
-"""Departure of the exported model from the twin, per path of a number of a robot file."""
+"""Departure of the exported model from the twin, per number of a robot file."""
 
 
 def describe_departures(robot: RobotFile) -> Iterator[str]:

@@ -225,11 +225,6 @@ class _Chain:
 
         Each hinge carries the body beyond it, and the last hinge carries the far connector,
         whose body is returned.
-
-        Args:
-            body: body of the near connector.
-            near: number of the near connector.
-            far: number of the far connector.
         """
         spec = self.spec
         g = spec.geometry

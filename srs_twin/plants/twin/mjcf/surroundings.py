@@ -33,7 +33,8 @@ from srs_twin.plants.twin.mjcf.wheels import add_force_sensor, add_velocity_sens
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import WALL_M, MovableObject, Step, World
 
-CONTACT_BIT = 2  # contype of obstacles and conaffinity of hulls; floor and wheels have explicit pairs
+# Contype of obstacles and conaffinity of hulls. Floor and wheels have explicit pairs.
+CONTACT_BIT = 2
 HEIGHT_RATIO = 2.0  # half height of a round obstacle over the body's width
 _MIN_CONTACT_STEPS = 2.0  # minimum contact time over the time step that MuJoCo uses
 _LEVEL_EXTENT = (
@@ -43,7 +44,8 @@ _LEVEL_EXTENT = (
 # a segment are so light that with 0.95 and 0.99 a peg sinks into them by a quarter of a
 # millimetre per newton.
 _IMPEDANCE = 0.99, 0.999
-_TRANSITION_DEPTH = 0.0005  # depth over which a contact reaches its full stiffness, at a length unit of 1, m
+# Depth over which a contact reaches its full stiffness, at a length unit of 1, m.
+_TRANSITION_DEPTH = 0.0005
 _GREY = [0.45, 0.47, 0.5, 1]  # RGBA
 _HULL_GROUP = 4  # geom group; viewers do not show it
 _GRADIENT = mujoco.mjtBuiltin.mjBUILTIN_GRADIENT

@@ -54,7 +54,8 @@ _RUNNER_SLOPE = (
 )
 
 # Lengths at a length unit of 1 (`robot.scale`), m.
-_RUNNER_DEPTH = 1e-6  # initial depth of a runner in the floor, so that the first step detects all of them
+# Initial depth of a runner in the floor. The first step then detects all runners.
+_RUNNER_DEPTH = 1e-6
 _REFERENCE_DEPTH = (
     5e-5  # depth of all feet in the floor at which regularisations are evaluated
 )
