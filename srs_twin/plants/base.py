@@ -49,6 +49,9 @@ SUPPORTS = {
 """Features of robots and worlds that each kind of plant supports: models of
 `AnalyticalSnake`, and contacts of `TwinSnake`."""
 
+_TERRAIN = "terrain"
+"""Feature of a spatial robot in a world that is not a level floor; no plant supports it."""
+
 
 def refusals(
     option: str, value: str, spec: RobotSpec | None, world: World
@@ -66,15 +69,18 @@ def refusals(
     """
     plant = f"{option} '{value}'"
     used = list(_features(option, spec, world))
-    needed = {feature for feature, _, _ in used}
-    able = [name for name, supported in SUPPORTS.items() if needed <= supported]
-    own = [name for name in able if name.startswith(option)]
-    remedy = "use a level floor without obstacles"
-    if own:
-        remedy = f"use {' or '.join(own)}"
-    elif able:
-        remedy = "use the twin"
+    needed = {feature for feature, _, _ in used if feature != _TERRAIN}
+    own = [
+        name
+        for name, supported in SUPPORTS.items()
+        if name.startswith(option) and needed <= supported
+    ]
+    # The twin with a loaded contact supports every feature but the terrain.
+    other = f"use {' or '.join(own) or 'the twin'}"
     for feature, parameter, words in used:
+        remedy = other
+        if feature == _TERRAIN:
+            remedy = "use a level floor without obstacles"
         if feature not in SUPPORTS[plant]:
             yield Violation(parameter, f"{plant} does not support {words}; {remedy}")
 
@@ -94,7 +100,7 @@ def _features(
             yield "tail", option, "a tail on two axles"
         if spec.is_spatial and (world.is_solid or world.uneven):
             words = "with obstacles, objects, steps or a slope"
-            yield "terrain", "world", f"the spatial robot {spec.name} {words}"
+            yield _TERRAIN, "world", f"the spatial robot {spec.name} {words}"
             return
     if world.has_obstacles:
         yield "obstacles", "obstacles", "obstacles"

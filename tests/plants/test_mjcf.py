@@ -280,7 +280,7 @@ def test_numerics_set_the_engine_options():
 
 
 def test_smallest_inertia_of_the_rules_is_that_of_mujoco():
-    assert LEAST_INERTIA == mujoco.mjMINVAL
+    assert mujoco.mjMINVAL == LEAST_INERTIA
 
 
 def test_time_step_above_the_damping_time_raises():
