@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import reprlib
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
@@ -26,6 +26,7 @@ from srs_twin.compute.claims import Claimable
 from srs_twin.errors import DivergedError, InputError, count_steps, format_exact
 from srs_twin.io.saved_state import SavedState, Stateful, short_digest
 from srs_twin.pneumatics import Pneumatics, Schedule, make_pneumatics
+from srs_twin.robot.rules import Violation
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import World
 from srs_twin.sensing import Sensor, make_sensor
@@ -35,6 +36,80 @@ PlantState = SavedState
 
 BASES = ("free", "clamped")
 """Supports of the chain: "free" on the floor, or "clamped" at its head in the air, as on a test bench."""
+
+_FLAT = frozenset({"planar", "obstacles", "floor"})
+SUPPORTS = {
+    "model 'complete'": _FLAT | {"skin"},
+    "model 'simplified'": _FLAT,
+    "model 'compliant'": _FLAT | {"skin"},
+    "model 'quasistatic'": frozenset({"spatial", "skin"}),
+    "contact 'loaded'": _FLAT | {"spatial", "skin", "tail", "objects", "steps"},
+    "contact 'preloaded'": frozenset({"planar", "spatial", "obstacles"}),
+}
+"""Features of robots and worlds that each kind of plant supports: models of
+`AnalyticalSnake`, and contacts of `TwinSnake`."""
+
+_TERRAIN = "terrain"
+"""Feature of a spatial robot in a world that is not a level floor; no plant supports it."""
+
+
+def refusals(
+    option: str, value: str, spec: RobotSpec | None, world: World
+) -> Iterator[Violation]:
+    """Yield the features of a robot and a world that a plant does not support.
+
+    The parameter is the option for a feature of the robot, and the section of the world
+    for a feature of the world.
+
+    Args:
+        option: "model" of the analytical plant or "contact" of the twin.
+        value: value of the option.
+        spec: robot; None for the features of the world alone.
+        world: world.
+    """
+    plant = f"{option} '{value}'"
+    used = list(_features(option, spec, world))
+    needed = {feature for feature, _, _ in used if feature != _TERRAIN}
+    own = [
+        name
+        for name, supported in SUPPORTS.items()
+        if name.startswith(option) and needed <= supported
+    ]
+    # The twin with a loaded contact supports every feature but the terrain.
+    other = f"use {' or '.join(own) or 'the twin'}"
+    for feature, parameter, words in used:
+        remedy = other
+        if feature == _TERRAIN:
+            remedy = "use a level floor without obstacles"
+        if feature not in SUPPORTS[plant]:
+            yield Violation(parameter, f"{plant} does not support {words}; {remedy}")
+
+
+def _features(
+    option: str, spec: RobotSpec | None, world: World
+) -> Iterator[tuple[str, str, str]]:
+    """Yield each feature, the parameter to change without it, and the feature in words."""
+    if spec is not None:
+        kind = "spatial" if spec.is_spatial else "planar"
+        hint = "with" if spec.is_spatial else "without"
+        words = f"the {kind} robot {spec.name} ({hint} chamber.directions_deg)"
+        yield kind, option, words
+        if spec.skin is not None:
+            yield "skin", option, "a robot with skin"
+        if spec.tail is not None:
+            yield "tail", option, "a tail on two axles"
+        if spec.is_spatial and (world.is_solid or world.uneven):
+            words = "with obstacles, objects, steps or a slope"
+            yield _TERRAIN, "world", f"the spatial robot {spec.name} {words}"
+            return
+    if world.has_obstacles:
+        yield "obstacles", "obstacles", "obstacles"
+    if world.objects:
+        yield "objects", "objects", "movable objects"
+    if world.floor.tilt:
+        yield "floor", "floor", "a floor that slopes"
+    if world.steps:
+        yield "steps", "steps", "a floor with steps"
 
 
 @dataclass(frozen=True)

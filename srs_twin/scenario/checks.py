@@ -20,24 +20,30 @@ from srs_twin.errors import (
     nearest_rate,
 )
 from srs_twin.io.documents import Document, Loc
+from srs_twin.plants.analytical.options import AnalyticalOptions
+from srs_twin.plants.base import refusals
 from srs_twin.plants.clearance import (
     PENETRATION_M,
     TOUCHING_M,
     hull_lines,
     start_overlaps,
 )
-from srs_twin.plants.twin.mjcf.numerics import MAX_STEP_RATIO
+from srs_twin.plants.twin.mjcf.numerics import ModelSettings
+from srs_twin.plants.twin.mjcf.rules import coupling_violations, violations
 from srs_twin.pneumatics.base import Pneumatics
 from srs_twin.pneumatics.chambers import largest_bend
 from srs_twin.robot.file import SERVO_PRESSURE_KPA, RobotFile
-from srs_twin.robot.friction import TWO_POINT_LAWS
 from srs_twin.robot.geometry import body_shape, relative_headings
 from srs_twin.robot.plausibility import likely_unit
+from srs_twin.robot.rules import Violation
+from srs_twin.robot.sourced import split_unit
 from srs_twin.robot.spec import RobotSpec
+from srs_twin.robot.world import World
 from srs_twin.scenario.fields import Contradiction, Loading
 from srs_twin.scenario.file import LEAST_RECORD_HZ, MOST_RECORD_HZ, ScenarioFile
 from srs_twin.scenario.plants import PlantFile, TwinFile
 from srs_twin.scenario.start import InitialState
+from srs_twin.scenario.world import WorldFile
 
 _ROUNDING = 1.001
 """Tolerance factor of a pressure limit: 7 psi, rounded to three digits, are 48.3 kPa,
@@ -55,8 +61,18 @@ _PSI_TOLERANCE = 0.1
 probably one of psi."""
 
 
-def check(document: Document, file: ScenarioFile) -> None:
-    """Report contradictions between the sections of a file that do not depend on the robot."""
+def check(
+    document: Document, file: ScenarioFile, world: World, robot: RobotFile | None
+) -> None:
+    """Report contradictions between the sections of a file.
+
+    Args:
+        document: scenario file.
+        file: valid sections.
+        world: world of the file.
+        robot: robot; None if the robot is not valid.
+    """
+    spec = None if robot is None else robot.spec()
     sections = [
         section.contradictions_with(file) for section in file.sections().values()
     ]
@@ -64,7 +80,8 @@ def check(document: Document, file: ScenarioFile) -> None:
         _times(file),
         file.start.contradictions(),
         _bench(file),
-        _floor(file),
+        _refusals(file, world, spec),
+        _options(file, spec),
         _expectations(file),
         _gap_factor(file),
         _world(file),
@@ -77,22 +94,49 @@ def _report(document: Document, contradictions: Iterable[Contradiction]) -> None
         document.report(loc, text, at_key=at_key)
 
 
-def _floor(file: ScenarioFile) -> Iterator[Contradiction]:
-    """Yield floors that a plant does not support."""
-    world = file.world
-    plants = file.plants
-    if world.steps and plants.analytical is not None:
-        yield Contradiction(
-            ("world", "steps"),
-            "the floor of the analytical model is a plane; only the twin has steps",
-        )
-    preloaded = plants.twin is not None and plants.twin.contact == "preloaded"
-    if preloaded and (world.steps or world.floor.tilt_deg):
-        uneven = "steps" if world.steps else "floor"
-        yield Contradiction(
-            ("world", uneven),
-            "a twin on this floor needs contact: loaded (plants.twin)",
-        )
+def _refusals(
+    file: ScenarioFile, world: World, spec: RobotSpec | None
+) -> Iterator[Contradiction]:
+    """Yield features of robot and world that a plant does not support."""
+    for kind, plant in file.plants.running.items():
+        key = plant.kind_key
+        for refusal in refusals(key, getattr(plant, key), spec, world):
+            yield _placed(kind, plant, refusal)
+
+
+def _options(file: ScenarioFile, spec: RobotSpec | None) -> Iterator[Contradiction]:
+    """Yield options of the analytical plant that exclude each other."""
+    plant = file.plants.analytical
+    if plant is not None:
+        options = AnalyticalOptions(base=_base(file), **plant.arguments())
+        for violation in options.violations(spec):
+            yield _placed("analytical", plant, violation)
+
+
+def _twin(file: ScenarioFile, spec: RobotSpec, world: World) -> Iterator[Contradiction]:
+    """Yield combinations of robot, settings and world that the twin does not support."""
+    twin = file.plants.twin
+    if twin is not None:
+        settings = ModelSettings(base=_base(file), **twin.arguments())
+        for violation in violations(spec, settings, world):
+            yield _placed("twin", twin, violation)
+
+
+def _base(file: ScenarioFile) -> str:
+    return "clamped" if file.bench else "free"
+
+
+def _placed(kind: str, plant: PlantFile, violation: Violation) -> Contradiction:
+    """Return a violation at the key of its parameter: of a plant, of the world, or of the file."""
+    parameter, text = violation
+    keys = {split_unit(key)[0]: key for key in type(plant).model_fields}
+    if parameter in keys:
+        return Contradiction(("plants", kind, keys[parameter]), text)
+    if parameter == "spec":
+        return Contradiction(("robot",), text)
+    if parameter in WorldFile.model_fields:
+        return Contradiction(("world", parameter), text)
+    return Contradiction((parameter,), text, at_key=True)
 
 
 def check_supply_pressure(document: Document, robot: RobotFile) -> list[str]:
@@ -148,7 +192,9 @@ def _unit_hint(pressure: float, nominal: float) -> str:
     return f"; {likely_unit(pressure, 'kPa', nominal)}"
 
 
-def check_robot(document: Document, file: ScenarioFile, robot: RobotFile) -> None:
+def check_robot(
+    document: Document, file: ScenarioFile, world: World, robot: RobotFile
+) -> None:
     """Report faults, sensors and time steps that the robot does not allow."""
     segments = robot.geometry.connectors.value - 1
     for k, fault in enumerate(file.faults):
@@ -161,7 +207,11 @@ def check_robot(document: Document, file: ScenarioFile, robot: RobotFile) -> Non
         file.sensor.sensor(robot.spec())
     _report(
         document,
-        chain(_kinds(file, robot), _contact(file, robot), _timestep(file, robot)),
+        chain(
+            _kinds(file, robot),
+            _contact(file, robot),
+            _twin(file, robot.spec(), world),
+        ),
     )
 
 
@@ -227,45 +277,18 @@ def _outline(
     return hull_lines(position[None], theta[None], geometry, hinges)
 
 
-def _timestep(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
-    """Yield a time step that is too long for the integrator and the damping times of the segments."""
-    bending = robot.spec().bending
-    twin = file.plants.twin
-    shortest = min(bending.damping_time, bending.out_of_plane_damping_time)
-    if twin is not None and not twin.timestep_s < MAX_STEP_RATIO * shortest:
-        text = (
-            f"{twin.timestep_s:g} s is too long: it must be below {MAX_STEP_RATIO:g}"
-            f" times the shortest damping time of the robot, {shortest:g} s"
-            " (bending.damping_time_s, out_of_plane_damping_time_s)"
-        )
-        yield Contradiction(("plants", "twin", "timestep_s"), text)
-
-
 def _kinds(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
-    """Yield models that do not support a spatial robot, a planar one, or one with servos."""
+    """Yield sections that do not support a spatial robot, or one with servos."""
     if robot.is_spatial:
         yield from _spatial(file, robot)
-    elif file.plants.analytical and file.plants.analytical.model == "quasistatic":
-        text = (
-            f"{robot.name} bends in one plane; quasistatic needs chamber.directions_deg"
-        )
-        yield Contradiction(("plants", "analytical", "model"), text)
     if robot.has_servos and file.pneumatics.kind != "lag":
         text = f"{robot.name} has servos, which respond like lag; use lag"
         yield Contradiction(("pneumatics", "kind"), text)
 
 
 def _contact(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
-    """Yield options of the plants that the robot's kind of contact does not have."""
-    model = file.plants.analytical
-    twin = file.plants.twin
+    """Yield options of wheels that a robot with skin does not have."""
     if not robot.has_skin:
-        if model and model.load == "momentary" and model.friction not in TWO_POINT_LAWS:
-            text = (
-                f"friction {model.friction} acts at one point per connector; momentary"
-                " loads need two"
-            )
-            yield Contradiction(("plants", "analytical"), text)
         return
     for kind, plant in file.plants.running.items():
         for key in plant.wheel_keys:
@@ -276,46 +299,16 @@ def _contact(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
                     f"{robot.name} {law}; remove this key",
                     at_key=True,
                 )
-    if twin and twin.contact == "preloaded":
-        yield Contradiction(
-            ("plants", "twin", "contact"), "a robot with skin needs contact: loaded"
-        )
-    if model and model.model == "simplified":
-        text = "a body with skin has no frozen chords; use complete or compliant"
-        yield Contradiction(("plants", "analytical", "model"), text)
-    if model and model.inertia == "lumped":
-        text = (
-            "the mass of a body with skin is along its length; use point or connector"
-        )
-        yield Contradiction(("plants", "analytical", "inertia"), text)
 
 
 def _spatial(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
     """Yield sections that do not support a robot whose segments bend in two directions."""
-    model = file.plants.analytical
-    world = file.world
-    if model is not None and model.model != "quasistatic":
-        text = (
-            f"{robot.name} is spatial; only model: quasistatic bends in two directions"
-        )
-        yield Contradiction(("plants", "analytical"), text, at_key=True)
     if file.start.moves:
         text = (
             f"{robot.name} is spatial and starts straight and at rest; set its pose"
             " only"
         )
         yield Contradiction(("start",), text, at_key=True)
-    things = (
-        world.steps,
-        world.floor.tilt_deg,
-        world.objects,
-        world.obstacles,
-        world.polygons,
-        world.random,
-    )
-    if any(things):
-        text = f"{robot.name} is spatial and crawls on a level floor without obstacles"
-        yield Contradiction(("world",), text, at_key=True)
     if file.pneumatics.kind != "lag":
         yield Contradiction(
             ("pneumatics", "kind"), f"{robot.name} is spatial and needs pneumatics lag"
@@ -364,15 +357,10 @@ def check_controller(file: ScenarioFile, loading: Loading) -> None:
 
 
 def _coupling_step(file: ScenarioFile, chambers: Pneumatics) -> Iterator[Contradiction]:
-    """Yield a time step that is too long for chambers whose pressure depends on the bends."""
     twin = file.plants.twin
-    longest = chambers.coupling_step_s * (1 + 1e-9)
-    if twin is not None and chambers.depends_on_bend and twin.timestep_s > longest:
-        text = (
-            f"{twin.timestep_s:g} s is too long for chambers whose pressure depends on"
-            f" the bends; it must be at most {chambers.coupling_step_s:g} s"
-        )
-        yield Contradiction(("plants", "twin", "timestep_s"), text)
+    if twin is not None:
+        for violation in coupling_violations(twin.timestep_s, chambers):
+            yield _placed("twin", twin, violation)
 
 
 def _times(file: ScenarioFile) -> Iterator[Contradiction]:
@@ -440,16 +428,10 @@ def _bench(file: ScenarioFile) -> Iterator[Contradiction]:
             if key in plant.model_fields_set:
                 text = "there is no floor on a bench; remove this key, or bench: true"
                 yield Contradiction(("plants", kind, key), text, at_key=True)
-    if file.plants.analytical and file.plants.analytical.model == "compliant":
-        text = (
-            "compliant needs a free snake; on a bench use complete, which has the bends"
-            " of a free module"
-        )
-        yield Contradiction(("plants", "analytical", "model"), text)
 
 
 def _world(file: ScenarioFile) -> Iterator[Contradiction]:
-    """Yield random obstacles without an area, and pegs and objects that a plant does not support."""
+    """Yield random obstacles without an area, and pegs that the analytical plant does not touch."""
     world = file.world
     plants = file.plants
     if (
@@ -467,19 +449,6 @@ def _world(file: ScenarioFile) -> Iterator[Contradiction]:
             " touch: true"
         )
         yield Contradiction(("plants", "analytical"), text)
-    if world.objects and plants.analytical is not None:
-        text = (
-            "the analytical plant has no movable objects; only the twin does: remove"
-            " analytical from plants"
-        )
-        yield Contradiction(("world", "objects"), text)
-    preloaded = plants.twin is not None and plants.twin.contact == "preloaded"
-    if world.objects and (file.bench or world.steps or preloaded):
-        text = (
-            "objects need a free snake on a plane floor and contact: loaded"
-            " (plants.twin)"
-        )
-        yield Contradiction(("world", "objects"), text)
 
 
 def _expectations(file: ScenarioFile) -> Iterator[Contradiction]:

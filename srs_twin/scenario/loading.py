@@ -156,9 +156,9 @@ def _checked(document: Document) -> tuple[ScenarioFile, Loading]:
         drawn = "pegs" if file.world.pegs else "random"
         with document.report_errors("world", drawn):
             world = file.world.build_world(file.start.build(), file.seed, length)
-        check(document, file)
+        check(document, file, world, robot)
     if file and robot:
-        check_robot(document, file, robot)
+        check_robot(document, file, world, robot)
         loading = Loading(document, file, robot, world, warnings=warnings)
         _build_parts(file, loading)
     document.raise_problems(robot_problems)

@@ -40,11 +40,14 @@ class _PlantFile(Section):
         floor_keys: keys that describe the contact with the floor, not allowed on a
             bench.
         scaled_keys: keys whose defaults are multiplied by the time unit of the robot.
+        kind_key: key that determines what the plant supports, see
+            `plants.base.refusals`.
         wheel_keys: keys that describe wheels or skids, not allowed for a robot with
             skin.
     """
 
     floor_keys: ClassVar[tuple[str, ...]]
+    kind_key: ClassVar[str]
     wheel_keys: ClassVar[tuple[str, ...]]
     scaled_keys: ClassVar[tuple[str, ...]] = ("timestep_s",)
 
@@ -72,6 +75,7 @@ class AnalyticalFile(_PlantFile):
 
     constructors = (AnalyticalOptions,)
     floor_keys = ("friction", "load", "friction_torque", "slip_speed_m_s")
+    kind_key = "model"
     wheel_keys = ("friction",)
 
     scaled_keys = ("timestep_s", "slip_speed_m_s")
@@ -113,20 +117,6 @@ class AnalyticalFile(_PlantFile):
             scaled.__dict__["timestep_s"] = default_timestep(tick, scale)
         return scaled
 
-    @model_validator(mode="after")
-    def _options_are_consistent(self) -> AnalyticalFile:
-        if not self.friction_torque and self.model != "simplified":
-            raise ValueError(
-                f"model {self.model} needs friction_torque: true; only simplified"
-                " allows false"
-            )
-        if self.touch and self.model != "compliant":
-            raise ValueError(
-                f"model {self.model} needs touch: false; only compliant touches"
-                " obstacles"
-            )
-        return self
-
 
 BENCH_TICK_S = 0.001
 """Default control tick on a bench, where controllers track fast references, at a time
@@ -138,6 +128,7 @@ class TwinFile(_PlantFile):
 
     constructors = (ModelSettings, PreloadedContact)
     floor_keys = ("preset", "wheels", "contact", "friction")
+    kind_key = "contact"
     wheel_keys = ("wheels", "friction")
 
     preset: Preset | None = None

@@ -102,7 +102,7 @@ BENCH_MALFORMED = edited(
         (
             "analytical: {}",
             "analytical: {model: compliant}",
-            ":10:23: plants.analytical.model: compliant needs a free snake",
+            ":10:23: plants.analytical.model: model 'compliant' needs base 'free'",
         ),
         (
             "in_out",

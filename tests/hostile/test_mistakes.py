@@ -156,7 +156,7 @@ SCENARIO_EDITS = [
     (
         "twin: {}}",
         "twin: {contact: preloaded}}\nworld: {floor: {tilt_deg: 3}}",
-        "7:16: world.floor: a twin on this floor needs contact: loaded (plants.twin)",
+        "7:16: world.floor: contact 'preloaded' does not support a floor that slopes; use contact 'loaded'",
     ),
     (
         "title: Mine",
@@ -278,14 +278,14 @@ POSITIONS = [
         "world: {}",
         "world: {steps: [{x_m: 0.5, height_m: 0.002}]}",
         (
-            "6:16: world.steps: the floor of the analytical model is a plane; only the"
-            " twin has steps"
+            "6:16: world.steps: model 'complete' does not support a floor with steps;"
+            " use the twin"
         ),
     ),
     (
         "friction: axis",
         "load: momentary",
-        "8:15: plants.analytical: friction axis acts at one point per connector",
+        "8:39: plants.analytical.load: friction 'axis' has one contact per connector",
     ),
     (
         "twin: {wheels: rolling}",

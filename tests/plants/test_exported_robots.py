@@ -368,7 +368,7 @@ def test_robot_without_wheels_is_refused(name):
 
 def test_tail_on_two_axles_is_refused():
     tail = {"axle_m": 0.05, "com_m": 0.02, "com_height_m": 0.02, "gyration_m": 0.02}
-    with pytest.raises(InputError, match="a tail on two axles needs contact 'loaded'"):
+    with pytest.raises(InputError, match="a tail on two axles; use contact 'loaded'"):
         robot_files(changed("gen2", tail=tail).spec())
 
 

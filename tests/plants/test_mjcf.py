@@ -10,6 +10,7 @@ from snakes import GRAVITY, chain, robot
 from srs_twin import InputError, PreloadedContact, load_robot
 from srs_twin.plants.twin.mjcf.model import robot_mjcf, scene_mjcf
 from srs_twin.plants.twin.mjcf.numerics import ModelSettings, hinge_stations
+from srs_twin.plants.twin.mjcf.rules import LEAST_INERTIA
 from srs_twin.plants.twin.mjcf.wheels import pair_attributes, preload_force, treads
 
 pytestmark = pytest.mark.fast
@@ -276,6 +277,10 @@ def test_numerics_set_the_engine_options():
     assert model.opt.gravity == pytest.approx([0, 0, -GRAVITY])
     assert model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_AUTORESET
     assert model.pair_solreffriction[:, 0] == pytest.approx([0.004] * 10)
+
+
+def test_smallest_inertia_of_the_rules_is_that_of_mujoco():
+    assert mujoco.mjMINVAL == LEAST_INERTIA
 
 
 def test_time_step_above_the_damping_time_raises():

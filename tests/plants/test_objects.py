@@ -324,7 +324,9 @@ def pulled_over_an_object(
 
 def test_plants_without_objects_refuse_them():
     world = World(objects=(CYLINDER,))
-    with pytest.raises(InputError, match="analytical model has no movable objects"):
+    with pytest.raises(
+        InputError, match="does not support movable objects; use the twin"
+    ):
         AnalyticalSnake(GEN2, world=world)
     with pytest.raises(InputError, match="contact 'loaded'"):
         TwinSnake(GEN2, contact="preloaded", world=world)

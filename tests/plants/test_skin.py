@@ -266,10 +266,12 @@ def test_robots_with_skin_have_no_mjcf_file():
 
 def test_options_that_a_skin_does_not_have_are_refused():
     with pytest.raises(
-        InputError, match="skin has neither model 'simplified' nor inertia 'lumped'"
+        InputError, match="model 'simplified' does not support a robot with skin"
     ):
         AnalyticalSnake(SPEC, model="simplified")
-    with pytest.raises(InputError, match="robot with skin needs contact 'loaded'"):
+    with pytest.raises(
+        InputError, match="does not support a robot with skin; use contact 'loaded'"
+    ):
         TwinSnake(SPEC, contact=PreloadedContact())
     with pytest.raises(InputError, match="friction law of a skin"):
         Skin(law="wheel")

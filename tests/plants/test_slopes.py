@@ -232,7 +232,7 @@ def test_snake_against_a_wall_sticks_up_to_the_friction_angle(share, moves):
     ("build", "words"),
     [
         (lambda world: TwinSnake(SPEC, contact="preloaded", world=world), "'loaded'"),
-        (lambda world: AnalyticalSnake(SPEC, world=world), "plane"),
+        (lambda world: AnalyticalSnake(SPEC, world=world), "use the twin"),
     ],
 )
 def test_unsupported_floor_raises(build, words):

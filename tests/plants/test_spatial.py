@@ -277,7 +277,9 @@ def test_the_scenario_of_a_run_loads_again_and_a_start_in_motion_is_refused():
     assert again.document == scenario.document
     with pytest.raises(InputFileError, match="start: spatial_example is spatial"):
         load_scenario("spatial_sidewinding", set={"start.bend_rad": [0.1] * 8})
-    with pytest.raises(InputFileError, match="world: spatial_example is spatial"):
+    with pytest.raises(
+        InputFileError, match="world: .* the spatial robot spatial_example with"
+    ):
         load_scenario("spatial_sidewinding", set={"world.floor.tilt_deg": 5})
 
 
@@ -300,7 +302,10 @@ def test_features_for_planar_robots_refuse_a_spatial_one_by_name():
             refused()
     with pytest.raises(InputError, match="needs a spatial robot; gen2"):
         rollout(TwinSnake(planar), Gait(1.0, pitch=SIDEWINDING), 0.1)
-    with pytest.raises(InputFileError, match="analytical: spatial_example is spatial"):
+    with pytest.raises(
+        InputFileError,
+        match="analytical.model: model 'complete' does not support the spatial robot",
+    ):
         load_scenario("spatial_sidewinding", set={"plants.analytical": {}})
     with pytest.raises(
         InputFileError, match="controller.kind: spatial_example is spatial"

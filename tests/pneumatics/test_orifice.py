@@ -583,10 +583,7 @@ def test_coupling_step_is_small_enough_with_a_flow_limit(
 def test_twin_time_step_above_the_coupling_step_raises():
     with pytest.raises(
         InputError,
-        match=(
-            r"time step 0.001 s is too long .*; it must be 0.00025 s or less"
-            r" \(timestep_s"
-        ),
+        match="time step 0.001 s is too long .*; it must be 0.00025 s or less",
     ):
         TwinSnake(robot(), pneumatics=limited(2.0))
     TwinSnake(robot(), pneumatics=limited(2.0), timestep=0.00025).step(

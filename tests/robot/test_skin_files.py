@@ -148,7 +148,8 @@ DATA = {
         ),
         (
             {"twin": {"contact": "preloaded"}},
-            "plants.twin.contact: a robot with skin needs contact: loaded",
+            "plants.twin.contact: contact 'preloaded' does not support a robot with"
+            " skin; use contact 'loaded'",
         ),
         (
             {"analytical": {"inertia": "lumped"}},
@@ -156,7 +157,8 @@ DATA = {
         ),
         (
             {"analytical": {"model": "simplified"}},
-            "plants.analytical.model: a body with skin has no frozen",
+            "plants.analytical.model: model 'simplified' does not support a robot with"
+            " skin; use model 'complete' or model 'compliant'",
         ),
     ],
 )

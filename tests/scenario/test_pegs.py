@@ -72,7 +72,7 @@ def test_plants_touch_pegs_with_the_stated_friction():
         ({"plants": {"analytical": {}}}, "set model: compliant and touch: true"),
         (
             {"plants": {"analytical": {"touch": True}}},
-            "only compliant touches obstacles",
+            "touches no obstacles; use 'compliant'",
         ),
         ({"pitch": 0.1}, "did you mean pitch_m?"),
     ],

@@ -9,8 +9,9 @@ from typing import TypedDict
 from srs_twin.compute.arrays import check_positive
 from srs_twin.errors import InputError, check_choice
 from srs_twin.io.arguments import check_types
-from srs_twin.plants.base import BASES
+from srs_twin.plants.base import BASES, refusals
 from srs_twin.robot.friction import LAWS, TWO_POINT_LAWS
+from srs_twin.robot.rules import Violation, raise_violations
 from srs_twin.robot.scale import SHIPPED, Scale, divide
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import World
@@ -144,66 +145,53 @@ class AnalyticalOptions:
         Raises:
             InputError: it cannot; the message contains all reasons.
         """
-        if self.model != "quasistatic":
-            spec.require_planar(f"the analytical model {self.model!r}")
-        violations = (
-            *self._violations_of_model(),
-            *self._violations_of_robot(spec),
-            *self._violations_of_world(world),
+        raise_violations(
+            (*refusals("model", self.model, spec, world), *self.violations(spec))
         )
-        if violations:
-            raise InputError("; ".join(violations))
 
-    def _violations_of_model(self) -> Iterator[str]:
+    def violations(self, spec: RobotSpec | None) -> Iterator[Violation]:
+        """Yield options that exclude each other; parameters are names of options.
+
+        Args:
+            spec: robot; None for the options alone.
+        """
         if not self.friction_torque and self.model != "simplified":
-            yield (
+            yield Violation(
+                "friction_torque",
                 f"model '{self.model}' has a friction torque; use 'simplified' to leave"
-                " it out"
+                " it out",
             )
         if self.base == "clamped" and self.model == "compliant":
-            yield (
+            yield Violation(
+                "model",
                 "model 'compliant' needs base 'free'; use 'complete' or the twin when"
-                " clamped"
+                " clamped, as on a bench",
             )
         if self.touch and self.model != "compliant":
-            yield (
+            yield Violation(
+                "touch",
                 f"model '{self.model}' has prescribed bends and touches no obstacles;"
-                " use 'compliant'"
+                " use 'compliant'",
             )
+        if spec is not None:
+            yield from self._violations_of_robot(spec)
 
-    def _violations_of_robot(self, spec: RobotSpec) -> Iterator[str]:
-        if self.model == "quasistatic" and not spec.is_spatial:
-            yield (
-                "model 'quasistatic' needs a spatial robot;"
-                f" {spec.name} bends in one plane"
+    def _violations_of_robot(self, spec: RobotSpec) -> Iterator[Violation]:
+        if spec.skin is not None and self.inertia == "lumped":
+            yield Violation(
+                "inertia",
+                "the mass of a body with skin is along its length, not 'lumped'; use"
+                " 'point' or 'connector'",
             )
-        if spec.skin is not None and (
-            self.model == "simplified" or self.inertia == "lumped"
-        ):
-            yield "a body with skin has neither model 'simplified' nor inertia 'lumped'"
         law = self.law_on(spec)
         if self.load == "momentary" and law not in TWO_POINT_LAWS:
-            yield (
+            yield Violation(
+                "load",
                 f"friction '{law}' has one contact per connector; momentary loads need"
-                " two: use 'wheel' or 'ellipse'"
+                " two: use 'wheel' or 'ellipse'",
             )
         elif self.load == "momentary" and self.track_of(spec) == 0.0:
-            yield "momentary loads need two contacts side by side; track must be above 0"
-        if spec.tail is not None:
-            yield (
-                "the analytical model has one axle per connector; use the twin for a"
-                " tail on two axles"
+            yield Violation(
+                "track",
+                "momentary loads need two contacts side by side; track must be above 0",
             )
-
-    def _violations_of_world(self, world: World) -> Iterator[str]:
-        if self.model == "quasistatic" and (world.uneven or world.is_solid):
-            yield (
-                "model 'quasistatic' needs a level floor without obstacles; use the"
-                " twin"
-            )
-        if world.steps:
-            yield (
-                "the floor of the analytical model is a plane; use the twin for steps"
-            )
-        if world.objects:
-            yield "the analytical model has no movable objects; use the twin"

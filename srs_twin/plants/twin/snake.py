@@ -35,9 +35,10 @@ from srs_twin.plants.twin.mjcf.numerics import (
     as_contact,
     preset_of,
 )
-from srs_twin.plants.twin.mjcf.rules import check
+from srs_twin.plants.twin.mjcf.rules import ROUNDING, check, coupling_violations
 from srs_twin.plants.twin.physics import ENGINE_WARNINGS, SnakePhysics, StepBatch
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace
+from srs_twin.robot.rules import raise_violations
 from srs_twin.robot.scale import divide
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import World
@@ -45,9 +46,6 @@ from srs_twin.sensing import Sensor
 
 _MAX_SPEED = 1e4
 """Speed of any joint from which a state is not plausible, rad/s or m/s."""
-
-_ROUNDING = 1 + 1e-9
-"""Factor that allows for rounding when two times are compared."""
 
 # Option of a contact → key in the provenance of a run, where the two differ.
 _CONTACT_KEYS = {
@@ -165,7 +163,7 @@ class TwinSnake(PneumaticPlant):
         self._settings = settings.for_robot(spec)
         check(spec, self._settings, world or World())
         supply = self._make_pneumatics_and_sensor(pneumatics, supply_pa, layout, sensor)
-        self._check_coupling_step()
+        raise_violations(coupling_violations(timestep, self.pneumatics))
         self._set_world(world)
         if spec.is_spatial:
             stiffness = [spec.bending.stiffness, spec.bending.pitch_stiffness]
@@ -177,15 +175,6 @@ class TwinSnake(PneumaticPlant):
             spec, self._settings, self.pneumatics, largest, world
         )
         self.reset()
-
-    def _check_coupling_step(self) -> None:
-        longest = self.pneumatics.coupling_step_s
-        if self.pneumatics.depends_on_bend and self.timestep > longest * _ROUNDING:
-            raise InputError(
-                f"time step {self.timestep:g} s is too long for chambers whose"
-                f" pressures depend on the bends; it must be {longest:g} s or less"
-                " (timestep_s in a scenario)"
-            )
 
     def _set_world(self, world: World | None) -> None:
         self.world = world
@@ -350,7 +339,7 @@ class TwinSnake(PneumaticPlant):
             interval = 1
         else:
             coupled = self.pneumatics.coupling_step_s / self.timestep
-            interval = max(1, math.floor(coupled * _ROUNDING))
+            interval = max(1, math.floor(coupled * ROUNDING))
         traces = []
         results = []
         for first in range(0, steps, interval):
