@@ -116,7 +116,6 @@ class PitchWave:
 
 
 def _rest_level(amplitude: float) -> float:
-    """Return the level below which a square wave rests for a given amplitude of its fundamental."""
     return math.sqrt(1 - amplitude**2)
 
 
@@ -327,7 +326,6 @@ class Gait(Controller):
         return up, down
 
     def _wave(self, time: np.ndarray) -> np.ndarray:
-        """Return S, shape (times, segments), int8."""
         value = (
             np.sin(2 * math.pi * self.frequency * time[:, None] - self.phase_lag)
             + self._offset

@@ -207,7 +207,6 @@ class Grasp(Controller):
         return valves
 
     def _change_phase(self, time: float, com: np.ndarray) -> None:
-        """Begin the next phase if it is due."""
         if self.finished:
             return
         if self.phase is Phase.CURL and time >= self.curl_s:

@@ -130,7 +130,6 @@ class PulseWidthModulator(Stateful):
         return np.where(filling, 1, -1).astype(np.int8)
 
     def _last_period(self) -> int:
-        """Return the number of the period that contains the last slot of the next tick."""
         return math.floor(
             (self._ticks * self._slots + self._slots - 0.5) * self._periods_per_slot
         )

@@ -309,7 +309,6 @@ class GraspEpisode(ObservedEpisode):
         super().__init__(task, twin, state, seed)
 
     def _initialise_from_state(self) -> None:
-        """See `Episode._initialise_from_state`."""
         super()._initialise_from_state()
         self._moved = self._distance_moved()
         self._grips = []

@@ -196,7 +196,6 @@ class CrawlEpisode(ObservedEpisode):
         self._set_first(self._observation())
 
     def _initialise_from_state(self) -> None:
-        """See `Episode._initialise_from_state`."""
         super()._initialise_from_state()
         self._distance = self._goal_distance(self.state)
 
@@ -205,7 +204,6 @@ class CrawlEpisode(ObservedEpisode):
         return self._gait.valves(float(self.state.time), command, pitch)
 
     def _command(self, action: list[float]) -> tuple[GaitCommand, PitchWave | None]:
-        """Return the gait parameters of an action."""
         offset, frequency, pressure_kpa = action
         return GaitCommand(offset, frequency, pressure_kpa * _PA_PER_KPA), None
 
@@ -362,7 +360,6 @@ class CrawlTask(CameraTask):
         return self.episode_class(self, twin, world, heading, seed)
 
     def _draw_world(self, rng: np.random.Generator) -> tuple[World, float, int]:
-        """Return the world, the initial heading (rad) and the random seed of an episode."""
         arena = self.arena
         heading = float(rng.uniform(*arena.headings))
         distance = float(rng.uniform(*arena.distances))
@@ -377,7 +374,6 @@ class CrawlTask(CameraTask):
         return world, heading, seed
 
     def _draw_obstacles(self, goal: Goal, seed: int) -> tuple[Circle, ...]:
-        """Return the obstacles of an episode."""
         rng = np.random.default_rng(seed)
         circles = []
         for x in self.arena.rows:
@@ -389,11 +385,9 @@ class CrawlTask(CameraTask):
         return tuple(circles)
 
     def _gait_limits(self) -> GaitLimits:
-        """Return the bounds of offset, frequency and pressure."""
         return GaitLimits.for_robot(self.robot)
 
     def _action_signals(self) -> Signals:
-        """Return the components of an action."""
         limits = self.limits
         low, high = (pressure / _PA_PER_KPA for pressure in limits.pressure)
         return (
@@ -415,7 +409,6 @@ class CrawlTask(CameraTask):
         )
 
     def _observation_groups(self) -> dict[str, Signals]:
-        """Return the components of an observation by group."""
         room = self.arena.room
         far = math.hypot(room.x[1] - room.x[0], room.y[1] - room.y[0]) + 1.0
         seen = Bounds(

@@ -371,7 +371,6 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
         self._reset_device_poses(range(self.num_envs))
 
     def _reset_device_poses(self, environments: Sequence[int]) -> None:
-        """Reset the snakes of some environments to the initial poses of their episodes."""
         states = [self.envs[k].current_episode().state for k in environments]
         self._batch.reset(
             poses=[(*s.com, float(s.heading)) for s in states],
@@ -415,7 +414,6 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
         return self.envs[k].step(action)
 
     def _begin_next(self, k: int) -> StepResult:
-        """Start the next episode of an environment, in place of a step."""
         observation, info = self.envs[k].reset()
         return StepResult(observation, 0.0, False, False, info)
 

@@ -61,7 +61,6 @@ class ObservedEpisode(Episode):
         super().__init__(task, twin, state)
 
     def _initialise_from_state(self) -> None:
-        """See `Episode._initialise_from_state`."""
         self._frames.restart()
         self._air = float(self.state.air)
 
@@ -88,7 +87,6 @@ class ObservedEpisode(Episode):
         """Return the observations of the last command."""
 
     def _costs(self) -> dict[str, float]:
-        """Return the values of `COSTS` in the last step."""
         before = self._air
         self._air = float(self.state.air)
         return {"time_s": self._task.step_s, "air_j": self._air - before}
@@ -154,7 +152,6 @@ def observation_groups(
 
 
 def _angle_signals(name: str, angle: str) -> Signals:
-    """Return the signals of the cosine and the sine of an angle."""
     return (
         Signal(f"{name}_cos", "1", -1.0, 1.0, f"cosine of {angle}"),
         Signal(f"{name}_sin", "1", -1.0, 1.0, f"sine of {angle}"),
@@ -162,7 +159,6 @@ def _angle_signals(name: str, angle: str) -> Signals:
 
 
 def _bend_signals(name: str, bend: str, robot: RobotSpec) -> Signals:
-    """Return the signals of the sensor readings of all segments in one direction."""
     largest = MAX_READING_RAD
     text = f"sensor reading of {bend}"
     return tuple(

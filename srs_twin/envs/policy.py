@@ -245,7 +245,6 @@ class PathFollowing(_Baseline):
         return [self._offset.offset, FREQUENCY_HZ, PRESSURE_KPA]
 
     def _make_follower(self, values: Mapping[str, float]) -> Follower:
-        """Return a follower of a path among the observed obstacles."""
         pose = _pose(values)
         x, y = _world_position(pose, values["goal_ahead_m"], values["goal_left_m"])
         goal = Goal(x, y, None, AIM_M)
@@ -369,7 +368,6 @@ class _OffsetStore(Controller):
 
 
 def _pose(values: Mapping[str, float]) -> Pose:
-    """Return the pose in an observation."""
     return Pose(
         values["x_m"],
         values["y_m"],

@@ -1,24 +1,27 @@
-r"""SupplyFilter and LeakDetector: supply pressure and leaks from the air that filling chambers take in.
+r"""SupplyFilter and LeakDetector: estimates from the air that filling chambers take in.
 
-From the opening of the valve of a chamber on, measured pressures and the bend of its
-segment satisfy
+While the valve of a chamber is open, the chamber pressure P and the bend q of the segment
+satisfy the balance of air
 
 $$ \Delta (P\,V(q)) = c \int \dot n_{in}\,dt - (\lambda_0 + \lambda)\,K \int (P - P_a)\,dt, $$
 
-with the flow of an orifice (`pneumatics/flow.py`) and the capacity K of a nominal
-chamber. The factor c and the apparent loss λ₀ of an intact chamber are estimated over
-many strokes (linear regression with forgetting), and so is the scatter between strokes.
-A leak λ is then visible within one stroke. First-order chambers satisfy such a balance
-as well, with other c and λ₀.
+where V is the chamber volume, ṅ_in the flow through an orifice (`pneumatics/flow.py`),
+P_a the ambient pressure and K the capacity of a nominal chamber. A stroke is the time in
+which the valve stays open. Linear regression with forgetting estimates the flow factor c
+and the apparent loss λ₀ of an intact chamber over many strokes. The scatter between
+strokes is estimated as well. A leak λ is then visible within one stroke. First-order
+chambers satisfy the balance with other values of c and λ₀.
 
-All chambers share one supply. Its gauge pressure S is a random walk. The air that
-chamber i has taken in since its valve opened exceeds the expected amount by r_i = h_i
-(S − Ŝ) + v_i. A Kalman filter combines the chambers:
+All chambers share one supply, whose gauge pressure S is modelled as a random walk. Since
+its valve opened, chamber i has taken in r_i more air than expected. With the derivative
+h_i of the amount with respect to S and an error v_i, the excess is
+r_i = h_i (S − Ŝ) + v_i. A Kalman filter combines the chambers:
 
 $$ \hat S' = \hat S + \frac{\sum_i w_i h_i r_i / \sigma_i^2}{1/P + \sum_i w_i h_i^2 / \sigma_i^2}. $$
 
-The weights w of Student's t distribution limit the effect of a chamber that leaks or is
-stuck. A large change is followed at once if most filling chambers agree.
+Here σ_i is the standard deviation of v_i, and P is the variance of Ŝ. The weights w_i of
+Student's t distribution limit the effect of a chamber that leaks or is stuck. If most
+filling chambers agree on a large change, the estimate follows the change at once.
 """
 
 from __future__ import annotations
@@ -39,49 +42,50 @@ from srs_twin.pneumatics.orifice import CRITICAL_RATIO
 from srs_twin.robot.spec import RobotSpec
 
 PRIOR_SD = 0.05
-"""Standard deviation of the supply pressure at the start, share of the nominal one."""
+"""Initial standard deviation of the supply pressure, fraction of its nominal value."""
 LARGEST_SD = 0.2
-"""Largest standard deviation, while no chamber fills, share of the nominal pressure."""
+"""Maximum standard deviation of the estimate, fraction of the nominal pressure."""
 WALK = 0.02
-"""Random walk of the supply pressure, share of the nominal one per square root of a second."""
+"""Random walk of the supply pressure, fraction of the nominal pressure per √s."""
 SENSOR_SD = 0.01
-"""Standard deviation of a measured supply pressure, share of the nominal one."""
+"""Standard deviation of the supply sensor, fraction of the nominal pressure."""
 STARVED_BELOW = 0.6
-"""Share of the nominal pressure below which `starved` is reported."""
+"""Fraction of the nominal pressure below which `starved` is reported."""
 RECOVERED_ABOVE = 0.7
-"""Share of the nominal pressure above which `starved` is cleared."""
+"""Fraction of the nominal pressure above which `starved` is cleared."""
 SUDDEN = 0.12
-"""Change of the chambers' pressures that is followed at once, share of the nominal supply pressure."""
+"""Pressure change that is followed at once, fraction of the nominal supply pressure."""
 _SUDDEN_SD = 3.0
-"""The same in standard deviations of the scatter between strokes."""
+"""Pressure change that is followed at once, in standard deviations of the residuals."""
 _SURPRISE = 3.0
-"""Change of the median, in standard deviations, above which the variance of the estimate is increased."""
+"""Change of the median, in standard deviations, that increases the variance."""
 _AGREE = 3
-"""Smallest number of chambers whose median is used."""
+"""Minimum number of chambers whose median is used."""
 _SUPPLY_TAILS = 4.0
 """Degrees of freedom of Student's t distribution for the residuals of the supply."""
-_LOWEST = 0.02  # share of the nominal pressure
+_LOWEST = 0.02
+"""Lower limit of the estimate, fraction of the nominal pressure."""
 
 
 class SupplyFilter(Stateful):
-    """Kalman filter for the supply pressure (module docstring).
+    """Kalman filter for the supply pressure. See the module docstring.
 
     Attributes:
-        nominal: gauge, Pa.
-        pressure: estimate, gauge, Pa.
-        variance: of the estimate, Pa².
+        nominal: nominal gauge pressure, Pa.
+        pressure: estimated gauge pressure, Pa.
+        variance: variance of the estimate, Pa².
     """
 
     state_attributes = ("pressure", "variance")
 
     def __init__(self, nominal: float) -> None:
-        """Begin with the nominal pressure (gauge, Pa)."""
+        """Start the estimate at the nominal gauge pressure (Pa)."""
         self.nominal = self.pressure = nominal
         self.variance = (PRIOR_SD * nominal) ** 2
 
     @property
     def share(self) -> float:
-        """Estimate as a share of the nominal pressure."""
+        """Estimated pressure as a fraction of the nominal pressure."""
         return self.pressure / self.nominal
 
     @property
@@ -90,7 +94,7 @@ class SupplyFilter(Stateful):
         return math.sqrt(self.variance)
 
     def predict(self, dt: float) -> None:
-        """Advance by a time step (s)."""
+        """Increase the variance of the estimate over a time step (s)."""
         self.variance = min(
             self.variance + (WALK * self.nominal) ** 2 * dt,
             (LARGEST_SD * self.nominal) ** 2,
@@ -104,15 +108,15 @@ class SupplyFilter(Stateful):
         weight: np.ndarray,
         repeats: float = 1.0,
     ) -> None:
-        """Correct by filling chambers.
+        """Correct the estimate with filling chambers.
 
         Args:
-            residual: r; NaN without a measurement.
-            response: h.
-            sd: of v.
-            weight: of each chamber, 0 to 1.
-            repeats: number of measurements with the information of one independent
-                measurement.
+            residual: excess r of each chamber, NaN without a measurement.
+            response: derivative h of each residual with respect to the supply pressure.
+            sd: standard deviation of the error v of each chamber.
+            weight: weight of each chamber, from 0 to 1.
+            repeats: number of correlated measurements that carry the information of one
+                independent measurement.
         """
         there = ~np.isnan(residual) & (weight > 0) & (response > 0)
         if not there.any():
@@ -141,12 +145,15 @@ class SupplyFilter(Stateful):
     def follow_sudden_change(
         self, residual: np.ndarray, response: np.ndarray, sd: np.ndarray
     ) -> bool:
-        """Follow a sudden change that most chambers show; return whether there was one.
+        """Follow a sudden change that most chambers show.
 
         Args:
-            residual: p − h S of filling chambers, Pa.
-            response: h.
-            sd: of p, Pa.
+            residual: measured minus expected pressure of filling chambers, Pa.
+            response: derivative of each pressure with respect to the supply pressure.
+            sd: standard deviation of each pressure, Pa.
+
+        Returns:
+            Whether a sudden change was found.
         """
         if len(residual) < _AGREE:
             return False
@@ -159,14 +166,14 @@ class SupplyFilter(Stateful):
         return True
 
     def measure(self, pressure: float) -> None:
-        """Correct by a measured supply pressure (gauge, Pa)."""
+        """Correct the estimate with a measured gauge pressure (Pa)."""
         noise = (SENSOR_SD * self.nominal) ** 2
         gain = self.variance / (self.variance + noise)
         self.variance *= 1 - gain
         self._set(self.pressure + gain * (pressure - self.pressure))
 
     def jump(self, share: float) -> None:
-        """Accept that the pressure fell to a share of the estimate."""
+        """Set the pressure to a fraction of the estimate and raise the variance."""
         self._set(share * self.pressure)
         self.variance = (LARGEST_SD * self.pressure) ** 2
 
@@ -175,38 +182,38 @@ class SupplyFilter(Stateful):
 
 
 FLOW_SD = 0.3
-"""Prior standard deviation of c.
+"""Prior standard deviation of the flow factor c.
 
-A chamber that fills half as fast as in the robot file must not seem to leak before its
-first strokes are learnt."""
+It is so large that a chamber that fills half as fast as in the robot file does not seem
+to leak before the first strokes are learnt."""
 LOSS_SD = 0.3
-"""Prior standard deviation of λ₀, 1/s."""
+"""Prior standard deviation of the apparent loss λ₀, 1/s."""
 FORGETTING = 0.95
 """Weight of a stroke relative to the next one."""
 MOST_STROKES = 40
-"""Number of strokes that the scatter is a mean of."""
+"""Maximum number of strokes over which the scatter is averaged."""
 SCATTER = 0.05
-"""Prior scatter between strokes, share of the inflow."""
+"""Prior scatter between strokes, fraction of the inflow."""
 SCATTER_STROKES = 3
-"""Number of strokes that the prior scatter counts for; they are not learnt from."""
+"""Number of first strokes that do not change the prior scatter."""
 LEAST_SCATTER = 0.02
-"""Lower limit of the scatter, share of the inflow."""
+"""Lower limit of the scatter, fraction of the inflow."""
 MESSAGES_PER_INDEPENDENT = 16
-"""Number of messages in a stroke with the information of one independent message."""
+"""Number of messages that carry the information of one independent message."""
 AMOUNT_SD = 0.013
-"""Standard deviation of an amount at the time of a message, share of K times the supply pressure."""
+"""Standard deviation of an amount of air, fraction of K times the supply pressure."""
 LEAK_RATE_SD = 0.3
 """Relative standard deviation of the rate of a leak."""
 WEAK_INFLOW_SD = 0.7
 """Relative standard deviation of the inflow from a weak supply."""
 LEAST_INFLOW = 0.1
-"""Inflow above which a stroke is used, share of K times the supply pressure."""
+"""Minimum inflow of a used stroke, fraction of K times the supply pressure."""
 LONGEST_GAP_S = 0.1
 """Interval between messages that ends a stroke, s."""
 SOUND = 0.98
-"""Probability of no fault above which a chamber is learnt from."""
+"""Probability of no fault above which the strokes of a chamber are learnt."""
 LIMIT = 3.0
-"""Largest residual of a stroke, in standard deviations, that the scatter is learnt from."""
+"""Maximum residual from which the scatter is learnt, in standard deviations."""
 TAILS = 12.0
 """Degrees of freedom of Student's t distribution for the residuals of strokes."""
 
@@ -215,13 +222,14 @@ _volume = np.vectorize(volume, otypes=[float, float])
 _flow = np.vectorize(
     lambda first, second: flow(first, second, CRITICAL_RATIO)[0], otypes=[float]
 )
-# Integrals over a stroke: gauge pressure, inflow of each variant, and derivative of the
-# inflow by the supply pressure. The first variant is sound.
+# Columns of the integrals over a stroke: the gauge pressure, the inflow of each variant,
+# and the derivative of the inflow with respect to the supply pressure. The first variant
+# has no fault.
 _OUTFLOW = 0
 _SOUND_INFLOW = 1
 _INFLOWS = slice(1, -1)
 _SLOPE = -1
-# Supply pressures of a stroke: at its start, and at its last pressure.
+# Columns of the supply pressures at the start of a stroke and at the last message.
 _FIRST = 0
 _LAST = 1
 
@@ -230,10 +238,11 @@ class SupplyResidual(NamedTuple):
     """Air taken in by filling chambers, compared with the estimated supply pressure.
 
     Attributes:
-        residual: excess over the expected amount; NaN where it is unknown, shape
-            (segments, 2).
-        slope: derivative of the amount by the supply pressure, 1/Pa, same shape.
-        sd: standard deviation of the residual, same shape.
+        residual: excess over the expected amount of air, shape (segments, 2), NaN
+            where it is unknown.
+        slope: derivative of the amount with respect to the supply pressure, 1/Pa,
+            shape (segments, 2).
+        sd: standard deviation of the residual, shape (segments, 2).
     """
 
     residual: np.ndarray
@@ -242,12 +251,12 @@ class SupplyResidual(NamedTuple):
 
 
 class _Residual(NamedTuple):
-    """Residuals of the balances, shape (segments, 2, variants).
+    """Residuals of the air balances; each array has shape (segments, 2, variants).
 
     Attributes:
-        value: residuals.
-        variance: their variances.
-        fit_variance: parts of the variances due to the fit.
+        value: residual of each balance.
+        variance: variance of each residual.
+        fit_variance: part of the variance that is due to the fit.
     """
 
     value: np.ndarray
@@ -255,14 +264,14 @@ class _Residual(NamedTuple):
     fit_variance: np.ndarray
 
     def sound(self) -> _Residual:
-        """Return the residuals of sound chambers, shape (segments, 2)."""
+        """Return the residuals of the variant without a fault, shape (segments, 2)."""
         return _Residual(*(values[..., 0] for values in self))
 
 
 class _Message(IntEnum):
-    """Column of `LeakDetector._pending`: the most informative message of a stroke.
+    """Column of `LeakDetector._pending`, the most informative message of a stroke.
 
-    The last column is the contribution of the stroke to the scatter.
+    The last column contains the contribution of the stroke to the scatter.
     """
 
     INFLOW = 0
@@ -273,13 +282,16 @@ class _Message(IntEnum):
 
 
 class LeakDetector(Stateful):
-    """Balances of air of all chambers; amounts are shares of K times the nominal supply pressure.
+    """Leak detector based on the air balances of all chambers.
+
+    Amounts of air are fractions of K times the nominal supply pressure.
 
     Attributes:
-        fit: c and λ₀ (1/s), shape (segments, 2, 2).
-        scatter: variance between strokes, share of the squared inflow, shape (segments,
-            2).
-        learnt: number of strokes learnt from, shape (segments, 2).
+        fit: flow factor c and apparent loss λ₀ (1/s) of each chamber, shape (segments,
+            2, 2).
+        scatter: variance between strokes, fraction of the squared inflow, shape
+            (segments, 2).
+        learnt: number of learnt strokes of each chamber, shape (segments, 2).
     """
 
     state_attributes = (
@@ -305,12 +317,12 @@ class LeakDetector(Stateful):
         supply_pa: float,
         variants: Sequence[Inflow],
     ) -> None:
-        """Begin with the values of the robot file.
+        """Start with the values of the robot file.
 
         Args:
-            spec: the robot.
-            supply_pa: gauge, Pa.
-            variants: possible inflows of a chamber; the first one has no fault.
+            spec: specification of the robot.
+            supply_pa: nominal supply pressure, gauge, Pa.
+            variants: possible inflows of a chamber. The first variant has no fault.
         """
         conductance, _, capacity = conductances(spec, CRITICAL_RATIO)
         self._chamber = spec.chamber
@@ -327,13 +339,12 @@ class LeakDetector(Stateful):
         self._prior = np.diag([1 / FLOW_SD**2, 1 / LOSS_SD**2])
         self._information = np.tile(self._prior, (*shape, 1, 1))
         self._pending = np.zeros((*shape, len(_Message)))
-        # Time of the last pressure of the stroke; NaN without one.
+        # Time of the last pressure of the stroke, or NaN outside a stroke.
         self._time = np.full(shape, np.nan)
-        # Amount and its standard deviation, at the start of the stroke and at the last
-        # pressure.
+        # The last axis holds the amount of air and the standard deviation of the amount.
         self._begun = np.zeros((*shape, 2))
         self._reached = np.zeros((*shape, 2))
-        # Columns from `_OUTFLOW` to `_SLOPE`, and their integrals.
+        # The last axis runs from `_OUTFLOW` to `_SLOPE`.
         self._rates = np.zeros((*shape, count + 2))
         self._sums = np.zeros((*shape, count + 2))
         self._supply = np.zeros((*shape, 2))
@@ -345,7 +356,11 @@ class LeakDetector(Stateful):
         self.drop(np.ones(self.learnt.shape, dtype=bool))
 
     def drop(self, chambers: np.ndarray) -> None:
-        """End the strokes of some chambers (shape (segments, 2)), whose valves may have switched unseen."""
+        """End the strokes of chambers whose valves may have switched unseen.
+
+        Args:
+            chambers: whether the stroke of a chamber ends, shape (segments, 2).
+        """
         self._time[chambers] = np.nan
         for values in (self._pending, self._sums, self._log_likelihood):
             values[chambers] = 0.0
@@ -353,12 +368,12 @@ class LeakDetector(Stateful):
     def residuals(
         self, time: float, pressure: np.ndarray, filled: np.ndarray
     ) -> SupplyResidual:
-        """Return the residuals of current strokes, for the supply pressure.
+        """Return the residuals of current strokes from which the supply is estimated.
 
         Args:
-            time: s.
-            pressure: as in `update`.
-            filled: as in `update`.
+            time: current time, s.
+            pressure: gauge pressures as in `update`, Pa.
+            filled: filling times as in `update`, s.
         """
         used = self._continues(time, pressure, filled) & self._is_informative()
         residual = self._residual().sound()
@@ -377,19 +392,20 @@ class LeakDetector(Stateful):
         sound: np.ndarray,
         supply: SupplyFilter,
     ) -> np.ndarray:
-        """Update with measured pressures.
+        """Update the air balances with measured pressures.
 
         Args:
-            time: s.
-            pressure: gauge, shape (segments, 2), Pa, NaN where they are missing.
-            bend: of each segment, rad.
-            filled: time for which each chamber has been filled, shape (segments, 2), s;
-                0 while it vents.
-            sound: probability of no fault of each segment.
-            supply: estimated supply pressure.
+            time: current time, s.
+            pressure: gauge pressures of the chambers, shape (segments, 2), Pa. Missing
+                pressures are NaN.
+            bend: estimated bend of each segment, rad.
+            filled: time for which each chamber has been filled, shape (segments, 2), s.
+                The time is 0 while a chamber vents.
+            sound: probability that a segment has no fault, shape (segments,).
+            supply: filter for the supply pressure.
 
         Returns:
-            Changes of the log-likelihoods of the variants, shape (segments, 2,
+            Change of the log-likelihood of each variant, shape (segments, 2,
             variants).
         """
         seen = ~np.isnan(pressure)
@@ -416,7 +432,6 @@ class LeakDetector(Stateful):
         return added
 
     def _is_informative(self) -> np.ndarray:
-        """Return whether the strokes of the chambers are long enough to be used."""
         return np.asarray(self._sums[..., _SOUND_INFLOW] > LEAST_INFLOW)
 
     def _continues(
@@ -437,7 +452,6 @@ class LeakDetector(Stateful):
         bend: Uncertain,
         supply: SupplyFilter,
     ) -> None:
-        """Integrate to the pressures of filling chambers."""
         chamber = self._chamber
         inside = np.nan_to_num(pressure) + AMBIENT_PA
         size, growth = _volume(
@@ -452,7 +466,7 @@ class LeakDetector(Stateful):
         lines = np.append(self._shares * line, [line + sd, line - sd])
         flows = self._conductance * _flow(lines + AMBIENT_PA, inside[..., None])
         flows[..., :-2] *= self._shares > 0.0
-        # A difference quotient, because the slope diverges at equal pressures.
+        # A difference quotient is used because the derivative diverges at equal pressures.
         slope = (flows[..., -2:-1] - flows[..., -1:]) / (2 * sd)
         gauge = np.nan_to_num(pressure)[..., None] / self._nominal
         rates = np.concatenate([gauge, flows[..., :-2], slope], axis=-1)
@@ -481,7 +495,6 @@ class LeakDetector(Stateful):
         return _Residual(residual, variance, learnt)
 
     def _log_likelihoods(self) -> np.ndarray:
-        """Return the log-likelihoods of the variants, shape (segments, 2, variants)."""
         residual, variance, _ = self._residual()
         outflow = self._sums[..., [_OUTFLOW]]
         weak_sd = WEAK_INFLOW_SD * self._sums[..., _INFLOWS]
@@ -493,11 +506,11 @@ class LeakDetector(Stateful):
         )
 
     def _accumulate(self, used: np.ndarray) -> None:
-        """Note the most informative message of each stroke; it is learnt from if the stroke is sound."""
+        """Keep the most informative message of each stroke, from which `_learn` learns."""
         inflow = self._sums[..., _SOUND_INFLOW]
         pending = self._pending
         residual, variance, fit_variance = self._residual().sound()
-        # Errors are common to the messages of a stroke, so only one message counts.
+        # All messages of a stroke have common errors, so only one message counts.
         weight = 1 / (variance - fit_variance)
         known = pending[..., _Message.WEIGHT] * pending[..., _Message.INFLOW] ** 2
         better = used & (weight * inflow**2 > known)
@@ -509,7 +522,6 @@ class LeakDetector(Stateful):
         pending[used, _Message.EXCESS] = excess[used] / inflow[used] ** 2
 
     def _learn(self, chambers: np.ndarray) -> None:
-        """Update c, λ₀ and the scatter of some chambers with a stroke without a fault."""
         pending = self._pending[chambers]
         row = pending[:, [_Message.INFLOW, _Message.OUTFLOW]]
         residual = pending[:, [_Message.RESIDUAL]]

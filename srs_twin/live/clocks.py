@@ -130,7 +130,6 @@ class SenderClock:
         self._agreed = self._seen[-1].time
 
     def _accept(self, arrival: _Arrival) -> None:
-        """Add a delay to the window and update the offset."""
         self._seen.append(arrival)
         while self._seen[0].time < arrival.time - WINDOW_S:
             self._seen.popleft()

@@ -1,4 +1,4 @@
-"""CommandHistory and CommandPeriod: duties of the valves over time, and their period."""
+"""CommandHistory and CommandPeriod: valve duties over time and their period."""
 
 from __future__ import annotations
 
@@ -13,26 +13,28 @@ import numpy as np
 from srs_twin.live.messages import COMMAND, Message
 
 DELAY_S = 0.01
-"""Delay from sending a command to its effect: half a tick of the robot."""
+"""Delay from sending a command to its effect, s. It is half a tick of the robot."""
 REPORTED_S = 0.02
-"""Time before a report during which the valves had the reported states: one tick of the robot."""
+"""Time before a report during which the valves had the reported states, s.
+
+It is one tick of the robot."""
 SILENT_S = 0.2
-"""Age of a command above which the robot vents."""
+"""Age of a command above which the robot vents all chambers, s."""
 KEPT_S = 1.0
-"""Time for which commands are kept."""
+"""Time for which commands are kept, s."""
 _LEAST_INTERVAL_S = 1e-3
-"""Interval between reports below which they belong to one transmission."""
+"""Interval below which reports belong to one transmission, s."""
 _GAP_FACTOR = 1.5
-"""Ratio of an interval between commands to the usual interval above which commands were lost."""
+"""Ratio of an interval to the usual interval that indicates lost commands."""
 
 
 def are_states(values: np.ndarray) -> bool:
-    """Return whether the values of a command are valve states (−1 or 1), not duties."""
+    """Return whether a command contains valve states (−1 or 1) instead of duties."""
     return bool((np.abs(values) == 1.0).all())
 
 
 def duty(values: np.ndarray) -> np.ndarray:
-    """Return the fraction of time in which each valve fills, from valve states or duties."""
+    """Convert valve states or duties to the fraction of time in which valves fill."""
     if are_states(values):
         return np.asarray((values + 1) / 2)
     return np.asarray(np.clip(values, 0.0, 1.0))
@@ -43,7 +45,7 @@ class LostCommands(NamedTuple):
 
     Attributes:
         change: change of the duty, shape (segments, 2).
-        interval: interval in which the duty changed, s.
+        interval: length of the interval in which the duty changed, s.
     """
 
     change: np.ndarray
@@ -51,7 +53,10 @@ class LostCommands(NamedTuple):
 
 
 class CommandHistory:
-    """Duties of the valves over time; each holds until the next one, and initially all chambers vent."""
+    """Valve duties over time, each of which holds until the next duty.
+
+    Initially all chambers vent.
+    """
 
     def __init__(self, segments: int) -> None:
         """Create an empty history."""
@@ -62,9 +67,14 @@ class CommandHistory:
         self._report_s = REPORTED_S
 
     def add(self, time: float, message: Message) -> LostCommands | None:
-        """Add a command, or the valve states that the robot reports; return whether others were lost.
+        """Add a command or a report of valve states.
 
-        Either message may be lost.
+        Args:
+            time: time of the message, s.
+            message: command or report. Messages of either kind may be lost.
+
+        Returns:
+            Effect of lost commands, or None if no loss was noticed.
         """
         if message.kind == COMMAND:
             self._carrier = not are_states(message.values)
@@ -73,8 +83,8 @@ class CommandHistory:
             # The states at one time do not determine the duty of a carrier.
             return None
         else:
-            # The shortest interval between reports is the robot's tick; longer ones are
-            # due to losses.
+            # The shortest interval between reports is the robot's tick. Longer intervals
+            # are due to lost reports.
             if _LEAST_INTERVAL_S < message.sent - self._reported < self._report_s:
                 self._report_s = message.sent - self._reported
             self._reported = message.sent
@@ -102,11 +112,11 @@ class CommandHistory:
         """Return the duties at given times.
 
         Args:
-            times: ascending, s.
-            waiting: further commands with their times, s.
+            times: ascending times, shape (times,), s.
+            waiting: further commands with the times (s) at which they are sent.
 
         Returns:
-            Shape (times, segments, 2).
+            Duty of each valve at each time, shape (times, segments, 2).
         """
         starts = list(self._times)
         duties = list(self._duties)
@@ -120,25 +130,30 @@ class CommandHistory:
 
 
 SLOT_S = 0.02
-"""Interval of the samples in which a period is found, s."""
+"""Sampling interval of the commands, s."""
 _KEPT = 250
 """Number of slots with commands that are kept."""
 _LAGS = range(10, 126)
-"""Possible periods, slots."""
+"""Possible periods of the commands, in slots."""
 _SAME = 0.1
-"""Mean difference of the duties below which commands are the same."""
+"""Mean difference of the duties below which commands count as equal."""
 
 
 class CommandPeriod:
-    """Commands of the last seconds in equal slots, and their period."""
+    """Commands of the last seconds, sampled in slots of equal length."""
 
     def __init__(self) -> None:
-        """Begin without a command."""
+        """Start without commands."""
         self._slot = -1
         self._duties: deque[np.ndarray] = deque(maxlen=_KEPT)
 
     def add(self, time: float, duty: np.ndarray) -> None:
-        """Add the duty of the valves in the slot of a time (s), shape (segments, 2)."""
+        """Add the duty of the valves in the slot that contains a time.
+
+        Args:
+            time: time of the command, s.
+            duty: duty of each valve, shape (segments, 2).
+        """
         slot = math.floor(time / SLOT_S)
         if slot > self._slot + 1:  # after a gap, earlier commands have another lag
             self._duties.clear()
@@ -147,7 +162,10 @@ class CommandPeriod:
             self._slot = slot
 
     def commands(self, slots: int) -> np.ndarray:
-        """Return the duties of the next slots, repeated or constant, shape (slots, segments, 2)."""
+        """Return predicted duties of the next slots, shape (slots, segments, 2).
+
+        Periodic commands are repeated. Other commands are held constant.
+        """
         past = np.array(self._duties)
         lag = self.period()
         if lag:
@@ -155,7 +173,7 @@ class CommandPeriod:
         return np.repeat(past[-1:], slots, axis=0)
 
     def period(self) -> int:
-        """Return the period of the commands in slots, 0 without one."""
+        """Return the period of the commands in slots, or 0 without a period."""
         if not self._duties:
             return 0
         past = np.array(self._duties)

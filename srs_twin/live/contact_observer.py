@@ -418,7 +418,6 @@ class ContactObserver(Stateful):
     def _compared(
         self, now: Hypotheses, i: int, filtered: np.ndarray | None
     ) -> Hypotheses:
-        """Return the hypotheses after sample i."""
         body = self._learnt_gait().body
         velocity, moment = body.step(i, now.velocity, now.force, now.station)
         if filtered is None:
@@ -433,7 +432,6 @@ class ContactObserver(Stateful):
         return later.pruned(_PRUNED * later.inflation(self._independent))
 
     def _contact(self, score: float, now: Hypotheses) -> ContactEstimate:
-        """Return the estimate from the remaining hypotheses."""
         variance = 2 * now.inflation(self._independent)
         weight = np.exp((now.cost.min() - now.cost) / variance)
         best = int(now.cost.argmin())

@@ -246,7 +246,6 @@ class EmulatedRobot:
         self._frozen = np.full(self.state.bend.shape, np.nan)
 
     def _inject_faults(self) -> None:
-        """Prepare the faults of the chambers, which begin later."""
         stuck = [fault for fault in self.faults if fault.kind == "stuck_valve"]
         leaks = [fault for fault in self.faults if fault.kind == "leak"]
         starved = [fault for fault in self.faults if fault.kind == "starved"]

@@ -418,7 +418,6 @@ class EnsembleFilter:
         self.placed = True
 
     def _run(self, valves: ValveInput, dt: float, step: float) -> None:
-        """Advance chambers and bodies."""
         shape = len(self.members), self._segments, 2
         air = Air(
             **{
@@ -566,7 +565,6 @@ def _significant_covariance(values, predicted, innovation):  # type: ignore[no-u
 
 @compiled
 def _shift(values, gain, predicted, innovation):  # type: ignore[no-untyped-def]
-    """Correct values of the members, and reduce their deviations from the mean."""
     for m in range(values.shape[0]):
         deviation = predicted[m] - innovation.mean
         values[m] += gain * (innovation.value - innovation.reduction * deviation)

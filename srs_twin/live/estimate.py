@@ -1,4 +1,4 @@
-"""Estimates of a live twin: state, prediction, calibration of their intervals, and contact."""
+"""State, prediction and contact estimates of a live twin, with interval calibration."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from srs_twin.robot.spec import RobotSpec
 
 
 class DetectedFault(NamedTuple):
-    """Detected fault.
+    """Detected fault of one part of the robot.
 
     Attributes:
-        part: segment, "supply" or connector.
+        part: faulty part, which is a segment, a connector or "supply".
         name: name of the fault.
-        probability: probability of a fault of this part.
+        probability: probability that the part has a fault.
     """
 
     part: str
@@ -37,22 +37,23 @@ class Estimate:
     """Estimated state of a robot, with standard deviations.
 
     Attributes:
-        time: time of the estimate, our clock, s. The state is predicted from the last
-            used message to this time.
+        time: time of the estimate on the local clock, s. The state is predicted from
+            the last used message to this time.
         bend: bend of each segment, rad.
         bend_sd: standard deviation of the bends, rad.
-        pose: x, y (m) of the centre of mass, mean heading (rad).
-        pose_sd: standard deviation of the pose.
+        pose: position x, y of the centre of mass (m) and mean heading (rad).
+        pose_sd: standard deviation of the pose (m, m, rad).
         velocity: velocity of the centre of mass in the world frame, m/s, and yaw rate,
             rad/s.
-        connectors: x, y (m), heading (rad), shape (connectors, 3).
-        parameters: values and standard deviations of "gain", of each chamber as a
-            multiple of that in the robot file, and "bias_rad", the bend of each module
-            without pressure.
-        faults: detected faults.
+        connectors: position x, y (m) and heading (rad) of each connector, shape
+            (connectors, 3).
+        parameters: values and standard deviations of "gain" and "bias_rad". The gain of
+            each chamber is a multiple of the gain in the robot file. The bias is the
+            bend of each module without pressure.
+        faults: faults that are detected at this time.
         off: RMS innovation of the last measurements of each kind, in standard
             deviations.
-        lost: reason why the position is unknown; empty if it is known.
+        lost: reason why the position is unknown, or an empty string if it is known.
     """
 
     time: float
@@ -68,7 +69,7 @@ class Estimate:
     lost: str
 
     def state(self, time: float, pressure: np.ndarray) -> SnakeState:
-        """Return the state for a controller.
+        """Return the state in the form that a controller expects.
 
         Args:
             time: time on the controller's clock, s.
@@ -99,30 +100,32 @@ class Estimate:
 
 
 _MEMORY = 8
-"""Number of predictions that the mean error is taken over."""
+"""Number of predictions over which the mean squared error is taken."""
 _ADAPTATION_RATE = 5.0
 """Rate r at which the scale of intervals adapts, 1/s."""
 _LONGEST_COMPARED_S = 0.2
-"""Longest interval that one comparison counts for, s."""
+"""Maximum interval for which one comparison counts, s."""
 _LEAST_SQUARE = 0.1
 """Lower limit of the squared scale of intervals."""
 _LARGEST_SQUARE = 10.0
 """Upper limit of the squared scale of intervals."""
 _T95 = 2.1
-"""Half of a 95 % interval over its standard deviation, which is estimated from few predictions."""
+"""Half-width of a 95 % interval in standard deviations.
+
+The factor exceeds 1.96 because few predictions determine the standard deviation."""
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """Predicted path of a robot, if its commands repeat.
+    """Predicted path of a robot whose commands repeat.
 
     Attributes:
-        begun: start, our clock, s.
+        begun: start of the prediction on the local clock, s.
         heading: mean heading at the start, rad.
-        time: our clock, s, shape (times,).
-        pose: x, y (m), mean heading (rad), shape (times, 3).
-        pose_sd: standard deviations along and across the initial heading (m) and of the
-            heading (rad).
+        time: times of the poses on the local clock, shape (times,), s.
+        pose: position x, y (m) and mean heading (rad), shape (times, 3).
+        pose_sd: standard deviation along and across the initial heading (m) and of the
+            heading (rad), shape (times, 3).
     """
 
     begun: float
@@ -132,23 +135,27 @@ class Prediction:
     pose_sd: np.ndarray
 
     def error(self, poses: np.ndarray) -> np.ndarray:
-        """Return poses less the predicted ones, along and across the initial heading, shape (times, 3)."""
+        """Return the prediction error of poses, shape (times, 3).
+
+        The columns are the position error along and across the initial heading (m) and
+        the heading error (rad).
+        """
         c = math.cos(self.heading)
         s = math.sin(self.heading)
         x, y, turn = (poses - self.pose).T
         return np.column_stack([c * x + s * y, c * y - s * x, turn])
 
     def contains(self, poses: np.ndarray) -> np.ndarray:
-        """Return whether poses are in the 95 % intervals, shape (times, 3)."""
+        """Return whether poses lie in the 95 % intervals, shape (times, 3)."""
         return np.asarray(np.abs(self.error(poses)) <= _T95 * self.pose_sd)
 
 
 class PredictionCalibration:
-    """Spread of the errors of earlier predictions, which widens the intervals of later ones."""
+    """Calibration that widens intervals by the errors of earlier predictions."""
 
     def __init__(self) -> None:
-        """Begin without predictions."""
-        # Mean squares of the errors, and of the stated standard deviations.
+        """Start without predictions."""
+        # Mean squares of the errors and of the stated standard deviations.
         self._error = self._stated = np.zeros(3)
         self._count = 0
         self._open: deque[Prediction] = deque(maxlen=20)
@@ -156,7 +163,12 @@ class PredictionCalibration:
         self._path: deque[np.ndarray] = deque(maxlen=200)
 
     def observe(self, time: float, pose: np.ndarray) -> None:
-        """Add a pose (x, y, heading) at a time (s); learn from the predictions that ended."""
+        """Add an observed pose and learn from the predictions that have ended.
+
+        Args:
+            time: time of the pose, s.
+            pose: position x, y (m) and heading (rad).
+        """
         self._path.append(np.append(time, pose))
         while self._open and self._open[0].time[-1] <= time:
             past = self._open.popleft()
@@ -172,11 +184,11 @@ class PredictionCalibration:
         self._stated = self._stated + weight * (past.pose_sd**2 - self._stated)
 
     def widened(self, raw: Prediction) -> Prediction:
-        """Return a prediction with widened intervals; its own error is learnt when it has ended."""
+        """Return a prediction with widened intervals and store it for `observe`."""
         self._open.append(raw)
         if not self._count:
             return raw
-        # The interval of a mean square of few errors is wider.
+        # A mean square of few errors is uncertain, so the interval is widened further.
         count = min(self._count, _MEMORY)
         factor = (count + 1) / max(count - 1, 1)
         excess = np.maximum(factor * self._error - self._stated, 0.0)
@@ -184,7 +196,7 @@ class PredictionCalibration:
 
 
 class _PredictedState(NamedTuple):
-    """State that was predicted for a time of our clock (s), and its standard deviation."""
+    """State predicted for a time of the local clock (s), with standard deviation."""
 
     time: float
     value: np.ndarray
@@ -192,22 +204,27 @@ class _PredictedState(NamedTuple):
 
 
 class IntervalCalibration:
-    r"""Scale of the standard deviations of states that are predicted from the last message to the present.
+    r"""Calibration of the standard deviations of states predicted to the current time.
 
-    A prediction for a time is compared with the estimate after the measurements of that
-    time. The factor s of each group of values adapts until 95 % of the later estimates
-    are inside the interval:
+    Each prediction is compared with the later estimate that uses the measurements made at
+    the predicted time. The scale s of each group of values adapts until 95 % of the later
+    estimates lie inside the interval:
 
     $$ \frac{d \ln s^2}{dt} = r \left(\mathrm{share}\left[
     (\hat x - x)^2 + \sigma_x^2 > 1.96^2 s^2 \hat\sigma^2\right] - 0.05\right) . $$
 
-    The errors have heavy tails, because lost commands are not in the prediction. A
-    scale that is fitted to their mean square would be too large or too small, depending
-    on the message rate.
+    Here r is the adaptation rate, x̂ the prediction with standard deviation σ̂, and x the
+    later estimate with standard deviation σ_x. The errors have heavy tails because
+    predictions do not include lost commands. A scale fitted to the mean squared error
+    would be too large or too small, depending on the message rate.
     """
 
     def __init__(self, groups: Sequence[int]) -> None:
-        """Begin with a scale of 1; `groups` are the numbers of values with a common scale."""
+        """Start with a scale of 1.
+
+        Args:
+            groups: number of values in each group that has a common scale.
+        """
         self._starts = np.cumsum([0, *groups[:-1]])
         self._counts = np.array(groups)
         self._square = np.ones(len(groups))
@@ -216,22 +233,22 @@ class IntervalCalibration:
 
     @property
     def scale(self) -> np.ndarray:
-        """Factor of each value's standard deviation."""
+        """Factor by which the standard deviation of each value is multiplied."""
         return np.repeat(np.sqrt(self._square), self._counts)
 
     def predict(self, time: float, state: Uncertain) -> None:
-        """Add a prediction for a time (s), with standard deviations before scaling."""
+        """Add a prediction for a time (s) with unscaled standard deviations."""
         self._open.append(_PredictedState(time, *state))
 
     def update(
         self, time: float, estimate: Uncertain, measured: Sequence[bool]
     ) -> None:
-        """Compare the predictions for a time (s) with the estimate after its measurements.
+        """Compare a prediction with the estimate after the measurements.
 
         Args:
-            time: of the measurements, s.
-            estimate: estimate.
-            measured: whether the measurements corrected a group.
+            time: time of the measurements, s.
+            estimate: estimated state after the measurements.
+            measured: whether the measurements corrected each group of values.
         """
         while len(self._open) > 1 and self._open[1].time < time:
             self._open.popleft()
@@ -259,19 +276,19 @@ A robot that does not report its valves gets no estimate, because lost commands 
 look like contacts."""
 
 _STEADY_S = 0.5
-"""Time without a change after which a period is used, s."""
+"""Time for which a period must be constant before it is used, s."""
 
 
 class LiveContact:
-    """Contact estimate of a robot whose commands are periodic, by the contact observer of the core.
+    """Contact estimator for a robot with periodic commands.
 
     Attributes:
-        estimate: the latest one; None while the observer learns, or without the needed
-            messages.
+        estimate: latest contact estimate. It is None while the observer learns, or if
+            needed messages are missing.
     """
 
     def __init__(self, spec: RobotSpec) -> None:
-        """Create the observer of a robot, without learnt means."""
+        """Create the contact observer of a robot without learnt means."""
         self._observer = ContactObserver(spec, SLOT_S)
         self._sample: int | None = None
         self._period = 0
@@ -302,10 +319,10 @@ class LiveContact:
         )
 
     def _update_period(self, period: int) -> None:
-        """Use a period of the commands that has been the same for half a second; 0 is unknown.
+        """Use the period of the commands after it was constant for half a second.
 
-        Until enough commands are known for the true period, a similar shorter one is
-        found.
+        A period of 0 is unknown. While too few commands are known for the true period,
+        a shorter period with similar commands is found.
         """
         if not period:
             return

@@ -1,25 +1,39 @@
 r"""FaultDetector: interacting multiple model filter for the faults of each segment.
 
-A hypothesis m states the behaviour of the valves, chambers and sensor of a segment (`fault_hypotheses`). It
-determines the chamber pressures, by the first-order law of `pneumatics.lag`, and their drives
-$A^\pm = G a^\pm$ (rad), where $a^\pm$ is the pressure after the lag τ₂. Bend and measurements are
+A hypothesis m states how the valves, chambers and sensor of a segment behave
+(`fault_hypotheses`). The chamber pressures under a hypothesis follow the first-order law
+of `pneumatics.lag`. They determine the drives $A^\pm = G a^\pm$ (rad). The bend and its
+measurements are
 
-$$ q = b + g^+ A_m^+ - g^- A_m^- + d, \qquad y = (1 + e)\,q + s + n, \qquad y_{markers} = q + n', $$
+$$ q = b + g^+ A_m^+ - g^- A_m^- + d, \qquad y = (1 + e)\,q + s + n, \qquad y_{markers} = q + n'. $$
 
-with the constant bias b and gains g± of the module, the disturbance d (load, inertia
-and model error; a first-order Gauss–Markov process), and the offset s and scale error e
-of the sensor. Under one hypothesis the offset drifts quickly. Each hypothesis has a
-Kalman filter for the state (b, g⁺, g⁻, d, s, e), linearised in e q, and the filters are
-mixed as by Blom and Bar-Shalom (1988). Faults are rare and permanent.
+Symbols:
 
-While a segment has no fault, the detector learns the deviations of the pressures from
-the first-order law (`pressure_table`). Leaks are detected from balances of air
+- q: bend of the segment, rad
+- b: constant bias of the module, rad
+- g⁺, g⁻: gains of the + and − chambers, dimensionless
+- A⁺, A⁻: drives of the two chambers, rad
+- G: drive per pressure, rad/Pa
+- a⁺, a⁻: chamber pressures after the lag τ₂, Pa
+- d: disturbance due to load, inertia and model error, a first-order Gauss–Markov
+  process, rad
+- y, y_markers: bends measured by the sensor and by markers, rad
+- s: offset of the sensor, rad
+- e: scale error of the sensor, dimensionless
+- n, n': measurement noise, rad
+
+Each hypothesis has a Kalman filter for the state (b, g⁺, g⁻, d, s, e), linearised in
+e q. Under one hypothesis the offset s drifts quickly. The filters are mixed as in Blom
+and Bar-Shalom (1988). Faults are rare and permanent.
+
+While a segment has no fault, the detector learns how its pressures deviate from the
+first-order law (`pressure_table`). Leaks are detected from balances of air
 (`air_balance`).
 
-All pressures are relative to the estimated supply pressure (`air_balance`), so a droop
-of the supply is not a fault. A sudden loss makes all segments weak, or seem to leak, at
-once; the estimate is then corrected. `starved` is reported below `STARVED_BELOW` of the
-nominal pressure.
+All pressures are relative to the estimated supply pressure (`air_balance`), so a
+drooping supply is not reported as a fault of a segment. After a sudden loss of supply
+pressure, all segments seem weak or leaking at once, and the detector corrects the supply
+estimate. It reports `starved` below the fraction `STARVED_BELOW` of the nominal pressure.
 """
 
 from __future__ import annotations
@@ -74,13 +88,13 @@ _OFFSET_SD_RAD = 0.06
 _SCALE_SD = 0.05
 """Standard deviation of the sensors' scale errors."""
 _PRESSURE_SD = 0.12
-"""Initial standard deviation of pressures, share of the supply pressure."""
+"""Initial standard deviation of pressures, fraction of the supply pressure."""
 _LEAST_PRESSURE_SD = 0.02
-"""Part of it that is not learnt, share of the supply pressure."""
+"""Minimum standard deviation of pressures, fraction of the supply pressure."""
 _LOAD_SD = 0.11
-"""Standard deviation of d, share of the largest bend."""
+"""Standard deviation of the disturbance d, fraction of the maximum bend."""
 _LOAD_TIME_S = 0.15
-"""Time constant of d, s."""
+"""Time constant of the disturbance d, s."""
 _PRESSURE_TIME_S = 0.08
 """Correlation time of pressure residuals, s."""
 _BIAS_WALK = 0.0014
@@ -92,8 +106,9 @@ _OFFSET_WALK = 0.002
 _DRIFT_WALK = 0.03
 """Random walk of the offset of a drifting sensor, rad per square root of a second."""
 _FAILED_BELOW = 0.85
-"""Ratio of measured to expected pressures below which several suspected leaks are one failure of the
-supply."""
+"""Ratio of measured to expected pressure below which the supply is assumed to have failed.
+
+Several suspected leaks are then attributed to the supply."""
 _SETTLED_S = 0.1
 """Time after which the pressure of a filling chamber shows the supply pressure."""
 _BALANCED_STROKES = 3
@@ -103,15 +118,17 @@ _TAILS = 4.0
 _AT_REST_RAD = 1e-6
 _LEAST_PROBABILITY = 1e-12
 _FROZEN_NOISE = 0.1
-"""Largest difference of successive readings of a frozen sensor, share of the noise."""
+"""Standard deviation of changes of a frozen reading, fraction of the sensor noise."""
 _SUPPLY_EXPLAINS = (SUPPLY_SHARES < 1.0) | np.isin(
     CHAMBERS, (Chamber.LEAKS, Chamber.VENTS)
 ).any(axis=1)
-"""Hypotheses with which filling chambers have a lower pressure, as with a lower supply pressure."""
+"""Hypotheses under which filling chambers reach a lower pressure than expected.
+
+A lower supply pressure has this effect, too."""
 
 
 class _State(IntEnum):
-    """Index of a state: b, g⁺, g⁻, d, s and e of the module docstring."""
+    """Index of each state (b, g⁺, g⁻, d, s, e) of the Kalman filters."""
 
     BIAS = 0
     PLUS = 1
@@ -128,12 +145,12 @@ class FaultDetector(Stateful):
     """Interacting multiple model filters of all segments.
 
     Attributes:
-        probability: of the hypotheses, shape (segments, hypotheses).
-        mean: of b, g⁺, g⁻, d, s and e, shape (segments, hypotheses, 6).
+        probability: probability of each hypothesis, shape (segments, hypotheses).
+        mean: estimated states (b, g⁺, g⁻, d, s, e), shape (segments, hypotheses, 6).
         supply: filter for the supply pressure.
-        leaks: balances of air.
+        leaks: leak detector based on balances of air.
         naming: detected faults.
-        time: since the start of the robot, s.
+        time: time since the start of the robot, s.
     """
 
     state_attributes = (
@@ -147,10 +164,10 @@ class FaultDetector(Stateful):
     )
 
     def __init__(self, spec: RobotSpec, *, supply_pa: float) -> None:
-        """Begin with a robot at rest and empty chambers.
+        """Start with a robot at rest and empty chambers.
 
         Args:
-            spec: the robot.
+            spec: specification of the robot.
             supply_pa: nominal supply pressure, gauge, Pa.
         """
         self._spec = spec
@@ -190,11 +207,15 @@ class FaultDetector(Stateful):
 
     @property
     def named(self) -> dict[int, str]:
-        """Detected fault by segment, from 1; 0 is the supply."""
+        """Detected fault per segment number, counted from 1; key 0 is the supply."""
         return self.naming.named
 
     def clear_fault(self, number: int) -> None:
-        """Remove the fault of a segment (from 1) or of the supply (0), as after a repair."""
+        """Clear a detected fault, for example after a repair.
+
+        Args:
+            number: segment number, counted from 1, or 0 for the supply.
+        """
         self.naming.clear(number)
         if number == 0:
             self.supply = SupplyFilter(self.supply.nominal)
@@ -203,17 +224,17 @@ class FaultDetector(Stateful):
             self.probability[number - 1, 0] = 1.0
 
     def restart(self) -> None:
-        """Begin again with unknown pressures, as after a restart of the robot; keep all that was learnt."""
+        """Treat the pressures as unknown after a restart, but keep learnt parameters."""
         self.time = 0.0
         self._level = math.nan
         self.leaks.drop_all()
 
     def inflate(self, switched: np.ndarray, dt: float) -> None:
-        """Inflate the variance for unknown switching times of valves.
+        """Increase the variance of the disturbance for unknown switching times of valves.
 
         Args:
-            switched: change of the duty, shape (segments, 2).
-            dt: interval in which the valves switched, s.
+            switched: change of each valve's duty, shape (segments, 2).
+            dt: length of the interval in which the valves switched, s.
         """
         self.leaks.drop(switched > 0)
         reached = 1 - math.exp(-dt / self._fill)
@@ -221,11 +242,11 @@ class FaultDetector(Stateful):
         self._covariance[..., _State.LOAD, _State.LOAD] += change[:, None] ** 2
 
     def most_likely(self) -> np.ndarray:
-        """Return the most likely hypothesis of each segment that agrees with its detected fault."""
+        """Return each segment's most likely hypothesis that agrees with its detected fault."""
         return self.naming.most_likely(self.probability)
 
     def modules(self) -> Uncertain:
-        """Return g⁺, g⁻ and b (rad), shape (segments, 3)."""
+        """Return estimates of g⁺, g⁻ and b (rad) of each module, shape (segments, 3)."""
         values = self.mean[..., _MODULE]
         variances = np.einsum("smii->smi", self._covariance)[..., _MODULE]
         mean = np.einsum("sm,smi->si", self.probability, values)
@@ -234,7 +255,7 @@ class FaultDetector(Stateful):
         return Uncertain(mean, np.sqrt(variance))
 
     def corrected(self, readings: np.ndarray) -> Uncertain:
-        """Return readings (rad) without the errors of their sensors."""
+        """Correct readings (rad) for the estimated offsets and scale errors of sensors."""
         mean = np.einsum("sm,smk->sk", self.probability, self.mean)
         bends = (readings - mean[:, _State.OFFSET]) / (1 + mean[:, _State.SCALE])
         rows = np.zeros_like(mean)
@@ -246,7 +267,7 @@ class FaultDetector(Stateful):
         return Uncertain(bends, np.sqrt(variance))
 
     def parameters(self) -> dict[str, Uncertain]:
-        """Return gains and biases (rad) by name."""
+        """Return estimated gains and biases (rad) in a dictionary."""
         mean, sd = self.modules()
         return {
             "gain": Uncertain(mean[:, :2], sd[:, :2]),
@@ -254,12 +275,12 @@ class FaultDetector(Stateful):
         }
 
     def predict(self, duty: np.ndarray, dt: float) -> None:
-        """Advance by a step.
+        """Advance all hypotheses by one time step.
 
         Args:
-            duty: share of time in which each valve fills, as commanded, shape
+            duty: commanded fraction of time in which each valve fills, shape
                 (segments, 2).
-            dt: s.
+            dt: time step, s.
         """
         self.time += dt
         self.supply.predict(dt)
@@ -277,18 +298,18 @@ class FaultDetector(Stateful):
         dt: float = 0.02,
         heading_noise_scale: float = 1.0,
     ) -> None:
-        """Update with measurements of the current time.
+        """Update all hypotheses with measurements made at the current time.
 
         Args:
-            readings: bends of the sensors, shape (segments,), rad, NaN without a
-                reading; None: no message.
-            markers: bends from markers, rad, NaN where they are missing; None: no
-                frame.
-            pressures: gauge, shape (segments, 2), Pa, NaN where they are missing; None:
-                no message.
-            dt: interval since the previous pressures, s.
+            readings: bends measured by the sensors, shape (segments,), rad. Missing
+                readings are NaN; None means that no message arrived.
+            markers: bends measured by motion capture, shape (segments,), rad. Missing
+                bends are NaN; None means that no frame arrived.
+            pressures: gauge pressures of the chambers, shape (segments, 2), Pa. Missing
+                pressures are NaN; None means that no message arrived.
+            dt: time since the previous pressure message, s.
             heading_noise_scale: ratio of the heading noise of motion capture to the
-                assumed one.
+                assumed heading noise.
         """
         if self.time < self._settling_s:
             return
@@ -313,14 +334,13 @@ class FaultDetector(Stateful):
         self.naming.update(self.time, self.probability)
 
     def update_supply(self, pressure: float) -> None:
-        """Update with a measured supply pressure (gauge, Pa)."""
+        """Update the supply estimate with a measured gauge pressure (Pa)."""
         before = self.supply.pressure
         self.supply.measure(pressure)
         self._rescale(before)
         self._judge_supply()
 
     def _advance_chambers(self, duty: np.ndarray, dt: float) -> None:
-        """Advance the pressures of all hypotheses, and the pressures after the lag τ₂."""
         duty = valve_duty(duty[:, None], CHAMBERS)
         leak = np.where(CHAMBERS == Chamber.LEAKS, LEAK_RATES[:, None], 0.0)
         supply = self.supply.pressure * SUPPLY_SHARES[:, None]
@@ -333,10 +353,11 @@ class FaultDetector(Stateful):
         self._pressure = relaxed(self._pressure, *relaxation, dt)
 
     def _bend_rows(self) -> np.ndarray:
-        """Return the derivatives of the bends by the states, shape (segments, hypotheses, 6)."""
+        """Return the Jacobian of the bends, shape (segments, hypotheses, 6)."""
         drive = self._gain[:, None] * self._delayed
         linear = drive[..., 0] - drive[..., 1]
-        # At rest the ratio of the free bend to its linear part is the slope of the law.
+        # At rest the ratio of the free bend to its linear part is 0/0. With a small
+        # linear part the ratio approximates the derivative of the free bend.
         linear = np.where(np.abs(linear) < _AT_REST_RAD, _AT_REST_RAD, linear)
         drive = drive * (free_bends(self._spec, linear) / linear)[..., None]
         rows = np.ones((*self.probability.shape, 6))
@@ -346,7 +367,7 @@ class FaultDetector(Stateful):
         return rows
 
     def _mix(self, dt: float) -> None:
-        """Mix the hypotheses by their transition probabilities, then predict their states."""
+        """Mix the Kalman filters by transition probabilities and predict their states."""
         # Faults do not heal. Transitions between faults remain possible, because a
         # fault may first look like another one.
         transition = np.full((len(HYPOTHESES),) * 2, _FAULT_RATE * dt)
@@ -379,7 +400,6 @@ class FaultDetector(Stateful):
     def _correct_by_readings(
         self, rows: np.ndarray, readings: np.ndarray
     ) -> np.ndarray:
-        """Correct the Kalman filters by readings of the sensors, given the rows of the bends."""
         sensed = rows.copy()
         sensed[..., _State.OFFSET] = 1.0
         sensed[..., _State.SCALE] = np.einsum("smk,smk->sm", rows, self.mean)
@@ -394,16 +414,16 @@ class FaultDetector(Stateful):
         noise: float,
         used: np.ndarray | bool = True,
     ) -> np.ndarray:
-        """Correct the Kalman filters of all hypotheses by one measurement per segment.
+        """Correct the Kalman filters with one measurement per segment.
 
         Args:
             rows: measurement matrix, shape (segments, hypotheses, 6).
-            measured: shape (segments,), rad, NaN where it is missing.
-            noise: standard deviation, rad.
+            measured: measured bend, shape (segments,), rad, NaN where it is missing.
+            noise: standard deviation of the measurement noise, rad.
             used: whether a hypothesis uses the measurement, shape (hypotheses,).
 
         Returns:
-            Log-likelihoods, 0 without a measurement.
+            Log-likelihood of each hypothesis, which is 0 without a measurement.
         """
         available = ~np.isnan(measured)[:, None] & used
         gain = np.einsum("smkl,sml->smk", self._covariance, rows)
@@ -421,7 +441,10 @@ class FaultDetector(Stateful):
         return np.where(available, log, 0.0)
 
     def _sensor_log_likelihood(self, readings: np.ndarray) -> np.ndarray:
-        """Return log-likelihoods of missing readings (silent sensor) and equal ones (frozen sensor)."""
+        """Return the evidence for silent and frozen sensors as log-likelihoods.
+
+        Missing readings indicate a silent sensor, and equal readings a frozen sensor.
+        """
         log_likelihood = np.zeros(self.probability.shape)
         lost = np.isnan(readings)[:, None]
         silent = SENSORS == Sensor.SILENT
@@ -439,7 +462,7 @@ class FaultDetector(Stateful):
         return log_likelihood
 
     def _pressure_log_likelihood(self, pressures: np.ndarray, dt: float) -> np.ndarray:
-        """Return log-likelihoods of pressures, reduced for the correlation of successive residuals."""
+        """Return log-likelihoods of pressures, scaled down for correlated residuals."""
         usual, sd = self._levels.read()
         self._update_supply(pressures, Uncertain(usual, sd + _LEAST_PRESSURE_SD))
         residual = pressures[:, None] - self._pressure
@@ -458,11 +481,12 @@ class FaultDetector(Stateful):
         return np.asarray(log.sum(axis=-1) * min(dt / _PRESSURE_TIME_S, 1.0))
 
     def _update_supply(self, pressures: np.ndarray, usual: Uncertain) -> None:
-        """Correct the supply pressure by chambers that fill as commanded.
+        """Correct the supply estimate with chambers that fill as commanded.
 
         Args:
-            pressures: gauge, shape (segments, 2), Pa.
-            usual: residuals of pressures, share of the supply pressure, same shape.
+            pressures: gauge pressures of the chambers, shape (segments, 2), Pa.
+            usual: learnt pressure residuals, fraction of the supply pressure, shape
+                (segments, 2).
         """
         before = self.supply.pressure
         response = self._pressure[:, 0] / before + usual.value
@@ -495,7 +519,7 @@ class FaultDetector(Stateful):
         self._adopt_supply(before)
 
     def _adopt_supply(self, before: float) -> None:
-        """Adapt all hypotheses to a supply pressure that was `before` (Pa)."""
+        """Rescale all hypotheses after the supply estimate changed from `before` (Pa)."""
         self._rescale(before)
         if before - self.supply.pressure > SUDDEN * self.supply.nominal:
             # Until the loss was noticed, chambers with a low pressure seemed to leak or
@@ -504,13 +528,12 @@ class FaultDetector(Stateful):
             self._attribute_to_supply(_SUPPLY_EXPLAINS, likely)
 
     def _rescale(self, before: float) -> None:
-        """Adapt the chamber pressures of all hypotheses to another supply pressure."""
         share = self.supply.pressure / before
         self._pressure *= share
         self._delayed *= share
 
     def _judge_supply(self) -> None:
-        """Correct the supply pressure if all segments are weak at once; detect and clear `starved`."""
+        """Correct the supply estimate if most segments seem weak, and update `starved`."""
         weak = SUPPLY_SHARES < 1.0
         weak_or_leaks = weak | (LEAK_RATES > 0.0)
         kind = np.flatnonzero(weak)[self.probability[:, weak].sum(axis=0).argmax()]
@@ -518,8 +541,8 @@ class FaultDetector(Stateful):
             share = SUPPLY_SHARES[kind]
             common = weak
         else:
-            # Several leaks at once are a failure of the supply if the pressures are low
-            # as well.
+            # If the pressures are low as well, a failed supply is more likely than
+            # several leaks at once.
             share = self._level
             common = weak_or_leaks
         suspect = self.probability[:, common].sum(axis=1) > 0.5
@@ -536,8 +559,8 @@ class FaultDetector(Stateful):
             # fault would remain after recovery.
             likely = np.where(weak_or_leaks, self.probability, 0.0).argmax(axis=1)
             self._attribute_to_supply(weak_or_leaks, likely)
-        # Without pressures only the hypotheses of a weak supply change the estimate, so
-        # its sd never falls.
+        # Without chamber pressures, only hypotheses of a weak supply change the estimate.
+        # The standard deviation then never falls, so the thresholds ignore it.
         sd = 0.0 if math.isnan(self._level) else self.supply.sd
         if self.supply.pressure + sd < STARVED_BELOW * self.supply.nominal:
             self.naming.pairs[0, 0] = WEAK
@@ -545,12 +568,12 @@ class FaultDetector(Stateful):
             self.naming.clear(0)
 
     def _attribute_to_supply(self, common: np.ndarray, kind: np.ndarray) -> None:
-        """Move the probability of hypotheses that the supply explains to the hypothesis without a fault.
+        """Move the probability of faults that the supply explains to "no fault".
 
         Args:
-            common: whether the supply explains a hypothesis.
-            kind: hypothesis of each segment from which the state is taken, if it is
-                likely.
+            common: whether the supply explains a hypothesis, shape (hypotheses,).
+            kind: index of the hypothesis from which each segment takes its state, shape
+                (segments,).
         """
         moved = self.probability[:, common].sum(axis=1)
         segments = np.flatnonzero(moved > 0.5)
@@ -562,7 +585,6 @@ class FaultDetector(Stateful):
     def _leak_log_likelihood(
         self, pressures: np.ndarray, rows: np.ndarray
     ) -> np.ndarray:
-        """Return log-likelihoods of the inflow of filling chambers."""
         bends = np.einsum("smk,smk->sm", rows, self.mean)
         bend = (self.probability * bends).sum(axis=1)
         variance = np.einsum("smk,smkl,sml->sm", rows, self._covariance, rows)
@@ -580,5 +602,5 @@ class FaultDetector(Stateful):
 
 
 def _log_student(square: np.ndarray) -> np.ndarray:
-    """Return the logarithm of Student's t density at a squared deviation, without its constant."""
+    """Return the log-density of Student's t distribution up to a constant."""
     return np.asarray(-np.log1p(square / _TAILS) * (_TAILS + 1) / 2)

@@ -199,7 +199,6 @@ def decode(
 
 
 def _document(payload: bytes) -> Mapping[str, Any]:
-    """Return the JSON object in a payload."""
     if len(payload) > LARGEST_BYTES:
         raise BadMessageError(f"more bytes than the {LARGEST_BYTES} that are allowed")
     try:

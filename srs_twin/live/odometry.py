@@ -1,15 +1,16 @@
-r"""LocalConnection and Odometry: motion of a body on wheels by the change of its bends.
+r"""LocalConnection and Odometry: motion of a wheeled body due to changes of its bends.
 
-If inertia is negligible, a body moves by its change of shape only, at any pace (Kelly
-and Murray 1995):
+If inertia is negligible, the motion of a body depends only on the change of its shape,
+not on the pace of the change (Kelly and Murray 1995):
 
 $$ ξ = A(q) \, \dot q , \qquad A = A_w(q) + \sum_k W_k \, φ_k(\tanh(q / q_0)) , \quad
 φ(x) = (1, x_i, x_i x_j, x_i x_j x_k) , $$
 
-where ξ is the forward and lateral velocity and the yaw rate. A_w minimises the friction
-of wheels whose friction is proportional to speed. W is the difference of the robot: for
-example, a gait that turns is slower than a straight one to either side, which needs
-cubic terms. Regularised least squares fits W to successive frames of motion capture.
+where q contains the bends and ξ the forward velocity, lateral velocity and yaw rate. A_w
+minimises the dissipation of wheels whose friction is proportional to speed. The weights W
+describe how the robot differs from this model. Cubic features φ are needed because, for
+example, a turning gait is slower than a straight gait to either side. Regularised least
+squares fits W to successive frames of motion capture.
 """
 
 from __future__ import annotations
@@ -30,31 +31,37 @@ from srs_twin.robot.spec import RobotSpec
 PRIOR = 0.1
 """Prior standard deviation of the entries of W, rad/rad."""
 _MODEL_ERROR_RANGE = 0.01, 0.05
-"""Limits of the uncertainty of A, rad per rad of bending; cubic terms cannot represent every robot."""
+"""Limits of the uncertainty of A, rad per rad of bending.
+
+The uncertainty never vanishes because cubic terms cannot represent every robot."""
 _SATURATION_RAD = 0.7
-"""q₀: the features do not grow beyond it, so small bends determine no extrapolation to large ones."""
+"""Bend q₀ at which the features saturate, rad.
+
+Without saturation, a fit to small bends would be extrapolated to large bends."""
 _BLOCK = 30
 """Number of frames after which W is fitted again."""
 _KEPT_BLOCKS = 10
-"""Number of blocks that the scatter of the displacement is a mean of."""
+"""Number of blocks over which the scatter of the displacement is averaged."""
 _FORGETTING_FRAMES = 3000
 """Number of frames after which the weight of a frame has fallen to 1/e."""
 _NOISE_RAD = 0.02
-"""Prior standard deviation of the heading of a frame."""
+"""Prior standard deviation of the heading of a frame, rad."""
 _SCATTER = 0.001, 0.001, 0.02
-"""Prior standard deviation of the displacement per frame: forward, lateral (m), turning (rad)."""
+"""Prior standard deviation of the forward, lateral (m) and yaw (rad) motion per frame."""
 _ERROR_INFLATION = 1.3
-"""Factor of the standard deviation of W, because the errors of the cubic terms recur in each stroke."""
+"""Factor by which the standard deviation of W is increased.
+
+The errors of the cubic terms recur in each stroke and are therefore correlated."""
 _DIFFERENCE_RAD = 1e-4
-"""Step of the difference quotient by the bends."""
+"""Step of the bends in difference quotients, rad."""
 
 
 class LocalConnection(Stateful):
-    """Local connection of one robot.
+    """Local connection of one robot. See the module docstring.
 
     Attributes:
-        weights: W, one row per product of a feature and the change of a bend; columns
-            forward, lateral (m) and turning (rad).
+        weights: weights W, with one row per product of a feature and the change of a
+            bend. The columns are forward motion (m), lateral motion (m) and yaw (rad).
     """
 
     state_attributes = (
@@ -68,11 +75,11 @@ class LocalConnection(Stateful):
     )
 
     def __init__(self, spec: RobotSpec, mass: Array) -> None:
-        """Begin with W = 0.
+        """Start with W = 0.
 
         Args:
-            spec: the robot.
-            mass: of each connector with its share of the segments, kg.
+            spec: specification of the robot.
+            mass: mass of each connector and its part of the adjacent segments, kg.
         """
         n = spec.segments
         self._spec = spec
@@ -92,7 +99,7 @@ class LocalConnection(Stateful):
         self._root: Array = np.eye(count) * PRIOR / _NOISE_RAD
 
     def snapshot(self) -> LocalConnection:
-        """Return a copy for another thread, which cannot learn."""
+        """Return a copy for another thread; the copy cannot learn."""
         made = object.__new__(LocalConnection)
         # `learn` and `recall` replace these arrays and never change them.
         for name in ("_spec", "_mass", "_powers", "weights", "_root", "_scatter"):
@@ -104,7 +111,10 @@ class LocalConnection(Stateful):
         return np.outer(self._features((before + after) / 2), after - before).ravel()
 
     def matrix(self, bends: Array) -> Array:
-        """Return A: forward, lateral (m/rad), turning (rad/rad), shape (3, segments)."""
+        """Return the matrix A, shape (3, segments).
+
+        The rows are forward motion (m/rad), lateral motion (m/rad) and yaw (rad/rad).
+        """
         features = self._features(bends)
         learnt = self.weights.reshape(len(features), self._spec.segments, 3)
         matrix: Array = self.kinematic_matrix(bends) + np.einsum(
@@ -113,7 +123,7 @@ class LocalConnection(Stateful):
         return matrix
 
     def kinematic_matrix(self, bends: Array) -> Array:
-        """Return A_w, as `matrix`."""
+        """Return the matrix A_w with the layout of `matrix`."""
         g = self._spec.geometry
         mu = self._spec.friction
         n = self._spec.segments
@@ -124,7 +134,8 @@ class LocalConnection(Stateful):
         heading = relative_headings(bends)
         ahead = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
         aside = ahead[:, ::-1] * [-1.0, 1.0]
-        # Scaled by the roots of the friction coefficients, for least squares.
+        # The square roots of the friction coefficients turn the minimum of dissipation
+        # into a least-squares problem.
         directions = np.stack([math.sqrt(mu.mu_t) * ahead, math.sqrt(mu.mu_n) * aside])
         turns = np.stack([-place[:, 1], place[:, 0]], axis=-1)
         levers = np.sum(directions * turns, axis=-1, keepdims=True)
@@ -133,10 +144,10 @@ class LocalConnection(Stateful):
         return np.asarray(-np.linalg.lstsq(body, own, rcond=None)[0])
 
     def sample_model_error(self, features: Array, draws: Array) -> Array:
-        """Return displacements due to the uncertainty of W, shape (members, 3).
+        """Return random displacements due to the uncertainty of W, shape (members, 3).
 
         Args:
-            features: as from `features`.
+            features: products φ ⊗ dq as returned by `features`.
             draws: standard normal numbers, shape (members, rows of W, 3).
         """
         spread = _ERROR_INFLATION * features @ self._root
@@ -150,7 +161,12 @@ class LocalConnection(Stateful):
         )
 
     def learn(self, features: Array, residual: Array) -> None:
-        """Learn from a displacement between frames (m, m, rad) less A_w dq."""
+        """Learn from the displacement between two frames.
+
+        Args:
+            features: products φ ⊗ dq of the motion between the frames.
+            residual: displacement (m, m, rad) minus the prediction A_w dq.
+        """
         remembered = 1 - 1 / _FORGETTING_FRAMES
         self._gram *= remembered
         self._sums *= remembered
@@ -162,8 +178,8 @@ class LocalConnection(Stateful):
         self._frames += 1
         if self._frames % _BLOCK:
             return
-        # The noise of one frame cancels with the next one, so the scatter is that of
-        # sums over a block.
+        # The noise of a frame enters successive displacements with opposite signs. It
+        # cancels in sums over a block, so the scatter is computed from these sums.
         kept = max(min(self._frames // _BLOCK, _KEPT_BLOCKS), 2)
         self._scatter = self._scatter + (self._block**2 / _BLOCK - self._scatter) / kept
         self._block = np.zeros(3)
@@ -176,7 +192,7 @@ class LocalConnection(Stateful):
             self._normal()
 
     def _normal(self) -> Array:
-        """Return the matrix of the normal equations with the prior; keep the root of its inverse."""
+        """Return the normal matrix with the prior and store the root of the inverse."""
         gram: Array = self._gram + self._noise / PRIOR**2 * np.eye(len(self._gram))
         self._root = np.asarray(np.linalg.inv(np.linalg.cholesky(gram)).T)
         return gram
@@ -193,12 +209,12 @@ _LONGEST_FRAME_INTERVAL_S = 0.2
 
 
 class Odometry:
-    """Motion of bodies by the local connection, which is fitted to frames of motion capture.
+    """Motion of an ensemble computed from the local connection of the robot.
 
-    All members move by the change of the mean bends, plus a random displacement from
-    the uncertainty of the connection. The bends of single members fluctuate and would
-    turn the bodies at random; so would model errors between two corrections. Therefore
-    the motion is integrated along a straight line between corrected mean bends.
+    All members move due to the change of the mean bends. A random displacement represents
+    the uncertainty of the connection. The bends of single members fluctuate, and models
+    err between two corrections. Both would turn the bodies at random. Therefore the
+    motion is integrated along a straight line between corrected mean bends.
 
     Attributes:
         connection: local connection of the robot.
@@ -208,20 +224,26 @@ class Odometry:
     def __init__(
         self, connection: LocalConnection, bends: Array, rng: np.random.Generator
     ) -> None:
-        """Create an odometry at the bends of the members, shape (members, segments), rad."""
+        """Create the odometry of an ensemble.
+
+        Args:
+            connection: local connection of the robot.
+            bends: initial bends of the members, shape (members, segments), rad.
+            rng: random number generator for the draws of the model error.
+        """
         self.connection = connection
         self.twist = np.zeros(3)
         self._features = np.zeros(len(connection.weights))
         draws = rng.normal(size=(len(bends), len(self._features), 3))
         self._draws = draws - draws.mean(axis=0)
         self._forecasting = False
-        # Bends at the last step, and the time since.
+        # Bends at the last call of `apply`, and the time since then.
         self._bends = bends.copy()
         self._elapsed = 0.0
         self._frame_age = math.inf
 
     def advance(self, dt: float) -> None:
-        """Add a time step (s) to the elapsed time; `apply` moves the bodies."""
+        """Add a time step (s) to the elapsed time without moving the bodies."""
         self._elapsed += dt
         self._frame_age += dt
 
@@ -229,8 +251,8 @@ class Odometry:
         """Move the bodies by the change of the bends since the last call.
 
         Args:
-            pose: x, y (m) and heading (rad) of the members, in place.
-            bends: bends of the members, rad.
+            pose: position x, y (m) and heading (rad) of each member, changed in place.
+            bends: current bends of the members, shape (members, segments), rad.
         """
         if not self._elapsed:
             return
@@ -256,7 +278,7 @@ class Odometry:
         self._elapsed = 0.0
 
     def learn(self, pose: Array, bend: Array, poses: Array, bends: Array) -> None:
-        """Fit the connection to a frame.
+        """Fit the connection to a frame of motion capture.
 
         Args:
             pose: mean pose before the correction by the frame.
@@ -271,8 +293,8 @@ class Odometry:
             c = math.cos(pose[2])
             s = math.sin(pose[2])
             residual = np.array([c * x + s * y, c * y - s * x, turn])
-            # Add the learnt part again, because the fit concerns the whole motion since
-            # the last frame.
+            # The pose before the correction already contains the learnt part. The part
+            # is added again because W is fitted to the whole motion.
             residual += self._features @ connection.weights
             residual -= connection.kinematic_matrix((bend + now) / 2) @ (now - bend)
             connection.learn(self._features + connection.features(bend, now), residual)
@@ -285,16 +307,18 @@ class Odometry:
         self._frame_age = math.inf
 
     def restart(self, bends: Array) -> None:
-        """Continue from other bends (rad) without motion."""
+        """Continue from other bends (rad) without moving the bodies."""
         self._bends = bends.copy()
         self.interrupt()
 
     def forecaster(self, before: Array, bends: Array) -> Odometry:
-        """Return the odometry of the first members for predictions, in which each follows its own bends.
+        """Return an odometry for a prediction with the first members.
+
+        In the prediction each member moves due to its own bends.
 
         Args:
-            before: bends of these members in the filter, rad.
-            bends: bends of these members in the prediction, rad.
+            before: bends of the predicted members in the filter, rad.
+            bends: bends of the predicted members at the start of the prediction, rad.
         """
         other = copy.copy(self)
         vars(other).update(

@@ -1,7 +1,7 @@
-"""PressureTable: pressure residuals of a first-order chamber model, by the time since a valve switched.
+"""Tables of pressure residuals of a first-order chamber model.
 
-A chamber with compressible flow deviates from its first-order model in the same way in
-each stroke. The tables are indexed by chamber, valve state and the age of that state.
+A chamber with compressible flow deviates from the first-order model in the same way in
+each stroke. The tables are indexed by chamber, valve state and time since switching.
 """
 
 from __future__ import annotations
@@ -19,14 +19,21 @@ class ValveAges(Stateful):
     """Time since the valves of all chambers switched.
 
     Attributes:
-        filling: 1 where the valve fills, else 0, shape (segments, 2).
-        age: time from its switching to the start of the last step, same shape, s.
+        filling: valve state, 1 where the valve fills and 0 elsewhere, shape
+            (segments, 2).
+        age: time from switching to the start of the last step, shape (segments, 2), s.
     """
 
     state_attributes = ("filling", "age", "_dt")
 
     def __init__(self, segments: int, bins: int, width_s: float) -> None:
-        """Begin with vented chambers; tables have a number of bins of a width (s)."""
+        """Start with vented chambers.
+
+        Args:
+            segments: number of segments.
+            bins: number of bins per table.
+            width_s: width of a bin, s.
+        """
         self.filling = np.zeros((segments, 2), dtype=int)
         self.age = np.zeros((segments, 2))
         self._dt = 0.0
@@ -36,16 +43,16 @@ class ValveAges(Stateful):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Shape of a table: segments, sides, valve states, bins."""
+        """Shape of a table (segments, sides, valve states, bins)."""
         return *self.age.shape, 2, self._bins
 
     @property
     def filled_s(self) -> np.ndarray:
-        """Time for which each chamber has been filled, shape (segments, 2), s; 0 while it vents."""
+        """Filling time of each chamber, shape (segments, 2), s, or 0 while it vents."""
         return np.where(self.filling == 1, self.age, 0.0)
 
     def index(self) -> BinIndex:
-        """Return the current bins."""
+        """Return the index of the current bin of each chamber."""
         return (
             *self._chambers,
             self.filling,
@@ -53,43 +60,50 @@ class ValveAges(Stateful):
         )
 
     def advance(self, duty: np.ndarray, dt: float) -> None:
-        """Advance by a step (s) with a duty of the valves, share of time in which they fill."""
+        """Advance the ages by one time step.
+
+        Args:
+            duty: fraction of time in which each valve fills, shape (segments, 2).
+            dt: time step, s.
+        """
         filling = (duty > 0.5).astype(int)
-        # The age is that at the start of the step, so it grows by the duration of the
-        # step before.
+        # The age refers to the start of the step, so it grows by the previous time step.
         self.age = np.where(filling == self.filling, self.age + self._dt, 0.0)
         self.filling = filling
         self._dt = dt
 
 
 class PressureRates:
-    """Learnt differences between the pressure rates of the chambers and of their first-order model.
+    """Learnt differences between pressure rates and the first-order model.
 
     Attributes:
-        rate: shape (segments, 2, states, bins), Pa/s.
-        wander: additional variance of the pressures per time, same shape, Pa²/s.
+        rate: measured minus modelled pressure rate, shape (segments, 2, states, bins),
+            Pa/s.
+        wander: additional variance of the pressures per time, shape (segments, 2,
+            states, bins), Pa²/s.
     """
 
     _BINS = 50
     _WIDTH_S = 0.01
-    """Bins of half the robot's tick, because pressures arrive once per tick."""
+    """Width of a bin, s.
+
+    Pressures arrive once per tick of the robot, and a bin is half a tick wide."""
     _GAIN = 0.2
     """Fraction of an innovation that is added to the rates of its bins."""
     _MEMORY = 8.0
     """Number of innovations over which the variance is averaged."""
     _LEAST_WANDER = 0.03
-    """Lower limit of the wander, share of the nominal supply pressure per square root of a second."""
+    """Lower limit of the wander, fraction of the nominal supply pressure per √s."""
     _LONGEST_S = 0.1
-    """Interval between pressures above which nothing is learnt, s."""
+    """Maximum interval between pressures from which a rate is learnt, s."""
 
     def __init__(self, segments: int, supply: float, wander: float) -> None:
-        """Begin with rates of 0.
+        """Start with rates of 0.
 
         Args:
             segments: number of segments.
             supply: nominal supply pressure, gauge, Pa.
-            wander: initial wander, share of the supply pressure per square root of a
-                second.
+            wander: initial wander, fraction of the supply pressure per √s.
         """
         self.ages = ValveAges(segments, self._BINS, self._WIDTH_S)
         self.rate = np.zeros(self.ages.shape)
@@ -98,7 +112,15 @@ class PressureRates:
         self._time_in_bin = np.zeros_like(self.rate)
 
     def advance(self, duty: np.ndarray, dt: float) -> BinIndex:
-        """Advance by dt (s) with a duty of the valves, shape (segments, 2); return the bins."""
+        """Advance the ages by one time step.
+
+        Args:
+            duty: fraction of time in which each valve fills, shape (segments, 2).
+            dt: time step, s.
+
+        Returns:
+            Index of the current bin of each chamber.
+        """
         self.ages.advance(duty, dt)
         index = self.ages.index()
         self._time_in_bin[index] += dt
@@ -108,8 +130,9 @@ class PressureRates:
         """Learn from the innovations of measured pressures.
 
         Args:
-            innovation: shape (segments, 2), Pa, NaN where nothing was measured.
-            noise: standard deviation of a measurement, Pa.
+            innovation: measured minus predicted pressure, shape (segments, 2), Pa, NaN
+                where nothing was measured.
+            noise: standard deviation of a measured pressure, Pa.
         """
         times = self._time_in_bin
         since = times.sum(axis=(2, 3), keepdims=True)
@@ -127,7 +150,7 @@ class PressureRates:
         self.rate = self.rate + np.where(
             share > 0, self._GAIN * known * times / squares, 0.0
         )
-        # Without a measurement the time accumulates until the next one.
+        # Without a measurement the time accumulates until the next measurement.
         self._time_in_bin = np.where(measured, 0.0, times)
 
 
@@ -135,7 +158,7 @@ class PressureLevels(Stateful):
     """Means and variances of pressure residuals relative to the supply pressure.
 
     Attributes:
-        ages: time since switching of the valves.
+        ages: times since the valves switched.
     """
 
     state_attributes = ("ages", "_count", "_mean", "_variance")
@@ -145,7 +168,7 @@ class PressureLevels(Stateful):
     """Number of pressures over which a mean is taken."""
 
     def __init__(self, segments: int, sd: float) -> None:
-        """Begin with means of 0 and an initial standard deviation."""
+        """Start with means of 0 and an initial standard deviation (dimensionless)."""
         self.ages = ValveAges(segments, self._BINS, self._WIDTH_S)
         self._count = np.ones(self.ages.shape)
         self._mean = np.zeros(self.ages.shape)
@@ -157,10 +180,11 @@ class PressureLevels(Stateful):
         return Uncertain(self._mean[index], np.sqrt(self._variance[index]))
 
     def update(self, residual: np.ndarray, learns: np.ndarray) -> None:
-        """Learn from residuals, pressures less those of the model and the mean.
+        """Learn from pressures that were measured in the current bins.
 
         Args:
-            residual: share of the supply pressure, shape (segments, 2).
+            residual: measured pressure minus model and mean, fraction of the supply
+                pressure, shape (segments, 2).
             learns: whether a chamber is used for learning, shape (segments, 2).
         """
         index = self.ages.index()

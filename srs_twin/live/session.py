@@ -365,7 +365,6 @@ class Session:
                 start = time.monotonic() - done * TICK_S
 
     def _submit(self, now: float) -> None:
-        """Start periodic work on other threads."""
         intervals = self._intervals
         # While messages are skipped, the processor time is needed for the others.
         can_predict = (
@@ -457,7 +456,6 @@ class Session:
             self._report(self._journal.trouble)
 
     def _adopt(self, predicting: Future[Prediction]) -> None:
-        """Use a prediction that another thread has computed."""
         if (error := predicting.exception()) is not None:
             self._report(f"a forecast failed: {error!r}")
             return
@@ -465,7 +463,6 @@ class Session:
         self._prediction = calibration.widened(predicting.result())
 
     def _report(self, problem: str) -> None:
-        """Warn of a problem once, and keep it for the summary."""
         if problem not in self.problems and len(self.problems) < _MOST_PROBLEMS:
             self.problems.append(problem)
             warnings.warn(problem, SessionWarning, stacklevel=2)
@@ -510,13 +507,11 @@ class Session:
         return [message for link in self._links for message in link.received()]
 
     def _record(self, messages: Iterable[Message]) -> None:
-        """Write messages to the journal."""
         if self._journal is not None:
             for message in messages:
                 self._journal.write(message)
 
     def _send(self, link: MqttLink, now: float) -> None:
-        """Send the contact estimate, and the command of the steering."""
         contact = self.shadow.contact.estimate
         if contact is not None:
             link.send_contact(contact)
@@ -542,7 +537,6 @@ class Session:
             self._steering.control(word)
 
     def _vent(self) -> None:
-        """Vent the robot if it is steered."""
         if self._commands is not None and self._steering is not None:
             self._commands.send(COMMAND, self._steering.vented())
 
@@ -595,7 +589,6 @@ class Session:
         self._summary = from_json(strict_json(document))
 
     def _write(self) -> None:
-        """Write the summary and the estimates."""
         self._collect()
         self._summary["problems"] = self.problems
         if self._out is not None:

@@ -246,7 +246,6 @@ class Shadow:
         self._lost_markers = np.array(state.content["gone"])
 
     def _saved_parts(self) -> dict[str, Stateful]:
-        """Return the saved parts by their names in a state file."""
         return {"connection": self.ensemble.odometry.connection, "bank": self.faults}
 
     def _identity(self) -> dict[str, object]:
@@ -332,7 +331,6 @@ class Shadow:
         self._heard[message.kind] = time
 
     def _correct_ensemble(self, message: Message) -> None:
-        """Correct the ensemble by bends or pressures."""
         if message.kind == PRESSURES:
             innovation = self.ensemble.update_pressures(message.values)
         elif message.kind == BENDS:
@@ -344,7 +342,6 @@ class Shadow:
         self._note_innovation(message.kind, innovation)
 
     def _use_frame(self, message: Message) -> None:
-        """Use a frame of motion capture."""
         poses = np.full((self.spec.segments + 1, 3), np.nan)
         for name, row in zip(message.names, message.values, strict=True):
             if name in self._frames:
@@ -368,7 +365,6 @@ class Shadow:
             self._innovation[kind] = float(np.sqrt(np.nanmean(innovation**2)))
 
     def _advance(self, time: float) -> None:
-        """Advance the filters to a time (s)."""
         if time - self.time < _LEAST_STEP_S:
             return
         if time - self.time > LOST_AFTER_S:
@@ -414,7 +410,6 @@ class Shadow:
         return ValveInput(valve_duty(duties, chambers), supply, leak)
 
     def _working_sensors(self) -> np.ndarray:
-        """Return whether the bend sensor of each segment has no detected fault."""
         return np.asarray(SENSORS[self.faults.most_likely()] == Sensor.READS)
 
     def detected(self) -> Iterator[DetectedFault]:
@@ -470,7 +465,6 @@ class Shadow:
 
 
 def _state(ensemble: EnsembleFilter) -> Uncertain:
-    """Return bends, position and heading."""
     names = "bend", "x", "y", "heading"
     return Uncertain(
         np.concatenate([ensemble.mean(name) for name in names]),

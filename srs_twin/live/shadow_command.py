@@ -275,7 +275,6 @@ def _session(
 
 
 def _motion_capture(natnet: str, lab: LabOptions) -> NatNetLink:
-    """Return the link to the motion capture at an address, HOST or HOST:PORT."""
     from srs_twin.live.links import address
     from srs_twin.live.natnet import COMMAND_PORT
     from srs_twin.live.optitrack import NatNetLink

@@ -208,7 +208,6 @@ class EstimateSteering:
         return self._steer(estimate, shadow)
 
     def _is_uncertain(self, estimate: Estimate) -> bool:
-        """Return whether the position is too uncertain for steering."""
         if np.hypot(*estimate.pose_sd[:2]) <= _LARGEST_SD_M:
             self._uncertain_s = 0.0
             return False

@@ -1,4 +1,4 @@
-"""Uncertain and UncertainArray: estimates with their standard deviations."""
+"""Estimated values with standard deviations."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ class Uncertain(NamedTuple):
     """Estimates of several values.
 
     Attributes:
-        value: estimates.
-        sd: standard deviations, same shape and unit.
+        value: estimated values.
+        sd: standard deviation of each value, with the shape and unit of `value`.
     """
 
     value: np.ndarray
