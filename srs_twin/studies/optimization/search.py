@@ -12,8 +12,8 @@ result.
 Candidates are all designs that the low-fidelity model has run. In every round, many new
 designs are judged with low-fidelity results that are interpolated between earlier runs:
 neighbours of the best designs and samples of the whole space. Only the most promising
-ones are run and become candidates. Failed runs do not enter the Gaussian processes. A design
-whose nearest run has failed has an expected improvement of zero.
+ones are run and become candidates. Failed runs do not enter the Gaussian processes.
+A design whose nearest run has failed has an expected improvement of zero.
 
 **Constraints.** The low-fidelity model may violate a constraint where the twin does
 not, and CMA-ES avoids such designs. A Gaussian process for each constraint therefore
@@ -360,7 +360,6 @@ class _Search:
         return self._study.space.snapped(np.clip(wide, 0.0, 1.0))
 
     def _random_weights(self, count: int) -> list[np.ndarray]:
-        """Return weights that are evenly distributed, in random order."""
         if self._objectives == 1:
             return self._weights_of(np.ones(count))
         return self._weights_of(
@@ -368,7 +367,6 @@ class _Search:
         )
 
     def _weights_of(self, shares: np.ndarray) -> list[np.ndarray]:
-        """Return the weights of the objectives for each share of the first one."""
         return [
             np.array([share, 1 - share] if self._objectives == 2 else [1.0])
             for share in shares
@@ -397,7 +395,6 @@ class _Search:
         return cost
 
     def _outputs(self, runs: Sequence[Run]) -> np.ndarray:
-        """Return costs and constraint violations of runs, shape (runs, outputs)."""
         return np.hstack([costs(self._study, runs), excesses(self._study, runs)])
 
     def _candidates(self) -> list[Run]:
@@ -615,5 +612,4 @@ def _predict_with_process(
 def _is_far(
     design: np.ndarray, others: Sequence[np.ndarray], distance: float = _MIN_DISTANCE
 ) -> bool:
-    """Return whether a design is farther than a distance from every other design."""
     return all(math.dist(design, other) > distance for other in others)
