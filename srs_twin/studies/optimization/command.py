@@ -79,7 +79,7 @@ def optimize(
 
 
 class _BestSoFar:
-    """Best feasible value of the first objective at each fidelity, for the progress line."""
+    """Best feasible value of the first objective at each fidelity."""
 
     def __init__(self, study: OptimizationStudy) -> None:
         self._study = study

@@ -1,4 +1,7 @@
-"""Study files and their design space. Loading reports all problems of a file together."""
+"""Study files and their design space.
+
+Loading reports all problems of a file together.
+"""
 
 from __future__ import annotations
 

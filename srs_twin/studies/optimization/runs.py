@@ -153,14 +153,14 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
         return [self._rows[point.key] for point in points]
 
     def reset(self) -> None:
-        """Clear the list of requested runs before another search, but keep their results."""
+        """Clear the list of requested runs, but keep their results."""
         self.requested = []
         self._requested_by_key = {}
 
     def _check_identity(
         self, folder: Path, part: str, store: RowStore, *, changed: bool
     ) -> None:
-        """Store the identity of the study, and refuse another study unless `changed`."""
+        """Store the identity of the study; refuse another study unless `changed`."""
         experiment = self._study.experiments[part]
         names = list(self._study.space.variables)
         rest: tuple[Mapping[str, object], ...] = (
