@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 STUDIES = Path("runs/studies")
 
 _MAX_COLUMNS = 6
-"""Largest number of best designs in the printed table."""
+"""Maximum number of designs in the printed table."""
 
 
 def optimize(
@@ -79,14 +79,13 @@ def optimize(
 
 
 class _BestSoFar:
-    """Best feasible value of the first objective so far at each fidelity, for the progress line."""
+    """Best feasible value of the first objective at each fidelity."""
 
     def __init__(self, study: OptimizationStudy) -> None:
         self._study = study
         self._values = dict[str, float]()
 
     def add(self, part: str, row: Row) -> None:
-        """Update with a finished run."""
         import numpy as np
 
         from srs_twin.studies.optimization.runs import Run
@@ -100,12 +99,10 @@ class _BestSoFar:
             self._values[part] = best(value, self._values.get(part, value))
 
     def text(self) -> str:
-        """Return the values as text."""
         return ", ".join(f"{part} {value:.4g}" for part, value in self._values.items())
 
 
 def _print_result(result: StudyResult) -> None:
-    """Print the best designs, their gains and limitations."""
     from srs_twin.studies.optimization.report import bound_lines
 
     document = result.document()
@@ -127,7 +124,6 @@ def _print_result(result: StudyResult) -> None:
 
 
 def _print_designs(result: StudyResult, document: StudyDocument) -> None:
-    """Print variables and metrics of the best designs in columns."""
     from srs_twin.identification.fitting import print_table
     from srs_twin.studies.optimization.report import mark_bound
     from srs_twin.viewing.plots.labels import field_label, metric_label
@@ -157,7 +153,7 @@ def _text(value: float | None) -> str:
 
 
 def _design_lines(design: DesignDocument, k: int) -> Iterator[str]:
-    """Yield what is known about the k-th best design beyond its metrics, to follow its name."""
+    """Yield remarks on the k-th best design. Each remark is printed after "best/k"."""
     from srs_twin.studies.optimization.report import percentage
     from srs_twin.viewing.plots.labels import metric_label
 

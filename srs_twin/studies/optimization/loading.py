@@ -1,4 +1,7 @@
-"""Study files, their loading and their design space; all problems of a file are reported together."""
+"""Study files and their design space.
+
+Loading reports all problems of a file together.
+"""
 
 from __future__ import annotations
 
@@ -205,7 +208,7 @@ class DesignSpace:
         return len(self.variables)
 
     def values(self, shares: np.ndarray) -> tuple[float | int, ...]:
-        """Return the values of a design, shape (d,), given as fractions from 0 to 1."""
+        """Return the values of a design given as fractions from 0 to 1, shape (d,)."""
         ranges = zip(self.variables.values(), np.clip(shares, 0.0, 1.0), strict=True)
         return tuple(variable.value_at(share) for variable, share in ranges)
 
@@ -215,7 +218,7 @@ class DesignSpace:
         return np.array([variable.share_of(value) for variable, value in ranges])
 
     def bounds(self, shares: np.ndarray) -> dict[str, str]:
-        """Return the variables of a design, shape (d,), that are on a bound → "low" or "high"."""
+        """Map each variable of a design that lies on a bound to "low" or "high"."""
         shares_by_name = zip(self.variables, self.snapped(shares[None])[0], strict=True)
         return {
             name: "low" if share < ON_BOUND else "high"
@@ -224,7 +227,10 @@ class DesignSpace:
         }
 
     def snapped(self, shares: np.ndarray) -> np.ndarray:
-        """Round the values of designs, given and returned as fractions of the ranges, shape (designs, d)."""
+        """Round the values of designs.
+
+        Designs are fractions of the ranges, shape (designs, d).
+        """
         return np.array([self.shares(self.values(share)) for share in shares])
 
     def changes(self, shares: np.ndarray) -> Changes:
@@ -240,7 +246,6 @@ class DesignSpace:
         return changes
 
     def _segment_changes(self, count: int, hold: Sequence[str]) -> Changes:
-        """Return the changes that give the robot another number of segments."""
         geometry = self.robot["geometry"]
         mass = self.robot["mass"]
         before = geometry["connectors"]["value"]
@@ -263,14 +268,14 @@ class OptimizationStudy:
     """Loaded and validated study.
 
     Attributes:
-        name: name, also of the output folder.
+        name: name of the study and of the output folder.
         file: content of the study file.
         scenario: scenario that is varied.
         space: design space.
         experiments: "compliant" (if it can run the scenario) and "twin" → experiment at
             this fidelity.
         document: study file as plain data.
-        changes: fields that differ from the study file; `title` names them.
+        changes: fields that differ from the study file. `title` lists them.
     """
 
     name: str
@@ -297,12 +302,12 @@ def load_study(
     Args:
         study: name or path of the study; a loaded study is returned unchanged.
         set: fields of the scenario to fix in addition to those of the file, by dotted
-            path; `seed` is that of the study.
+            path. `seed` sets the random seed of the study.
 
     Raises:
         InputError: the file does not exist or cannot be read, or a loaded study is to
             be changed.
-        InputFileError: the file is invalid; lists all problems, one per line.
+        InputFileError: the file is invalid. The message lists all problems, one per line.
     """
     if isinstance(study, OptimizationStudy):
         refuse_changes("study", set)
@@ -334,7 +339,6 @@ def load_study(
 def _changes(
     study: OptimizationStudy, written: Mapping[str, Any], locs: Sequence[Loc]
 ) -> ChangedFields:
-    """Return the changed fields of the scenario, and the study's seed if it was changed."""
     fields = [loc for loc in locs if loc != ("seed",)]
     changes = changed_base(study.experiments["twin"], study.scenario, written, fields)
     seed: dict[str, Any] = {"seed": 0, **written}
@@ -372,7 +376,7 @@ def _check_metrics(document: Document, file: StudyFile) -> None:
 
 
 def _check_range_ends(document: Document, study: OptimizationStudy) -> None:
-    """Validate the scenario with the smallest and the largest value of each variable."""
+    """Validate the scenario with each variable at the ends of its range."""
     points: list[tuple[Loc, Experiment, Changes]] = []
     for i, name in enumerate(study.file.variables):
         for end, share in (("low", 0.0), ("high", 1.0)):

@@ -26,19 +26,18 @@ def optimize(
     changed: bool = False,
     progress: Progress = quiet,
 ) -> StudyResult:
-    """Find the best robot or gait of a study, as `srs-twin optimize`.
+    """Search for the best robot or gait, like the command `srs-twin optimize`.
 
-    An interrupted search resumes in the same folder, where finished runs are kept.
+    Finished runs are kept in `out`, so an interrupted search can resume there.
 
     Args:
         study: name of a shipped study, path of a study file, or a loaded study.
-        out: output folder; None: nothing is written.
-        set: fields of the scenario to fix, see `load_study`.
-        engine: "local", "ray" or "warp", or an engine.
-        workers: number of parallel runs; None: one per processor.
-        changed: see `StudyRuns`.
-        progress: function that follows the runs; its total is the largest number of all
-            runs.
+        out: output folder, or None to write nothing.
+        set: scenario fields to fix, as described in `load_study`.
+        engine: name of the engine ("local", "ray" or "warp"), or an engine object.
+        workers: number of parallel runs, or None for one per processor.
+        changed: whether runs of another study in `out` may be reused; see `StudyRuns`.
+        progress: callback that reports progress. Its total is the maximum number of runs.
 
     Raises:
         InputError: the study is not valid, the engine is not available, or the folder
@@ -47,8 +46,8 @@ def optimize(
     loaded = load_study(study, set=set)
     budget = loaded.file.budget
     total = budget.twin + (budget.compliant if "compliant" in loaded.experiments else 0)
-    # Runs after the search: the initial scenario, and for each design two refinements
-    # and the draws of the robot.
+    # After the search, the initial scenario and its random draws of the robot run.
+    # Each reported design runs in two refinements and for every draw, too.
     total += 1 + MAX_REPORTED * (2 + budget.uncertain) + budget.uncertain
     progress(loaded.name, total, None)
 

@@ -1,9 +1,7 @@
-"""Runs of designs, each stored as soon as it is finished and never repeated.
+"""Storage of finished runs, so that no design is simulated twice.
 
-The order of the designs in a search depends only on the seed and on results. An
-interrupted search is therefore restarted from the beginning: it requests the same
-designs, and finished runs are read from the store. The number of workers changes only
-the speed.
+The order of the designs depends only on the seed and on earlier results. A resumed
+search therefore requests identical designs and reads finished runs from the store.
 """
 
 from __future__ import annotations
@@ -26,7 +24,7 @@ from srs_twin.studies.sweep.store import RowStore, SweepIdentity
 from srs_twin.studies.sweep.task import DONE, Row
 
 PLANTS = {"compliant": "analytical", "twin": "twin"}
-"""Fidelity → plant that runs it."""
+"""Plant that simulates each fidelity."""
 
 RowCallback = Callable[[str, Row], None]
 """Function called with the fidelity and the row of each newly finished run."""
@@ -38,8 +36,8 @@ class Run:
 
     Attributes:
         part: fidelity, "compliant" or "twin".
-        shares: design as fractions of the ranges, shape (d,).
-        row: result.
+        shares: design variables as fractions of their ranges, shape (d,).
+        row: stored result of the run.
     """
 
     part: str
@@ -47,12 +45,12 @@ class Run:
     row: Row
 
     def metric(self, name: str) -> float:
-        """Return a metric; NaN without a value."""
+        """Return a metric of the run, or NaN if the metric has no value."""
         return metric_of(self.row, self.part, name)
 
 
 def metric_of(row: Row, part: str, name: str) -> float:
-    """Return a metric of a row at a fidelity; NaN without a value."""
+    """Return a metric of a row, or NaN if the run is not done or has no value."""
     value = row.values.get(f"{PLANTS[part]}.{name}")
     if value is None or row.status != DONE:
         return float("nan")
@@ -63,7 +61,7 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
     """Runs of a study in a locked folder.
 
     Attributes:
-        requested: all requested runs in order, each once.
+        requested: distinct runs in the order of their first request.
     """
 
     def __init__(
@@ -78,12 +76,12 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
         """Open the folder.
 
         Args:
-            study: study.
-            folder: folder of the runs; created if missing.
+            study: study whose designs are run.
+            folder: folder of the runs, which is created if missing.
             engine: engine for new runs.
-            on_row: called with each newly finished run.
-            changed: continue in the folder of another study, and keep the runs that are
-                still valid.
+            on_row: callback for each newly finished run.
+            changed: whether `folder` may belong to another study. Runs that are still
+                valid are then kept.
 
         Raises:
             InputError: the folder cannot be written, is locked, or belongs to another
@@ -111,7 +109,15 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
         self._opened.close()
 
     def run(self, part: str, shares: np.ndarray) -> list[Run]:
-        """Return the runs of designs, shape (designs, d), at one fidelity; raises as `rows`."""
+        """Return the runs of designs at one fidelity.
+
+        Args:
+            part: fidelity, "compliant" or "twin".
+            shares: designs as fractions of the ranges, shape (designs, d).
+
+        Raises:
+            InputError: a row cannot be written.
+        """
         runs = []
         rows = self.rows(part, [self._study.space.changes(design) for design in shares])
         for row, design in zip(rows, shares, strict=True):
@@ -122,7 +128,7 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
         return runs
 
     def rows(self, part: str, changes: Sequence[Changes]) -> list[Row]:
-        """Return the rows of changed scenarios at one fidelity; run the missing ones.
+        """Return the rows of changed scenarios, and run those that are missing.
 
         Raises:
             InputError: a row cannot be written.
@@ -140,21 +146,21 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
             if self._on_row is not None:
                 self._on_row(part, row)
 
-        if missing:  # starting an engine may take seconds
+        if missing:  # Starting an engine may take seconds.
             self._stores[part].collect(
                 self._engine(experiment, missing), [p.key for p in missing], on_row
             )
         return [self._rows[point.key] for point in points]
 
     def reset(self) -> None:
-        """Start another search: clear the list of requested runs, but keep their results."""
+        """Clear the list of requested runs, but keep their results."""
         self.requested = []
         self._requested_by_key = {}
 
     def _check_identity(
         self, folder: Path, part: str, store: RowStore, *, changed: bool
     ) -> None:
-        """Refuse the folder of another study unless `changed`; store the identity of this one."""
+        """Store the identity of the study; refuse another study unless `changed`."""
         experiment = self._study.experiments[part]
         names = list(self._study.space.variables)
         rest: tuple[Mapping[str, object], ...] = (

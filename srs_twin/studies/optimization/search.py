@@ -7,19 +7,20 @@ O'Hagan 2000). New designs maximise the expected improvement
 
 $$ \mathrm{EI}(u) = σ \bigl(z Φ(z) + φ(z)\bigr) \prod_c P(c \text{ holds}), \qquad z = (y^* - μ)/σ, $$
 
-two at a time; the second is chosen as if the first had given its expected result.
+two at a time. The second design is chosen as if the first had given its expected
+result.
 Candidates are all designs that the low-fidelity model has run. In every round, many new
 designs are judged with low-fidelity results that are interpolated between earlier runs:
 neighbours of the best designs and samples of the whole space. Only the most promising
-ones are run and become candidates. Failed runs do not enter the processes; a design
-whose nearest run has failed is expected to improve nothing.
+ones are run and become candidates. Failed runs do not enter the Gaussian processes.
+A design whose nearest run has failed has an expected improvement of zero.
 
 **Constraints.** The low-fidelity model may violate a constraint where the twin does
 not, and CMA-ES avoids such designs. A Gaussian process for each constraint therefore
-predicts the twin's value, as for the objective. The neighbours include those of designs
-that just miss a constraint. Without constraints the same search has no such factors.
+predicts the twin's value, as for the objective. New designs are also drawn near designs
+that just miss a constraint.
 
-**End.** After the last run, the largest expected improvement among new designs is
+**End.** After the last run, the maximum expected improvement among new designs is
 computed. If it is above `MAX_IMPROVEMENT`, the result contains a warning.
 
 **Two objectives.** The low-fidelity model is searched with several weights of a
@@ -57,7 +58,7 @@ _NEIGHBOUR_STD = 0.08
 """Largest standard deviation of new candidates about the best designs, as a fraction of the ranges."""
 
 _NEIGHBOURS = {1: 8, 2: 16}
-"""Number of new candidates per round, by number of objectives."""
+"""Number of new candidates per round, for one and for two objectives."""
 
 _INITIAL_SHARE = 0.3
 """Fraction of the twin's budget for the initial designs, which the low-fidelity model selects."""
@@ -67,13 +68,13 @@ _EDGE_OVERDRAW = 0.2
 bounds, where optima often are."""
 
 _MIN_DISTANCE = 1e-3
-"""Distance below which two designs are the same."""
+"""Distance below which two designs are treated as one."""
 
 MAX_REPORTED = 3
-"""Largest number of best designs that are reported with one objective."""
+"""Maximum number of designs reported for a study with one objective."""
 
 _OPTIMUM_DISTANCE = 0.1
-"""Smallest distance between two reported designs."""
+"""Minimum distance between two reported designs."""
 
 _CMA_SHARE = 0.6
 """Fraction of the low-fidelity budget for CMA-ES; the rest is for candidates."""
@@ -171,10 +172,10 @@ def front(costs: np.ndarray) -> np.ndarray:
 
 
 def _cma() -> Any:
-    """Return the package cma.
+    """Import the optional package cma.
 
     Raises:
-        InputError: it is not installed.
+        InputError: cma is not installed.
     """
     try:
         import cma
@@ -255,7 +256,6 @@ class _Search:
         return self._round // 2 % 2 if self._round % 2 else None
 
     def budget_left(self) -> int:
-        """Return the number of runs left in the twin's budget."""
         return self._study.file.budget.twin - len(self._twin_runs)
 
     def iterate(self) -> bool:
@@ -360,7 +360,6 @@ class _Search:
         return self._study.space.snapped(np.clip(wide, 0.0, 1.0))
 
     def _random_weights(self, count: int) -> list[np.ndarray]:
-        """Return weights that are evenly distributed, in random order."""
         if self._objectives == 1:
             return self._weights_of(np.ones(count))
         return self._weights_of(
@@ -368,7 +367,6 @@ class _Search:
         )
 
     def _weights_of(self, shares: np.ndarray) -> list[np.ndarray]:
-        """Return the weights of the objectives for each share of the first one."""
         return [
             np.array([share, 1 - share] if self._objectives == 2 else [1.0])
             for share in shares
@@ -397,7 +395,6 @@ class _Search:
         return cost
 
     def _outputs(self, runs: Sequence[Run]) -> np.ndarray:
-        """Return costs and constraint violations of runs, shape (runs, outputs)."""
         return np.hstack([costs(self._study, runs), excesses(self._study, runs)])
 
     def _candidates(self) -> list[Run]:
@@ -471,7 +468,6 @@ class _Search:
         return score
 
     def _near_failures(self, designs: Sequence[np.ndarray] | np.ndarray) -> np.ndarray:
-        """Return whether the run nearest to each design has failed, shape (designs,)."""
         runs = [*self._twin_runs, *self._compliant_runs]
         failed = ~np.isfinite(self._outputs(runs)).all(axis=1)
         distances = cdist(designs, [run.shares for run in runs])
@@ -548,9 +544,9 @@ class _Search:
 
         Args:
             mean: predicted outputs, shape (candidates, outputs).
-            sd: their standard deviations, same shape.
+            sd: standard deviations of the predicted outputs, shape (candidates, outputs).
             known: outputs of the twin, shape (runs, outputs).
-            objective: objective to improve; None: the area of the front.
+            objective: objective to improve, or None for the area of the front.
         """
         count = self._objectives
         is_feasible = (known[:, count:] <= 0).all(axis=1)
@@ -616,5 +612,4 @@ def _predict_with_process(
 def _is_far(
     design: np.ndarray, others: Sequence[np.ndarray], distance: float = _MIN_DISTANCE
 ) -> bool:
-    """Return whether a design is farther than a distance from every other design."""
     return all(math.dist(design, other) > distance for other in others)

@@ -33,7 +33,7 @@ from srs_twin.studies.sweep.task import FAILED, PLAN_TIME, Row, failed_row
 FILE = "rows.sqlite"
 
 _MAX_BYTES = 1_000_000
-"""Largest size of a value that is read, as protection against damaged files; rows are smaller."""
+"""Maximum size of a value that is read (bytes), as protection against damaged files."""
 
 
 Parsed = TypeVar("Parsed")
@@ -129,7 +129,7 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
             raise self._input_error(error) from error
 
     def __exit__(self, *error: object) -> None:
-        """Unlock the folder; delete a new file without rows."""
+        """Unlock the folder, and delete a new file that has no rows."""
         # Closing copies the log into the database. On a full disk this fails, but the
         # rows are safe in the log.
         with contextlib.suppress(sqlite3.Error, OSError):
@@ -143,7 +143,7 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
         remove_empty_folders(self._missing)
 
     def identity(self) -> SweepIdentity | None:
-        """Return the stored identity; None if there is none.
+        """Return the stored identity, or None if the store has no identity.
 
         Raises:
             InputError: the stored identity is damaged.
@@ -161,10 +161,10 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
         )
 
     def add(self, row: Row) -> None:
-        """Store a row and its files; replace one with the same key.
+        """Store a row and its files, and replace a row that has an equal key.
 
         Raises:
-            InputError: they cannot be written.
+            InputError: the row or a file cannot be written.
         """
         # Write the files first, because the row marks the point as finished.
         for plant, parquet in row.files.items():
@@ -181,14 +181,15 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
         keys: Sequence[str],
         on_row: Callable[[Row], object] | None = None,
     ) -> None:
-        """Store the rows of tasks as they finish; the error of a task gives a failed row.
+        """Store the rows of tasks as they finish.
 
-        An interrupt ends the tasks; finished rows stay.
+        A task that raised an error is stored as a failed row.
+        An interrupt stops the tasks, and finished rows are kept.
 
         Args:
             finished: results of tasks.
-            keys: key of each task's row.
-            on_row: called with each row.
+            keys: key of the row of each task.
+            on_row: callback for each stored row.
 
         Raises:
             InputError: a row cannot be stored.
