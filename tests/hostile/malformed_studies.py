@@ -10,6 +10,7 @@ from malformed_yaml import edited
 
 from srs_twin.identification.estimate import FitEstimate, Parameter
 from srs_twin.identification.fit_file import DataSet, FitFile, fit_file
+from srs_twin.io.files import is_path
 
 SWEEP = b"""\
 title: Speed over frequency
@@ -181,7 +182,8 @@ def fits(draw: st.DrawFn) -> FitFile:
         FitEstimate(tuple(parameters), correlation, samples=draw(count), held=held),
         name="any",
         title=draw(TEXT),
-        robot=draw(TEXT),
+        # The path of a robot file would be resolved.
+        robot=draw(TEXT.filter(lambda name: not is_path(name))),
         method="pulls",
         command=draw(TEXT),
         versions={"srs_twin": draw(TEXT)},
