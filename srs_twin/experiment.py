@@ -540,7 +540,7 @@ def compare(
     reference: Trajectory | Scenario | StrPath,
     candidate: Trajectory | None = None,
     *,
-    set: Mapping[str, object] | None = None,  # noqa: A002  # as --set
+    set: Mapping[str, object] | None = None,
     gap_factor: bool = False,
 ) -> Comparison:
     """Compare two trajectories, or run a scenario and compare its plants.
@@ -624,7 +624,7 @@ def run_scenario(
     scenario: StrPath | Scenario,
     out: StrPath | None = None,
     *,
-    set: Overrides = (),  # noqa: A002  # as --set
+    set: Overrides = (),
     plants: Sequence[str] | None = None,
     progress: Progress | None = None,
     explain: Explain | None = None,

@@ -170,7 +170,7 @@ def calibrate_margin(
     scenario: StrPath | Scenario,
     *,
     out: StrPath | None = None,
-    set: Overrides = (),  # noqa: A002
+    set: Overrides = (),
     runs: int = 100,
     plants: Sequence[str] | None = None,
     workers: int | None = None,

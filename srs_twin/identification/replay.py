@@ -36,7 +36,7 @@ def replay_scenario(
     robot: StrPath,
     *,
     recording: Mapping[str, Any] = MappingProxyType({}),
-    set: Overrides = (),  # noqa: A002
+    set: Overrides = (),
     fits: Sequence[StrPath] = (),
     expect: StrPath | None = None,
     bench: bool = False,

@@ -43,7 +43,7 @@ from srs_twin.scenario.scenario import Scenario, ignored_obstacles
 def load_scenario(
     scenario: StrPath | Scenario,
     *,
-    set: Overrides = (),  # noqa: A002 - named as the option --set
+    set: Overrides = (),
 ) -> Scenario:
     """Load a scenario, given by a shipped name (gen2_straight) or the path of a scenario file.
 
@@ -68,7 +68,7 @@ def parse_scenario(
     data: Mapping[str, Any],
     *,
     name: str = "scenario",
-    set: Overrides = (),  # noqa: A002 - named as the option --set
+    set: Overrides = (),
 ) -> Scenario:
     """Return the scenario of plain data, as in `Scenario.document`.
 
