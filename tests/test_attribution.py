@@ -17,6 +17,7 @@ from srs_twin.attribution import (
     PlantVariants,
     _builders,
     _in_processes,
+    _Task,
     _window,
     contributions,
     explain,
@@ -194,19 +195,16 @@ def explained():
 def test_variants_under_a_controller_with_sensors_are_the_same_in_worker_processes():
     s = load_scenario("ilc_straight", set={"duration_s": 1.0})
     variants = PlantVariants(s)
-    sets = subsets([switch.name for switch in variants.switches])
-    names = list(_builders(variants, sets))[:2]
+    names = list(_builders(variants))[:2]
     counts = []
-    tasks = [(s, sets, name, s.build_controller(), s.duration) for name in names]
+    tasks = [_Task(s, name, s.build_controller(), s.duration) for name in names]
     runs = _in_processes(tasks, counts.append)
     assert counts == [1, 2] and [run.metadata["plant"] for run in runs] == [
         "twin",
         "analytical",
     ]
     for name, run in zip(names, runs, strict=True):
-        here = rollout(
-            _builders(variants, sets)[name](), s.build_controller(), **s.timing
-        )
+        here = rollout(_builders(variants)[name](), s.build_controller(), **s.timing)
         assert all(
             (here[column] == run[column]).all()
             for column in ("com_x", "bend_1", "duty_plus_1")

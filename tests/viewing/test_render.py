@@ -184,7 +184,7 @@ def test_the_strobe_figure_shows_the_snake_where_it_was(runs, opengl_here):
     tall = 2 * round(wide * size[1] / size[0] / 2)
     rows = [0, len(twin) - 1]
     shown = _render_from_above(
-        stage, rows, (low + high) / 2, float(size[1]), (wide, tall)
+        stage, rows, (low + high) / 2, float(size[1]), render.Size(wide, tall)
     ).astype(int)
     for row in rows:
         for x, y in (twin.position[row, 1:] + twin.position[row, :-1]) / 2:

@@ -499,9 +499,9 @@ def test_a_measured_parameter_narrows_the_interval_as_predicted(short, tmp_path)
     )
     before = propagate(study, tmp_path / "before", local(2))
     best = before.measure_next()[0]
-    section, key = best["parameter"].split(".")
+    section, key = best.parameter.split(".")
     (prior,) = (
-        prior for prior in study.priors.parameters if prior.path == best["parameter"]
+        prior for prior in study.priors.parameters if prior.path == best.parameter
     )
     widths = []
     for k, centre in enumerate(prior.quantile(np.array([0.2, 0.5, 0.8]))):
@@ -521,8 +521,8 @@ def test_a_measured_parameter_narrows_the_interval_as_predicted(short, tmp_path)
             "analytical"
         ]["com_speed_m_s"]
         widths.append(np.ptp(spread.interval("interval_95")))
-    assert np.mean(widths) == pytest.approx(best["width"], rel=0.2)
-    assert best["width"] < 0.9 * best["width_now"]
+    assert np.mean(widths) == pytest.approx(best.width, rel=0.2)
+    assert best.width < 0.9 * best.width_now
 
 
 @pytest.mark.slow
