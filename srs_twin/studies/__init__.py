@@ -1,1 +1,1 @@
-"""Studies over many runs: sweeps, uncertainty, optimisation."""
+"""Studies with many runs: sweeps, uncertainty and optimisation."""

@@ -1,1 +1,1 @@
-"""Optimisation of robot designs and gaits with two fidelities, `compliant` and the twin."""
+"""Optimisation of robot designs and gaits with the fidelities `compliant` and twin."""

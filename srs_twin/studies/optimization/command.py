@@ -1,4 +1,4 @@
-"""`srs-twin optimize`: search for the best robot and gait with two fidelities."""
+"""Command `srs-twin optimize`: search for the best robot and gait."""
 
 from __future__ import annotations
 
@@ -153,7 +153,7 @@ def _text(value: float | None) -> str:
 
 
 def _design_lines(design: DesignDocument, k: int) -> Iterator[str]:
-    """Yield remarks on the k-th best design. Each remark is printed after "best/k"."""
+    """Yield remarks on the k-th best design, each printed after "best/k"."""
     from srs_twin.studies.optimization.report import percentage
     from srs_twin.viewing.plots.labels import metric_label
 

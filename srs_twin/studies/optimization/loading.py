@@ -1,6 +1,6 @@
 """Study files and their design space.
 
-Loading reports all problems of a file together.
+All problems of a file are reported together.
 """
 
 from __future__ import annotations
@@ -50,7 +50,8 @@ from srs_twin.studies.sweep.points import (
 from srs_twin.studies.uncertainty.study import compliant_scenario, on_plant
 
 SEGMENTS = "robot.segments"
-"""Variable for the number of segments; it changes all parameters of the robot that depend on it."""
+"""Variable for the number of segments. It changes all robot parameters that depend
+on the number."""
 
 
 class VariableFile(Section):
@@ -59,19 +60,20 @@ class VariableFile(Section):
     low: float = Field(ge=-1e12, le=1e12, description="Smallest value.")
     high: float = Field(ge=-1e12, le=1e12, description="Largest value.")
     scale: Literal["linear", "log"] = "linear"
-    """Scale on which the search measures distances; log: ratios."""
+    """Scale on which the search measures distances; log stands for ratios."""
     whole: bool = False
     """Whether only integers are allowed."""
     hold: list[Literal["total_length", "total_mass"]] | None = None
-    """Quantities that stay constant when the number of segments changes (robot.segments)."""
+    """Quantities that stay constant when the number of segments (robot.segments)
+    changes."""
     bounds_source: Words | None = None
-    """Physical reason for low and high, repeated in the result for designs on a bound.
-    """
+    """Physical reason for low and high, which the result repeats for designs on a
+    bound."""
 
     def value_at(self, share: float) -> float | int:
         """Return the value at a fraction of the range, rounded."""
         value = value_at(share, self.low, self.high, self.scale)
-        # Six digits, so that designs that differ only by rounding share a run.
+        # With six digits, designs that differ only by rounding share one run.
         return round(value) if self.whole else float(f"{value:.6g}")
 
     def share_of(self, value: float) -> float:
@@ -97,16 +99,17 @@ class ObjectiveFile(Section):
     """Metric to maximise or minimise."""
 
     metric: MetricName
-    """One of `srs-twin list --metrics`."""
+    """Metric to optimise, as listed by `srs-twin list --metrics`."""
     goal: Literal["maximize", "minimize"]
     """Direction of the optimisation."""
     quantile: float | None = quantity(0.01, 0.99, None)
-    """Quantile over the robot's uncertain parameters (budget.uncertain) by which the reported designs are
-    ranked (default: by the result of the nominal robot)."""
+    """Quantile over the robot's uncertain parameters (budget.uncertain) by which the
+    reported designs are ranked (default: ranking by the result of the nominal
+    robot)."""
 
     @property
     def sign(self) -> float:
-        """Factor that makes the metric a cost: lower is better."""
+        """Factor that turns the metric into a cost."""
         return -1.0 if self.goal == "maximize" else 1.0
 
 
@@ -114,7 +117,7 @@ class ConstraintFile(Section):
     """Limit of a metric that a design must satisfy."""
 
     metric: MetricName
-    """One of `srs-twin list --metrics`."""
+    """Limited metric, as listed by `srs-twin list --metrics`."""
     below: float | None = Field(
         None, ge=-1e12, le=1e12, description="Largest allowed value."
     )
@@ -133,20 +136,21 @@ class BudgetFile(Section):
     """Numbers of runs of a study."""
 
     compliant: int = quantity(8, 1_000_000, 400)
-    """Runs of the analytical model compliant, if it can run the scenario."""
+    """Number of runs of the analytical model compliant, if it can run the scenario."""
     twin: int = quantity(4, 1_000_000, 40)
-    """Runs of the twin."""
+    """Number of runs of the twin during the search."""
     uncertain: int = quantity(0, 10_000, 0)
-    """Runs of the twin per best design, with draws of the robot's uncertain parameters; 0: none."""
+    """Number of runs of the twin per best design, each with a random draw of the
+    robot's uncertain parameters. With 0 there are no such runs."""
 
 
 class StudyFile(Section):
     """Optimisation of some fields of a scenario."""
 
     title: Line | None = None
-    """Title, one line (default: the name)."""
+    """Title on one line (default: the name)."""
     scenario: PathOrName
-    """Scenario, a shipped name or the path of a file."""
+    """Name of a shipped scenario or path of a scenario file."""
     fixed: dict[FieldName, Plain | list[Plain]] = Field(
         {}, description="Fields with a different value than in the scenario."
     )
@@ -186,7 +190,8 @@ def study_json_schema() -> dict[str, object]:
 
 
 ON_BOUND = 0.01
-"""Distance from an end of a range, as a fraction of the range, below which a design is on that bound."""
+"""Distance from an end of a range, as a fraction of the range, below which a design
+is on the bound."""
 
 
 @dataclass(frozen=True)
@@ -194,9 +199,9 @@ class DesignSpace:
     """Variables of a study with their ranges.
 
     Attributes:
-        variables: dotted field → range.
-        robot: robot of the scenario as plain data, for the quantities that `hold` keeps
-            constant.
+        variables: range of each variable by its dotted name.
+        robot: robot of the scenario as plain data, which supplies the quantities that
+            `hold` keeps constant.
     """
 
     variables: Mapping[str, VariableFile]
@@ -227,10 +232,7 @@ class DesignSpace:
         }
 
     def snapped(self, shares: np.ndarray) -> np.ndarray:
-        """Round the values of designs.
-
-        Designs are fractions of the ranges, shape (designs, d).
-        """
+        """Return designs, shape (designs, d), with rounded values."""
         return np.array([self.shares(self.values(share)) for share in shares])
 
     def changes(self, shares: np.ndarray) -> Changes:
@@ -272,10 +274,10 @@ class OptimizationStudy:
         file: content of the study file.
         scenario: scenario that is varied.
         space: design space.
-        experiments: "compliant" (if it can run the scenario) and "twin" → experiment at
-            this fidelity.
+        experiments: experiment at each fidelity: "compliant", if it can run the
+            scenario, and "twin".
         document: study file as plain data.
-        changes: fields that differ from the study file. `title` lists them.
+        changes: fields that differ from the study file, as listed in `title`.
     """
 
     name: str
@@ -288,7 +290,7 @@ class OptimizationStudy:
 
     @property
     def title(self) -> str:
-        """Title, one line."""
+        """Title on one line."""
         return marked(self.file.title or self.name, self.changes)
 
 
@@ -300,14 +302,15 @@ def load_study(
     """Load a study by its shipped name (gen2_speed) or the path of a study file.
 
     Args:
-        study: name or path of the study; a loaded study is returned unchanged.
-        set: fields of the scenario to fix in addition to those of the file, by dotted
-            path. `seed` sets the random seed of the study.
+        study: name or path of the study. A loaded study is returned unchanged.
+        set: scenario fields to fix by dotted path, in addition to the fixed fields of
+            the file. `seed` sets the random seed of the study.
 
     Raises:
         InputError: the file does not exist or cannot be read, or a loaded study is to
             be changed.
-        InputFileError: the file is invalid. The message lists all problems, one per line.
+        InputFileError: the file is invalid. The message lists all problems, one per
+            line.
     """
     if isinstance(study, OptimizationStudy):
         refuse_changes("study", set)

@@ -1,4 +1,4 @@
-"""`optimize`: search for the best robot and gait, and write the result."""
+"""Function `optimize`: search for the best robot and gait, and write the result."""
 
 from __future__ import annotations
 
@@ -46,8 +46,8 @@ def optimize(
     loaded = load_study(study, set=set)
     budget = loaded.file.budget
     total = budget.twin + (budget.compliant if "compliant" in loaded.experiments else 0)
-    # After the search, the initial scenario and its random draws of the robot run.
-    # Each reported design runs in two refinements and for every draw, too.
+    # After the search, the initial scenario runs with the nominal and all drawn robots.
+    # Each reported design runs with two refinements and with all drawn robots.
     total += 1 + MAX_REPORTED * (2 + budget.uncertain) + budget.uncertain
     progress(loaded.name, total, None)
 

@@ -1,4 +1,4 @@
-"""Output files of a study: JSON document, evaluations, best designs, plots, report.html."""
+"""Output files of a study: JSON document, evaluations, best designs and plots."""
 
 from __future__ import annotations
 
@@ -52,10 +52,10 @@ def draw_convergence(
 
     Args:
         values: objective of each run, shape (runs,).
-        feasible: whether a run satisfies the constraints, shape (runs,).
+        feasible: mask of runs that satisfy the constraints, shape (runs,).
         label: axis label of the objective.
         initial: value of the unmodified scenario.
-        maximize: direction of the optimisation.
+        maximize: whether a higher objective is better.
     """
     figure = Figure(figsize=(6.5, 3.4), layout="constrained")
     axes = figure.subplots()
@@ -112,13 +112,10 @@ def draw_front(
 def draw_parallel(
     space: DesignSpace, runs: Sequence[Run], ranks: np.ndarray, best: Sequence[Run]
 ) -> CaptionedFigure:
-    """Draw designs as parallel coordinates, the better ones more prominently.
+    """Draw designs as parallel coordinates, with the better designs more prominent.
 
-    Args:
-        space: design space.
-        runs: runs of the twin.
-        ranks: rank of each run, shape (runs,).
-        best: runs of the best designs, whose bounds are marked.
+    `ranks` contains the rank of each run, shape (runs,). The bounds of the `best`
+    designs are marked.
     """
     places = np.arange(space.size)
     figure = Figure(figsize=(max(6.5, 1.1 * space.size), 3.6), layout="constrained")
@@ -160,14 +157,15 @@ def draw_parallel(
 
 
 BOUND_MARK = "†"
-"""Mark of a variable that is on a bound."""
+"""Mark of a variable that lies on a bound."""
 
 
 def write_result(result: StudyResult, folder: Path) -> tuple[str, ...]:
-    """Write all output files into a folder atomically; return their names.
+    """Write all output files into a folder atomically and return their names.
 
     Raises:
-        InputError: a file cannot be written; earlier files are left unchanged.
+        InputError: a file cannot be written. All files of the folder are then
+            unchanged.
     """
     with replace_files(folder, PRODUCTS) as fresh:
         return _write(result, fresh)
@@ -204,7 +202,7 @@ def _write(result: StudyResult, folder: Path) -> tuple[str, ...]:
 
 
 def write_report(folder: Path, result: StudyResult) -> list[str]:
-    """Write plots and HTML page; return their names.
+    """Write plots and HTML page and return their names.
 
     Raises:
         InputError: a file cannot be written.
@@ -234,7 +232,6 @@ def write_report(folder: Path, result: StudyResult) -> list[str]:
 def _figures(
     result: StudyResult, document: StudyDocument
 ) -> dict[str, CaptionedFigure]:
-    """Return file name → figure."""
     study = result.study
     goals = study.file.objectives
     twin = [run for run in result.runs if run.part == "twin"]
@@ -263,7 +260,7 @@ def _figures(
 
 
 def _best_table(result: StudyResult, document: StudyDocument) -> Table:
-    """Return a row per best design, after one for the initial scenario."""
+    """Return a table of the initial scenario and the best designs."""
     study = result.study
     objectives = [objective.metric for objective in study.file.objectives]
     headings = [
@@ -311,7 +308,10 @@ def _interval_text(
 
 
 def bound_lines(document: StudyDocument) -> list[str]:
-    """Return a sentence for each bound on which a best design is, and one on the meaning of bounds."""
+    """Return a sentence for each bound on which a best design lies.
+
+    The last sentence explains the meaning of such a bound.
+    """
     designs: dict[str, list[str]] = {}
     for design in document["best"]:
         for name, bound in design["on_bound"].items():
@@ -330,7 +330,7 @@ def bound_lines(document: StudyDocument) -> list[str]:
 
 
 def mark_bound(value: float, on_bound: bool) -> str:
-    """Return the value of a variable as text, with a mark if it is on a bound."""
+    """Return the value of a variable as text, marked if it is on a bound."""
     text = f"{value:.4g}"
     if on_bound:
         return text + BOUND_MARK
@@ -347,7 +347,7 @@ def _fidelity_text(document: StudyDocument) -> str:
 
 
 def percentage(value: float | None) -> str:
-    """Return a fraction in per cent, with its sign."""
+    """Return a fraction as a signed percentage."""
     if value is None:
         return "–"
     return f"{100 * value:+.1f} %"

@@ -1,4 +1,4 @@
-"""Result of a study: best designs, their accuracy and robustness, gains over the initial scenario."""
+"""Result of a study: best designs, their accuracy and robustness, and their gains."""
 
 from __future__ import annotations
 
@@ -21,35 +21,36 @@ from srs_twin.studies.sweep.points import Changes, sobol_points
 from srs_twin.studies.sweep.task import Row
 
 RESULT = "study.json"
-"""File of the result."""
+"""File name of the result."""
 
 EVALUATIONS = "evaluations.parquet"
-"""File of all runs."""
+"""File name of the table of all runs."""
 
 REPORT = "report.html"
-"""File of the report."""
+"""File name of the report."""
 
 PICTURES = ("convergence.png", "front.png", "parallel.png")
-"""Files of plots."""
+"""File names of the plots."""
 
 PRODUCTS = (RESULT, EVALUATIONS, REPORT, *PICTURES, "best/[0-9]*.yaml")
 
 _MAX_REFINEMENT_CHANGE = 0.01
-"""Largest relative change due to a refinement of the twin at which a result counts as converged."""
+"""Maximum relative change due to a refinement of the twin at which a result counts
+as converged."""
 
 _MIN_RANKED = 4
-"""Smallest number of runs for a rank correlation."""
+"""Minimum number of runs for a rank correlation."""
 
 
 class Gain(TypedDict):
-    """Relative gain over the initial scenario, and its 95 % interval over drawn robots."""
+    """Relative gain over the initial scenario, and its 95 % interval over robots."""
 
     share: float | None
     interval_95: list[float | None] | None
 
 
 class Bound(TypedDict):
-    """Bound on which a variable of a design is, with the source of the bounds."""
+    """Bound on which a variable of a design lies, with the source of the bound."""
 
     bound: str
     value: float
@@ -89,13 +90,13 @@ class StudyDocument(TypedDict):
 
 @dataclass(frozen=True)
 class EvaluatedDesign:
-    """Design with its run on the twin, and further runs that show how far the result can be trusted.
+    """Design with further runs that show how far its result can be trusted.
 
     Attributes:
         run: run of the twin.
-        refined: with half the time step, and with twice the hinges; empty for the
+        refined: runs with half the time step and with twice the hinges; empty for the
             initial scenario.
-        samples: with draws of the robot's uncertain parameters, equal for all designs;
+        samples: runs with drawn robot parameters, which are identical for all designs;
             may be empty.
     """
 
@@ -108,7 +109,7 @@ class EvaluatedDesign:
         return np.array([metric_of(row, "twin", name) for row in self.samples])
 
     def refinement_change(self, name: str) -> float | None:
-        """Return the largest relative change of a metric by a refinement of the twin."""
+        """Return the maximum relative change of a metric due to a refinement."""
         value = self.run.metric(name)
         refined = [metric_of(row, "twin", name) for row in self.refined]
         return _number(
@@ -121,12 +122,12 @@ class StudyResult:
     """Result of a study.
 
     Attributes:
-        study: study.
+        study: study that was run.
         runs: all runs of the search in order.
         initial: unmodified scenario with the fixed fields.
         designs: best designs, best first.
         files: names of the written files; empty without an output folder.
-        improvement: see `Optimum`.
+        improvement: expected improvement by a further run; see `Optimum`.
     """
 
     study: OptimizationStudy
@@ -140,7 +141,7 @@ class StudyResult:
     def evaluate(
         cls, study: OptimizationStudy, optimum: Optimum, runs: StudyRuns
     ) -> StudyResult:
-        """Run the initial scenario, refinements and samples of the best designs.
+        """Run the initial scenario, and refinements and samples of the best designs.
 
         Raises:
             InputError: a row cannot be written.
@@ -174,7 +175,7 @@ class StudyResult:
         return result.ranked_by_quantile()
 
     def ranked_by_quantile(self) -> StudyResult:
-        """Return the result with the best designs ranked by the objective's quantile over the samples."""
+        """Return the result with designs ranked by a quantile of the objective."""
         objective = self.study.file.objectives[0]
         share = objective.quantile or 0.5
         samples = [design.sampled(objective.metric) for design in self.designs]
@@ -182,7 +183,7 @@ class StudyResult:
         return replace(self, designs=tuple(self.designs[k] for k in order))
 
     def document(self) -> StudyDocument:
-        """Return the result as JSON values, as `--json` prints it."""
+        """Return the result as JSON values."""
         study = self.study
         parts = [run.part for run in self.runs]
         return {
@@ -205,7 +206,7 @@ class StudyResult:
 
     @property
     def warning(self) -> str | None:
-        """Sentence for a search that its budget ended too early; None otherwise."""
+        """Warning if the budget ended the search too early, otherwise None."""
         if self.improvement is None or self.improvement <= MAX_IMPROVEMENT:
             return None
         gain = f"{100 * self.improvement:.1f} %"
@@ -215,7 +216,6 @@ class StudyResult:
         )
 
     def _design_document(self, k: int) -> DesignDocument:
-        """Return a best design as JSON values."""
         study = self.study
         names = self.metrics
         design = self.designs[k]
@@ -243,7 +243,6 @@ class StudyResult:
         }
 
     def _on_bound(self, design: EvaluatedDesign) -> dict[str, Bound]:
-        """Return the variables of a best design that are on a bound."""
         on_bound: dict[str, Bound] = {}
         for name, bound in self.study.space.bounds(design.run.shares).items():
             variable = self.study.file.variables[name]
@@ -260,7 +259,7 @@ class StudyResult:
         return tuple(dict.fromkeys([*objectives, *constraints]))
 
     def _beats_next(self, k: int) -> float | None:
-        """Return the fraction of drawn robots for which a design is better than the next; None if unknown."""
+        """Return the fraction of drawn robots for which a design beats the next one."""
         objective, *others = self.study.file.objectives
         if not self.designs[k].samples or others or k + 1 >= len(self.designs):
             return None
@@ -271,7 +270,6 @@ class StudyResult:
         return float(np.mean(this < following))
 
     def _gain(self, design: EvaluatedDesign, name: str) -> Gain:
-        """Return the relative gain of a best design over the initial scenario, and its 95 % interval."""
         share = design.run.metric(name) / self.initial.run.metric(name) - 1
         interval = None
         if design.samples:
@@ -282,10 +280,9 @@ class StudyResult:
     def _fidelity_correlation(
         self, objective: ObjectiveFile
     ) -> dict[str, float | None] | None:
-        """Return the rank correlations of an objective between the fidelities.
+        """Return the rank correlations of an objective between the two fidelities.
 
-        They are for all designs and for the better half of them; None if too few
-        designs were run at both fidelities.
+        The key "near" is for the better half of all designs.
         """
         from scipy.stats import spearmanr
 
@@ -310,7 +307,7 @@ class StudyResult:
 
     @cached_property
     def table(self) -> Mapping[str, list[Any]]:
-        """All runs in order, as columns: part, variables, status, reason, metrics."""
+        """Columns of all runs in order: part, variables, status, reason and metrics."""
         space = self.study.space
         runs = self.runs
         columns: dict[str, list[Any]] = {"part": [run.part for run in runs]}
@@ -326,12 +323,11 @@ class StudyResult:
 
 
 def _in_groups(rows: list[Row], size: int, count: int) -> list[tuple[Row, ...]]:
-    """Return successive groups of rows."""
     return [tuple(rows[k * size : (k + 1) * size]) for k in range(count)]
 
 
 def _draw_robots(study: OptimizationStudy, count: int) -> list[Changes]:
-    """Draw the robot's uncertain parameters, except those that are variables of the study."""
+    """Draw the uncertain robot parameters that are not variables of the study."""
     if not count:
         return []
     robot = RobotFile.model_validate(study.experiments["twin"].base["robot"])

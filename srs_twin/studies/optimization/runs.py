@@ -1,6 +1,6 @@
 """Storage of finished runs, so that no design is simulated twice.
 
-The order of the designs depends only on the seed and on earlier results. A resumed
+The sequence of designs depends only on the seed and on earlier results. A resumed
 search therefore requests identical designs and reads finished runs from the store.
 """
 
@@ -27,7 +27,7 @@ PLANTS = {"compliant": "analytical", "twin": "twin"}
 """Plant that simulates each fidelity."""
 
 RowCallback = Callable[[str, Row], None]
-"""Function called with the fidelity and the row of each newly finished run."""
+"""Callback that is called with the fidelity and the row of each newly finished run."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Run:
     Attributes:
         part: fidelity, "compliant" or "twin".
         shares: design variables as fractions of their ranges, shape (d,).
-        row: stored result of the run.
+        row: stored result.
     """
 
     part: str
@@ -50,7 +50,7 @@ class Run:
 
 
 def metric_of(row: Row, part: str, name: str) -> float:
-    """Return a metric of a row, or NaN if the run is not done or has no value."""
+    """Return a metric of a row, or NaN if the run failed or has no value."""
     value = row.values.get(f"{PLANTS[part]}.{name}")
     if value is None or row.status != DONE:
         return float("nan")
@@ -73,15 +73,9 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
         *,
         changed: bool = False,
     ) -> None:
-        """Open the folder.
+        """Open the folder, which is created if missing.
 
-        Args:
-            study: study whose designs are run.
-            folder: folder of the runs, which is created if missing.
-            engine: engine for new runs.
-            on_row: callback for each newly finished run.
-            changed: whether `folder` may belong to another study. Runs that are still
-                valid are then kept.
+        With `changed`, the folder may belong to another study, and valid runs are kept.
 
         Raises:
             InputError: the folder cannot be written, is locked, or belongs to another
@@ -109,11 +103,9 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
         self._opened.close()
 
     def run(self, part: str, shares: np.ndarray) -> list[Run]:
-        """Return the runs of designs at one fidelity.
+        """Return the runs of designs at one fidelity, "compliant" or "twin".
 
-        Args:
-            part: fidelity, "compliant" or "twin".
-            shares: designs as fractions of the ranges, shape (designs, d).
+        Designs are given as fractions of the ranges, shape (designs, d).
 
         Raises:
             InputError: a row cannot be written.
@@ -128,7 +120,7 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
         return runs
 
     def rows(self, part: str, changes: Sequence[Changes]) -> list[Row]:
-        """Return the rows of changed scenarios, and run those that are missing.
+        """Return the rows of changed scenarios after running the missing ones.
 
         Raises:
             InputError: a row cannot be written.
@@ -146,7 +138,8 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
             if self._on_row is not None:
                 self._on_row(part, row)
 
-        if missing:  # Starting an engine may take seconds.
+        # Starting an engine may take seconds, so it starts only if a run is missing.
+        if missing:
             self._stores[part].collect(
                 self._engine(experiment, missing), [p.key for p in missing], on_row
             )
@@ -160,7 +153,6 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
     def _check_identity(
         self, folder: Path, part: str, store: RowStore, *, changed: bool
     ) -> None:
-        """Store the identity of the study; refuse another study unless `changed`."""
         experiment = self._study.experiments[part]
         names = list(self._study.space.variables)
         rest: tuple[Mapping[str, object], ...] = (

@@ -1,33 +1,32 @@
-r"""Two-fidelity design optimisation: many runs of the model `compliant`, few runs of the twin.
+r"""Design optimisation with many runs of `compliant` and few runs of the twin.
 
 **One objective.** CMA-ES (Hansen 2016) minimises the objective of the low-fidelity
-model. The twin first runs the best designs found. From then on, a Gaussian process
+model, and the twin runs the best designs found. From then on, a Gaussian process
 predicts the twin's result from the design and the low-fidelity result (Kennedy and
 O'Hagan 2000). New designs maximise the expected improvement
 
 $$ \mathrm{EI}(u) = σ \bigl(z Φ(z) + φ(z)\bigr) \prod_c P(c \text{ holds}), \qquad z = (y^* - μ)/σ, $$
 
-two at a time. The second design is chosen as if the first had given its expected
-result.
-Candidates are all designs that the low-fidelity model has run. In every round, many new
-designs are judged with low-fidelity results that are interpolated between earlier runs:
-neighbours of the best designs and samples of the whole space. Only the most promising
-ones are run and become candidates. Failed runs do not enter the Gaussian processes.
-A design whose nearest run has failed has an expected improvement of zero.
+where μ and σ are the predicted mean and standard deviation at the design u, and y* is
+the best result so far. Each round selects two designs, the second as if the first had
+given its expected result. Candidates are all designs that the low-fidelity model has
+run. In every round, it runs the most promising of many new designs near the best ones
+and in the whole space, judged with results that are interpolated between earlier runs.
+Failed runs do not enter the Gaussian processes. A design whose nearest run has failed
+has an expected improvement of zero.
 
-**Constraints.** The low-fidelity model may violate a constraint where the twin does
-not, and CMA-ES avoids such designs. A Gaussian process for each constraint therefore
-predicts the twin's value, as for the objective. New designs are also drawn near designs
-that just miss a constraint.
+**Constraints.** The low-fidelity model may violate a constraint that the twin
+satisfies, and CMA-ES avoids such designs. A Gaussian process for each constraint
+therefore predicts the twin's value. New designs are also drawn near designs that just
+violate a constraint.
 
 **End.** After the last run, the maximum expected improvement among new designs is
-computed. If it is above `MAX_IMPROVEMENT`, the result contains a warning.
+computed. If it exceeds `MAX_IMPROVEMENT`, the result contains a warning.
 
 **Two objectives.** The low-fidelity model is searched with several weights of a
 Tchebycheff scalarisation (Knowles 2006). New designs maximise the expected growth of
-the area dominated by the Pareto front (Emmerich et al. 2006). Every other round
-improves one end of the front instead: an end can move far with little gain in area, so
-the area alone would neglect it.
+the area dominated by the Pareto front (Emmerich et al. 2006). An end of the front can
+move far with little gain in area. Every other round therefore improves one end instead.
 
 If `compliant` cannot run a scenario, the search uses only the twin.
 """
@@ -52,23 +51,24 @@ from srs_twin.studies.sweep.task import DONE, Row
 from srs_twin.studies.uncertainty.surrogates import GaussianProcess
 
 _BATCH_SIZE = 2
-"""Designs that the twin runs per round."""
+"""Number of designs that the twin runs per round."""
 
 _NEIGHBOUR_STD = 0.08
-"""Largest standard deviation of new candidates about the best designs, as a fraction of the ranges."""
+"""Maximum standard deviation of new candidates about the best designs, as a fraction
+of the ranges."""
 
 _NEIGHBOURS = {1: 8, 2: 16}
-"""Number of new candidates per round, for one and for two objectives."""
+"""Number of new candidates per round, by number of objectives."""
 
 _INITIAL_SHARE = 0.3
-"""Fraction of the twin's budget for the initial designs, which the low-fidelity model selects."""
+"""Fraction of the twin's budget for the initial designs."""
 
 _EDGE_OVERDRAW = 0.2
-"""Width by which samples are drawn beyond the ranges, as a fraction; clipping puts some of them on the
-bounds, where optima often are."""
+"""Width by which samples are drawn beyond the ranges, as a fraction. Clipping then
+puts some samples on the bounds, where optima often are."""
 
 _MIN_DISTANCE = 1e-3
-"""Distance below which two designs are treated as one."""
+"""Distance below which two designs are treated as identical."""
 
 MAX_REPORTED = 3
 """Maximum number of designs reported for a study with one objective."""
@@ -77,26 +77,29 @@ _OPTIMUM_DISTANCE = 0.1
 """Minimum distance between two reported designs."""
 
 _CMA_SHARE = 0.6
-"""Fraction of the low-fidelity budget for CMA-ES; the rest is for candidates."""
+"""Fraction of the low-fidelity budget for CMA-ES. The rest is for candidates."""
 
 _POPULATION = 12
 """Population size of CMA-ES."""
 
 _SCREENED = 256
-"""Number of neighbours that are judged without a run, and the same number of designs from the whole space."""
+"""Number of neighbours that are judged without a run. Equally many designs of the
+whole space are judged."""
 
 _SMOOTHING = 1e-9
-"""Smoothing of the interpolation of low-fidelity results, which keeps its equations regular."""
+"""Smoothing of the interpolated low-fidelity results, which keeps the equations
+regular."""
 
 MAX_IMPROVEMENT = 0.005
-"""Largest expected improvement, as a fraction of the best result, without a warning."""
+"""Maximum expected improvement without a warning, as a fraction of the best result."""
 
 _IMPROVEMENT_DRAWS = 64
-"""Number of draws of a candidate's results for the expected gain in area."""
+"""Number of draws of a candidate's results from which the expected gain in area is
+computed."""
 
 _FAILURE_PENALTY_SD = 10.0
-"""Cost of a failed run, or of violating a constraint by one standard deviation, in standard deviations of the
-objective."""
+"""Penalty for a failed run, and for violating a constraint by one standard
+deviation, in standard deviations of the objective."""
 
 
 @dataclass(frozen=True)
@@ -104,11 +107,12 @@ class Optimum:
     """Result of a search.
 
     Attributes:
-        best: best run of the twin and more runs at a distance from it, best first; with
-            two objectives the Pareto front, sorted by the first one.
+        best: best runs of the twin at a minimum distance from each other, best first.
+            With two objectives these runs are the Pareto front, sorted by the first
+            objective.
         runs: all runs in order.
-        improvement: largest expected improvement by a further run, as a fraction of the
-            best result; None with two objectives or without a feasible run.
+        improvement: maximum expected improvement by a further run, as a fraction of the
+            best result. With two objectives or without a feasible run it is None.
     """
 
     best: tuple[Run, ...]
@@ -118,10 +122,6 @@ class Optimum:
 
 def search(study: OptimizationStudy, runs: StudyRuns) -> Optimum:
     """Find the best designs within the budget.
-
-    Args:
-        study: study with variables, objectives, constraints and budget.
-        runs: runs of designs.
 
     Raises:
         InputError: no run of the twin has a result, or a row cannot be written.
@@ -137,13 +137,19 @@ def search(study: OptimizationStudy, runs: StudyRuns) -> Optimum:
 
 
 def costs(study: OptimizationStudy, runs: Sequence[Run]) -> np.ndarray:
-    """Return the objectives of runs, signed for minimisation, shape (runs, objectives); NaN if unknown."""
+    """Return the objectives of runs as costs, NaN if unknown, shape (runs, objectives).
+
+    An objective to maximise has a negative sign.
+    """
     goals = study.file.objectives
     return _signed(runs, [(goal.metric, goal.sign, 0.0) for goal in goals])
 
 
 def excesses(study: OptimizationStudy, runs: Sequence[Run]) -> np.ndarray:
-    """Return the violations of the constraints, at most 0 if satisfied, shape (runs, limits)."""
+    """Return the violations of the constraints, shape (runs, limits).
+
+    A satisfied constraint has a value of at most 0.
+    """
     limits = [
         (constraint.metric, sign, limit)
         for constraint in study.file.constraints
@@ -156,7 +162,7 @@ def excesses(study: OptimizationStudy, runs: Sequence[Run]) -> np.ndarray:
 def _signed(
     runs: Sequence[Run], terms: Sequence[tuple[str, float, float]]
 ) -> np.ndarray:
-    """Return sign · (metric − offset) of runs for each (metric, sign, offset), shape (runs, terms)."""
+    """Return sign · (metric − offset) for each run and term, shape (runs, terms)."""
     rows = [
         [sign * (run.metric(name) - offset) for name, sign, offset in terms]
         for run in runs
@@ -187,7 +193,7 @@ def _cma() -> Any:
 
 
 class _Search:
-    """State of a search; `iterate` runs one round."""
+    """State of a search. Each call of `iterate` runs one round."""
 
     def __init__(self, study: OptimizationStudy, runs: StudyRuns) -> None:
         self._study = study
@@ -200,14 +206,14 @@ class _Search:
         self._round = 0
 
     def search_compliant(self) -> None:
-        """Search the low-fidelity model with CMA-ES, for two objectives with several weights."""
+        """Search the low-fidelity model with CMA-ES and several objective weights."""
         cma = _cma()
         budget = int(_CMA_SHARE * self._study.file.budget.compliant)
         weights = self._weights_of(
             np.linspace(0.02, 0.98, 7 if self._objectives > 1 else 1)
         )
-        # The best designs may be in a part of the space that one descent does not reach,
-        # for example if constraints divide it. Samples and each descent share equally.
+        # Constraints may divide the space, so that one descent cannot reach the best
+        # designs. The samples therefore get as many runs as each descent.
         sampled = max(2 * self._size, budget // (len(weights) + 1))
         self._run("compliant", self._sample_space(sampled))
         for k, weight in enumerate(weights):
@@ -232,7 +238,7 @@ class _Search:
                 share -= max(len(self._compliant_runs) - before, 1)
 
     def run_initial_designs(self) -> None:
-        """Run the twin at the best designs of the low-fidelity model and at some random designs."""
+        """Run the twin at the best low-fidelity designs and at some random designs."""
         budget = self._study.file.budget.twin
         count = max(int(_INITIAL_SHARE * budget), min(4, budget))
         if not self._compliant_runs:
@@ -250,7 +256,7 @@ class _Search:
 
     @property
     def _improved_objective(self) -> int | None:
-        """Objective that this round improves; None: the area of the whole front."""
+        """Objective that this round improves, or None for the area of the front."""
         if self._objectives == 1:
             return 0
         return self._round // 2 % 2 if self._round % 2 else None
@@ -259,7 +265,10 @@ class _Search:
         return self._study.file.budget.twin - len(self._twin_runs)
 
     def iterate(self) -> bool:
-        """Run the twin where the expected improvement is largest; return False if no design is left."""
+        """Run the twin at the designs with maximum expected improvement.
+
+        The result is False if no design is left.
+        """
         candidates = self._candidates()
         if not candidates:
             return False
@@ -281,15 +290,17 @@ class _Search:
             if score[k] < 0:
                 break
             chosen.append(candidates[k].shares)
-            assumed_costs = np.vstack(
-                [assumed_costs, mean[k]]
-            )  # as if the run had given its expected result
+            # The next design is chosen as if this run had given its expected result.
+            assumed_costs = np.vstack([assumed_costs, mean[k]])
         self._run("twin", np.array(chosen))
         self._round += 1
         return True
 
     def expected_improvement(self) -> float | None:
-        """Return the largest expected improvement of new designs, as a fraction of the best result."""
+        """Return the maximum expected improvement as a fraction of the best result.
+
+        With two objectives, or without a feasible design, the result is None.
+        """
         best = self.best()[:1]
         if self._objectives > 1 or (excesses(self._study, best) > 0).any():
             return None
@@ -303,7 +314,7 @@ class _Search:
         )
 
     def best(self) -> tuple[Run, ...]:
-        """Return the best runs of the twin, among those with the least violation of the constraints.
+        """Return the best runs of the twin with minimum constraint violation.
 
         Raises:
             InputError: no run has a result.
@@ -317,7 +328,6 @@ class _Search:
         return tuple(sorted(members, key=lambda run: costs(self._study, [run])[0, 0]))
 
     def _most_feasible(self) -> list[Run]:
-        """Return the runs of the twin with the least violation of the constraints; raises as `best`."""
         finished = [
             run for run in self._twin_runs if np.isfinite(self._outputs([run])).all()
         ]
@@ -333,7 +343,7 @@ class _Search:
         ]
 
     def _distinct_optima(self, objective: int) -> tuple[Run, ...]:
-        """Return the best runs of the twin by one objective, at a minimum distance from each other."""
+        """Return the best runs for one objective, at a distance from each other."""
         feasible = self._most_feasible()
         chosen: list[Run] = []
         for k in np.argsort(costs(self._study, feasible)[:, objective]):
@@ -353,7 +363,7 @@ class _Search:
         return runs
 
     def _sample_space(self, count: int) -> np.ndarray:
-        """Return Sobol points of the design space, some of them on bounds, shape (count, d)."""
+        """Return Sobol points of the design space, some on bounds, shape (count, d)."""
         wide = (1 + 2 * _EDGE_OVERDRAW) * sobol_points(
             self._size, count, self._rng
         ) - _EDGE_OVERDRAW
@@ -378,7 +388,10 @@ class _Search:
         weight: np.ndarray,
         relative_to: Sequence[Run] | None = None,
     ) -> np.ndarray:
-        """Return the Tchebycheff scalarisation of runs, to be minimised, with penalties, shape (runs,)."""
+        """Return the Tchebycheff scalarisation of runs as costs, shape (runs,).
+
+        The costs include penalties for failures and violated constraints.
+        """
         reference = runs if relative_to is None else relative_to
         reference_costs = costs(self._study, reference)
         known = reference_costs[~np.isnan(reference_costs).any(axis=1)]
@@ -398,7 +411,7 @@ class _Search:
         return np.hstack([costs(self._study, runs), excesses(self._study, runs)])
 
     def _candidates(self) -> list[Run]:
-        """Return designs that the twin has not run: those of the low-fidelity model, and new neighbours."""
+        """Return the low-fidelity and new designs that the twin has not run."""
         count = _NEIGHBOURS[self._objectives]
         if self._compliant_runs and self._objectives == 1:
             screened = self._screened_designs()
@@ -427,7 +440,7 @@ class _Search:
         objective = self._improved_objective
         best = optima = self.best()
         if self._objectives == 1:
-            # The best designs with a penalty: some of them just miss the constraints.
+            # The penalised cost also ranks designs that just violate a constraint.
             best = best[:1]
             order = np.argsort(self._scalarise(self._twin_runs, np.ones(1)))
             optima = tuple(self._twin_runs[k] for k in order[:MAX_REPORTED])
@@ -441,8 +454,8 @@ class _Search:
         centres = np.array([run.shares for run in parents])
         std = _NEIGHBOUR_STD * 0.5 ** (self._rng.integers(0, 4, size=count))[:, None]
         new = np.clip(centres + std * self._rng.normal(size=centres.shape), 0.0, 1.0)
-        # Redraw one variable of every third candidate, half of the time on a bound, to
-        # reach other optima.
+        # One variable of every third candidate is redrawn from the whole range, half of
+        # the time on a bound, so that the search can reach other optima.
         third = np.arange(0, count, 3)
         new[third, self._rng.integers(self._size, size=len(third))] = np.clip(
             self._rng.uniform(-0.5, 1.5, size=len(third)), 0.0, 1.0
@@ -450,7 +463,7 @@ class _Search:
         return new
 
     def _scores(self, designs: np.ndarray) -> np.ndarray:
-        """Return the expected improvement of designs that were not run, shape (designs,)."""
+        """Return the expected improvement of new designs, shape (designs,)."""
         low_fidelity = None
         if self._compliant_runs:
             shares = np.array([run.shares for run in self._compliant_runs])
@@ -479,13 +492,13 @@ class _Search:
         objective: int | None,
         low_fidelity: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Predict the twin's outputs; return means and standard deviations, shape (candidates, outputs).
+        """Return predicted means and standard deviations, shape (candidates, outputs).
 
         Args:
             candidates: designs to predict.
-            objective: objective whose minimum is sought; None: the whole front.
-            low_fidelity: outputs of the low-fidelity model for the candidates; None: it
-                is run if necessary.
+            objective: objective to minimise, or None for the whole front.
+            low_fidelity: low-fidelity outputs of the candidates. If None, the model
+                runs where necessary.
         """
         known = self._twin_runs
         outputs = self._outputs(known)
@@ -499,8 +512,9 @@ class _Search:
                 x = np.column_stack([shares, scaled[:, column]])
             rows = np.flatnonzero(np.isfinite(y))
             if column == objective:
-                # Clip the worst third, because results far from the optimum would
-                # distort the fit near it, but the search must know where they are.
+                # Results far from the optimum would distort the fit near the optimum.
+                # The worst third is clipped and not removed, because the search must
+                # know where these designs are.
                 order = rows[np.argsort(y[rows])]
                 better = order[: max(2 * len(order) // 3, 2 * self._size + 2)]
                 y = np.minimum(y, y[better[-1]])
@@ -511,7 +525,7 @@ class _Search:
     def _compliant_outputs(
         self, candidates: list[Run], given: np.ndarray | None
     ) -> np.ndarray | None:
-        """Return the scaled low-fidelity outputs of the twin's runs and the candidates, (runs, outputs)."""
+        """Return scaled low-fidelity outputs of twin runs and candidates."""
         if not self._compliant_runs:
             return None
         runs = [*self._twin_runs]
@@ -527,7 +541,8 @@ class _Search:
         outputs = self._outputs([known[run.shares.tobytes()] for run in runs])
         if given is not None:
             outputs = np.vstack([outputs, given])
-        # Clipping limits the effect of outliers on the linear part of the process.
+        # Clipping limits the effect of outliers on the linear part of the Gaussian
+        # process.
         low, median, high = np.nanquantile(outputs, (0.05, 0.5, 0.95), axis=0)
         clipped = np.clip(outputs, 2 * low - median, 2 * high - median)
         outputs = np.where(np.isnan(outputs), median, clipped)
@@ -544,7 +559,7 @@ class _Search:
 
         Args:
             mean: predicted outputs, shape (candidates, outputs).
-            sd: standard deviations of the predicted outputs, shape (candidates, outputs).
+            sd: standard deviations of the predictions, shape (candidates, outputs).
             known: outputs of the twin, shape (runs, outputs).
             objective: objective to improve, or None for the area of the front.
         """
@@ -568,10 +583,11 @@ class _Search:
 
 
 def area_gained(known: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return the growth of the dominated area by each point, shape (…) of points (…, 2).
+    """Return the growth of the dominated area by each point, shape (…).
 
-    Both columns are costs. A reference point bounds the area. It lies beyond both ends
-    of the front by the extent of the front, so that moving an end is a gain as well.
+    Points of shape (…, 2) contain two costs. The reference point that bounds the area
+    lies beyond both ends of the front by the extent of the front. Moving an end is
+    therefore a gain as well.
     """
     members = known[front(known)]
     members = members[np.argsort(members[:, 0])]
@@ -579,8 +595,8 @@ def area_gained(known: np.ndarray, points: np.ndarray) -> np.ndarray:
         np.ptp(members, axis=0), 1e-9 + 1e-3 * np.abs(members).max(axis=0)
     )
     reference = members.max(axis=0) + extent
-    # The dominated area is a staircase: between two neighbours of the front, its level
-    # is the second cost of the left one.
+    # The dominated area is a staircase. Between two neighbours on the front, the level
+    # is the second cost of the left neighbour.
     edges = np.concatenate([[-np.inf], members[:, 0], [reference[0]]])
     level = np.concatenate([[reference[1]], members[:, 1]])
     width = np.clip(edges[1:] - np.maximum(points[..., :1], edges[:-1]), 0.0, None)
@@ -591,15 +607,15 @@ def area_gained(known: np.ndarray, points: np.ndarray) -> np.ndarray:
 def _predict_with_process(
     x: np.ndarray, y: np.ndarray, at: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return mean and standard deviation at inputs of a Gaussian process fitted to samples.
+    """Return mean and standard deviation of a Gaussian process fitted to samples.
 
-    The standard deviation includes what the process takes for noise: a simulation has
-    no noise, so this is structure that a further run may find.
+    A simulation has no noise, so the fitted noise is structure that a further run may
+    find. The standard deviation therefore includes it.
 
     Args:
         x: inputs of the samples, shape (samples, d).
         y: values of the samples, shape (samples,).
-        at: inputs, shape (inputs, d).
+        at: inputs of the prediction, shape (inputs, d).
     """
     scale = max(float(y.std()), 1e-12)
     mean = float(y.mean())

@@ -1,4 +1,7 @@
-"""Sweeps: runs of a scenario over many values of its fields, stored row by row so that they can resume."""
+"""Sweeps: runs of a scenario over many values of its fields.
+
+Rows are stored as soon as their runs finish, so an interrupted sweep can resume.
+"""
 
 from typing import TYPE_CHECKING
 

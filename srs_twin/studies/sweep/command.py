@@ -1,4 +1,4 @@
-"""`srs-twin sweep`: one scenario over many values of its fields."""
+"""Command `srs-twin sweep`: run one scenario over many values of its fields."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 SWEEPS = Path("runs/sweeps")
 
 _MAX_REASONS = 5
-"""Largest number of failure reasons that are printed."""
+"""Maximum number of failure reasons that are printed."""
 
 
 @dataclass(frozen=True)
@@ -52,12 +52,12 @@ class StudyOptions:
     changed: bool = False
 
     def make_engine(self) -> Engine:
-        """Return the engine; raises as `studies.sweep.execution.make_engine`."""
+        """Return the selected engine; see `execution.make_engine` for errors."""
         if self.engine == "local":
             from srs_twin.compute.workers import start_server
 
-            # Start it first: it imports the modules of the workers while this process
-            # imports its own.
+            # The server is started first, so that it imports the modules of the workers
+            # while this process imports other modules.
             start_server("srs_twin.studies.sweep.warm")
         from srs_twin.studies.sweep.execution import make_engine
 
@@ -133,7 +133,6 @@ def sweep(
 
 
 def _print_summary(summary: Summary, loaded: Sweep) -> None:
-    """Print the ranges of the results, and the paths of the files."""
     from srs_twin.scenario.modified import marked
 
     if summary.ranges:
@@ -148,7 +147,6 @@ def _print_summary(summary: Summary, loaded: Sweep) -> None:
 
 
 def _print_failures(summary: Summary) -> None:
-    """Print the reasons of failed runs, the most frequent first."""
     for reason, count in list(summary.reasons.items())[:_MAX_REASONS]:
         say(f"{count} failed: {reason}")
     others = len(summary.reasons) - _MAX_REASONS

@@ -1,8 +1,8 @@
-"""Execution of sweeps: an engine runs the missing points, rows are stored at once, then files are written.
+"""Execution of sweeps: run the missing points, store each row at once, write the files.
 
-Engines run points in worker processes, on Ray, or together on an accelerator (`warp`),
-where metrics still use the CPU. Rows do not depend on the engine that ran them, except
-that those of `warp` are in single precision.
+An engine runs the points in worker processes, on Ray, or in batches on an accelerator
+(`warp`). The metrics are always computed on the CPU. All engines give equal rows,
+except that `warp` computes in single precision.
 """
 
 from __future__ import annotations
@@ -47,11 +47,11 @@ if TYPE_CHECKING:
     from srs_twin.plants.base import Plant
 
 _RAY_SETTINGS = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_ENABLE_UV_RUN_RUNTIME_ENV": "0"}
-"""Environment variables of Ray: no usage reports, and workers share the Python environment of this
-process."""
+"""Environment variables that turn off the usage reports of Ray and make its workers
+use the Python environment of this process."""
 
 _LOOPBACK_ONLY = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
-"""Environment variables that restrict a local Ray to the loopback address, on Linux as well."""
+"""Environment variables that restrict a local Ray instance to the loopback address."""
 Engine = Callable[[Experiment, Sequence[Point]], Iterator[TaskResult[Row]]]
 
 
@@ -59,10 +59,7 @@ def local(workers: int | None = None) -> Engine:
     """Return the engine that runs points in processes on this machine.
 
     Threads, or `mujoco.batch` for twins of one model, would be no faster (see
-    benchmarks/sweeps.py), and a run that crashes would end the others as well.
-
-    Args:
-        workers: number of processes; default: one per processor.
+    benchmarks/sweeps.py). With threads, a crash would end all other runs as well.
     """
 
     def run(
@@ -75,12 +72,12 @@ def local(workers: int | None = None) -> Engine:
 
 
 def on_ray(address: str | None = None, workers: int | None = None) -> Engine:
-    """Return the engine that runs points on a Ray cluster, or on a Ray instance started here.
+    """Return the engine that runs points on a Ray cluster or on a local Ray instance.
 
     Args:
-        address: address of a cluster, as in `ray.init`; None starts an instance that
-            ends with the sweep.
-        workers: number of processors of an instance started here; default: all.
+        address: address of a cluster as in `ray.init`, or None to start a local
+            instance that ends with the sweep.
+        workers: number of processors of the local instance, or None for all.
 
     Raises:
         InputError: Ray is not installed, or both an address and a number of workers are
@@ -129,7 +126,6 @@ def on_ray(address: str | None = None, workers: int | None = None) -> Engine:
 def _run_on_ray(
     experiment: Experiment, points: Sequence[Point]
 ) -> Iterator[TaskResult[Row]]:
-    """Run points with two tasks per processor submitted at a time; yield them as they finish."""
     import ray
 
     task = ray.remote(max_retries=3)(run_point)
@@ -151,26 +147,28 @@ def _run_on_ray(
 
 
 Progress = Callable[[str, int, Row | None], object]
-"""Function called with a part of a study and the number of its runs: with None at the start of the part, then
-with the row of each finished run."""
+"""Callback that reports the runs of one part of a study. It is called with None and the
+number of runs at the start of the part, and then with the row of each finished run.
+"""
 
 
 def quiet(part: str, total: int, row: Row | None) -> None:
-    """Show no progress: the default of a `Progress`."""
+    """Report no progress."""
 
 
 def make_engine(
     engine: str | Engine, workers: int | None = None, address: str | None = None
 ) -> Engine:
-    """Return an engine by name; an engine is returned unchanged.
+    """Return an engine by name. An engine object is returned unchanged.
 
     Args:
-        engine: "local", "ray" or "warp", or an engine.
-        workers: number of parallel runs; default: one per processor.
-        address: address of a Ray cluster, or Warp device.
+        engine: name of the engine ("local", "ray" or "warp"), or an engine object.
+        workers: number of parallel runs, or None for one per processor.
+        address: address of a Ray cluster, or name of a Warp device.
 
     Raises:
-        InputError: the arguments do not suit the engine, or it is not available.
+        InputError: the arguments do not suit the engine, or the engine is not
+            available.
         UnknownNameError: the engine does not exist.
     """
     if not isinstance(engine, str):
@@ -187,11 +185,9 @@ def make_engine(
 
 
 def select_points(swept: Sweep, without: Sequence[str]) -> set[str]:
-    """Return the keys of the points of a sweep that are not left out.
+    """Return the keys of the points that `without` does not exclude.
 
-    Args:
-        swept: sweep.
-        without: values to leave out, each as `field=value`.
+    Each exclusion has the form `field=value`.
 
     Raises:
         UnknownNameError: a field is not varied, or never has this value.
@@ -228,20 +224,21 @@ def sweep(
 ) -> Summary:
     """Run a scenario over grids, lists or samples of its fields, as `srs-twin sweep`.
 
-    An interrupted sweep resumes in the same folder: the finished rows, their table and
-    plots are kept.
+    An interrupted sweep resumes in its folder and keeps all finished rows.
 
     Args:
         sweep: name of a shipped sweep, path of a sweep file, or a loaded sweep.
-        out: output folder; None: nothing is kept but the returned rows.
-        set: fields of the scenario to fix, see `load_sweep`.
-        plants: plants that run; None: those of the sweep.
-        without: values to leave out, each as `field=value`.
-        engine: "local", "ray" or "warp", or an engine (`local`, `on_ray`, `on_device`).
-        workers: number of parallel runs; None: one per processor.
+        out: output folder, or None to keep nothing but the returned rows.
+        set: scenario fields to fix, as described in `load_sweep`.
+        plants: plants that run, or None for the plants of the sweep.
+        without: excluded values, each as `field=value`.
+        engine: name of the engine ("local", "ray" or "warp"), or an engine object
+            (`local`, `on_ray`, `on_device`).
+        workers: number of parallel runs, or None for one per processor.
         retry_failed: whether points with a failed row run again.
-        changed: see `open_sweep`.
-        progress: function that follows the runs.
+        changed: whether the folder may belong to another version of the sweep; see
+            `open_sweep`.
+        progress: callback that reports the runs.
 
     Raises:
         InputError: the sweep is not valid, the engine is not available, or the folder
@@ -271,22 +268,22 @@ def sweep(
 
 
 RESULTS = "results.parquet"
-"""File of the table."""
+"""File name of the results table."""
 
 SUMMARY = "sweep.json"
-"""File of the summary."""
+"""File name of the summary."""
 
 SWEEP = "sweep.yaml"
-"""File of the sweep with its changes."""
+"""File name of the sweep including its changes."""
 
 SCENARIO = "scenario.resolved.yaml"
-"""File of the scenario with all defaults and the robot written out."""
+"""File name of the scenario with all defaults and the robot written out."""
 
 PLOTS = "plots"
-"""Folder of the plots."""
+"""Name of the folder for plots."""
 
-# The summary comes first, because the first file marks a complete set
-# (`replace_files`).
+# `replace_files` takes the first file as the mark of a complete set, so the summary
+# comes first.
 _PRODUCTS = (SUMMARY, RESULTS, SWEEP, SCENARIO, REPORT, f"{PLOTS}/[0-9]*_*.png")
 
 
@@ -294,13 +291,10 @@ _PRODUCTS = (SUMMARY, RESULTS, SWEEP, SCENARIO, REPORT, f"{PLOTS}/[0-9]*_*.png")
 def open_sweep(
     sweep: Sweep, folder: Path, *, changed: bool = False
 ) -> Iterator[OpenSweep]:
-    """Open and lock a folder for a sweep.
+    """Open and lock a folder for a sweep. A missing folder is created.
 
-    Args:
-        sweep: sweep.
-        folder: folder of rows and results; created if missing.
-        changed: continue in the folder of another version of the sweep; rows that still
-            apply are kept.
+    With `changed`, the folder may belong to another version of the sweep, and rows that
+    still apply are kept.
 
     Raises:
         InputError: the folder cannot be written, is locked, or belongs to another
@@ -323,7 +317,7 @@ class OpenSweep:
         self._check_identity(changed=changed)
 
     def missing(self, *, retry_failed: bool = False) -> tuple[Point, ...]:
-        """Return the points without a row, and optionally those whose run failed."""
+        """Return the points without a row, optionally with failed points."""
         existing = self._store.keys(failed=not retry_failed)
         return tuple(point for point in self.sweep.points if point.key not in existing)
 
@@ -337,22 +331,17 @@ class OpenSweep:
         points: tuple[Point, ...],
         finished: Callable[[Row], object] | None = None,
     ) -> None:
-        """Run points and store each row as it finishes, see `RowStore.collect`.
-
-        Args:
-            engine: engine for the runs.
-            points: points of the sweep.
-            finished: called with each row.
-        """
+        """Run points and store each row as it finishes."""
         self._store.collect(
             engine(self.sweep.experiment, points), [p.key for p in points], finished
         )
 
     def finish(self) -> Summary:
-        """Write table, plots and report of the present rows, and sweep.json last.
+        """Write table, plots, report and summary of the stored rows.
 
         Raises:
-            InputError: a file cannot be written; earlier files are left unchanged.
+            InputError: a file cannot be written. All files of the folder are then
+                unchanged.
         """
         with replace_files(self.folder, _PRODUCTS) as fresh:
             return self._write(fresh)
@@ -387,7 +376,6 @@ class OpenSweep:
         return summary
 
     def _draw(self, fresh: Path, results: SweepTable) -> dict[str, str]:
-        """Write the plots into a folder; return file name → title."""
         if not self.sweep.plots:
             return {}
         # Imported here, because matplotlib would delay sweeps without plots.
@@ -419,7 +407,6 @@ class OpenSweep:
         }
 
     def _check_identity(self, *, changed: bool) -> None:
-        """Refuse the folder of another version unless `changed`; store the identity of this sweep."""
         keys = rows_digest([Row(point.key, DONE) for point in self.sweep.points])
         rest = (self.sweep.experiment.base, self.sweep.fields, self.sweep.versions)
         sources = run_sources(self.sweep.experiment.base, RUNNER)
@@ -439,7 +426,6 @@ class OpenSweep:
             self._store.set_identity(now)
 
     def _input_files(self) -> dict[str, str]:
-        """Return the files that any point reads → SHA-256 of their contents."""
         experiment = self.sweep.experiment
         digests: dict[str, str] = {}
         for point in self.sweep.points:
@@ -448,7 +434,6 @@ class OpenSweep:
 
 
 def _describe_difference(before: SweepIdentity, now: SweepIdentity) -> str:
-    """Return the differences between two versions of a sweep as a short text."""
     texts = []
     if changed := list(_value_changes(before.versions, now.versions)):
         texts.append(f"made with other versions: {_abbreviate(changed)}")
@@ -466,7 +451,6 @@ def _describe_difference(before: SweepIdentity, now: SweepIdentity) -> str:
 
 
 def _abbreviate(names: Sequence[str]) -> str:
-    """Return at most three names, and the number of further ones."""
     text = ", ".join(names[:3])
     if len(names) > 3:
         text += f" and {len(names) - 3} more"
@@ -488,24 +472,25 @@ def _value_text(value: object) -> str:
 
 
 BATCH_SIZE = 1024
-"""Largest number of worlds at a time; distinct robots are compiled on the CPU and kept until their run is
-done."""
+"""Maximum number of worlds in one batch. Each distinct robot is compiled on the CPU and
+kept in memory until its run ends.
+"""
 
 
 class _TwinPoint(NamedTuple):
-    """Point of a sweep whose twin can run in a batch."""
-
     number: int
     scenario: Scenario
     twin: Plant
 
 
 def on_device(device: str | None = None, workers: int | None = None) -> Engine:
-    """Return the engine that runs twins with MuJoCo Warp, and all others with `local` and a warning.
+    """Return the engine that runs twins with MuJoCo Warp.
+
+    Points that Warp cannot run are run by `local` after a warning.
 
     Args:
-        device: Warp device; None: an accelerator, or `local` for all points if there is
-            none.
+        device: Warp device. None selects an accelerator, or `local` for all points if
+            the machine has none.
         workers: number of workers of `local`.
 
     Raises:
@@ -553,7 +538,7 @@ def _batches(
     points: Sequence[Point],
     unsupported: dict[int, str],
 ) -> Iterator[list[_TwinPoint]]:
-    """Yield twins that can run in one batch, and add the other points with the reason to `unsupported`."""
+    """Yield groups of twins for one batch; record why other points are unsupported."""
     for first in range(0, len(points), BATCH_SIZE):
         groups: dict[object, list[_TwinPoint]] = defaultdict(list)
         for number in range(first, min(first + BATCH_SIZE, len(points))):
@@ -569,7 +554,7 @@ def _batches(
 
 
 def _group_key(experiment: Experiment, scenario: Scenario) -> tuple[object, ...]:
-    """Return the timing that runs of one batch must share.
+    """Return the timing that all runs of one batch share.
 
     Raises:
         InputError: the scenario cannot run in a batch.
@@ -585,7 +570,6 @@ def _group_key(experiment: Experiment, scenario: Scenario) -> tuple[object, ...]
 def _run(
     batch_class: Any, device: str | None, group: Sequence[_TwinPoint]
 ) -> list[Any]:
-    """Run twins with the same timing in one batch; raises InputError if the device cannot."""
     timing = group[0].scenario.timing
     return list(
         run_scripts(

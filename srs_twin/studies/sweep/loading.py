@@ -1,4 +1,4 @@
-"""Loading of sweeps; all problems of a file are reported together, each with its location."""
+"""Loading of sweep files, which reports all problems of a file together."""
 
 from __future__ import annotations
 
@@ -64,15 +64,16 @@ def load_sweep(
     """Load a sweep by its shipped name (fig31) or the path of a sweep file.
 
     Args:
-        sweep: name or path of the sweep; a loaded sweep is returned unchanged.
-        set: fields of the scenario to fix in addition to those of the file, by dotted
-            path.
-        plants: plants that run, instead of the file's.
+        sweep: name or path of the sweep. A loaded sweep is returned unchanged.
+        set: scenario fields to fix by dotted path, in addition to the fixed fields of
+            the file.
+        plants: plants that run instead of the plants of the file.
 
     Raises:
         InputError: the file does not exist or cannot be read, or a loaded sweep is to
             be changed.
-        InputFileError: the file is invalid; lists all problems, one per line.
+        InputFileError: the file is invalid. The message lists all problems, one per
+            line.
     """
     if isinstance(sweep, Sweep):
         refuse_changes("sweep", set, plants)
@@ -105,14 +106,7 @@ def load_sweep(
 def _with_changes(
     sweep: Sweep, scenario: Scenario, written: Mapping[str, Any], locs: Sequence[Loc]
 ) -> Sweep:
-    """Return a sweep with its changes named in the title.
-
-    Args:
-        sweep: sweep with the changes.
-        scenario: unmodified scenario.
-        written: sweep file as plain data.
-        locs: paths of the changed fields of the scenario.
-    """
+    """Return a sweep whose title names its changes."""
     plants = written.get("plants")
     if plants is None:
         plants = list(scenario.plants)
@@ -135,13 +129,13 @@ def changed_base(
     written: Mapping[str, Any],
     locs: Iterable[Loc],
 ) -> list[dict[str, Any]]:
-    """Return the fields of an experiment that differ from those of its file, see `changed_fields`.
+    """Return the fields of an experiment that differ from its file.
 
     Args:
-        experiment: experiment with the changes.
+        experiment: experiment including the changes.
         scenario: unmodified scenario.
         written: sweep or study file as plain data.
-        locs: paths of the changed fields of the scenario.
+        locs: paths of the changed scenario fields.
     """
     fixed = written.get("fixed")
     original = replace(experiment, base=scenario.document)
@@ -152,11 +146,7 @@ def changed_base(
 def problems_at(
     points: Iterable[tuple[Loc, Experiment, Mapping[str, Value]]],
 ) -> Iterator[tuple[Loc, str]]:
-    """Yield the problems of scenarios at some points, each once, with the location of its values.
-
-    Args:
-        points: location in the file, experiment, and changes of its scenario.
-    """
+    """Yield each distinct problem of scenarios, given with location and changes."""
     reported: set[str] = set()
     for loc, experiment, changes in points:
         try:
@@ -168,13 +158,13 @@ def problems_at(
 
 
 def with_suggestion(problem: str, field: str, known: Iterable[str]) -> str:
-    """Return a problem, with a similar name if it is an unknown key without a suggestion."""
+    """Return a problem, followed by a similar name if it reports an unknown key."""
     needs_hint = "unknown key" in problem and "did you mean" not in problem
     return problem + (did_you_mean(field, known) if needs_hint else "")
 
 
 def locate_files(document: Document) -> bool:
-    """Replace the paths in a sweep or a study by their places; return whether all files exist."""
+    """Resolve the paths in a sweep or study; return whether all files exist."""
     before = len(document.problems)
     document.locate(("scenario",), "scenario")
     kinds = {format_path(loc): kind for loc, kind in path_fields(SECTIONS).items()}
@@ -190,7 +180,7 @@ def locate_files(document: Document) -> bool:
 
 
 def refuse_changes(kind: str, *changes: object) -> None:
-    """Refuse changes of a sweep or study that is loaded already.
+    """Refuse changes of a sweep or study that is already loaded.
 
     Raises:
         InputError: a change is given.
@@ -202,7 +192,7 @@ def refuse_changes(kind: str, *changes: object) -> None:
 
 
 def base_scenario(document: Document) -> tuple[Scenario | None, tuple[str, ...]]:
-    """Return the scenario that a sweep or a study names, and the problems of the scenario file."""
+    """Return the scenario of a sweep or study, and the problems of its file."""
     name = document.get("scenario")
     if not isinstance(name, str):
         return None, ()
@@ -215,7 +205,7 @@ def base_scenario(document: Document) -> tuple[Scenario | None, tuple[str, ...]]
 
 
 class _Loader:
-    """Validation of a sweep against its scenario."""
+    """Validation of a sweep file against its scenario."""
 
     def __init__(self, document: Document, file: SweepFile, scenario: Scenario) -> None:
         self._document = document
@@ -275,7 +265,6 @@ class _Loader:
 
     @property
     def _fields(self) -> list[tuple[str, str]]:
-        """Section and name of each varied and fixed field."""
         varied = [("vary", field) for field in self._file.vary]
         return varied + [("fixed", field) for field in self._file.fixed]
 
@@ -299,7 +288,6 @@ class _Loader:
             self._document.report((section, field), text, at_key=True)
 
     def _check_planning(self) -> None:
-        """Check a sweep without plants, which must have a planner."""
         if self._plants:
             return
         if "planner" not in self._scenario:
@@ -346,7 +334,7 @@ class _Loader:
         self._document.report(loc, text)
 
     def _robots(self) -> dict[str, Any]:
-        """Return name → document of each named robot; keys of points depend on these contents."""
+        """Return the content of each named robot, which enters the keys of points."""
         robots = {}
         varied = self._file.vary.get("robot")
         names: list[tuple[str, object]] = [("fixed", self._file.fixed.get("robot"))]
@@ -363,7 +351,7 @@ class _Loader:
     def _test_points(
         self, sweep: Sweep
     ) -> Iterator[tuple[Loc, Experiment, Mapping[str, Value]]]:
-        """Yield a point with each varied value and the first values of other fields, see `problems_at`."""
+        """Yield a point for each varied value, with other fields at first values."""
         experiment = sweep.experiment
         rows = [dict(zip(sweep.fields, row, strict=True)) for row in sweep.values]
         if self._file.sampling.kind == "list":
@@ -383,7 +371,6 @@ class _Loader:
                 yield ("vary", field, key), experiment, {**first, field: value}
 
     def _report_problem(self, loc: Loc, text: str) -> None:
-        """Report a problem of a point at the location of the field that causes it."""
         path, _, message = text.partition(": ")
         for section, field in self._fields:
             if path == field or path.startswith((f"{field}.", f"{field}[")):

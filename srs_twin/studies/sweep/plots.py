@@ -1,7 +1,7 @@
 """Plots of a sweep: a metric along one field, or against another column.
 
-Means are taken only over seeds. If other fields vary as well, there is a line for each
-combination of their values. A plot without any value contains a note instead.
+Means are taken over seeds only. If further fields vary, each combination of their
+values has its own line. A plot without any value contains a note instead.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ from srs_twin.viewing.plots.labels import field_label
 from srs_twin.viewing.plots.style import drawing, finish, side_by_side, style_of
 
 _MAX_LINES = 12
-"""Largest number of values in a legend; more values get a colour bar."""
+"""Maximum number of values in a legend. More values are explained by a colour bar."""
 
 _COLORMAP = "viridis"
 _FAILED_COLOR = "#CC3311"
-"""Colour of failed runs; it occurs neither in plants nor in the colour map."""
+"""Colour of failed runs, which neither the plants nor the colour map use."""
 
 _LEGEND: dict[str, Any] = {"fontsize": 8, "frameon": False}
 
@@ -46,22 +46,19 @@ _HEIGHT = 4.2
 _TOP = 0.75
 _BOTTOM = 0.5
 _KEY_WIDTH = 1.3
-"""Right margin for a colour bar or legend."""
+"""Width of the right margin for a colour bar or legend."""
 
 
 @drawing
 def draw(plot: Plot, results: SweepTable) -> Figure:
-    """Return the figure of a plot.
+    """Return the figure of a plot, independent of the order of the rows.
 
-    Args:
-        plot: plot; it shows each plant that has the metric, otherwise the comparison.
-        results: results of a sweep; the order of rows does not matter.
+    The comparison is shown only if no plant has the metric.
 
     Raises:
         InputError: a column does not exist.
     """
     owners = results.owners(plot.metric)
-    # If plants have the metric, the comparison is not shown.
     owners = [owner for owner in owners if owner != COMPARISON] or owners
     if plot.kind == "line" and plot.by is None:
         separate = _separate_fields(plot, results)
@@ -72,14 +69,12 @@ def draw(plot: Plot, results: SweepTable) -> Figure:
 
 
 def _separate_fields(plot: Plot, results: SweepTable) -> list[str]:
-    """Return further varied fields whose values need a line each."""
     if plot.kind == "scatter":
         return []
     return results.unplotted_settings(filter(None, (plot.x, plot.by)))
 
 
 def _title(plot: Plot, results: SweepTable, owners: list[str]) -> str:
-    """Return the title, with notes on a second line."""
     columns = (
         results.metric(plot.metric, owners[0]),
         results.values(plot.x, owners[0]),
@@ -94,7 +89,6 @@ def _title(plot: Plot, results: SweepTable, owners: list[str]) -> str:
 
 
 def _notes(plot: Plot, results: SweepTable, owners: list[str]) -> list[str]:
-    """Return notes on means, further fields, failed runs and missing values."""
     values = [results.metric(plot.metric, owner).numbers for owner in owners]
     distinct = np.unique(np.concatenate(values))
     distinct = distinct[np.isfinite(distinct)]
@@ -117,7 +111,6 @@ def _notes(plot: Plot, results: SweepTable, owners: list[str]) -> list[str]:
 
 
 def _set_ticks(axis: Axis, values: ColumnValues) -> None:
-    """Set the ticks of an axis: texts for a text column, whole numbers for integers."""
     known = values.numbers[np.isfinite(values.numbers)]
     if values.names:
         axis.set_ticks(range(len(values.names)), labels=values.names)
@@ -126,7 +119,6 @@ def _set_ticks(axis: Axis, values: ColumnValues) -> None:
 
 
 def _write_empty_note(axes: Axes, failed: np.ndarray) -> None:
-    """Write into empty axes the reason why there is nothing to draw."""
     rows = len(failed)
     failures = int(failed.sum())
     if not rows:
@@ -150,14 +142,14 @@ def _write_empty_note(axes: Axes, failed: np.ndarray) -> None:
 
 
 class _Colors:
-    """Colours of the values of `by`, explained by a legend if they are few, otherwise by a colour bar.
+    """Colours of the values of `by`, explained by a legend or a colour bar.
 
     Attributes:
-        column: values of the first owner; zeros if nothing distinguishes the runs.
+        column: values of the first owner; zeros if no field distinguishes the runs.
         groups: distinct values.
-        few: whether a legend is used.
+        few: whether a legend explains the colours.
         norm: map from values to positions on the colour map.
-        by_group: value → colour; empty if owners determine the colours.
+        by_group: colour of each value; empty if owners determine the colours.
     """
 
     def __init__(self, columns: list[ColumnValues], *, used: bool) -> None:
@@ -177,7 +169,6 @@ class _Colors:
             self.by_group = dict(zip(self.groups.tolist(), colors, strict=True))
 
     def draw_key(self, figure: Figure, axes: Axes) -> None:
-        """Draw the legend or the colour bar."""
         if not self.few:
             self._draw_bar(figure)
             return
@@ -209,7 +200,6 @@ class _Colors:
 
 
 def _draw_runs(plot: Plot, results: SweepTable, owners: list[str]) -> Figure:
-    """Draw lines or dots, coloured by the column `by`, and marks of failed runs at the lower edge."""
     is_colored = plot.by is not None
     right = _KEY_WIDTH if is_colored else 0.25
     figure, ((axes,),) = side_by_side(_HEIGHT, 1, right=right, top=_TOP)
@@ -240,7 +230,6 @@ def _draw_runs(plot: Plot, results: SweepTable, owners: list[str]) -> Figure:
 
 
 def _mark_failed(axes: Axes, x: np.ndarray) -> None:
-    """Mark failed runs at the lower edge."""
     x = np.unique(x[np.isfinite(x)])
     if len(x):
         axes.plot(
@@ -286,20 +275,16 @@ def _draw_legend(axes: Axes, owners: list[str], plot: Plot) -> None:
 
 
 def _draw_lines(axes: Axes, owner: str, columns: np.ndarray, colors: _Colors) -> int:
-    """Draw a line per value of `by` through the means over seeds; return the number of points.
+    """Draw the means over seeds for each value of `by` and return the point count.
 
-    Args:
-        axes: axes.
-        owner: owner of the metric.
-        columns: x, y and `by` of each run, shape (3, runs).
-        colors: colours of the values of `by`.
+    `columns` contains x, y and `by` of each run, shape (3, runs).
     """
     drawn = 0
     x, y, by = columns
     size, width = (3.5, 1.3) if colors.few else (2.0, 0.9)
     for i, group in enumerate(colors.groups):
-        # Markers become smaller from line to line, so that coinciding lines stay
-        # visible.
+        # Each line has smaller markers than the line before, so that coinciding lines
+        # remain visible.
         steps = 0
         if colors.column.names and colors.few:
             steps = len(colors.groups) - 1 - i
@@ -317,7 +302,6 @@ def _draw_lines(axes: Axes, owner: str, columns: np.ndarray, colors: _Colors) ->
 
 
 def _draw_dots(axes: Axes, owner: str, columns: np.ndarray, colors: _Colors) -> int:
-    """Draw a dot per run, independent of the order of rows; return the number of dots, see `_draw_lines`."""
     x, y, by = columns[:, np.isfinite(columns).all(axis=0)]
     order = np.lexsort((y, x, by))
     style = style_of(owner)
@@ -333,6 +317,5 @@ def _draw_dots(axes: Axes, owner: str, columns: np.ndarray, colors: _Colors) -> 
 
 
 def _line_style(owner: str) -> dict[str, Any]:
-    """Return colour, dash and marker of an owner's line."""
     style = style_of(owner)
     return {"color": style.color, "linestyle": style.dash, "marker": style.marker}

@@ -1,4 +1,4 @@
-"""Sweep file and its points: combinations of field values, and the key of each point."""
+"""Sweep files and their points: combinations of field values, each with a key."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 
 
 MAX_POINTS = 1_000_000
-"""Largest number of points of a sweep."""
+"""Maximum number of points of a sweep."""
 
 MAX_FIELDS = 16
-"""Largest number of varied fields."""
+"""Maximum number of varied fields."""
 
 Value = bool | int | float | str
 
@@ -45,15 +45,15 @@ class Plot(Section):
     kind: Literal["line", "scatter"]
     """Kind of plot."""
     x: FieldName
-    """Varied field along x; with scatter also a metric."""
+    """Varied field along x. A scatter plot may also have a metric along x."""
     metric: MetricName
-    """Plotted metric, of each plant or of the comparison."""
+    """Plotted metric, which is shown for each plant or for the comparison."""
     by: FieldName | None = None
-    """Varied field that distinguishes lines or colours."""
+    """Varied field whose values are distinguished by lines or colours."""
 
 
 class RangeFile(Section):
-    """Range of values, both ends included."""
+    """Range of values, including both ends."""
 
     start: float = Field(
         alias="from", ge=-1e12, le=1e12, title="From", description="First value."
@@ -62,9 +62,9 @@ class RangeFile(Section):
         alias="to", ge=-1e12, le=1e12, title="To", description="Last value."
     )
     count: int | None = quantity(2, 10_000, None)
-    """Number of values (grid, list)."""
+    """Number of values. Only the sampling kinds grid and list use it."""
     scale: Literal["linear", "log"] = "linear"
-    """Spacing of the values; log: equal ratios."""
+    """Spacing of the values. With log, consecutive values have a constant ratio."""
 
     @model_validator(mode="after")
     def _ascending(self) -> RangeFile:
@@ -93,12 +93,13 @@ class SamplingFile(Section):
     """Method that combines the values of several fields."""
 
     kind: Literal["grid", "list", "latin_hypercube", "sobol"] = "grid"
-    """grid: all combinations; list: first with first, second with second; latin_hypercube and sobol:
-    space-filling points over the ranges."""
+    """Method: grid takes all combinations, and list joins the first values, the second
+    values and so on. latin_hypercube and sobol take points that fill the ranges evenly.
+    """
     count: int | None = quantity(1, MAX_POINTS, None)
-    """Number of points (latin_hypercube; sobol: a power of 2)."""
+    """Number of points for latin_hypercube and sobol; for sobol a power of 2."""
     seed: int | None = quantity(0, 2**32 - 1, None)
-    """Random seed of the points (latin_hypercube, sobol; default 0)."""
+    """Random seed of the points for latin_hypercube and sobol (default 0)."""
 
     @model_validator(mode="after")
     def _check_combinations(self) -> SamplingFile:
@@ -124,35 +125,40 @@ class SweepFile(Section):
     """Runs of one scenario over many values of its fields."""
 
     title: Line | None = None
-    """Title, one line (default: the name)."""
+    """Title on one line (default: the name)."""
     scenario: PathOrName
-    """Scenario, a shipped name or the path of a file."""
+    """Name of a shipped scenario or path of a scenario file."""
     plants: (
         Annotated[list[Literal["analytical", "twin"]], Field(max_length=2)] | None
     ) = None
-    """Plants that run (default: those of the scenario); []: none, the scenario is only planned."""
+    """Plants that run (default: the plants of the scenario). With [] the scenario is
+    planned but not simulated.
+    """
     periods: float | None = quantity(3.0, 1000.0, None)
-    """Simulated time in periods of the gait or the reference, instead of duration_s, in whole ticks."""
+    """Simulated time in periods of the gait or the reference, rounded up to whole
+    ticks. It replaces duration_s."""
     fixed: Annotated[dict[FieldName, Plain], Field(max_length=64)] = {}
-    """Fields with a different value than in the scenario."""
+    """Fields whose values differ from the scenario in all runs."""
     vary: Annotated[
         dict[FieldName, VariedField], Field(min_length=1, max_length=MAX_FIELDS)
     ]
-    """Varied fields of the scenario, dotted (supply.pressure_kpa); each a list, or from, to, count."""
+    """Varied fields of the scenario with dotted names (supply.pressure_kpa). Each has a
+    list of values, or a range with the keys from, to and count.
+    """
     sampling: SamplingFile = SamplingFile()
-    """Combination of the values."""
+    """Method that combines the values."""
     metrics: Annotated[list[MetricName], Field(min_length=1, max_length=64)] | None = (
         None
     )
     """Metrics that become columns (default: all)."""
     trajectories: bool = False
-    """Whether trajectories are stored as well."""
+    """Whether the trajectories are stored as well."""
     plots: Annotated[list[Plot], Field(max_length=32)] = []
     """Plots of the results."""
 
 
 def is_number(value: object) -> bool:
-    """Return whether a value is an integer or a float, not a boolean."""
+    """Return whether a value is an integer or a float, but not a boolean."""
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
@@ -163,22 +169,22 @@ def sweep_json_schema() -> dict[str, object]:
 
 
 RUNNER = "srs_twin.studies.sweep.task"
-"""Module that runs a point; a row's key includes its sources and those of its imports.
-"""
+"""Module that runs a point. The keys of rows cover the sources of this module and of
+its imports."""
 
 Changes = Mapping[str, Value]
 
 BY_A_SWEEP = "varied by a sweep"
-"""Source of a robot parameter that a sweep sets."""
+"""Recorded source of a robot parameter that a sweep sets."""
 
 
 @dataclass(frozen=True)
 class Point:
-    """Run of a sweep.
+    """One run of a sweep.
 
     Attributes:
-        key: SHA-256 of all inputs of the results, hexadecimal.
-        changes: dotted field → value.
+        key: SHA-256 of all inputs that affect the results.
+        changes: value of each varied field.
     """
 
     key: str
@@ -187,15 +193,15 @@ class Point:
 
 @dataclass(frozen=True)
 class Experiment:
-    """Common inputs of all points of a sweep; small enough to be sent to every worker.
+    """Common inputs of all points of a sweep, small enough to be sent to every worker.
 
     Attributes:
         base: scenario with defaults, robot and `fixed` fields, as plain data.
-        plants: plants that run; empty: the scenario is only planned.
-        periods: simulated time in periods of the gait or the reference; None: the
-            scenario's duration_s.
-        robots: name → robot as plain data, for each value of the field `robot`.
-        trajectories: whether trajectories are stored.
+        plants: plants that run; empty if the scenario is only planned.
+        periods: simulated time in periods of the gait or the reference, or None for
+            duration_s.
+        robots: robot as plain data for each name that the field `robot` takes.
+        trajectories: whether to store trajectories.
     """
 
     base: Mapping[str, Any] = field(repr=False)
@@ -205,7 +211,7 @@ class Experiment:
     trajectories: bool = False
 
     def document(self, changes: Changes) -> dict[str, Any]:
-        """Return the scenario with changes as plain data, for `parse_scenario`."""
+        """Return the changed scenario as plain data for `parse_scenario`."""
         document = self.with_fixed(changes)
         for key in ("expect", "changes"):
             document.pop(key, None)
@@ -214,14 +220,17 @@ class Experiment:
         return document
 
     def with_fixed(self, fixed: Mapping[str, Value | list[Value]]) -> dict[str, Any]:
-        """Return the base with other values of some fields."""
+        """Return the base scenario with some fields changed, as plain data."""
         document = dict(self.base)
         for name, value in fixed.items():
             document = self.with_change(document, name, value)
         return document
 
     def with_change(self, document: Any, name: str, value: Value | list[Value]) -> Any:
-        """Return a scenario with one field changed, as plain data; a robot's name becomes its content."""
+        """Return a scenario with one field changed, as plain data.
+
+        The name of a robot is replaced by the content of its file.
+        """
         content: Any = self.robots.get(str(value), value) if name == "robot" else value
         path = parse_path(name)
         if name == "planner.kind":
@@ -242,17 +251,17 @@ class Sweep:
     """Loaded and validated sweep.
 
     Attributes:
-        name: name, also of the output folder.
-        title: title, one line.
-        experiment: common inputs of all points.
-        fields: varied fields, dotted, in the order of the file.
-        values: values of the fields, one row per point.
-        metrics: metrics that become columns; None: all.
-        plots: plots of the results.
-        versions: package → version, of packages that affect the results.
+        name: name of the sweep and of its output folder.
+        title: title of reports.
+        experiment: inputs of all points.
+        fields: dotted names of the varied fields.
+        values: field values, one row per point.
+        metrics: metrics that become columns, or None for all.
+        plots: plots to draw.
+        versions: version of each package that affects the results.
         document: sweep file as plain data.
-        warnings: warnings about the results.
-        changes: fields that differ from the sweep file; `title` names them.
+        warnings: warnings for reports.
+        changes: fields that differ from the sweep file.
     """
 
     name: str
@@ -281,7 +290,6 @@ class Sweep:
 
 
 def _with_planner_keys(document: Any, kind: Any) -> Any:
-    """Return a scenario without planner keys that another kind of planner does not have."""
     planner = document.get("planner")
     if not isinstance(planner, Mapping) or kind not in PLANNER_FILES:
         return document
@@ -291,10 +299,10 @@ def _with_planner_keys(document: Any, kind: Any) -> Any:
 
 
 def with_value(data: Any, loc: Loc, value: Value | list[Value]) -> Any:
-    """Return plain data with one value replaced; containers on its path are copied, others shared.
+    """Return plain data with one value replaced, without changing the input.
 
-    If a number replaces a robot record, the unit stays, and status and source name the
-    sweep.
+    A number that replaces a robot record keeps the unit, and its source becomes
+    `BY_A_SWEEP`.
     """
     if not loc:
         if _is_record(data) and not isinstance(value, Mapping):
@@ -309,12 +317,11 @@ def with_value(data: Any, loc: Loc, value: Value | list[Value]) -> Any:
 
 
 def _is_record(data: object) -> bool:
-    """Return whether plain data is a number of a robot with its unit."""
     return isinstance(data, Mapping) and {"value", "unit"} <= data.keys()
 
 
 def leaf_names(data: object, prefix: str = "") -> Iterator[str]:
-    """Yield the dotted names of all scalar values in plain data; a robot record counts as one."""
+    """Yield the dotted names of all scalars; a robot parameter counts as one."""
     if isinstance(data, Mapping) and not _is_record(data):
         for key, value in data.items():
             yield from leaf_names(value, f"{prefix}.{key}" if prefix else str(key))
@@ -324,7 +331,10 @@ def leaf_names(data: object, prefix: str = "") -> Iterator[str]:
 def _duration(
     document: Mapping[str, Any], plants: tuple[str, ...], periods: float
 ) -> Any:
-    """Return a number of gait or reference periods in whole ticks, s; the given duration without periods."""
+    """Return the duration of a number of periods, rounded up to whole ticks, s.
+
+    If the frequency or a tick is unknown, it is the duration of the scenario.
+    """
     controller = document.get("controller", {})
     frequency = (controller.get("reference") or controller).get("frequency_hz")
     ticks = [
@@ -382,7 +392,7 @@ def _value_list(name: str, values: Sequence[Value] | RangeFile) -> list[Value]:
 def sobol_points(
     dimensions: int, count: int, rng: np.random.Generator | int
 ) -> np.ndarray:
-    """Return the first points of a scrambled Sobol sequence in the unit cube, shape (count, dimensions)."""
+    """Return scrambled Sobol points in the unit cube, shape (count, dimensions)."""
     from scipy.stats import qmc
 
     points = qmc.Sobol(dimensions, rng=rng).random_base2(max(count - 1, 1).bit_length())
@@ -392,7 +402,7 @@ def sobol_points(
 def _space_filling_points(
     fields: Sequence[Sequence[Value] | RangeFile], sampling: SamplingFile
 ) -> list[tuple[Value, ...]]:
-    """Return points spread over the ranges; the values of a list are equally frequent."""
+    """Return points that fill the ranges evenly, using all values of a list equally."""
     from scipy.stats import qmc
 
     assert sampling.count is not None, "checked by the file's model"
@@ -406,14 +416,13 @@ def _space_filling_points(
 
 
 def _values_at(values: Sequence[Value] | RangeFile, shares: np.ndarray) -> list[Value]:
-    """Return the values of a field at fractions (0 to 1) of its range or list."""
     if not isinstance(values, RangeFile):
         return [values[int(share * len(values))] for share in shares]
     return list(map(float, value_at(shares, values.start, values.stop, values.scale)))
 
 
 def value_at(share: Any, low: float, high: float, scale: str) -> Any:
-    """Return the values at fractions (0 to 1) of a range, whose scale is "linear" or "log"."""
+    """Return the values at fractions (0 to 1) of a linear or logarithmic range."""
     if scale == "log":
         return low * (high / low) ** share
     return low + (high - low) * share

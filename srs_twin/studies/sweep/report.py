@@ -1,4 +1,4 @@
-"""HTML report of a sweep: varied fields, results by run, and means over seeds."""
+"""HTML report of a sweep with its fields, runs, plots and means over seeds."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from srs_twin.viewing.html import Table, cell, image, render
 from srs_twin.viewing.plots.labels import field_label
 
 MAX_RUNS = 200
-"""Largest number of rows of a table of runs."""
+"""Maximum number of rows in a table of runs."""
 
 _MAX_COLUMNS = 24
-"""Largest number of metric columns in a report."""
+"""Maximum number of metric columns in a report."""
 
 _COLUMNS_PER_TABLE = 6
 """Number of metric columns that fit on a printed page."""
@@ -34,11 +34,11 @@ class Summary:
         folder: output folder.
         points: number of points.
         done: number of successful runs.
-        reasons: reason of failure → number of runs.
+        reasons: number of failed runs by failure message.
         exit_code: highest exit code of the failed runs; 0 without failures.
-        sha256: digest of the results, see `store.rows_digest`.
-        ranges: metric → (minimum, median, maximum), for the summary metrics.
-        files: names of the written files.
+        sha256: digest of all rows.
+        ranges: (minimum, median, maximum) of each summary metric.
+        files: names of written files.
         results: all rows as columns.
     """
 
@@ -60,13 +60,13 @@ class Summary:
 
 @dataclass(frozen=True)
 class _Column:
-    """Metric of a plant or of the comparison: heading, and a number per run, NaN if missing."""
+    """Metric of one owner with a number for each run, NaN if missing."""
 
     heading: str
     numbers: np.ndarray
 
     def text(self, run: int) -> str:
-        """Return the number of a run as text, to the fourth digit of the column's largest number."""
+        """Return a number with four significant digits of the column maximum."""
         largest = np.abs(self.numbers[np.isfinite(self.numbers)]).max(initial=0)
         places = 3 - int(np.floor(np.log10(largest))) if largest else 0
         if np.isfinite(self.numbers[run]):
@@ -74,7 +74,7 @@ class _Column:
         return cell(None)
 
     def mean_text(self, runs: np.ndarray) -> str:
-        """Return mean ± standard deviation of runs, and their number if some have no value."""
+        """Return mean ± standard deviation, and the count if values are missing."""
         numbers = self.numbers[runs]
         known = numbers[np.isfinite(numbers)]
         if not len(known):
@@ -88,13 +88,9 @@ class _Column:
 
 
 def run_tables(results: SweepTable, metrics: Sequence[str]) -> list[Table]:
-    """Return tables with one row per run, ordered by the fields' values, with a few metrics each.
+    """Return tables with one row per run, ordered by field values.
 
-    Args:
-        results: results of a sweep; a table of more than `MAX_RUNS` runs is replaced by
-            a note.
-        metrics: metrics to show for each plant and the comparison; a list metric is
-            shown by its mean.
+    More than `MAX_RUNS` runs are replaced by a note.
     """
     failed = results.failed
     if len(failed) > MAX_RUNS:
@@ -114,14 +110,7 @@ def run_tables(results: SweepTable, metrics: Sequence[str]) -> list[Table]:
 
 
 def mean_tables(results: SweepTable, metrics: Sequence[str]) -> list[Table]:
-    """Return mean ± standard deviation over seeds, with one row per combination of all other fields.
-
-    The result is empty if each combination has only one run.
-
-    Args:
-        results: results of a sweep; failed runs are left out.
-        metrics: see `run_tables`.
-    """
+    """Return tables of means over seeds, or none if no run is repeated."""
     groups = results.groups(results.settings)
     if len(groups) == len(results.failed):
         return []
@@ -139,7 +128,6 @@ def mean_tables(results: SweepTable, metrics: Sequence[str]) -> list[Table]:
 def _metric_columns(
     results: SweepTable, metrics: Sequence[str]
 ) -> tuple[list[_Column], str]:
-    """Return the columns of metrics, owners side by side, and a note if some are left out."""
     columns = []
     for metric in dict.fromkeys(metrics):
         for owner in results.owners_if_any(metric):
@@ -163,14 +151,9 @@ def _split_tables(
     lines: list[tuple[list[str], Any]],
     text: Callable[[_Column, Any], str],
 ) -> list[Table]:
-    """Return tables with as many metric columns as fit on a page; at least one table.
+    """Return at least one table, each with as many metric columns as fit on a page.
 
-    Args:
-        results: results of a sweep.
-        metrics: metrics to show.
-        headings: headings of the first columns of each table.
-        lines: first cells of each line, and its run or runs.
-        text: function that returns a metric's text for these runs.
+    Each line consists of its first cells and its run or runs, which `text` formats.
     """
     columns, note = _metric_columns(results, metrics)
     tables = []
@@ -187,22 +170,16 @@ def _split_tables(
 REPORT = "report.html"
 
 _MAX_VALUES = 12
-"""Largest number of values of a field that are listed."""
+"""Maximum number of values of a field that are listed."""
 
 _MAX_REASONS = 20
-"""Largest number of failure reasons that are listed."""
+"""Maximum number of failure reasons that are listed."""
 
 
 def write_report(
     path: Path, sweep: Sweep, summary: Summary, pictures: Mapping[str, bytes]
 ) -> None:
-    """Write the self-contained HTML page atomically.
-
-    Args:
-        path: file to write or replace.
-        sweep: sweep.
-        summary: its summary.
-        pictures: title → PNG.
+    """Write the self-contained HTML page atomically, with a PNG image for each title.
 
     Raises:
         InputError: the path cannot be written.
@@ -246,7 +223,6 @@ def _failures(summary: Summary) -> Table:
 
 
 def _varied(sweep: Sweep) -> Table:
-    """Return the table of varied and fixed fields."""
     rows = []
     for name, column in zip(sweep.fields, zip(*sweep.values, strict=True), strict=True):
         values = list(dict.fromkeys(column))

@@ -1,9 +1,7 @@
-"""Storage of rows as soon as they are finished.
+"""Storage of rows in an SQLite file, each written as soon as its run finishes.
 
-Rows are in an SQLite file in the sweep's folder. A row is written completely or not at
-all, and only one process can write. The log is not flushed to disk after every row:
-rows of a killed process are kept, but a power failure may lose the last ones, which are
-then run again.
+The log is not flushed to disk after every row. A killed process therefore loses no row,
+but a power failure may lose the last rows, which are then run again.
 """
 
 from __future__ import annotations
@@ -47,9 +45,9 @@ class SweepIdentity:
         keys: hash of the keys of all points.
         scenario: scenario of the experiment.
         fields: varied fields.
-        versions: package → version.
-        sources: module that computes rows → hash of its source.
-        files: file that points read → hash of its contents.
+        versions: version of each package.
+        sources: source hash of each module that computes rows.
+        files: content hash of each file that points read.
     """
 
     keys: str
@@ -63,10 +61,10 @@ class SweepIdentity:
 _DAMAGE = (
     sqlite3.Error,
     UnicodeDecodeError,
-)  # SQLite may quote damaged text in its message
+)  # SQLite may quote damaged text in an error message.
 
-# Set exclusive locking first: the log then needs no shared memory, so network drives
-# work.
+# Exclusive locking must be set first. The log then needs no shared memory, which network
+# drives do not support.
 _OPENING = (
     "PRAGMA locking_mode=EXCLUSIVE",
     "PRAGMA journal_mode=WAL",
@@ -92,20 +90,20 @@ _MESSAGES = {
         _NOT_A_STORE,
     ),
 }
-"""SQLite error code → message."""
+"""Error message for each SQLite error code."""
 _IDENTITY = TypeAdapter(SweepIdentity)
 _ROW = TypeAdapter(tuple[dict[str, Any], float, str | None, int])
 
 
 class RowStore(contextlib.AbstractContextManager["RowStore"]):
-    """Stored rows of one sweep; a context manager that locks the folder.
+    """Stored rows of one sweep, and a context manager that locks the folder.
 
     Attributes:
         database: open SQLite database.
     """
 
     def __init__(self, folder: Path) -> None:
-        """Open or create the file, and the folder.
+        """Open the file, and create the file and the folder if they are missing.
 
         Raises:
             InputError: the folder cannot be written, another sweep works in it, or the
@@ -129,7 +127,7 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
             raise self._input_error(error) from error
 
     def __exit__(self, *error: object) -> None:
-        """Unlock the folder, and delete a new file that has no rows."""
+        """Unlock the folder, and delete a newly created file that has no rows."""
         # Closing copies the log into the database. On a full disk this fails, but the
         # rows are safe in the log.
         with contextlib.suppress(sqlite3.Error, OSError):
@@ -161,7 +159,7 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
         )
 
     def add(self, row: Row) -> None:
-        """Store a row and its files, and replace a row that has an equal key.
+        """Store a row and its files, and replace a row with an equal key.
 
         Raises:
             InputError: the row or a file cannot be written.
@@ -181,15 +179,10 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
         keys: Sequence[str],
         on_row: Callable[[Row], object] | None = None,
     ) -> None:
-        """Store the rows of tasks as they finish.
+        """Store the rows of tasks as they finish, and call `on_row` with each row.
 
-        A task that raised an error is stored as a failed row.
-        An interrupt stops the tasks, and finished rows are kept.
-
-        Args:
-            finished: results of tasks.
-            keys: key of the row of each task.
-            on_row: callback for each stored row.
+        A task that raised an error is stored as a failed row. The rows that finished
+        before an interrupt are kept. `keys` contains the key of each task.
 
         Raises:
             InputError: a row cannot be stored.
@@ -214,7 +207,7 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
             yield Row(key, status, values, wall, reason, exit_code)
 
     def keys(self, *, failed: bool) -> set[str]:
-        """Return the keys of the stored rows, optionally without those of failed runs."""
+        """Return the keys of the stored rows, optionally without the failed runs."""
         rows = self._read("SELECT key FROM rows WHERE ? OR status <> ?", failed, FAILED)
         return {key for (key,) in rows}
 
@@ -260,7 +253,7 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
 
 
 def rows_digest(rows: Sequence[Row]) -> str:
-    """Return the SHA-256 of rows, hexadecimal, independent of their order and without wall times."""
+    """Return the SHA-256 of rows, independent of their order and of wall times."""
     digest = hashlib.sha256()
     for row in sorted(rows, key=lambda row: row.key):
         values = {

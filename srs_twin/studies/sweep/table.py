@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 COMPARISON = "comparison"
-"""Owner of the metrics of a comparison."""
+"""Prefix of the metrics of a comparison."""
 
 OWNERS = ("analytical", "twin", COMPARISON, PLAN)
-"""Prefixes of metrics."""
+"""All prefixes of metrics: the plants, the comparison and the plan."""
 
 _EXACT = 1e15
 """Magnitude below which whole numbers, such as seeds, are printed with all digits."""
@@ -35,7 +35,7 @@ _ROW_COLUMNS = {"key", "status", "reason", "exit_code", "wall_s"}
 """Columns that are neither varied fields nor metrics."""
 
 _ELEMENT = re.compile(r"(_\d+)?(_period_\d+)?$")
-"""Suffix of the column name for an element of a list metric."""
+"""Suffix that marks a column as one element of a list metric."""
 
 _SUMMARY_METRICS = (
     "com_speed_m_s",
@@ -44,21 +44,21 @@ _SUMMARY_METRICS = (
     "com_speed_rel",
     "shape_rms_body",
 )
-"""Metrics that are shown first."""
+"""Metrics of the summary of a sweep that simulates plants."""
 
 _PLAN_SUMMARY_METRICS = ("plan_found", "plan_length_m", "plan_s")
-"""Metrics that are shown first for a sweep that is only planned."""
+"""Metrics of the summary of a sweep that only plans."""
 
 
 @dataclass(frozen=True)
 class ColumnValues:
-    """Values of one column for an axis or a colour.
+    """Values of one column as numbers, for an axis or a colour scale.
 
     Attributes:
         label: axis label.
-        numbers: values, shape (rows,), NaN if missing; for texts their index in
-            `names`.
-        names: distinct texts, sorted; empty for numbers.
+        numbers: values, or indices of texts in `names`, shape (rows,). A missing value
+            is NaN.
+        names: distinct texts in order; empty for a column of numbers.
     """
 
     label: str
@@ -66,7 +66,7 @@ class ColumnValues:
     names: tuple[str, ...] = ()
 
     def text(self, number: float) -> str:
-        """Return a value as text."""
+        """Return a number of the column as text."""
         if self.names:
             return self.names[int(number)]
         if float(number).is_integer() and abs(number) < _EXACT:
@@ -76,11 +76,7 @@ class ColumnValues:
 
 @dataclass(frozen=True)
 class SweepTable:
-    """Results of a sweep by column.
-
-    Attributes:
-        columns: name → values, one per row.
-    """
+    """Results of a sweep by column, with one value per row."""
 
     columns: Mapping[str, Sequence[Any]]
 
@@ -88,14 +84,9 @@ class SweepTable:
     def from_rows(sweep: Sweep, rows: Iterable[Row]) -> SweepTable:
         """Return the results with one row per point, ordered by key.
 
-        Columns: ``key``, the varied fields by their dotted names, ``status``,
-        ``reason``, ``exit_code``, the metrics as ``<plant>.<metric>`` and
-        ``comparison.<metric>``, or as ``plan.<metric>`` if the scenario is only planned
-        (None if missing), ``wall_s``.
-
-        Args:
-            sweep: sweep.
-            rows: its rows, in any order.
+        The columns are ``key``, the varied fields, ``status``, ``reason``,
+        ``exit_code``, the metrics (such as ``twin.com_speed_m_s``) and ``wall_s``. A
+        missing metric is None.
         """
         rows = sorted(rows, key=lambda row: row.key)
         changes = {point.key: point.changes for point in sweep.points}
@@ -110,7 +101,7 @@ class SweepTable:
         return SweepTable(columns)
 
     def write(self, path: Path, sweep: Sweep) -> None:
-        """Write a Parquet file with the title and versions of the sweep atomically.
+        """Write a Parquet file with the title and package versions atomically.
 
         Raises:
             InputError: the path cannot be written.
@@ -128,7 +119,7 @@ class SweepTable:
         write_table(path, pa.table(columns, metadata={"srs_twin.sweep": about}))
 
     def ranges(self) -> dict[str, tuple[float, float, float]]:
-        """Return (minimum, median, maximum) of the summary metrics that are present."""
+        """Return (minimum, median, maximum) of each summary metric that has a value."""
         ranges = {}
         for name, column in self.columns.items():
             owner, _, metric = name.partition(".")
@@ -140,14 +131,14 @@ class SweepTable:
 
     @cached_property
     def failed(self) -> np.ndarray:
-        """Whether the run of each row failed, shape (rows,)."""
+        """Mask of the rows whose run failed, shape (rows,)."""
         return np.array(
             [status == "failed" for status in self.columns["status"]], dtype=bool
         )
 
     @cached_property
     def fields(self) -> list[str]:
-        """Varied fields."""
+        """Names of the varied fields."""
         prefixes = tuple(f"{owner}." for owner in OWNERS)
         return [
             name
@@ -156,10 +147,10 @@ class SweepTable:
         ]
 
     def owners(self, metric: str) -> list[str]:
-        """Return the results that contain a metric: plants, comparison or plan.
+        """Return the owners of a metric: plants, the comparison or the plan.
 
         Raises:
-            UnknownNameError: no owner has it.
+            UnknownNameError: no owner has the metric.
         """
         owners = self.owners_if_any(metric)
         if not owners:
@@ -170,11 +161,11 @@ class SweepTable:
         return owners
 
     def owners_if_any(self, metric: str) -> list[str]:
-        """Return the owners that have a metric; empty if there is none."""
+        """Return the owners of a metric, or an empty list if there are none."""
         return [owner for owner in OWNERS if self._names(owner, metric)]
 
     def metric(self, metric: str, owner: str) -> ColumnValues:
-        """Return a metric of an owner; for a list metric its mean."""
+        """Return a metric of an owner. A list metric is represented by its mean."""
         names = self._names(owner, metric)
         elements = np.array([_numbers(self.columns[name]) for name in names])
         label = metric_label(metric)
@@ -183,7 +174,7 @@ class SweepTable:
         return ColumnValues(label, elements.mean(axis=0))
 
     def values(self, name: str, owner: str) -> ColumnValues:
-        """Return a varied field, or a metric of an owner or of the comparison.
+        """Return a varied field, or a metric of `owner` or of the comparison.
 
         Raises:
             UnknownNameError: the column does not exist.
@@ -197,23 +188,23 @@ class SweepTable:
 
     @property
     def repeats(self) -> list[str]:
-        """Varied fields that are seeds and thus only repeat a run; means are taken over these fields only."""
+        """Varied seeds, over which means are taken because they only repeat a run."""
         return [name for name in self.fields if name.rpartition(".")[2] == "seed"]
 
     @property
     def settings(self) -> list[str]:
-        """Varied fields except `repeats`."""
+        """Varied fields that are not seeds."""
         return [name for name in self.fields if name not in self.repeats]
 
     def unplotted_settings(self, plotted: Iterable[str]) -> list[str]:
-        """Return the settings that differ between runs with the same values of the plotted fields."""
+        """Return the settings that differ between runs with equal plotted values."""
         known = [name for name in plotted if name in self.fields]
         count = len(self.groups(known))
         others = (name for name in self.settings if name not in known)
         return [name for name in others if len(self.groups([*known, name])) > count]
 
     def groups(self, names: Sequence[str]) -> list[tuple[tuple[str, ...], np.ndarray]]:
-        """Return the combinations of values of fields, in order, as texts with the rows that have them."""
+        """Return the distinct combinations of field values, with the rows of each."""
         if not names:
             return [((), np.arange(len(self.failed)))]
         columns = [self.values(name, "") for name in names]
@@ -230,7 +221,6 @@ class SweepTable:
         return list(zip(texts, rows, strict=True))
 
     def _names(self, owner: str, metric: str) -> list[str]:
-        """Return the column of a metric, or those of its elements if it is a list."""
         name = f"{owner}.{metric}"
         if name in self.columns:
             return [name]
@@ -251,7 +241,7 @@ def write_table(path: Path, table: pa.Table) -> None:
 
 
 def shown_metrics(sweep: Sweep) -> tuple[str, ...]:
-    """Return the metrics of reports: those of the file, otherwise plotted and summary metrics."""
+    """Return the metrics of the sweep file, by default plotted and summary metrics."""
     if sweep.metrics is not None:
         return sweep.metrics
     summary = _SUMMARY_METRICS if sweep.experiment.plants else _PLAN_SUMMARY_METRICS
@@ -260,7 +250,6 @@ def shown_metrics(sweep: Sweep) -> tuple[str, ...]:
 
 
 def _metrics(sweep: Sweep, rows: Iterable[Row]) -> list[str]:
-    """Return the metrics that become columns, in their order in the rows."""
     names = dict.fromkeys(
         name for row in rows for name in row.values
     ) or _plotted_columns(sweep)
@@ -275,7 +264,6 @@ def _metrics(sweep: Sweep, rows: Iterable[Row]) -> list[str]:
 
 
 def _plotted_columns(sweep: Sweep) -> dict[str, None]:
-    """Return the columns that plots need, for a table without any results."""
     plants = sweep.experiment.plants or (PLAN,)
     names = (name for plot in sweep.plots for name in (plot.metric, plot.x, plot.by))
     return {
@@ -287,7 +275,7 @@ def _plotted_columns(sweep: Sweep) -> dict[str, None]:
 
 
 def _of_one_type(values: list[Any]) -> list[Any]:
-    """Return the values of a field as booleans, integers, floats or texts; other mixtures become JSON."""
+    """Return the values with one common type, where mixed types become JSON texts."""
     types = {type(value) for value in values}
     if len(types) <= 1:
         return values
@@ -306,20 +294,21 @@ def _field(name: str, column: Sequence[object]) -> ColumnValues:
 
 
 def _numbers(column: Sequence[Any]) -> np.ndarray:
-    """Return numbers, NaN for missing and infinite ones."""
     numbers = np.array(column, dtype=float)
     return np.where(np.isfinite(numbers), numbers, np.nan)
 
 
 def group_means(group: np.ndarray, count: int, values: np.ndarray) -> np.ndarray:
-    """Return the mean of the values of each group, NaN for empty groups; independent of the order of rows.
+    """Return the mean of each group of values, independent of the order of the rows.
+
+    Missing values (NaN) are ignored, and an empty group has a mean of NaN.
 
     Args:
         group: group number of each value, shape (rows,).
         count: number of groups.
-        values: values, shape (rows,); NaN is ignored.
+        values: values to average, shape (rows,).
     """
-    # Sorting makes the last bit of the sums independent of the order of rows.
+    # Floating-point sums depend on the order of their terms, so the values are sorted.
     order = np.lexsort((values, group))
     order = order[np.isfinite(values[order])]
     sums = np.bincount(group[order], weights=values[order], minlength=count)

@@ -1,4 +1,4 @@
-"""Task of a worker: run a point of a sweep, compute its metrics, and return them as a row."""
+"""Task of a worker: run one point of a sweep and return its metrics as a row."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ FAILED = "failed"
 """Status of a failed run."""
 
 PLAN = "plan"
-"""Prefix of the metrics of a scenario that is only planned."""
+"""Prefix of the metrics of a scenario that is planned but not simulated."""
 
 PLAN_TIME = f"{PLAN}.plan_s"
-"""Column of the planning time, which differs between equal runs."""
+"""Column of the planning time, which differs between identical runs."""
 
-# Wall times of metrics are left out, because they differ between equal runs; the column
-# wall_s has the total.
+# Wall times are no metrics of a row, because they differ between identical runs. The
+# column wall_s contains the total time.
 _TIMES = ("wall_s", "realtime_factor")
 
 _warmed_planners: set[str] = set()
-"""Kinds of planners that have run in this process."""
+"""Kinds of planners that this process has already run once."""
 
 
 @dataclass(frozen=True)
@@ -47,13 +47,14 @@ class Row:
 
     Attributes:
         key: key of the point.
-        status: "done" or "failed".
-        values: ``<plant>.<metric>``, ``comparison.<metric>`` and ``plan.<metric>`` →
-            value, None if missing.
+        status: `DONE` or `FAILED`.
+        values: metric value by name (``<plant>.<metric>``, ``comparison.<metric>`` or
+            ``plan.<metric>``), or None if it is missing.
         wall_s: wall time, s.
-        reason: reason of a failure.
-        exit_code: exit code of the failure on the command line; 0 without a failure.
-        files: plant → trajectory as Parquet, if trajectories are stored.
+        reason: message of the failure.
+        exit_code: exit code of the command line for the failure; 0 after success.
+        files: trajectory of each plant as Parquet, empty unless trajectories are
+            stored.
     """
 
     key: str
@@ -70,12 +71,10 @@ def run_point(
     point: Point,
     ran: Mapping[str, Trajectory | SrsError] = MappingProxyType({}),
 ) -> Row:
-    """Run the plants of a point, or only plan it, and compute its metrics; an error gives a failed row.
+    """Run the plants of a point, or only plan it, and compute the metrics.
 
-    Args:
-        experiment: common inputs of the sweep.
-        point: point.
-        ran: results of plants that have already run.
+    `ran` contains trajectories or errors of plants that have already run. An `SrsError`
+    does not propagate but gives a failed row.
     """
     start = time.perf_counter()
     trajectories: dict[str, Trajectory] = {}
@@ -123,7 +122,7 @@ def run_point(
 
 
 def failed_row(key: str, error: Exception | None, wall_s: float = 0.0) -> Row:
-    """Return the row of a point that ended with an error or whose worker crashed."""
+    """Return the row of a point whose task raised an error or whose worker crashed."""
     code = error.exit_code if isinstance(error, SrsError) else SrsError.exit_code
     return Row(
         key, FAILED, {}, wall_s, escape_unprintable(" ".join(str(error).split())), code
@@ -131,11 +130,6 @@ def failed_row(key: str, error: Exception | None, wall_s: float = 0.0) -> Row:
 
 
 def _plan_metrics(scenario: Scenario) -> dict[str, object]:
-    """Return the metrics of a plan, and its planning time.
-
-    Raises:
-        InputError: the scenario has no planner, or planning is not possible.
-    """
     planner = scenario.planner
     if planner is None:
         raise InputError(
@@ -155,18 +149,17 @@ def _plan_metrics(scenario: Scenario) -> dict[str, object]:
 def _partial_trajectory(
     error: SrsError, plants: tuple[str, ...], done: Mapping[str, Trajectory]
 ) -> dict[str, Trajectory]:
-    """Return the trajectory of a plant that diverged, up to that time."""
+    """Return the trajectory of a diverged plant up to the time of divergence."""
     trajectory = getattr(error, "trajectory", None)
     plant = next((plant for plant in plants if plant not in done), None)
     return {} if trajectory is None or plant is None else {plant: trajectory}
 
 
 def flat_metrics(prefix: str, metrics: Mapping[str, object]) -> dict[str, float | None]:
-    """Return metrics as scalars; elements of lists are numbered, two chambers named plus and minus.
+    """Return metrics as scalars with the name ``<prefix>.<metric>``.
 
-    Args:
-        prefix: owner, in front of each name: a plant, "comparison" or "plan".
-        metrics: metrics by name, as in metrics.json.
+    The elements of a list metric are numbered from 1. The two chambers of a segment are
+    named plus and minus.
     """
     scalars: dict[str, float | None] = {}
     for name, value in metrics.items():
@@ -180,7 +173,6 @@ def flat_metrics(prefix: str, metrics: Mapping[str, object]) -> dict[str, float 
 
 
 def _scalars(value: Any) -> Iterator[tuple[str, float | None]]:
-    """Yield name suffixes and scalars of a metric, which is a number or a list by segment or period."""
     if not isinstance(value, list | tuple):
         yield "", value
         return

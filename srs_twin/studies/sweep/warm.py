@@ -1,4 +1,4 @@
-"""Imports and kernels that every run of a sweep needs, loaded once by the server that forks workers.
+"""Imports and kernels that the fork server of a sweep loads once for all workers.
 
 A short run of the analytical model loads the compiled kernels and the metrics, which
 saves each worker half a second. MuJoCo is imported only by workers that need it.

@@ -1,1 +1,1 @@
-"""Uncertainty of predictions: propagation of a robot's uncertain parameters to the metrics of a scenario."""
+"""Uncertainty of predicted metrics due to the uncertain parameters of a robot."""

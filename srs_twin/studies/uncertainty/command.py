@@ -1,4 +1,4 @@
-"""`srs-twin uncertainty`: prediction intervals of a scenario's metrics, and measurements that narrow them."""
+"""Command `srs-twin uncertainty`: prediction intervals of a scenario's metrics."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 STUDIES = Path("runs/uncertainty")
 
 _MAX_MEASUREMENTS = 3
-"""Largest number of suggested measurements."""
+"""Maximum number of suggested measurements."""
 
 _NOTHING = 5e-4
 """Magnitude below which a value is printed as 0, in the unit of the metric."""
@@ -120,14 +120,12 @@ def _short(value: float) -> str:
 
 
 def _error_text(error: float) -> str:
-    """Return a standard error with two digits."""
     if abs(error) < _NOTHING / 10:
         return "0"
     return f"{error:.2g}"
 
 
 def _count_text(uncertainty: MetricUncertainty) -> str:
-    """Return the number of samples, and of runs if a surrogate was used."""
     text = f"{uncertainty.count} samples"
     if uncertainty.runs < uncertainty.count:
         text += f", {uncertainty.runs} runs"
@@ -135,7 +133,6 @@ def _count_text(uncertainty: MetricUncertainty) -> str:
 
 
 def _print_result(result: Propagation) -> None:
-    """Print the intervals of common metrics, and suggested measurements."""
     from srs_twin.viewing.plots.labels import metric_label
 
     study = result.study
@@ -170,7 +167,7 @@ def _print_result(result: Propagation) -> None:
 
 
 def _print_plant(result: Propagation, plant: str) -> bool:
-    """Print the table of one plant; return whether it has published values."""
+    """Print the table of one plant and return whether it has published values."""
     from srs_twin.comparison.metrics import metric_units
     from srs_twin.identification.fitting import print_table
     from srs_twin.studies.uncertainty.metric_uncertainty import RANGES

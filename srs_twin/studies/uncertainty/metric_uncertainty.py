@@ -1,20 +1,21 @@
-r"""Uncertainty of one metric: prediction intervals, standard errors of their ends, sensitivity indices.
+r"""Uncertainty of one metric: prediction intervals, their errors, sensitivity indices.
 
 The ends of an interval are sample quantiles q. Their standard errors have two parts,
 
 $$ \mathrm{se}^2 = \mathrm{se}_\text{sampling}^2 + \mathrm{se}_\text{surrogate}^2, \qquad
 \mathrm{se}_\text{surrogate}^2 = \frac{G-1}{G} \sum_g (q_{-g} - \bar q)^2 . $$
 
-The first is estimated by the bootstrap (Efron 1979, Annals of Statistics 7), which
-draws samples with replacement. Points of a Sobol sequence fill the space more evenly
-than independent ones, so it is an upper bound. The second applies to metrics that a
-surrogate predicts at most samples. It is a delete-a-group jackknife over the twin's
-runs, with random groups, because consecutive Sobol points form a pattern.
+The sampling error is estimated by the bootstrap (Efron 1979, Annals of Statistics 7),
+which draws samples with replacement. The estimate is an upper bound, because points of
+a Sobol sequence fill the space more evenly than independent points. The surrogate error
+applies to metrics that a surrogate predicts at most samples. It is a delete-a-group
+jackknife over the twin's runs, where q_{-g} is the quantile without group g of G
+groups. The groups are random, because consecutive Sobol points form a pattern.
 
 The bootstrap cannot represent values beyond the outermost samples. The probability that
 all n samples lie above the quantile of probability p is (1 − p)^n. With fewer than
-`MIN_BOUNDING_SAMPLES` samples this exceeds 2.5 % for the ends of a 95 % interval, so
-the samples may not reach these ends.
+`MIN_BOUNDING_SAMPLES` samples this probability exceeds 2.5 % for the ends of a 95 %
+interval, so the samples may not reach these ends.
 """
 
 from __future__ import annotations
@@ -34,22 +35,24 @@ _PROBABILITIES = [probability for ends in RANGES.values() for probability in end
 _TAIL = RANGES["interval_95"][0]
 
 MIN_BOUNDING_SAMPLES = math.ceil(math.log(_TAIL) / math.log(1 - _TAIL))
-"""Smallest number of samples that bounds a 95 % interval: 146."""
+"""Minimum number of samples that bounds a 95 % interval: 146."""
 
 _MAX_END_ERROR = 0.05
-"""Largest standard error of an interval end without a warning, relative to the interval's width."""
+"""Maximum standard error of an interval end without a warning, relative to the
+interval width."""
 
 _MAX_INDEX_ERROR = 0.1
-"""Largest half width of the 95 % interval of a total index without a warning."""
+"""Maximum half width of the 95 % interval of a total index without a warning."""
 
 _GROUPS = 8
 """Number of groups of the jackknife."""
 
 _RESAMPLINGS = 400
-"""Number of bootstrap samples; the relative error of the standard error is 1/√(2·400), 4 %."""
+"""Number of bootstrap samples. The relative error of the standard error is
+1/√(2·400), about 4 %."""
 
 _BATCH = 50
-"""Bootstrap samples in memory at once."""
+"""Number of bootstrap samples in memory at once."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +62,7 @@ class SobolIndices:
     Attributes:
         first: first-order indices, shape (d,).
         total: total indices, shape (d,).
-        half_width: half the 95 % interval of both, shape (2, d).
+        half_width: half width of the 95 % interval of both indices, shape (2, d).
     """
 
     first: Array
@@ -69,8 +72,8 @@ class SobolIndices:
     def ranks(self) -> list[tuple[int, int]]:
         """Return the best and the worst possible rank of each parameter as a cause.
 
-        Two total indices differ if their difference exceeds their half widths, added in
-        quadrature.
+        Two total indices differ if their difference exceeds the root sum of squares of
+        their half widths.
         """
         limit = np.hypot(self.half_width[1][:, None], self.half_width[1])
         is_larger = self.total[:, None] - self.total > limit
@@ -82,7 +85,7 @@ class SobolIndices:
         ]
 
     def document(self, names: tuple[str, ...]) -> dict[str, object]:
-        """Return the indices and ranks by name of the uncertain quantity, as JSON values."""
+        """Return the indices and ranks by quantity name as JSON values."""
         keys = ("first", "total", "first_error", "total_error")
         columns = np.array([self.first, self.total, *self.half_width]).T.tolist()
         return {
@@ -99,14 +102,16 @@ class MetricUncertainty:
         value: value with the parameters of the robot file.
         half_timestep: value with half the time step.
         at_medians: value with all uncertain parameters at their medians.
-        samples: values at the samples of the priors, shape (samples,); NaN if unknown.
-        runs: number of samples that the plant itself ran, without those of a surrogate.
-        sampling: standard errors of the ends of the 50 and 95 % intervals by sampling,
-            shape (4,).
-        surrogate: standard errors of these ends by the surrogate, shape (4,).
-        indices: sensitivity indices; None for a constant metric or correlated
+        samples: values at the samples of the priors, NaN if unknown, shape (samples,).
+        runs: number of samples that the plant itself ran, without surrogate
+            predictions.
+        sampling: standard errors of the ends of the 50 and 95 % intervals due to
+            sampling, shape (4,).
+        surrogate: standard errors of the interval ends due to the surrogate, shape
+            (4,).
+        indices: sensitivity indices, or None for a constant metric or correlated
             parameters.
-        published: published value, if any.
+        published: published value, or None.
     """
 
     value: float
@@ -141,7 +146,7 @@ class MetricUncertainty:
 
     @property
     def numerical_error(self) -> float:
-        """Numerical error u_num by first-order Richardson extrapolation to a time step of 0."""
+        """Numerical error by first-order Richardson extrapolation to a zero step."""
         return 2 * abs(self.value - self.half_timestep)
 
     def warnings(self) -> list[str]:
@@ -179,7 +184,7 @@ class MetricUncertainty:
 
     @property
     def verdict(self) -> IntervalVerdict | None:
-        """Verdict on the published value by the 95 % interval; None without a published value."""
+        """Verdict of the 95 % interval on the published value, if there is one."""
         if self.published is None:
             return None
         return interval_verdict(
@@ -214,14 +219,14 @@ class MetricUncertainty:
 
 
 def _finite(value: float) -> float | None:
-    """Return a number as JSON value; None for NaN and infinity."""
+    """Return the number, or None instead of NaN and infinity, which JSON lacks."""
     if math.isfinite(value):
         return value
     return None
 
 
 def sampling_errors(samples: Array) -> Array:
-    """Return the standard errors of the ends of the 50 and 95 % intervals by sampling, shape (4,)."""
+    """Return the standard errors of the interval ends due to sampling, shape (4,)."""
     known = samples[np.isfinite(samples)]
     result = bootstrap(
         (known,),
@@ -235,11 +240,13 @@ def sampling_errors(samples: Array) -> Array:
 
 
 def predict_twin(shares: Array, low: Array, high: Array) -> tuple[Array, Array]:
-    """Return the twin's metric at all samples, and the standard errors of interval ends by the surrogate.
+    """Return the twin's metric at all samples, and the errors of interval ends.
+
+    The errors are standard errors due to the surrogate.
 
     Args:
         shares: inputs u of all samples, shape (samples, d).
-        low: low-fidelity metric, shape (samples,); NaN if unknown.
+        low: low-fidelity metric, NaN if unknown, shape (samples,).
         high: twin's metric at the first samples, shape (fewer,).
     """
     count = len(high)
@@ -251,9 +258,8 @@ def predict_twin(shares: Array, low: Array, high: Array) -> tuple[Array, Array]:
     samples = np.full(len(low), np.nan)
     samples[is_known], hyperparameters = predict_high_fidelity(x, y, runs)
     if np.isfinite(samples).sum() == len(runs):
-        return samples, np.zeros(
-            len(_PROBABILITIES)
-        )  # all samples were run, so nothing is predicted
+        # The twin ran all samples, so the surrogate predicts nothing.
+        return samples, np.zeros(len(_PROBABILITIES))
     group = np.random.default_rng(0).permutation(len(runs)) % _GROUPS
     predicted = np.arange(len(runs), len(y))
     ends = []

@@ -1,4 +1,4 @@
-"""Plot of a prediction's uncertainty: intervals with published values, and a tornado chart of the causes."""
+"""Plot of the uncertainty of a prediction: intervals, and a tornado chart of causes."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ from srs_twin.viewing.plots.labels import field_label, metric_label
 from srs_twin.viewing.plots.style import PUBLISHED_COLOR, drawing, finish, style_of
 
 _MAX_SWINGS = 10
-"""Largest number of causes in the tornado chart."""
+"""Maximum number of causes in the tornado chart."""
 
 _WIDTH = 4.6
-"""Width of the figure, inches; small, so that its text is readable on a telephone."""
+"""Width of the figure, inches. It is small, so that the text is readable on a
+telephone."""
 
 _LEFT = 1.85
 """Left margin, inches."""
@@ -28,10 +29,11 @@ _ROW = 0.42
 """Height of an interval or a cause, inches."""
 
 _BETWEEN = 0.85
-"""Height between the panels, for the axis of the first and the heading of the second, inches."""
+"""Height between the panels for the axis of the upper panel and the heading of the
+lower panel, inches."""
 
 _LINE_CHARACTERS = 74
-"""Length of a text line below the panels, characters."""
+"""Maximum number of characters in a text line below the panels."""
 
 _LINE_HEIGHT = 0.15
 """Height of a text line, inches."""
@@ -52,11 +54,11 @@ _ERROR: dict[str, Any] = {
 
 @drawing
 def draw_intervals(title: str, document: Mapping[str, Any]) -> Figure:
-    """Draw the target's intervals on each plant, and the effect of each uncertain quantity.
+    """Draw the target's intervals on each plant, and the effect of each quantity.
 
     Args:
         title: title of the scenario.
-        document: result, see `Propagation.document`.
+        document: result as returned by `Propagation.document`.
     """
     plant = document["target"]["plant"]
     metric = document["target"]["metric"]
@@ -80,8 +82,8 @@ def draw_intervals(title: str, document: Mapping[str, Any]) -> Figure:
     )
     _draw_intervals(upper, rows, metric)
     _draw_swings(lower, swings, plant, rows[plant], metric)
-    # Headings begin at the left edge of the figure, where they have more room than
-    # above the panels.
+    # Headings begin at the left edge of the figure, because they would not fit above the
+    # panels alone.
     headings = [
         "50 and 95 %; tick: value; line: published",
         f"{style_of(plant).label}: {_EFFECT}",
@@ -108,7 +110,7 @@ def draw_intervals(title: str, document: Mapping[str, Any]) -> Figure:
 def _draw_intervals(
     axes: Axes, rows: Mapping[str, Mapping[str, Any]], metric: str
 ) -> None:
-    """Draw the 50 and 95 % intervals, the ends of the latter with two standard errors."""
+    """Draw the 50 and 95 % intervals, with two standard errors at the 95 % ends."""
     for y, (name, row) in enumerate(rows.items()):
         color = style_of(name).color
         wide = row["interval_95"]
@@ -146,7 +148,7 @@ def _draw_swings(
     row: Mapping[str, Any],
     metric: str,
 ) -> None:
-    """Draw the effect of each quantity alone; hatched if its rank among the causes is not resolved."""
+    """Draw the effect of each quantity, hatched if its rank is not resolved."""
     style = style_of(plant)
     labels = []
     for y, swing in enumerate(reversed(swings)):
@@ -185,14 +187,12 @@ def _draw_swings(
 
 
 def _count_text(row: Mapping[str, Any]) -> str:
-    """Return the number of samples, and of runs if a surrogate was used."""
     samples = row["samples"]
     runs = row["runs"]
     return f"{samples} samples" + (f", {runs} runs" if runs < samples else "")
 
 
 def _text_lines(document: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return the lines below the panels, with their colours."""
     warnings = [f"Warning: {text}" for text in document["warnings"]]
     return [
         (line, color)

@@ -1,10 +1,9 @@
-"""Propagation of a robot's uncertain parameters to all metrics of a scenario on each plant.
+"""Propagation of a robot's uncertain parameters to all metrics of a scenario.
 
 Each plant runs at quasi-random samples of the uncertain parameters, as a sweep, so an
 interrupted study resumes. If the analytical model `compliant` can run the scenario, it
-is the low-fidelity plant of the twin and runs at all samples. The twin runs only at the
-first of them; `predict_twin` predicts the rest. `metric_uncertainty` computes the
-intervals and their errors.
+runs at all samples as the low-fidelity model of the twin. The twin then runs only at
+the first samples, and `predict_twin` predicts the others.
 """
 
 from __future__ import annotations
@@ -67,42 +66,43 @@ if TYPE_CHECKING:
     from srs_twin.studies.sweep.task import Row
 
 RESULT = "intervals.json"
-"""File of the result."""
+"""File name of the result."""
 
 SAMPLES = "samples.parquet"
-"""File of the parameters and metrics of all samples."""
+"""File name of the parameters and metrics of all samples."""
 
 PICTURE = "intervals.png"
-"""File of the plot."""
+"""File name of the plot."""
 
 FILES = (RESULT, SAMPLES, PICTURE)
 
 REFERENCE_ROWS = 3
-"""Runs after the samples: medians of the parameters; the robot file's values; the latter with half the
-step."""
+"""Number of runs after the samples. They have the medians of the parameters, the
+values of the robot file, and the values of the robot file with half the time step."""
 
 _MIN_KNOWN = 0.9
-"""Smallest fraction of samples with a value at which a metric is included."""
+"""Minimum fraction of samples with a value at which a metric is included."""
 
 _CENTRES = (0.1, 0.3, 0.5, 0.7, 0.9)
 """Quantiles of the prior at which a measurement is assumed."""
 
 _MEASUREMENT_ERROR = 0.1
-"""Half the 95 % interval of an assumed measurement, relative to the value."""
+"""Half width of the 95 % interval of an assumed measurement, relative to the
+measured value."""
 
 _PREDICTION_SAMPLES = 4096
-"""Samples of the surrogate for the effect of a measurement."""
+"""Number of surrogate samples from which the effect of a measurement is computed."""
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """Effect of measuring one parameter on the target's interval.
+    """Effect of measuring one parameter on the interval of the target metric.
 
     Attributes:
         parameter: path of the parameter.
         interval_95: interval after a measurement at the median of the prior.
-        width: mean width of the interval after measurements over the prior.
-        width_now: width of the present interval.
+        width: mean interval width after measurements at several quantiles of the prior.
+        width_now: current interval width.
     """
 
     parameter: str
@@ -117,9 +117,9 @@ class Swing:
 
     Attributes:
         parameter: name of the quantity.
-        low: metric at the low end of its 95 % interval.
-        high: metric at the high end.
-        error: two standard deviations of left-out samples.
+        low: metric at the low end of the quantity's 95 % interval.
+        high: metric at the high end of the quantity's 95 % interval.
+        error: two standard deviations of the leave-one-out residuals.
     """
 
     parameter: str
@@ -151,9 +151,10 @@ class Propagation:
     """Result of a propagation.
 
     Attributes:
-        study: study.
-        rows: fidelity → metric → value at each sample, then at the `REFERENCE_ROWS`.
-            The key `SEGMENTS` has the runs over stiffness and damping.
+        study: study that was run.
+        rows: values of each metric of each fidelity, at the samples and then at the
+            `REFERENCE_ROWS`. The key `SEGMENTS` has the runs over stiffness and
+            damping.
     """
 
     study: UncertaintyStudy
@@ -161,7 +162,7 @@ class Propagation:
 
     @cached_property
     def plants(self) -> dict[str, dict[str, MetricUncertainty]]:
-        """Plant → metric → its uncertainty."""
+        """Uncertainty of each metric of each plant."""
         return {plant: self._uncertainties(plant) for plant in self.study.plants}
 
     def _uncertainties(self, plant: str) -> dict[str, MetricUncertainty]:
@@ -198,7 +199,7 @@ class Propagation:
     def _with_indices(
         self, uncertainties: dict[str, MetricUncertainty]
     ) -> dict[str, MetricUncertainty]:
-        """Return uncertainties with Sobol indices, which do not exist for correlated parameters."""
+        """Add Sobol indices, which are not defined for correlated parameters."""
         names = [
             name for name, entry in uncertainties.items() if _varies(entry.samples)
         ]
@@ -216,7 +217,10 @@ class Propagation:
 
     @property
     def target(self) -> tuple[str, str]:
-        """Plant and metric of the summary: the first with a published value, otherwise the speed."""
+        """Plant and metric of the summary.
+
+        They are the first metric with a published value, by default the speed.
+        """
         plants = [plant for plant in PLANTS if plant in self.plants]
         for plant in reversed(plants):
             for metric, uncertainty in self.plants[plant].items():
@@ -233,14 +237,13 @@ class Propagation:
         )
 
     def measure_next(self) -> list[Measurement]:
-        """Return the interval of the target after measuring each parameter to ±10 %, the narrowest first."""
+        """Return the effect of measuring each parameter to ±10 %, narrowest first."""
         chaos = self._chaos
         width_now = float(np.ptp(self._target.interval("interval_95")))
         if not width_now > 0 or self._target.indices is None:
             return []
         shares = self.study.draw(_PREDICTION_SAMPLES, self.study.seed + 1)
-        # Add residuals of the surrogate, so that the predicted intervals contain its
-        # error.
+        # The residuals add the error of the surrogate to the predicted intervals.
         rng = np.random.default_rng(self.study.seed)
         residuals = rng.choice(chaos.residuals[:, 0], _PREDICTION_SAMPLES)
         measurements = []
@@ -260,7 +263,7 @@ class Propagation:
         return sorted(measurements, key=lambda measurement: measurement.width)
 
     def swings(self) -> list[Swing]:
-        """Return the effect of each uncertain quantity alone on the target, by total index."""
+        """Return the effect of each uncertain quantity, sorted by total index."""
         names = self.study.names
         chaos = self._chaos
         indices = self._target.indices
@@ -280,10 +283,10 @@ class Propagation:
 
     @property
     def segments(self) -> dict[str, list[float]] | None:
-        """Lowest and highest speed of the twin over the 95 % intervals of stiffness and damping time, m/s.
+        """Minimum and maximum speed of the twin over stiffness and damping time, m/s.
 
-        The key `stiffness_and_damping` is for runs with both numbers varied, `damping`
-        for runs with only the damping time varied. None if the runs are missing.
+        Both parameters vary over their 95 % intervals. With the key `damping`, only the
+        damping time varies. The result is None if the runs are missing.
         """
         speeds = self.rows.get(SEGMENTS, {}).get("com_speed_m_s")
         if speeds is None or not np.isfinite(speeds).all():
@@ -297,7 +300,7 @@ class Propagation:
 
     @cached_property
     def warnings(self) -> list[str]:
-        """Sentences about large errors of the target's metric on each plant."""
+        """Warnings about large errors of the target metric on each plant."""
         metric = self.target[1]
         return [
             f"{plant}, {metric_label(metric)}: {text}"
@@ -308,19 +311,18 @@ class Propagation:
 
     @property
     def _target(self) -> MetricUncertainty:
-        """Uncertainty of the target's metric."""
         plant, metric = self.target
         return self.plants[plant][metric]
 
     @cached_property
     def _chaos(self) -> PolynomialChaos:
-        """Chaos expansion of the target's metric."""
+        """Polynomial chaos expansion of the target metric."""
         return PolynomialChaos.fit(
             self.study.shares, _fill_missing(self._target.samples)[:, None]
         )
 
     def document(self) -> dict[str, object]:
-        """Return the result as JSON values, as `--json` prints it."""
+        """Return the result as JSON values."""
         names = self.study.names
         plants = {
             plant: {
@@ -350,7 +352,7 @@ class Propagation:
         }
 
     def write(self, folder: Path) -> None:
-        """Write the `FILES` document, samples and plot into a folder.
+        """Write document, samples and plot (`FILES`) into a folder.
 
         Raises:
             InputError: a file cannot be written.
@@ -384,7 +386,7 @@ class Propagation:
             (fresh / RESULT).write_text(json.dumps(document, indent=2) + "\n", "utf-8")
 
     def keep(self) -> Path:
-        """Write the intervals for expectations with `within`, with a digest of the scenario.
+        """Write the intervals, with a digest of the scenario, for later expectations.
 
         Raises:
             InputError: the scenario is modified, or the file cannot be written.
@@ -400,7 +402,7 @@ class Propagation:
 
     @property
     def failed(self) -> dict[str, int]:
-        """Fidelity → number of samples without any value."""
+        """Number of samples without any value at each fidelity."""
         failed = dict.fromkeys(self.study.runs, 0)
         for part in failed:
             if columns := list(self.rows[part].values()):
@@ -410,7 +412,6 @@ class Propagation:
 
 
 def _rounded(data: Any) -> Any:
-    """Return plain data with numbers rounded to six digits."""
     if isinstance(data, dict):
         return {key: _rounded(value) for key, value in data.items()}
     if isinstance(data, list):
@@ -421,12 +422,10 @@ def _rounded(data: Any) -> Any:
 
 
 def _known_share(samples: np.ndarray) -> float:
-    """Return the fraction of samples with a value."""
     return float(np.isfinite(samples).mean())
 
 
 def _varies(samples: np.ndarray) -> bool:
-    """Return whether enough samples have a value and these are not all equal."""
     known = samples[np.isfinite(samples)]
     return _known_share(samples) >= _MIN_KNOWN and bool(
         np.std(known) > 1e-9 * abs(known.mean())
@@ -434,7 +433,6 @@ def _varies(samples: np.ndarray) -> bool:
 
 
 def _fill_missing(samples: np.ndarray) -> np.ndarray:
-    """Return samples with missing values replaced by the median; few are missing (`_MIN_KNOWN`)."""
     return np.where(np.isfinite(samples), samples, np.nanmedian(samples))
 
 
@@ -446,14 +444,15 @@ def propagate(
     *,
     changed: bool = False,
 ) -> Propagation:
-    """Run a study in a folder, with the rows that are missing there, and return the result.
+    """Run the missing rows of a study in a folder and return the result.
 
     Args:
-        study: study.
-        folder: output folder; one subfolder per fidelity.
+        study: study to run.
+        folder: output folder, with one subfolder per fidelity.
         engine: engine for the runs.
-        progress: function that follows the missing runs of each fidelity.
-        changed: resume in a folder of another version, see `open_sweep`.
+        progress: callback that reports the missing runs of each fidelity.
+        changed: whether the folder may belong to another version of the study; see
+            `open_sweep`.
 
     Raises:
         InputError: a folder cannot be written, or there is no result.
@@ -466,7 +465,8 @@ def propagate(
             if missing:
                 progress(part, len(missing), None)
                 opened.run(engine, missing, partial(progress, part, len(missing)))
-            if missing or changed:  # an earlier result does not belong to these rows
+            # An earlier result does not belong to the new rows.
+            if missing or changed:
                 remove_completion_mark(folder / RESULT)
             opened.finish()
             rows[part] = _columns(sweep, opened.rows())
@@ -491,23 +491,24 @@ def uncertainty(
 ) -> Propagation:
     """Compute prediction intervals of a scenario's metrics, as `srs-twin uncertainty`.
 
-    An interrupted study resumes in the same folder, where finished runs are kept.
+    An interrupted study resumes in its folder, where finished runs are kept.
 
     Args:
         scenario: name or path of a scenario, or a loaded scenario.
-        out: output folder; None: nothing is written.
-        set: values that override fields of the scenario, see `load_scenario`.
-        plants: plants that run; None: those of the scenario.
+        out: output folder, or None to write nothing.
+        set: values that override scenario fields, as described in `load_scenario`.
+        plants: plants that run, or None for the plants of the scenario.
         samples: number of robots drawn from the distributions.
         twin: number of runs of the twin if the model `compliant` runs all samples.
-        without: parameters of the robot to keep at their values in the robot file.
-        choices: field of the scenario → its equally likely values, in addition to the
-            two readings of the delay of the bends (`bending.lead`) if their damping is
-            uncertain.
-        engine: "local", "ray" or "warp", or an engine.
-        workers: number of parallel runs; None: one per processor.
-        changed: see `propagate`.
-        progress: function that follows the runs.
+        without: robot parameters that keep their values in the robot file.
+        choices: equally likely values of each scenario field. If the damping of the
+            bends is uncertain, the two readings of their delay (`bending.lead`) are
+            added.
+        engine: name of the engine ("local", "ray" or "warp"), or an engine object.
+        workers: number of parallel runs, or None for one per processor.
+        changed: whether the folder may belong to another version of the study; see
+            `propagate`.
+        progress: callback that reports the runs.
 
     Raises:
         InputError: the scenario is not valid, the engine is not available, or the
@@ -537,7 +538,6 @@ def uncertainty(
 
 
 def _columns(sweep: Sweep, rows: Iterable[Row]) -> dict[str, np.ndarray]:
-    """Return metric → value at each point of a sweep with one plant, NaN if missing."""
     by_key = {row.key: row.values for row in rows}
     names = dict.fromkeys(name for values in by_key.values() for name in values)
     points = [by_key.get(point.key, {}) for point in sweep.points]

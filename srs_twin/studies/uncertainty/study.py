@@ -1,4 +1,4 @@
-"""Uncertainty study of a scenario: runs of each fidelity as sweeps over the uncertain parameters."""
+"""Uncertainty study: runs of each fidelity as sweeps over the uncertain parameters."""
 
 from __future__ import annotations
 
@@ -24,26 +24,24 @@ COMPLIANT = "compliant"
 DAMPING = "bending.damping_time_s"
 STIFFNESS = "bending.stiffness_nm_per_rad"
 SEGMENTS = "segments"
-"""Part of the study: runs of the twin over the 95 % intervals of stiffness and damping time.
-
-The other parameters have their values in the robot file.
-"""
+"""Part of a study that runs the twin over the 95 % intervals of stiffness and
+damping time. All other parameters have their values in the robot file."""
 LEAD = "robot.bending.lead"
-"""Field of the two readings of the delay of a bend, which are equally likely."""
+"""Field for the two equally likely readings of the delay of a bend."""
 
 
 @dataclass(frozen=True)
 class UncertaintyStudy:
-    """Scenario with uncertain parameters of the robot and discrete choices.
+    """Scenario with uncertain robot parameters and discrete choices.
 
     Attributes:
-        scenario: scenario.
-        priors: priors of the robot's parameters.
-        discrete_choices: field of the scenario → equally likely values, such as two
-            models of the chambers.
+        scenario: scenario to study.
+        priors: priors of the robot parameters.
+        discrete_choices: equally likely values of scenario fields, such as two chamber
+            models.
         plants: plants that run.
-        samples: number of samples of the low-fidelity plants.
-        twin_samples: number of samples of the twin if it has a low-fidelity plant.
+        samples: number of samples of each plant that runs all of them.
+        twin_samples: number of samples of the twin if it has a low-fidelity model.
         seed: random seed of the samples.
     """
 
@@ -57,15 +55,15 @@ class UncertaintyStudy:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Uncertain quantities: paths of the robot's parameters, then fields of the discrete choices."""
+        """Paths of the uncertain parameters, then fields of the discrete choices."""
         return (*self.priors.paths, *self.discrete_choices)
 
     def draw(self, count: int, seed: int) -> np.ndarray:
-        """Return Sobol points u in the unit cube, snapped, shape (count, d)."""
+        """Return snapped Sobol points u in the unit cube, shape (count, d)."""
         return self.snapped(sobol_points(len(self.names), count, seed))
 
     def snapped(self, shares: np.ndarray) -> np.ndarray:
-        """Return points with each discrete choice at the middle of its value's interval."""
+        """Return points with each discrete choice at the middle of its interval."""
         snapped = shares.copy()
         for i, values in enumerate(
             self.discrete_choices.values(), start=len(self.priors.parameters)
@@ -75,12 +73,12 @@ class UncertaintyStudy:
 
     @cached_property
     def surrogate_scenario(self) -> Mapping[str, Any] | None:
-        """Scenario with `compliant` as its analytical plant; None if that cannot run it."""
+        """Scenario with `compliant` as analytical plant, or None if it cannot run."""
         return compliant_scenario(self.scenario)
 
     @property
     def runs(self) -> dict[str, int]:
-        """Fidelity ("analytical", "compliant" or "twin") → number of its samples."""
+        """Number of samples of each fidelity ("analytical", "compliant" or "twin")."""
         runs = {}
         if "analytical" in self.plants:
             runs["analytical"] = self.samples
@@ -92,7 +90,7 @@ class UncertaintyStudy:
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """The fidelities, and `SEGMENTS` if both plants run and stiffness and damping time are uncertain."""
+        """Fidelities, and `SEGMENTS` if stiffness and damping time are uncertain."""
         if {"analytical", "twin"} <= {*self.plants} and {STIFFNESS, DAMPING} <= {
             *self.priors.paths
         }:
@@ -105,7 +103,7 @@ class UncertaintyStudy:
         return self.draw(self.samples, self.seed)
 
     def sweep(self, part: str) -> Sweep:
-        """Return the runs of a part; for a fidelity, the `REFERENCE_ROWS` follow the samples."""
+        """Return the runs of a part, with the `REFERENCE_ROWS` after the samples."""
         plant = "twin" if part in ("twin", SEGMENTS) else "analytical"
         document = self.surrogate_scenario
         if part != COMPLIANT:
@@ -148,7 +146,10 @@ class UncertaintyStudy:
     def _sampled(
         self, shares: np.ndarray, plant: str, step: float
     ) -> Iterator[list[Any]]:
-        """Yield a row for each point u; short damping times shorten the step of the twin."""
+        """Yield a row for each point u.
+
+        A short damping time shortens the time step of the twin.
+        """
         parameters, choices = np.split(shares, [len(self.priors.parameters)], axis=1)
         for values, fractions in zip(
             self.priors.quantile(parameters).tolist(), choices, strict=True
@@ -163,7 +164,11 @@ class UncertaintyStudy:
     def _over_segments(
         self, nominal: Sequence[Any], step: float
     ) -> Iterator[list[Any]]:
-        """Yield rows for all pairs of stiffness and damping time, each at its value, low end and high end."""
+        """Yield rows for all pairs of stiffness and damping time.
+
+        Each parameter has its value in the robot file and the two ends of its 95 %
+        interval.
+        """
         places = [self.priors.paths.index(path) for path in (STIFFNESS, DAMPING)]
         levels = []
         for prior in (self.priors.parameters[place] for place in places):
@@ -186,7 +191,7 @@ def on_plant(
     Args:
         document: scenario as plain data.
         plant: name of the plant.
-        settings: settings of the plant; None: those of the scenario.
+        settings: settings of the plant, or None for the settings in the scenario.
     """
     if settings is None:
         settings = document["plants"].get(plant, {})
@@ -194,7 +199,7 @@ def on_plant(
 
 
 def compliant_scenario(scenario: Scenario) -> Mapping[str, object] | None:
-    """Return a scenario with `compliant` as its only plant, as plain data; None if that cannot run it."""
+    """Return a scenario whose only plant is `compliant`, or None if it cannot run."""
     twin = scenario.plants.get("twin") or TwinFile()
     assert isinstance(twin, TwinFile), "the scenario's model ensures this type"
     settings = {"model": COMPLIANT, "friction": twin.law, "gaps": twin.gaps}

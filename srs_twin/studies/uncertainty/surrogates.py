@@ -1,4 +1,4 @@
-r"""Surrogate models: polynomial chaos, which gives sensitivity indices, and a Gaussian process.
+r"""Surrogate models: polynomial chaos with sensitivity indices, and a Gaussian process.
 
 **Polynomial chaos** (Sudret 2008, Reliability Engineering & System Safety 93). With
 Legendre polynomials ψ that are orthonormal over independent u ∈ (0, 1),
@@ -7,14 +7,15 @@ $$ y(u) \approx \sum_\alpha c_\alpha \prod_i \psi_{\alpha_i}(u_i), \qquad
 S_i = \frac{\sum_{\alpha \in A_i} c_\alpha^2}{\sum_{\alpha \ne 0} c_\alpha^2}, \qquad
 T_i = \frac{\sum_{\alpha_i > 0} c_\alpha^2}{\sum_{\alpha \ne 0} c_\alpha^2}, $$
 
-with A_i the terms in u_i alone: Sobol's first-order and total indices. The degree is
-selected by leave-one-out cross-validation. The error of an index includes the
-unexplained variance of left-out samples and the scatter under bootstrap resampling.
+where the set A_i contains the terms in u_i alone, and S_i and T_i are Sobol's
+first-order and total indices. The degree is selected by leave-one-out
+cross-validation. The error of an index includes the unexplained variance of left-out
+samples and the scatter under bootstrap resampling.
 
 **Gaussian process** (Kennedy and O'Hagan 2000, Biometrika 87: one fidelity predicts the
-other). The high-fidelity result is a linear function of the low-fidelity result and the
-inputs, plus a smooth remainder. Variances and lengths have log-normal priors and take
-their most probable values.
+other). The high-fidelity result is modelled as a linear function of the low-fidelity
+result and the inputs, plus a smooth remainder. Variances and lengths have log-normal
+priors and take their most probable values.
 """
 
 from __future__ import annotations
@@ -31,25 +32,26 @@ from scipy.special import eval_legendre
 from srs_twin.compute.arrays import Array
 
 _MAX_DEGREE = 10
-"""Largest degree of a chaos expansion."""
+"""Maximum degree of a chaos expansion."""
 
 _SAMPLES_PER_TERM = 5
-"""Smallest number of samples per coefficient."""
+"""Minimum number of samples per coefficient."""
 
 _MAX_INTERACTION = 2
-"""Largest number of variables in a term of more than the third degree."""
+"""Maximum number of variables in a term above the third degree."""
 
 _RESAMPLINGS = 20
-"""Number of bootstrap samples for the scatter of the indices."""
+"""Number of bootstrap samples from which the scatter of the indices is computed."""
 
 _MAX_UNEXPLAINED = 0.5
-"""Largest unexplained fraction of the variance at which a surrogate is used."""
+"""Maximum unexplained fraction of the variance at which a surrogate is used."""
 
 _TYPICAL = (0.1, 1.0, 0.01)
-"""Medians of the log-normal priors of s, b and n of a Gaussian process, with a standard deviation of 1."""
+"""Medians of the log-normal priors of s, b and n of a Gaussian process. The standard
+deviation is 1."""
 
 _TYPICAL_LENGTH = 2.0
-"""Median of the log-normal priors of all ℓ, with a standard deviation of 1."""
+"""Median of the log-normal priors of all ℓ. The standard deviation is 1."""
 
 
 def _terms(variables: int, degree: int) -> np.ndarray:
@@ -77,7 +79,7 @@ class PolynomialChaos:
     Attributes:
         terms: exponents, shape (terms, d).
         coefficients: coefficients, shape (terms, results).
-        unexplained: unexplained fraction of each result's variance, by
+        unexplained: unexplained fraction of the variance of each result by
             cross-validation, shape (results,).
         residuals: leave-one-out residuals, shape (samples, results).
         index_std: standard deviation of first-order and total indices under resampling,
@@ -113,7 +115,7 @@ class PolynomialChaos:
         indices = []
         for _ in range(_RESAMPLINGS):
             rows = rng.integers(count, size=count)
-            # Normal equations are accurate enough here, as the columns are nearly
+            # Normal equations are accurate enough here, because the columns are nearly
             # orthonormal.
             drawn = design[rows]
             fitted = np.linalg.solve(drawn.T @ drawn + ridge, drawn.T @ results[rows])
@@ -132,7 +134,7 @@ class PolynomialChaos:
 
     @property
     def index_half_width(self) -> Array:
-        """Half the 95 % interval of the indices, shape (2, d, results)."""
+        """Half width of the 95 % interval of the indices, shape (2, d, results)."""
         return np.asarray(2 * self.index_std + self.unexplained)
 
 
@@ -149,9 +151,10 @@ def _design_matrix(shares: Array, terms: np.ndarray) -> Array:
 
 
 def _cross_validate(design: Array, results: Array) -> tuple[Array, Array]:
-    """Return least-squares coefficients and leave-one-out residuals."""
     basis, triangle = scipy.linalg.qr(design, mode="economic")
     coefficients = scipy.linalg.lstsq(triangle, basis.T @ results)[0]
+    # The leverage h of a sample is the diagonal element of the hat matrix. The
+    # leave-one-out residual is the residual divided by 1 − h.
     leverage = np.minimum((basis**2).sum(axis=1), 1 - 1e-9)
     return coefficients, (results - design @ coefficients) / (1 - leverage)[:, None]
 
@@ -190,7 +193,7 @@ class GaussianProcess:
         Args:
             x: inputs of order 1, shape (samples, d).
             y: values of order 1, shape (samples,).
-            log_hyperparameters: given values, instead of the most probable ones.
+            log_hyperparameters: values to use instead of the most probable ones.
         """
         self._x = x
         self._y = y
@@ -226,7 +229,7 @@ class GaussianProcess:
 
     @property
     def leave_one_out_residuals(self) -> Array:
-        """Difference of each sample from its prediction by the other samples, shape (samples,)."""
+        """Difference of each sample from its prediction by all other samples."""
         inverse = scipy.linalg.cho_solve(self._factor, np.eye(len(self._y)))
         return np.asarray(self._weights / np.diag(inverse))
 
@@ -262,20 +265,22 @@ def _kernel(log_hyperparameters: Array, x: Array, y: Array) -> Array:
 def predict_high_fidelity(
     shares: Array, low: Array, high: Array, log_hyperparameters: Array | None = None
 ) -> tuple[Array, Array]:
-    """Predict a high-fidelity result at all samples from the low-fidelity result and some high-fidelity runs.
+    """Predict a high-fidelity result at all samples from a low-fidelity result.
+
+    Predictions include random leave-one-out residuals, so that quantiles contain the
+    error of the surrogate. They are NaN if the surrogate explains less than half of the
+    variance of left-out samples.
 
     Args:
         shares: inputs u of all samples, shape (samples, d).
         low: low-fidelity result, shape (samples,).
         high: high-fidelity result at the first samples, shape (fewer,).
-        log_hyperparameters: hyperparameters of the Gaussian process, to skip their
-            search.
+        log_hyperparameters: hyperparameters of the Gaussian process, or None to search
+            them.
 
     Returns:
         High-fidelity result at all samples, unchanged where it is known, and the
-        hyperparameters. Predictions include random leave-one-out residuals, so that
-        quantiles contain the error of the surrogate. They are NaN if the surrogate
-        explains less than half of the variance of left-out samples.
+            hyperparameters.
     """
     count = len(high)
     scale = max(float(high.std()), 1e-300)
