@@ -1,15 +1,15 @@
 r"""Attribution of the difference between twin and analytical model to assumptions.
 
 A switch replaces one assumption of the analytical model by the twin's assumption, so
-any subset S of the switches gives a model. v(S) is the difference from the twin with
-the switches in S on. The contribution of switch i is its Shapley value, the average
-over all n! orders of switching:
+every subset S of the switches gives a model. The difference between this model and the
+twin is v(S). The contribution of switch i is its Shapley value, the average over all n!
+orders of switching:
 
 $$ \phi_i = \sum_{S \not\ni i} \frac{|S|!\,(n - |S| - 1)!}{n!}\,\bigl[v(S \cup i) - v(S)\bigr]. $$
 
-The contributions add up to v(all) − v(none). Assumptions of one plant alone, such as
-its time step, cannot be switched. They are refined instead, and the change under a
-refinement is extrapolated to the limit.
+The contributions add up to v(all) − v(none). An approximation that only one plant makes,
+such as its time step, cannot be switched. It is refined instead, and the change under
+the refinement is extrapolated to the limit.
 """
 
 from __future__ import annotations
@@ -77,8 +77,8 @@ def contributions(
 
     Args:
         names: names of the switches.
-        differences: difference v(S) for each subset S of switches that are on; arrays of
-            one shape.
+        differences: difference v(S) for each subset S of switches that are on. All
+            arrays have one shape.
     """
     n = len(names)
     shapley = {}
@@ -106,7 +106,7 @@ FROZEN_CHORDS = "frozen chords"
 MATCHED_STIFFNESS_FACTOR = 45.0
 """Factor on the bending stiffness of the twin in the matched setting.
 
-Gen2 gets 20 instead of 0.44 N·m/rad. Such a stiff segment follows its free bend, like
+Gen2 has 20 instead of 0.44 N·m/rad. Such a stiff segment follows its free bend, like
 the prescribed bends of the analytical model.
 """
 
@@ -116,10 +116,10 @@ class Switch(NamedTuple):
 
     Attributes:
         name: short name.
-        title: assumption of the model → assumption of the twin.
+        title: assumptions of the model and of the twin, separated by an arrow.
         differs: whether the plants of this scenario differ in the assumption.
-        options: arguments of the analytical model with the switch on. Later switches take
-            precedence.
+        options: arguments of the analytical model with the switch on. Later switches
+            take precedence.
     """
 
     name: str
@@ -132,10 +132,10 @@ class Switch(NamedTuple):
 class Refinement:
     """Reduction of an approximation that only one plant makes.
 
-    The total effect is `factor` times the change under the refinement. The factor is 2 for
-    a first-order error that is halved. It is 4/3 for a second-order error that is halved,
-    or a first-order error that is quartered. It is 1 if the refinement removes the
-    approximation.
+    The total effect is `factor` times the change under the refinement. The factor is 2
+    for a first-order error that is halved. It is 4/3 for a second-order error that is
+    halved, or a first-order error that is quartered. It is 1 if the refinement removes
+    the approximation.
 
     Attributes:
         name: short name.
@@ -158,10 +158,10 @@ class PlantVariants:
     """Builder of the plants of a scenario with switched assumptions and refinements.
 
     Attributes:
-        all_switches: all switches; later ones take precedence.
-        first: switches that come first, because compliant bends need arcs instead of
-            frozen chords.
-        switches: the other switches in which the plants of the scenario differ, in any
+        all_switches: all switches, where later switches take precedence.
+        first: switches that must precede all others, because compliant bends need arcs
+            instead of frozen chords.
+        switches: all other switches in which the plants of the scenario differ, in any
             order.
         first_on: names of the switches in `first`.
         sets: all sets of switches that are simulated, with the largest set last.
@@ -227,8 +227,8 @@ class PlantVariants:
     def _bend_switches(self) -> list[Switch]:
         """Return the switches of the bends.
 
-        Arcs and compliant bends need the torque of friction, which the simplified model
-        may leave out.
+        Arcs and compliant bends need the torque due to friction, which the simplified
+        model may leave out.
         """
         spec = self._scenario.robot
         model = self._model.model
@@ -277,7 +277,7 @@ class PlantVariants:
             "axis",
         ):
             return []
-        # The preloaded twin needs axles with inertia; the loaded twin works without.
+        # The preloaded twin needs axles with inertia, but the loaded twin does not.
         wheel_spin = 0.25
         factor = 4 / 3
         if self._twin.contact == "loaded":
@@ -341,7 +341,7 @@ class PlantVariants:
         ]
 
     def analytical(self, on: frozenset[str], **options: Any) -> Plant:
-        """Build the analytical model with the named switches on.
+        """Build the analytical model with the named switches on and further arguments.
 
         Args:
             on: names of switches.
@@ -362,10 +362,11 @@ class PlantVariants:
         return self._scenario.build_plant("twin", **{"world": free} | options)
 
     def damped_twins(self) -> dict[str, Callable[[], Plant]]:
-        """Return twins with the damping time at the ends of its 95 % interval.
+        """Return twins with the damping time at both ends of its 95 % interval.
 
-        There are none without an interval. There are none either if the air depends on the
-        bends, because closed chambers diverge with short damping times (docs/models.md).
+        The result is empty if there is no interval. It is also empty if the air depends
+        on the bends, because closed chambers diverge with short damping times
+        (docs/models.md).
         """
         if self._scenario.document["pneumatics"]["kind"] != "lag":
             return {}
@@ -406,13 +407,13 @@ def _with_bending(spec: RobotSpec, **changes: float) -> RobotSpec:
 
 
 Progress = Callable[[float, float | None], None]
-"""Function of the finished fraction, 0 to 1, and the estimated remaining time, s."""
+"""Callback with the finished fraction, 0 to 1, and the estimated remaining time, s."""
 
 _MAX_STEPS = 12_000
-"""Maximum number of the twin's time steps if the controller reads the state.
+"""Maximum number of time steps of the twin if the controller reads the state.
 
-Such a controller acts at every tick, which costs several times the physics. The
-attribution simulates the twin about eleven times.
+Such a controller acts at every tick, which costs several times as much as the physics.
+The attribution simulates the twin about eleven times.
 """
 _TICK_ROUNDING = 1e-6
 """Tolerance for whole ticks, as a fraction of a tick."""
@@ -438,28 +439,27 @@ def explain(
 ) -> Attribution:
     """Attribute the difference between the two plants of a run to assumptions.
 
-    The analytical model is simulated with every subset of the switches and compared with
-    the given twin, which gives the Shapley value of each switch (`contributions`). Then
-    each approximation that only one plant makes is refined, and the effect is measured with
-    all switches on. Contributions and remainder add up to the difference.
+    The analytical model is simulated with every subset of the switches and compared
+    with the given twin, which gives the Shapley value of each switch (`contributions`).
+    Then each approximation that only one plant makes is refined, and the effect is
+    measured with all switches on. Contributions and remainder add up to the difference.
 
-    Long runs under a controller that reads the state are attributed over a window from
-    their start (`Attribution.window_s`), to which the difference refers as well. Runs with
-    a contact are attributed up to the first contact, and the variants of the twin run
-    without obstacles.
+    If the controller reads the state, only the first part of a long run is attributed
+    (`Attribution.window_s`). A run with a contact is attributed up to the first
+    contact, and the variants of the twin run without obstacles.
 
     Args:
         scenario: scenario of the run.
-        trajectories: trajectories of both plants, by plant name.
-        progress: function called with the finished fraction, 0 to 1, and the remaining
-            time, s.
+        trajectories: trajectories of both plants by name of the plant.
+        progress: callback with the finished fraction, 0 to 1, and the remaining time,
+            s.
         wall_s: computing time of each plant's run, from which the remaining time is
             estimated, s.
         whole: whether to attribute the whole runs, however long they are.
 
     Raises:
         InputError: only one plant ran, or the runs are too short for gait metrics.
-        DivergedError: a variant diverged.
+        DivergedError: a variant of a plant diverged.
     """
     if not {"analytical", "twin"} <= trajectories.keys():
         raise InputError("an attribution needs both plants; run both")
@@ -512,7 +512,7 @@ def _checked_gap(scenario: Scenario, model: Trajectory, twin: Trajectory) -> np.
 
 
 def _window(scenario: Scenario, controller: Controller, end: float) -> float | None:
-    """Return the length of the attributed part of the runs (s), or None for all of it.
+    """Return the attributed length of the runs (s), or None for the whole runs.
 
     `end` is the end of the longer run, s.
     """
@@ -528,7 +528,7 @@ def _window(scenario: Scenario, controller: Controller, end: float) -> float | N
 
 
 def _is_script(controller: Controller) -> bool:
-    """Return whether a controller ignores the state, so its commands are a script."""
+    """Return whether a controller ignores the state and thus follows a script."""
     return type(controller).script is not Controller.script
 
 
@@ -541,12 +541,13 @@ def main_cause(
 
     Args:
         scenario: scenario of the run.
-        trajectories: trajectories of both plants, by plant name.
+        trajectories: trajectories of both plants by name of the plant.
 
     Returns:
-        `name` of the assumption, its effects on `com_speed_m_s` and `yaw_rate_rad_s`, and
-        `window_s` if they refer to the time before a contact. None if the run has no gait,
-        the model is compliant already, or the robot is spatial.
+        Name of the assumption (`name`), effects on `com_speed_m_s` and
+        `yaw_rate_rad_s`, and `window_s` if the effects refer to the time before a
+        contact. The result is None if the run has no gait, the model is already
+        compliant, or the robot is spatial.
     """
     if scenario.robot.is_spatial:
         return None
@@ -613,8 +614,8 @@ def _run_all(
     results: Iterable[Trajectory | DivergedError]
     if not _is_script(controller):
         # A controller that reads the state holds the lock of the interpreter, so
-        # threads would not help. The controller is sent with its plan, so that the
-        # workers do not search for it again.
+        # threads would not help. The controller is sent together with its plan, so that
+        # the workers need not plan again.
         duration = window or scenario.duration
         tasks = [_Task(scenario, name, controller, duration) for name in builders]
         results = _in_processes(tasks, report)
@@ -634,8 +635,6 @@ def _run_all(
 
 
 class _Task(NamedTuple):
-    """Variant that a worker process simulates for a duration (s)."""
-
     scenario: Scenario
     variant: str
     controller: Controller
@@ -671,7 +670,7 @@ def _relative_cost(name: str, wall_s: Mapping[str, float]) -> float:
 def _reporter(
     progress: Progress, costs: Sequence[float], *, is_measured: bool
 ) -> Callable[[int], None]:
-    """Report the start, and return a function that reports the finished runs.
+    """Report the start and return a function that reports the number of finished runs.
 
     `costs` are the estimated computing times of the runs, in s if `is_measured`.
     """
@@ -736,7 +735,7 @@ def _refinement_shares(
 def _make_share(
     assumption: Switch | Refinement, how: str, contribution: Contribution
 ) -> AssumptionShare:
-    """Return a contribution, positive if a switch reduces the difference."""
+    """Return a contribution, which is positive if a switch reduces the difference."""
     value, low, high = (
         _to_floats(-bound)
         for bound in (contribution.value, contribution.high, contribution.low)

@@ -57,15 +57,15 @@ from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.content import RunContent, end_event
 
 METRICS = "metrics.json"
-"""File of the metrics."""
+"""File name of the metrics."""
 RESOLVED = "scenario.resolved.yaml"
-"""File of the scenario with all defaults and the robot written out."""
+"""File name of the scenario with all defaults and the robot written out."""
 REPORT = "report.html"
-"""File of the report."""
+"""File name of the report."""
 RECORDING = "recording.rrd"
-"""File of the Rerun recording."""
+"""File name of the Rerun recording."""
 MEASURED = "measured"
-"""Name of the measured trajectory."""
+"""Name of the measured trajectory among the trajectories of the plants."""
 PRODUCTS = (
     METRICS,
     RESOLVED,
@@ -73,14 +73,16 @@ PRODUCTS = (
     RECORDING,
     *(f"{plant}.parquet" for plant in PLANTS),
 )
-"""Files of a run; metrics.json comes first, because it marks a complete folder."""
+"""File names of a run. The first file marks a complete folder."""
 _ALL_PRODUCTS = (*PRODUCTS, f"{MEASURED}.parquet")
-"""Files of a run with a recording."""
+"""File names of a run in a scenario with a measured trajectory."""
 
 Progress = Callable[..., None]
-"""Function of a task, its completed fraction and optionally the remaining time, s."""
+"""Callback with the name of a task, the completed fraction and optionally the
+remaining time, s."""
 Explain = Callable[..., Attribution]
-"""Function that attributes the difference of the plants (`attribution.explain`)."""
+"""Function that attributes the difference between the plants, such as
+`attribution.explain`."""
 
 
 @dataclass(frozen=True)
@@ -90,9 +92,11 @@ class RunResult:
     Attributes:
         name: name of the scenario.
         folder: output folder, which no longer exists if it was temporary.
-        trajectories: trajectory of each plant, up to its divergence.
+        trajectories: trajectory of each plant. The trajectory of a diverged plant ends
+            at the divergence.
         metrics: content of metrics.json, which is empty if a plant diverged.
-        diverged: errors of diverged plants. The message names the file with the trajectory.
+        diverged: errors of diverged plants. The message of an error names the file with
+            the trajectory.
         failed_attributions: errors of diverged runs of the attribution.
     """
 
@@ -118,7 +122,7 @@ class PreparedRun:
     Attributes:
         scenario: scenario of the run.
         folder: output folder.
-        pairs: plant and controller, by name of the plant.
+        pairs: plant and controller by name of the plant.
     """
 
     scenario: Scenario
@@ -148,19 +152,19 @@ class PreparedRun:
     ) -> RunResult:
         """Simulate all plants, compute and compare metrics, and write the files.
 
-        metrics.json is written last. If a plant diverges, its trajectory up to that time is
-        written and the other plants still run. There are then no comparison, no pictures and no
-        metrics.json.
+        If a plant diverges, the other plants still run, and the trajectory up to the
+        divergence is written. Comparison, pictures and metrics.json are then missing.
 
         Args:
-            progress: function called with the name of the plant and the completed fraction.
-            explain: function that attributes the difference of the plants
+            progress: callback with the name of the plant and the completed fraction.
+            explain: function that attributes the difference between the plants
                 (`attribution.explain`), or None for no attribution.
             main_cause: function that computes the main cause of the difference
-                (`attribution.main_cause`) without `explain`.
+                (`attribution.main_cause`), which is used without an attribution.
 
         Raises:
-            InputError: a file cannot be written, or the difference cannot be attributed.
+            InputError: a file cannot be written, or the difference cannot be
+                attributed.
         """
         scenario = self.scenario
         if explain is not None:
@@ -214,8 +218,8 @@ class PreparedRun:
         if main_cause is not None and not (done.diverged or attribution):
             cause = main_cause(scenario, done.trajectories)
         metrics: dict[str, Any] = {}
-        # All files are replaced at once, so an interrupt or a full disk leaves the
-        # files of an earlier run.
+        # All files are replaced at once, so that the files of an earlier run survive an
+        # interrupt or a full disk.
         with replace_files(self.folder, _ALL_PRODUCTS) as fresh:
             self._write_trajectories(fresh, done.trajectories)
             if not done.diverged:
@@ -254,8 +258,8 @@ class PreparedRun:
         Args:
             trajectories: trajectory of each plant.
             walls: wall time of each plant, s.
-            attribution: attribution of the difference, if computed.
-            cause: main cause of the difference, see `execute`.
+            attribution: attribution of the difference, or None if it was not computed.
+            cause: main cause of the difference as described in `execute`, or None.
         """
         scenario = self.scenario
         comparison = None
@@ -289,8 +293,7 @@ class PreparedRun:
         if "twin" in trajectories and twin and twin.fast_preset:
             metrics["preset"] = twin.fast_preset
         metrics |= self._judged(metrics, drawn) | {"versions": versions()}
-        # Use the robot of the plants, which may differ from that of the scenario
-        # (plants without rigid gaps).
+        # Plants without rigid gaps have a robot that differs from the scenario's robot.
         spec = [plant.spec for plant, _ in self.pairs.values()][-1]
         return metrics, RunContent(spec, drawn, comparison, differences, scenario.world)
 
@@ -317,11 +320,11 @@ class PreparedRun:
     ) -> dict[str, Any]:
         """Return the entries of metrics.json on expectations.
 
-        `metrics` holds all entries on the plants and their comparison. `runs` includes the
-        measured trajectory.
+        `metrics` contains all entries on the plants and their comparison. `runs`
+        includes the measured trajectory.
         """
         scenario = self.scenario
-        # Expectations of plants that were not run do not count as missed.
+        # An expectation of a plant that did not run does not count as missed.
         available = metrics["plants"].keys() - {MEASURED}
         if metrics["comparison"]:
             available |= {"comparison"}
@@ -350,7 +353,7 @@ class PreparedRun:
         content: RunContent,
         attribution: Attribution | None,
     ) -> None:
-        # Import late, because rerun alone takes half a second.
+        # These modules are imported here, because rerun alone takes half a second.
         from srs_twin.viewing.html.report import write_report
         from srs_twin.viewing.rerun.recording import write_recording
 
@@ -382,13 +385,13 @@ def twin_contact(scenario: Scenario) -> str | None:
 def stored_intervals(scenario: Scenario) -> dict[str, Any]:
     """Return the intervals that `srs-twin uncertainty SCENARIO --write` has stored.
 
-    The file is searched in the current folder and among the shipped ones.
+    The file is searched in the current folder and then among the shipped files.
 
     Returns:
-        "stale": reason why the file does not apply, or None if robot and scenario are
-        unchanged. "file": its path. "renew": the command that renews it. "plants":
-        intervals of the metrics of each plant. "segments": ranges of the twin's speed
-        over stiffness and damping of its segments, or None.
+        Mapping whose entry "stale" is the reason why the file does not apply, or None.
+        If the file applies, "file" is its path and "renew" the command that writes it
+        again. "plants" has the intervals of each plant's metrics, and "segments" the
+        ranges of the twin's speed over stiffness and damping, or None.
     """
     if scenario.name in shipped_names("scenario"):
         reference = scenario.name
@@ -469,7 +472,7 @@ def _can_be_explained(done: _Simulated) -> bool:
 def _before_contact(runs: Mapping[str, Trajectory]) -> dict[str, Any] | None:
     """Return speeds and yaw rates before the first contact, or None without a contact.
 
-    They are None if too few whole gait periods precede it.
+    A value is None if too few whole gait periods precede the contact.
     """
     end = contact_free_s(runs.values())
     names = ("com_speed_m_s", "yaw_rate_rad_s")
@@ -546,18 +549,20 @@ def compare(
     """Compare two trajectories, or run a scenario and compare its plants.
 
     Args:
-        reference: trajectory of the analytical model, or a scenario with its name or path.
+        reference: trajectory of the analytical model, or a scenario, its name or its
+            path.
         candidate: trajectory of the twin, or None with a scenario.
-        set: values that override fields of the scenario, as for `load_scenario`.
-        gap_factor: see `comparison.compare.compare`. A scenario sets it itself.
+        set: values that override scenario fields, as described in `load_scenario`.
+        gap_factor: whether to scale the speed as described in
+            `comparison.compare.compare`. For a scenario, the scenario file decides.
 
     Returns:
-        A `Comparison`, or for a scenario `ComparedRuns`, which contains the trajectories as
-        well.
+        A `Comparison`. For a scenario it is a `ComparedRuns`, which also contains the
+        trajectories.
 
     Raises:
-        InputError: the combination of arguments is wrong, or `comparison.compare.compare`
-            or `load_scenario` refuses an argument.
+        InputError: the combination of arguments is not allowed, or
+            `comparison.compare.compare` or `load_scenario` refuses an argument.
         DivergedError: the state of a plant is no longer finite.
     """
     if isinstance(reference, Trajectory):
@@ -599,10 +604,12 @@ def prepare(
     Args:
         scenario: scenario to run.
         out: output folder, which is created if missing and may contain other files.
-        plants: names of the plants, in this order, or None for the plants of the scenario.
+        plants: names of the plants in the order in which they run, or None for the
+            plants of the scenario.
 
     Raises:
-        InputError: a plant or controller cannot be built, or the folder cannot be written.
+        InputError: a plant or controller cannot be built, or the folder cannot be
+            written.
     """
     run = PreparedRun.build(scenario, out, plants)
     check_output_folder(out, _ALL_PRODUCTS)
@@ -610,7 +617,7 @@ def prepare(
 
 
 def check_run(scenario: Scenario, out: Path) -> None:
-    """Check that a scenario can run into a folder, before anything is built.
+    """Check that a scenario can run into a folder before its plants are built.
 
     Raises:
         InputError: the folder cannot be written, or the plan cannot be computed.
@@ -634,18 +641,19 @@ def run_scenario(
     Args:
         scenario: name or path of a scenario, or a loaded scenario.
         out: output folder, or None to write nothing.
-        set: values that override fields of the scenario, see `load_scenario`.
-        plants: plants that run, in this order, or None for the plants of the scenario.
-        progress: see `PreparedRun.execute`.
-        explain: function that attributes the difference of the plants, see
-            `PreparedRun.execute`.
+        set: values that override scenario fields, as described in `load_scenario`.
+        plants: names of the plants in the order in which they run, or None for the
+            plants of the scenario.
+        progress: callback with the name of the plant and the completed fraction.
+        explain: function that attributes the difference between the plants
+            (`attribution.explain`), or None for no attribution.
 
     Returns:
-        Trajectories and metrics. The error of a plant that diverged is in `diverged`.
+        Trajectories and metrics. Errors of diverged plants are in `diverged`.
 
     Raises:
-        InputError: the scenario cannot run or the folder cannot be written. The error is
-            raised before the simulation.
+        InputError: the scenario cannot run or the folder cannot be written. The error
+            is raised before the simulation.
     """
     loaded = load_scenario(scenario, set=set)
     with folder_or_temporary(out) as folder:
@@ -659,7 +667,8 @@ class FinishedRun:
     Attributes:
         folder: output folder.
         scenario: scenario with defaults and robot written out.
-        trajectories: trajectory of each plant, then the measured one.
+        trajectories: trajectory of each plant, and the measured trajectory if there is
+            one.
     """
 
     folder: Path

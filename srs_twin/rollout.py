@@ -1,9 +1,9 @@
 """Rollouts of plants under controllers.
 
-`rollout` simulates one run. `run_many` runs independent jobs on any plants, each with
-the result that `rollout` alone would give. In `run_batch` one policy commands all twins
-of a batch, tick by tick. Kernels and MuJoCo release the interpreter's lock while they
-step, so runs overlap on threads. Results do not depend on the number of threads.
+`rollout` simulates one run. `run_many` runs independent jobs on several threads and gives
+the results that `rollout` would give. `run_batch` simulates a batch of twins that one
+policy commands tick by tick. Kernels and MuJoCo release the interpreter's lock while they
+step, so the threads run in parallel.
 
 >>> from functools import partial
 >>> from srs_twin import AnalyticalSnake, Gait, Job, load_robot, run_many
@@ -58,10 +58,10 @@ if TYPE_CHECKING:
 
 Observer = Callable[[SnakeState], None]
 PlaceFunction = Callable[[Plant, int], SnakeState]
-"""Function of a plant and a seed that sets an initial state and returns it."""
+"""Function of a plant and a seed that sets an initial state and returns the state."""
 
 Policy = Callable[[SnakeState], np.ndarray]
-"""Function from the states of a batch to valve commands."""
+"""Function that maps the states of a batch to valve commands."""
 
 
 def rollout(
@@ -80,41 +80,43 @@ def rollout(
 ) -> Trajectory:
     """Simulate a plant under a controller and record the trajectory.
 
-    The snake starts at rest at `pose`, unless `begin` or `resume` is given. The valve
-    commands of a controller without sensor input form a script, which the plant simulates
-    in chunks of many ticks. Otherwise, and with `until` or `observers`, plant and
-    controller alternate every tick.
+    The snake starts at rest at `pose`, unless `begin` or `resume` is given. A
+    controller without sensor input has a script of valve commands, which the plant
+    simulates in chunks of many ticks. Otherwise, and with `until` or `observers`, plant
+    and controller alternate every tick.
 
     Args:
         plant: simulated robot.
         controller: controller of the robot's valves.
         duration: simulated time, a multiple of the plant's tick, s.
-        pose: initial centre of mass x, y (m) and mean heading (rad); the default is 0.
-        begin: function of plant and seed that sets another initial state, as `Plant.place`
-            does.
-        resume: saved states of plant and controller to continue from. The simulated time
-            continues as well.
+        pose: initial centre of mass x, y (m) and mean heading (rad), zero by default.
+        begin: function of plant and seed that sets another initial state, such as
+            `Plant.place`.
+        resume: saved states of plant and controller from which the run continues. The
+            simulated time continues as well.
         seed: random seed of plant and controller.
-        record_hz: sampling rate, Hz, with a whole number of samples per tick, or a whole
-            number of ticks per sample.
-        until: predicate that ends the run after the first tick for which it returns True.
-        observers: functions called with the initial state and with the state after every
-            tick.
+        record_hz: sampling rate, Hz. Either the samples per tick or the ticks per
+            sample must be a whole number.
+        until: predicate that ends the run after the first tick for which it returns
+            True.
+        observers: functions called with the initial state and with the state after
+            every tick.
         progress: function called at intervals with the simulated time, s.
 
     Returns:
-        Samples from the initial state on. If `until` or the controller ends the run between
-        two samples, the last state is recorded as well. The metadata contain the reason for
-        an early end (``ended_by``) and the description of the controller (``control``).
+        Trajectory from the initial state on. If `until` or the controller ends the run
+        between two samples, the last state is recorded as well. The metadata contain
+        the reason for an early end (``ended_by``) and the description of the controller
+        (``control``).
 
     Raises:
-        InputError: duration, tick, time step and record_hz are not compatible, or several
-            of pose, begin and resume are given. The error is also raised if the
-            controller cannot drive this valve layout, or an obstacle overlaps the body at
-            the start. Further reasons are a saved state of another plant or controller,
-            and another thread that uses the plant or the controller.
-        DivergedError: plant or controller diverged. The `trajectory` of the error has the
-            samples recorded before.
+        InputError: the run is not possible. Duration, tick, time step and record_hz may
+            be incompatible, or several of pose, begin and resume are given. The
+            controller may not fit the valve layout or the saved state, an obstacle may
+            overlap the initial body, or another thread uses the plant or the
+            controller.
+        DivergedError: plant or controller diverged. The `trajectory` of the error has
+            all samples recorded before.
     """
     check_types("rollout", rollout, locals())
     if sum(start is not None for start in (pose, begin, resume)) > 1:
@@ -159,7 +161,7 @@ def _initial_state(
         check_start(plant, state, TOUCHING_M)
     else:
         state = begin(plant, seed)
-        # A start in the state of another run may be in contact.
+        # The state of another run may already be in contact with an obstacle.
         check_start(plant, state, PENETRATION_M * plant.spec.scale.length)
     return state
 
@@ -189,10 +191,10 @@ def _play_script(
     ticks: int,
     progress: Callable[[float], None] | None,
 ) -> bool:
-    """Simulate a script in chunks; return False if the plant cannot play scripts.
+    """Simulate a script in chunks and return False if the plant cannot play scripts.
 
-    A chunk is a whole number of recorded ticks. Ticks after the last sample are simulated
-    without recording.
+    A chunk is a whole number of recorded ticks. Ticks after the last sample are
+    simulated without recording.
     """
     plant = recorder.plant
     stride = recorder.stride
@@ -278,11 +280,12 @@ def sample_counts(
     Args:
         tick: control tick of the plant, s.
         record_hz: sampling rate, Hz.
-        step: unit of the sampling interval (`Plant.sample_step`), s.
+        step: step of which the sampling interval must be a multiple
+            (`Plant.sample_step`), s.
 
     Raises:
-        InputError: the rate does not fit the tick; the message gives the nearest rate
-            that does.
+        InputError: the rate does not fit the tick. The message suggests the nearest
+            rate.
     """
     if not 0 < record_hz < math.inf:
         raise InputError(
@@ -302,13 +305,13 @@ def sample_counts(
 
 
 class Recorder:
-    """Collector of plant states and controller signals that builds a trajectory.
+    """Recorder of plant states and controller signals that builds a trajectory.
 
     Attributes:
         plant: recorded plant.
         controller: controller whose signals are recorded.
-        samples: samples per tick.
-        stride: ticks per sample, or 1 if there are several samples per tick.
+        samples: number of samples per tick.
+        stride: number of ticks per sample, or 1 if there are several samples per tick.
         events: events of the controller.
         ended_by: reason for an early end, "until" or "controller", or None.
     """
@@ -452,10 +455,7 @@ def _flatten_signals(signals: dict[str, float | np.ndarray]) -> dict[str, float]
 def _numbered_columns(
     prefix: str, values: np.ndarray, names: str | None = None
 ) -> dict[str, np.ndarray]:
-    """Return the columns of a (samples, n) array.
-
-    Their suffixes are 1…n or the letters of `names`.
-    """
+    """Return the columns of a (samples, n) array with the suffixes 1…n or `names`."""
     suffixes = names or [str(i) for i in range(1, values.shape[1] + 1)]
     return {f"{prefix}{suffix}": values[:, i] for i, suffix in enumerate(suffixes)}
 
@@ -465,11 +465,12 @@ class Job:
     """One run of `run_many`, with arguments of `rollout`.
 
     Attributes:
-        plant: simulated robot, or a function that builds it. A thread calls the function
-            again only if its last job had another function.
-        controller: controller of the valves, or a function that builds it for every job.
+        plant: simulated robot, or a function that builds it. A thread reuses the plant
+            for consecutive jobs with an identical function.
+        controller: controller of the valves, or a function that builds it for every
+            job.
         duration: simulated time, s.
-        pose: initial centre of mass x, y (m) and mean heading (rad); the default is 0.
+        pose: initial centre of mass x, y (m) and mean heading (rad), zero by default.
         seed: random seed of plant and controller.
         record_hz: sampling rate, Hz.
         begin: function that sets another initial state of the plant, instead of `pose`.
@@ -498,11 +499,12 @@ def run_many(
 
     Args:
         jobs: runs in any order, without a common plant or controller object.
-        threads: number of threads; the default is one per processor.
-        progress: function called on the calling thread with the number of finished jobs.
+        threads: number of threads, by default one per processor.
+        progress: function called on the calling thread with the number of finished
+            jobs.
 
     Returns:
-        One trajectory per job, in order. A diverged job has its error instead, whose
+        Trajectory of each job, in order. A diverged job has its error instead, whose
         `trajectory` has the samples recorded before.
 
     Raises:
@@ -527,7 +529,7 @@ def run_many(
             parts = {"plant": _build_plant(job, thread_data), "controller": controller}
             return rollout(**vars(job) | parts, progress=check_cancelled)
         except DivergedError as error:
-            # The frames of the traceback would keep the plant alive.
+            # The traceback is removed, because its frames would keep the plant alive.
             return error.with_traceback(None)
         except InputError as error:
             raise InputError(f"job {k + 1} of {len(jobs)}: {error}") from error
@@ -549,21 +551,21 @@ def run_batch(
 
     Args:
         batch: batch of twins, one per run.
-        policy: function from the states of all twins (leading axis: runs) to valve
+        policy: function that maps the states of all twins (leading axis: runs) to valve
             commands of shape (runs, segments, 2) or (runs, slots, segments, 2).
         duration: simulated time, a multiple of the tick, s.
-        poses: initial poses, one per twin, as in `rollout`; the default is the origin.
+        poses: initial pose of each twin, as in `rollout`, by default the origin.
         seed: random seed of the twins.
         record_hz: sampling rate as in `rollout`, Hz.
         progress: function called with the simulated time after every tick, s.
 
     Returns:
-        One trajectory per twin, in order. A diverged twin has its error instead, whose
-        `trajectory` has the samples recorded before. The other twins continue.
+        Trajectory of each twin, in order. A diverged twin has its error instead, whose
+        `trajectory` has the samples recorded before. All other twins continue.
 
     Raises:
-        InputError: duration, tick and record_hz are not compatible, or a valve command is
-            invalid.
+        InputError: duration, tick and record_hz are not compatible, or a valve command
+            is invalid.
     """
     ticks = count_steps("duration", duration, "tick", batch.tick)
     with claim(batch):
@@ -638,13 +640,13 @@ def run_scripts(
         batch: batch of twins, one per run.
         controllers: controllers without sensor input, one per twin.
         duration: simulated time, a multiple of the tick, s.
-        poses: initial poses, one per twin, as in `rollout`; the default is the origin.
+        poses: initial pose of each twin, as in `rollout`, by default the origin.
         seed: random seed of twins and controllers.
         record_hz: sampling rate as in `rollout`, Hz.
         progress: function called at intervals with the simulated time, s.
 
     Returns:
-        Trajectories or errors as returned by `run_batch`.
+        Trajectories or errors as in `run_batch`.
 
     Raises:
         InputError: a controller uses sensor readings, the numbers of controllers and
@@ -704,7 +706,7 @@ def _check_not_shared(jobs: Sequence[Job]) -> None:
 
 
 def _build_plant(job: Job, thread_data: threading.local) -> Plant:
-    """Return the plant of a job; a thread reuses its plant for the same builder."""
+    """Return the plant of a job. A thread reuses its plant for an identical builder."""
     if isinstance(job.plant, Plant):
         return job.plant
     if getattr(thread_data, "builder", None) is not job.plant:
@@ -715,7 +717,7 @@ def _build_plant(job: Job, thread_data: threading.local) -> Plant:
 
 
 class _CancelledError(Exception):
-    """The result of this run is no longer needed."""
+    """Exception that ends a run whose result is no longer needed."""
 
 
 class _PolicyController(Controller):

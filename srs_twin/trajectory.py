@@ -1,6 +1,6 @@
-"""Trajectory: signals of one rollout over time, with units, events and metadata.
+"""Trajectories: recorded signals of a rollout over time, with units and events.
 
-It is stored as Parquet.
+Trajectories are stored as Parquet files.
 """
 
 from __future__ import annotations
@@ -40,14 +40,15 @@ _COLUMNS_OF_UNIT = {
     "J": "work internal_loss air",
     "mixed": "qpos",
 }
-# Column name without its number → unit; all other columns are dimensionless.
+# The names are without the numbers of numbered columns. All other columns are
+# dimensionless.
 _UNIT_OF_COLUMN = {
     name: unit for unit, names in _COLUMNS_OF_UNIT.items() for name in names.split()
 }
 
 _FILE_KIND = "a trajectory written by srs-twin"
 _TIME_ROUNDING_S = 1e-9
-"""Maximum difference between equal times, s."""
+"""Maximum difference between times that count as equal, s."""
 
 
 @dataclass(frozen=True)
@@ -56,8 +57,8 @@ class Event:
 
     Attributes:
         time: time of the event, s.
-        kind: short name, e.g. ``"ilc_update"``.
-        text: description in one line.
+        kind: name of the kind of event, e.g. ``"ilc_update"``.
+        text: description of the event on one line.
     """
 
     time: float
@@ -66,9 +67,13 @@ class Event:
 
 
 class UnknownColumnError(UnknownNameError, KeyError):
-    """Error for a column that a trajectory does not have; it suggests similar names."""
+    """Error for a column that a trajectory does not have.
 
-    __str__ = Exception.__str__  # KeyError would print the message in quotes
+    The message suggests similar names.
+    """
+
+    # KeyError would print the message in quotes.
+    __str__ = Exception.__str__
 
 
 class HtmlResult:
@@ -89,28 +94,30 @@ class HtmlResult:
 class Trajectory(HtmlResult):
     """Recorded columns of one rollout over time.
 
-    The class is frozen; do not write to the arrays.
+    The arrays must not be modified. Column names are fixed:
 
-    Column names are fixed: ``time``, ``com_x``, ``com_y``, ``heading``, ``x_1…N``,
-    ``y_1…``, ``theta_1…`` (head first), ``bend_1…``, ``sensed_1…``, ``torque_1…``,
-    ``work``, ``air``, ``pressure_plus_1…``, ``pressure_minus_1…``, ``valve_plus_1…``,
-    ``valve_minus_1…``, the signals of the controller, for the twin ``qpos_1…``, and in
-    a world with objects ``object_x_1…``, ``object_y_1…`` and ``object_heading_1…``. In
-    a world with obstacles or objects, ``clearance`` is the distance from the body to
-    the nearest one. A plant that allows contact with them has ``obstacle_force_x_1…``
-    and ``obstacle_force_y_1…``.
-
-    A spatial robot also has ``pitch_1…`` (bends upwards), ``sensed_pitch_1…``,
-    ``torque_pitch_1…``, ``z_1…``, ``quaternion_w_1…`` to ``quaternion_z_1…`` and
-    ``load_1…``. It has ``pressure_c_1…`` and ``valve_c_1…`` for each chamber c instead
-    of the columns of the + and − chamber.
+    - The body has ``time``, ``heading``, the centre of mass ``com_x`` and ``com_y``,
+      and the connector poses ``x_1…N``, ``y_1…N`` and ``theta_1…N``, head first. The
+      energies are ``work`` and, if the plant measures air, ``air``.
+    - Each segment has ``bend_1…``, ``sensed_1…`` and ``torque_1…``, and each chamber
+      has ``pressure_plus_1…``, ``pressure_minus_1…``, ``valve_plus_1…`` and
+      ``valve_minus_1…``.
+    - The controller adds its own signals, and the twin adds ``qpos_1…``.
+    - A world with objects has ``object_x_1…``, ``object_y_1…`` and
+      ``object_heading_1…``. In a world with obstacles or objects, ``clearance`` is the
+      distance from the body to the nearest one. A plant that allows contact with them
+      has ``obstacle_force_x_1…`` and ``obstacle_force_y_1…``.
+    - A spatial robot also has ``pitch_1…`` (upward bends), ``sensed_pitch_1…``,
+      ``torque_pitch_1…``, ``z_1…``, ``quaternion_w_1…`` to ``quaternion_z_1…`` and
+      ``load_1…``. Each chamber c has the columns ``pressure_c_1…`` and ``valve_c_1…``
+      instead of the columns for plus and minus.
 
     Attributes:
-        columns: name → float array of shape (samples,).
-        units: name → unit, for columns with other names.
+        columns: float array of each column by its name, shape (samples,).
+        units: units of columns whose names are not listed here.
         events: events in chronological order.
-        metadata: JSON values, such as plant, robot, tick, gait frequency and valve
-            switch counts; no wall times.
+        metadata: JSON values such as plant, robot, tick, gait frequency and valve
+            switch counts, but no wall times.
     """
 
     columns: Mapping[str, Array]
@@ -139,7 +146,7 @@ class Trajectory(HtmlResult):
 
     @property
     def com(self) -> Array:
-        """Centre of mass in the world, shape (samples, 2), m."""
+        """Centre of mass in the world frame, shape (samples, 2), m."""
         return np.stack([self["com_x"], self["com_y"]], axis=-1)
 
     @property
@@ -168,11 +175,11 @@ class Trajectory(HtmlResult):
         return np.stack(arrays, axis=-1)
 
     def between(self, begin: float, end: float) -> Trajectory:
-        """Return the samples of a time interval.
+        """Return the samples from `begin` to `end`, including both times.
 
         Args:
-            begin: first time (included), s.
-            end: last time (included), s.
+            begin: start time, s.
+            end: end time, s.
         """
         kept = (self.time >= begin - _TIME_ROUNDING_S) & (
             self.time <= end + _TIME_ROUNDING_S
@@ -195,7 +202,7 @@ class Trajectory(HtmlResult):
         """Return the columns as a pandas data frame, indexed by time (s).
 
         ``attrs["units"]`` is a dictionary with the unit of every column and of the
-        index ``time``.
+        index.
 
         Raises:
             InputError: pandas is not installed.
@@ -211,10 +218,10 @@ class Trajectory(HtmlResult):
         return frame
 
     def to_parquet(self, path: Any) -> None:
-        """Write to a Parquet file or file-like object.
+        """Write the trajectory to a Parquet file or a file-like object.
 
-        Equal trajectories give equal bytes. The metadata of each field contain its
-        unit. The metadata of the schema contain events and metadata as JSON.
+        Equal trajectories give identical bytes. Units are stored in the metadata of the
+        fields. The metadata of the schema contain events and metadata as JSON.
         """
         import pyarrow as pa
         import pyarrow.parquet as pq
@@ -242,8 +249,8 @@ class Trajectory(HtmlResult):
             ],
             schema=pa.schema(fields, metadata=schema_metadata),
         )
-        # Splitting the bytes of floats compresses smooth signals better than a
-        # dictionary.
+        # BYTE_STREAM_SPLIT stores equal bytes of all floats together, which compresses
+        # smooth signals better than a dictionary.
         encoding = dict.fromkeys(self.columns, "BYTE_STREAM_SPLIT")
         options = {
             "compression": "zstd",
@@ -254,11 +261,11 @@ class Trajectory(HtmlResult):
 
     @classmethod
     def from_parquet(cls, path: Any) -> Trajectory:
-        """Read a file written by `to_parquet`.
+        """Read a file that was written by `to_parquet`.
 
         Raises:
-            InputError: the file is not a Parquet file or not a trajectory, or it is
-                damaged or too large.
+            InputError: the file is damaged, too large, or not a trajectory in Parquet
+                format.
         """
         table = read_table(path, _FILE_KIND, _check_schema)
         schema_metadata = table.schema.metadata or {}

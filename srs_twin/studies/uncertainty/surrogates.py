@@ -280,7 +280,7 @@ def predict_high_fidelity(
 
     Returns:
         High-fidelity result at all samples, unchanged where it is known, and the
-            hyperparameters.
+        hyperparameters.
     """
     count = len(high)
     scale = max(float(high.std()), 1e-300)
