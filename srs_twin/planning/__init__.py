@@ -1,10 +1,10 @@
 """Path planning with footprints, and following of plans (Section 5.2).
 
 `plan(problem)` returns a `Plan`. The planner (`best_first`) grows trees of arcs and
-Dubins paths from start and goal. The collision checks of the footprint are exact. If
-the first search does not succeed, `free_space` tries to prove that no path exists, and
-`guidance` leads a tree around obstacles and through narrow passages. `follower` and
-`steering` follow a plan with the offset of a gait.
+Dubins paths from start and goal, with exact collision checks. If the first search does
+not succeed, `free_space` tries to prove that no path exists. `guidance` then leads a
+tree around obstacles and through narrow passages. The modules `follower` and `steering`
+make a snake follow a plan by changing the offset of its gait.
 """
 
 from typing import TYPE_CHECKING

@@ -9,18 +9,19 @@ $$ n = \frac{2w - κ(u^2 + w^2)}{1 + \sqrt{(κu)^2 + (1 - κw)^2}}, \qquad
 where n is the signed distance from the arc, positive to the left, and s the position
 along it. Both formulas stay accurate as κ approaches 0. While the centre of mass moves
 along the arc from -h to h, the body sweeps the annular sector |s| ≤ h, -r ≤ n ≤ l (Fig.
-52 and 58). If |s| ≤ h, the distance of a point from this region is its distance in n.
-Otherwise it is the distance from the nearer end, a straight line of length l + r across
-the path. A circle is free if the distance of its centre is at least its radius.
+52 and 58). A point with |s| ≤ h has the distance max(n - l, -r - n, 0) from this
+region. The distance of any other point is its distance from the nearer end, a straight
+line of length l + r across the path. A circle is free if the distance of its centre is
+at least its radius.
 
 A side of a polygon is cut where it crosses n = l, n = -r (quadratic equations) and s =
-±h (linear equations). It is free if no midpoint of its pieces is in the region. A
-polygon that contains the whole region needs no check. The regions of a plan are
-connected and start outside all polygons, so an earlier region would cross a side.
+±h (linear equations). The side is free if none of its pieces has its midpoint in the
+region. A polygon that contains the whole region needs no check. The regions of a plan
+are connected and start outside all polygons, so an earlier region would cross a side.
 
-Motion primitives are the arcs from a search node to its children (Section 5.2.1). They
-have N turns α from -α_max to α_max over a length v Δt. With θ' = θ + α and r = vΔt/α
-(Eq. 33 with corrected signs, E7),
+Motion primitives are the arcs from a search node to its children (Section 5.2.1). The N
+arcs have turns α from -α_max to α_max and the length v Δt. With θ' = θ + α and r = vΔt/α
+(Eq. 33 with corrected signs, E7), an arc leads to
 
 $$ x' = x + r(\sin θ' - \sin θ), \qquad y' = y - r(\cos θ' - \cos θ) $$
 """
@@ -39,7 +40,7 @@ from srs_twin.errors import InputError
 from srs_twin.robot.world import Pose
 
 ROUNDING_MARGIN = 1e-7
-"""Distance added to all checks, m.
+"""Distance added in all collision checks, m.
 
 Rounding errors are below 1e-11 m in worlds of a kilometre.
 """
@@ -70,8 +71,8 @@ class Extent(NamedTuple):
     """Extent of the body about its centre of mass.
 
     Attributes:
-        ahead: distance of the head ahead of the centre of mass along the arc, m.
-        behind: distance of the tail behind the centre of mass along the arc, m.
+        ahead: distance from the centre of mass to the head along the arc, m.
+        behind: distance from the centre of mass to the tail along the arc, m.
         left: distance of the footprint's left edge from the path, m.
         right: distance of the footprint's right edge from the path, m.
     """
@@ -86,8 +87,8 @@ class Frame(NamedTuple):
     """Position and direction of a point of an arc.
 
     Attributes:
-        x: position, m.
-        y: position, m.
+        x: x coordinate, m.
+        y: y coordinate, m.
         heading: heading, rad.
         cosine: cosine of the heading.
         sine: sine of the heading.
@@ -101,7 +102,7 @@ class Frame(NamedTuple):
 
 
 class Region(NamedTuple):
-    """Swept region of an arc, relative to the middle of the arc.
+    """Region swept by the body along an arc, relative to the middle of the arc.
 
     Attributes:
         curvature: arc curvature, 1/m.
@@ -109,7 +110,7 @@ class Region(NamedTuple):
         left: distance of the left edge from the arc, m.
         right: distance of the right edge from the arc, m.
         reach: radius of a circle about the middle that contains the region, m.
-        end: end of the arc, with u and w as its x and y.
+        end: front end of the region. The coordinates x and y of this frame are u and w.
     """
 
     curvature: float
@@ -144,8 +145,8 @@ def arc_collides(pose, curvature, length, extent, grid):  # type: ignore[no-unty
         pose: x, y (m) and heading (rad) of the centre of mass at the start.
         curvature: arc curvature, 1/m.
         length: arc length, m.
-        extent: extent of the body, see `Extent`.
-        grid: obstacles and bounds, see `collision.ObstacleGrid`.
+        extent: extent of the body about its centre of mass.
+        grid: obstacles and bounds of the world.
     """
     h = (length + extent.ahead + extent.behind) / 2 + ROUNDING_MARGIN
     x, y, heading = arc_end(
@@ -157,8 +158,7 @@ def arc_collides(pose, curvature, length, extent, grid):  # type: ignore[no-unty
     )
     left = extent.left + ROUNDING_MARGIN
     right = extent.right + ROUNDING_MARGIN
-    # A long region is divided, because each piece then overlaps only a few cells of the
-    # grid.
+    # A long region is divided, so that each piece overlaps only a few grid cells.
     count = max(1, int(np.ceil(h / max(grid.cell, left + right))))
     half = h / count
     end = _frame(0.0, 0.0, 0.0, curvature, half)
@@ -207,8 +207,7 @@ def _touches_circle(middle, region, circle):  # type: ignore[no-untyped-def]
     radius = circle[2] + ROUNDING_MARGIN
     dx = circle[0] - middle.x
     dy = circle[1] - middle.y
-    # Bounding circles are tested first, since this is cheap and excludes most
-    # obstacles.
+    # The bounding circle of the region excludes most obstacles at little cost.
     if dx * dx + dy * dy >= (region.reach + radius) * (region.reach + radius):
         return False
     u, w = _local(middle, circle[0], circle[1])
@@ -231,7 +230,7 @@ def _touches_side(middle, region, side):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def path_coordinates(u, w, curvature):  # type: ignore[no-untyped-def]
-    """Return n and s (module docstring) of a point u ahead and w to the left, m."""
+    """Return n and s of a point u ahead and w to the left (module docstring), m."""
     ku = curvature * u
     kw = 1 - curvature * w
     n = (2 * w - curvature * (u * u + w * w)) / (1 + np.sqrt(ku * ku + kw * kw))
@@ -255,7 +254,7 @@ def _region_distance(u, w, region):  # type: ignore[no-untyped-def]
 def _distance_from_origin(ax, ay, bx, by):  # type: ignore[no-untyped-def]
     dx = bx - ax
     dy = by - ay
-    # The lower limit avoids 0/0 for a segment without length.
+    # The lower limit of the denominator avoids 0/0 for a segment without length.
     t = min(1.0, max(0.0, -(ax * dx + ay * dy) / max(dx * dx + dy * dy, 1e-300)))
     px = ax + t * dx
     py = ay + t * dy
@@ -284,7 +283,8 @@ def _side_crosses(au, aw, bu, bw, region):  # type: ignore[no-untyped-def]
         end.cosine * du - end.sine * dw,
     )
     cuts = (0.0, front, back, left[0], left[1], right[0], right[1])
-    # Test the midpoint of each piece between neighbouring cuts.
+    # The side touches the region if the midpoint of a piece between two neighbouring
+    # cuts is in the region.
     for first in cuts:
         last = 1.0
         for cut in cuts:
@@ -326,9 +326,10 @@ def _roots(a, b, c):  # type: ignore[no-untyped-def]
 def _leaves_bounds(middle, region, bounds):  # type: ignore[no-untyped-def]
     """Return whether a region leaves the bounds.
 
-    It does so at a corner, or where an edge is parallel to an axis.
+    A region extends farthest in x or y at a corner, or where an edge is parallel to an
+    axis.
     """
-    # A bounding square is tested first, since most regions are far from the bounds.
+    # Most regions are far from the bounds, so the bounding square is tested first.
     if (
         bounds.west <= middle.x - region.reach
         and middle.x + region.reach <= bounds.east
@@ -341,7 +342,6 @@ def _leaves_bounds(middle, region, bounds):  # type: ignore[no-untyped-def]
             return True
     if region.curvature == 0:
         return False
-    # An edge extends farthest in x or y where it is parallel to an axis.
     for quarter in range(4):
         turn = quarter * np.pi / 2 - middle.heading
         turn -= 2 * np.pi * np.round(turn / (2 * np.pi))
@@ -368,7 +368,7 @@ class Primitives:
 
     Attributes:
         count: number N of arcs, odd and at least 3, so that the middle arc is straight.
-        turn: maximum turn α_max of one arc, rad; below π.
+        turn: maximum turn α_max of one arc, below π, rad.
         length: length v Δt of each arc, m.
     """
 

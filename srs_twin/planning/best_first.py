@@ -1,8 +1,9 @@
 """Best-first search from both ends at increasing resolution.
 
-The first searches are a tree from the start and, without transients, one from the goal.
-If they do not succeed at once, a proof that no path exists and a tree with `guidance`
-follow. Dubins paths between the poses of the path shorten it.
+The search grows a tree from the start. If the footprint has no transients, it also
+grows a tree from the goal. If both trees do not succeed at once, the planner tries to
+prove that no path exists, and grows a tree with `guidance`. Finally, Dubins paths
+between poses of the path shorten it.
 """
 
 from __future__ import annotations
@@ -45,28 +46,30 @@ _COARSEST_TURN = 0.5
 _CELL_SHARE = 0.35
 """Side of a cell divided by the length of an arc.
 
-It is small enough that the children of a node lie in different cells.
+With this ratio the children of a node lie in different cells.
 """
 _SECTORS = 48
 """Number of heading sectors at the coarsest level.
 
-A sector is half of the minimum heading change of an arc.
+A sector is half the minimum heading change of an arc.
 """
 _GUIDED_WEIGHT = 1.5
-"""Weight of the cost-to-go with guidance.
+"""Weight of the cost-to-go in a search with guidance.
 
-A large weight finds some path quickly, even if it is longer.
+A large weight finds some path quickly, although the path may be longer.
 """
 _FIRST_TURN_NODES = 1000
-"""Number of nodes that each tree expands in its first turn; later it doubles."""
+"""Number of nodes that each tree expands in its first turn. The number later
+doubles."""
 _MAX_TURN_NODES = 16_000
-"""Maximum number of nodes in a turn, so that time limits are checked often enough."""
+"""Maximum number of nodes in a turn, which ensures that time limits are checked
+often."""
 
 
 class _LevelResult(NamedTuple):
     """Result of the search at one resolution.
 
-    `reason` explains why there is no path, and is empty if the budget is spent.
+    Without a path, `reason` explains why there is none, unless the budget is spent.
     `proven` tells whether no path exists at any resolution.
     """
 
@@ -76,7 +79,7 @@ class _LevelResult(NamedTuple):
 
 
 def best_first(problem: Problem, settings: Settings) -> Plan:
-    """Plan by best-first search; see `planner.plan`."""
+    """Plan a path by best-first search; see `planner.plan`."""
     search = _Search(problem, settings)
     best: tuple[Segment, ...] | None = None
     for level in range(settings.levels):
@@ -129,12 +132,9 @@ class _Search:
         )
 
     def start_trees(self, level: int) -> list[SearchTree]:
-        """Return the tree from the start and the tree from the goal.
+        """Return the tree from the start and, without transients, a tree from the goal.
 
-        Transients depend on the direction of travel, so there is no tree from the goal
-        with them.
-
-        The primitives of the problem, if given, belong to the first level. Each level
+        The primitives of the problem, if given, are used at the first level. Each level
         halves arcs and cells, and the third and later levels have more curvatures.
         """
         problem = self.problem
@@ -160,15 +160,16 @@ class _Search:
             NO_PASSAGES,
         )
         trees = [SearchTree([problem.start], spec)]
-        # A tree from the goal would need the transients of the reversed path, which
-        # differ.
+        # Transients depend on the direction of travel, so there is no tree from the
+        # goal with them.
         if not body.transients:
             end = turned_around(problem.start)
             home = make_target(
                 Goal(end.x, end.y, end.heading, radius=0.0, heading_tolerance=0.0), body
             )
             roots = [turned_around(pose) for pose in goal_poses(problem.goal, sector)]
-            # Both trees share the obstacles, but differ in target and direction.
+            # The tree from the goal has the obstacles of the tree from the start, but
+            # another target and the reversed body.
             backward = spec._replace(
                 moves=make_move_set(arcs, body.backward), target=home
             )
@@ -199,7 +200,7 @@ class _Search:
 
         The trees take turns with growing numbers of nodes. The tree from the goal
         rarely finds a path first, but it is exhausted at once if no arc leads to the
-        goal. After the first turn a guided tree joins, whose path may be longer than
+        goal. A guided tree joins after the first turn, but its path may be longer than
         necessary.
         """
         for turn in count():
@@ -217,7 +218,7 @@ class _Search:
                     reason = f"no free arc leads {tree.way} to an untested pose"
                 if tree.exhausted or self.is_spent:
                     break
-            # The proof takes longer than an easy search, so it comes second.
+            # The proof takes longer than an easy search, so the search comes first.
             if turn == 0 and prove and (why := self.proof()):
                 return _LevelResult(reason=why, proven=True)
             if reason:

@@ -1,8 +1,8 @@
 """Motion capture of the snake pose, and the mean pose over one gait period.
 
-Undulation makes the mean heading of the connectors oscillate by some tenths of a radian
-about the direction of travel. A mean over exactly one gait period removes this
-oscillation, but it is half a period old.
+The undulation of the body makes the mean heading of the connectors oscillate by some
+tenths of a radian about the direction of travel. A mean over exactly one gait period
+removes this oscillation, but lags by half a period.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from srs_twin.plants.base import SnakeState
 
 _TIME_ROUNDING = 1e-9
-"""Tolerance of times (s) and frame numbers for rounding errors of summed ticks."""
+"""Tolerance for rounding errors of summed ticks in times (s) and frame numbers."""
 
 
 @dataclass(frozen=True)
@@ -65,8 +65,7 @@ class CameraFrames(Stateful):
         """Return the measured pose if a frame is due, otherwise None."""
         if float(state.time) * self._camera.rate_hz < self._next_frame - _TIME_ROUNDING:
             return None
-        # If several frames are due in one tick, they show the same state, so one is
-        # enough.
+        # Several frames in one tick would show an identical state, so one is enough.
         self._next_frame = (
             math.floor(float(state.time) * self._camera.rate_hz + _TIME_ROUNDING) + 1
         )
@@ -85,7 +84,7 @@ class PeriodMean(Stateful):
 
     Attributes:
         time: middle of the averaging interval, s.
-        pose: mean pose; None before the first frame.
+        pose: mean pose, or None before the first frame.
         complete: whether the frames cover a whole period.
     """
 
@@ -102,7 +101,7 @@ class PeriodMean(Stateful):
         self.complete = False
 
     def add(self, time: float, pose: Pose) -> None:
-        """Add a frame, and unwrap its heading with respect to the previous frame.
+        """Add a frame and unwrap its heading with respect to the previous frame.
 
         Args:
             time: frame time, s.
@@ -126,7 +125,7 @@ class PeriodMean(Stateful):
             integrals.popleft()
         begin, begin_integral = integrals[0]
         if begin < period_start:
-            # The period begins between two frames, so the integral is interpolated
+            # The period begins between two frames, where the integral is interpolated
             # linearly.
             next_time, next_integral = integrals[1]
             fraction = (period_start - begin) / (next_time - begin)

@@ -1,4 +1,7 @@
-"""Collision checks of arcs and paths in a world, exact up to `arcs.ROUNDING_MARGIN`."""
+"""Collision checks of arcs and paths in a world.
+
+The checks are exact up to `arcs.ROUNDING_MARGIN`.
+"""
 
 from __future__ import annotations
 
@@ -22,13 +25,14 @@ if TYPE_CHECKING:
 MAX_CLEARANCE_M = 1.0
 """Maximum clearance that is measured, m."""
 CLEARANCE_ERROR_M = 1e-4
-"""Error of `Checker.clearance` at which the bisection stops, m."""
+"""Width of the bisection interval at which `Checker.clearance` stops, m."""
 
 _MAX_GRID_CELLS = 256
-"""Maximum number of grid cells along a side: 256² cells of two integers take 1 MB."""
+"""Maximum number of grid cells along a side. With 256² cells of two integers, the
+grid takes 1 MB."""
 
 _MIN_CELL_M = 1e-9
-"""Minimum side of a cell, m, for obstacles without extent."""
+"""Minimum side of a grid cell, which applies to obstacles without extent, m."""
 
 
 class Box(NamedTuple):
@@ -52,8 +56,8 @@ class ObstacleGrid(NamedTuple):
         cell: cell size, m.
         cell_ranges: start and end of the items of each cell in `cell_items`, shape
             (columns, rows, 2).
-        cell_items: numbers of the items that overlap each cell, shape (k,); circles are
-            numbered before sides.
+        cell_items: numbers of the items that overlap each cell, shape (k,). The circles
+            are numbered before the sides.
     """
 
     circles: np.ndarray
@@ -83,7 +87,7 @@ def obstacle_grid(world: World) -> ObstacleGrid:
 
 
 def build_grid(circles: np.ndarray, sides: np.ndarray, bounds: Box) -> ObstacleGrid:
-    """Sort obstacles into a grid, and return it as an `ObstacleGrid`."""
+    """Sort obstacles into a grid."""
     radius = circles[:, 2:]
     ends = sides.reshape(-1, 2, 2)
     low = np.vstack([circles[:, :2] - radius, ends.min(axis=1)])
@@ -95,7 +99,7 @@ def build_grid(circles: np.ndarray, sides: np.ndarray, bounds: Box) -> ObstacleG
         return ObstacleGrid(circles, sides, bounds, 0.0, 0.0, 1.0, no_cells, no_items)
     corner = low.min(axis=0)
     extent = np.ptp(np.vstack([low, high]), axis=0)
-    # About four items per cell keep both the lists and the grid small.
+    # With about four items per cell, both the lists and the grid are small.
     divisions = min(max(math.isqrt(count // 4), 1), _MAX_GRID_CELLS)
     cell = max(float(extent.max()) / divisions, _MIN_CELL_M)
     columns, rows = (int(side / cell) + 1 for side in extent)
@@ -136,7 +140,7 @@ class Checker:
 
     @cached_property
     def grid(self) -> ObstacleGrid:
-        """Arrays of the world."""
+        """Obstacles and bounds of the world for the kernels."""
         return obstacle_grid(self.world)
 
     def is_arc_free(
@@ -149,7 +153,7 @@ class Checker:
         """Return whether the body stays free of obstacles and bounds on an arc.
 
         Args:
-            pose: pose of the centre of mass at the start, outside all polygons.
+            pose: initial pose of the centre of mass, outside all polygons.
             curvature: arc curvature, 1/m.
             length: arc length, m.
             wider: widths added to the left and right edges, m.
@@ -162,7 +166,7 @@ class Checker:
         return not arc_collides(tuple(pose), curvature, length, extent, self.grid)
 
     def is_path_free(self, segments: Sequence[Segment]) -> bool:
-        """Return whether a path is free, with the transients of its offset changes."""
+        """Return whether a path is free, including transients of offset changes."""
         wider = (0.0, 0.0)
         lasting = 0.0
         none = (0.0, 0.0)
@@ -190,11 +194,9 @@ class Checker:
         return True
 
     def clearance(self, segments: Sequence[Segment]) -> float:
-        """Return the width by which both edges may grow, m, up to `MAX_CLEARANCE_M`."""
-        free, touching = (
-            0.0,
-            MAX_CLEARANCE_M,
-        )  # bisection between a free and a colliding width
+        """Return the width by which both edges may grow, up to `MAX_CLEARANCE_M`, m."""
+        # The bisection narrows the interval between a free and a colliding width.
+        free, touching = (0.0, MAX_CLEARANCE_M)
         while touching - free > CLEARANCE_ERROR_M:
             middle = (free + touching) / 2
             if Checker(self.world, self.footprint.reduced(margin=middle)).is_path_free(
@@ -218,8 +220,8 @@ class Checker:
             wider: width added to both edges, m.
         """
         both = (wider, wider)
-        # The whole world is tested first, since only a collision needs the obstacle's
-        # name.
+        # The whole world is tested first, because the name of an obstacle is needed
+        # only after a collision.
         if self.is_arc_free(pose, 0.0, length, both):
             return ""
         parts = (
@@ -239,7 +241,8 @@ class Checker:
 def obstacle_shapes(world: World) -> list[tuple[str, shapely.Geometry, float]]:
     """Return the name, core and radius of each obstacle.
 
-    An obstacle contains all points within the radius (m) of its core.
+    An obstacle contains all points whose distance from its core is at most the radius
+    (m).
     """
     import shapely
 
@@ -254,7 +257,7 @@ def obstacle_shapes(world: World) -> list[tuple[str, shapely.Geometry, float]]:
 
 
 def obstacle_at(world: World, x: float, y: float) -> str:
-    """Describe the obstacle that contains a point, or the bounds it exceeds.
+    """Describe the obstacle that contains a point, or the bounds that exclude it.
 
     The result is an empty string if the point is free.
     """

@@ -2,16 +2,16 @@ r"""Dubins paths: shortest forward paths with a minimum turning radius.
 
 The shortest path with minimum radius r has three pieces (Dubins 1957). The pieces are
 arcs of radius r to the left (L) or right (R) and straight lines (S). The six possible
-words are LSL, LSR, LRL and their mirror images. In units of r and with angles relative
-to the line between the poses, let d be the distance and a and b the headings. The words
-that begin with L satisfy
+words are LSL, LSR, LRL and their mirror images. The lengths are in units of r. Let d be
+the distance between the poses, a and b the headings relative to the line between the
+poses, and p the length of the middle piece. The words that begin with L satisfy
 
 $$ LSL: p^2 = 2 + d^2 - 2\cos(a-b) + 2d(\sin a - \sin b) \qquad
    LSR: p^2 = d^2 - 2 + 2\cos(a-b) + 2d(\sin a + \sin b) $$
 
 and LRL satisfies cos p = (6 - d² + 2 cos(a-b) + 2d(sin b - sin a))/8, p > π. With a
 free arrival heading, the shortest path is an arc and a straight line (Bui et al.,
-1994). It has two arcs if the end is inside a turning circle.
+1994). If the end is inside a turning circle, the path has two arcs instead.
 
 The available packages (`dubins`, wrappers of one C file) are unmaintained and have no
 wheels.
@@ -29,7 +29,7 @@ from srs_twin.planning.arcs import ArcSequence
 from srs_twin.robot.world import Pose
 
 _FULL_TURN = 2 * math.pi
-"""rad."""
+"""Angle of a full turn, rad."""
 
 _ROUNDING = 1e-9
 """Rounding error of distances (in radii) and angles (rad)."""
@@ -40,7 +40,7 @@ class DubinsPath(NamedTuple):
 
     Attributes:
         turns: direction of each piece: 1 left, 0 straight, -1 right.
-        lengths: piece lengths, m.
+        lengths: length of each piece, m.
         length: path length, m.
     """
 
@@ -60,7 +60,7 @@ def shortest_path(
         start: start pose.
         x: x of the end, m.
         y: y of the end, m.
-        heading: heading at the end, rad, or None for any heading.
+        heading: heading at the end, or None for any heading, rad.
         radius: turning radius, m.
     """
     path = dubins_path(
@@ -72,7 +72,7 @@ def shortest_path(
 
 @compiled
 def dubins_path(x, y, heading, to_x, to_y, to_heading, any_heading, radius):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return a shortest path, see `DubinsPath`.
+    """Return the shortest Dubins path.
 
     Args:
         x, y, heading: start pose, m and rad.
@@ -90,7 +90,8 @@ def dubins_path(x, y, heading, to_x, to_y, to_heading, any_heading, radius):  # 
         s = np.sin(heading)
         u = c * dx + s * dy
         w = c * dy - s * dx
-        if np.sqrt(u * u + w * w) < _ROUNDING:  # start and end coincide
+        # If start and end coincide, the path has no length.
+        if np.sqrt(u * u + w * w) < _ROUNDING:
             best = DubinsPath(nothing, nothing, 0.0)
         for side in (1.0, -1.0):
             best = _shortest_to_point(best, side, u, side * w)
@@ -98,8 +99,8 @@ def dubins_path(x, y, heading, to_x, to_y, to_heading, any_heading, radius):  # 
         d = np.sqrt(dx * dx + dy * dy)
         line = np.arctan2(dy, dx)
         if d < _ROUNDING:
-            # The line between coinciding points has no direction, and rounding could
-            # add a full turn.
+            # The line between coinciding points has no direction, so rounding could add
+            # a full turn.
             d = 0.0
             line = heading
         for side in (1.0, -1.0):
@@ -123,18 +124,18 @@ def _shortest_to_pose(best, side, d, a, b):  # type: ignore[no-untyped-def]  # n
     ca = np.cos(a)
     cb = np.cos(b)
     cab = np.cos(a - b)
-    # LSL: The straight line is an outer tangent of both turning circles.
+    # In LSL, the straight line is an outer tangent of both turning circles.
     square = 2 + d * d - 2 * cab + 2 * d * (sa - sb)
     turn = np.arctan2(cb - ca, d + sa - sb)
     if np.sqrt((d + sa - sb) ** 2 + (cb - ca) ** 2) < _ROUNDING:
-        # If the turning circles coincide, the straight line has no direction, and one
-        # arc is the path.
+        # If the turning circles coincide, the straight line has no direction, and the
+        # path is a single arc.
         square = 0.0
         turn = b
     p = np.sqrt(max(square, 0.0))
     lengths = (_wrapped(turn - a), p, _wrapped(b - turn))
     best = _shorter(best, (side, 0.0, side), lengths)
-    # LSR: The straight line is an inner tangent, which exists only if the circles do
+    # In LSR, the straight line is an inner tangent, which exists only if the circles do
     # not overlap.
     square = d * d - 2 + 2 * cab + 2 * d * (sa + sb)
     if square >= 0:
@@ -142,7 +143,7 @@ def _shortest_to_pose(best, side, d, a, b):  # type: ignore[no-untyped-def]  # n
         turn = np.arctan2(-ca - cb, d + sa + sb) - np.arctan2(-2.0, p)
         lengths = (_wrapped(turn - a), p, _wrapped(turn - b))
         best = _shorter(best, (side, 0.0, -side), lengths)
-    # LRL: A third circle touches both turning circles, which must be close to each
+    # In LRL, a third circle touches both turning circles, which must be close to each
     # other.
     cosine = (6 - d * d + 2 * cab + 2 * d * (sb - sa)) / 8
     if abs(cosine) <= 1:
@@ -155,10 +156,11 @@ def _shortest_to_pose(best, side, d, a, b):  # type: ignore[no-untyped-def]  # n
 
 @kernel_only
 def _shortest_to_point(best, side, u, w):  # type: ignore[no-untyped-def]
-    """Return the shortest of `best`, LS and RL (`side` -1: RS and LR) to a point.
+    """Return the shortest of `best` and two words to a point, in radii.
 
-    The point is u ahead of the start and w to its left (`side` -1: to its right), in
-    radii.
+    With `side` 1 the words are LS and RL, and the point is u ahead of the start and w
+    to the left. With `side` -1 the words are RS and LR, and the point is w to the
+    right.
     """
     away = u * u + (w - 1) * (w - 1)
     if away >= 1:

@@ -30,15 +30,18 @@ class CameraFile(Section):
     constructors = (Camera,)
 
     rate_hz: float = quantity(5.0, 10_000.0)
-    """Frames per second."""
+    """Number of frames per second."""
     position_noise_m: float = quantity(0.0, 1.0)
-    """RMS noise of x and y."""
+    """RMS noise of the coordinates x and y."""
     heading_noise_rad: float = quantity(0.0, 3.0)
     """RMS noise of the heading."""
 
 
 class FollowFile(ControllerSection):
-    """Follower of a plan by the offset of a gait (Section 5.2.2); needs a planner."""
+    """Controller that follows a plan with the offset of a gait (Section 5.2.2).
+
+    The scenario needs a planner.
+    """
 
     constructors = (PathLaw, BearingLaw, Conditions)
     only = {
@@ -47,16 +50,16 @@ class FollowFile(ControllerSection):
     }
 
     kind: Literal["follow"]
-    """Controller."""
+    """Kind of controller."""
     follower: Literal["bearing", "path"] = "path"
-    """Steering law. bearing is the law of the dissertation, from node to node.
-    path is feedback of the cross-track error with curvature feedforward."""
+    """Steering law. bearing is the law of the dissertation, which steers from node
+    to node. path is feedback of the cross-track error with curvature feedforward."""
     gait: Annotated[GaitFile | LearningFile, Field(discriminator="kind")]
     """Gait that is steered."""
     delay_s: float = quantity(0.0, 10.0, 0.1)
-    """Command delay."""
+    """Delay after which a command reaches the gait."""
     camera: CameraFile = CameraFile()
-    """Motion capture."""
+    """Motion capture of the snake."""
     gain_per_rad: float | None = quantity(0.001, 100.0, None)
     """Offset per bearing error (bearing; default {default:g})."""
     node_m: float | None = quantity(0.001, 100.0, None)
@@ -66,8 +69,9 @@ class FollowFile(ControllerSection):
     lookahead_m: float | None = quantity(0.001, 100.0, None)
     """Path length over which a cross-track error decays (path; default {default:g})."""
     settle_m: float | None = quantity(0.0, 100.0, None)
-    """Response length of the curvature to a change of offset (path; default: from
-    the transients of the footprint, {default:g} without any)."""
+    """Response length of the curvature to a change of offset (path; default:
+    computed from the transients of the footprint, or {default:g} without
+    transients)."""
     replan_beyond_m: float | None = quantity(0.001, 100.0, None)
     """Cross-track error at which a new plan is requested (default: no new plans)."""
     replans: int = quantity(0, 1000)
@@ -98,7 +102,7 @@ class FollowFile(ControllerSection):
             )
 
     def controller(self, context: ControllerContext) -> Controller:
-        """See `ControllerSection.controller`; plans on the first call.
+        """See `ControllerSection.controller`. The first call computes the plan.
 
         Raises:
             InputError: start or goal is not possible.
@@ -143,10 +147,10 @@ class FollowFile(ControllerSection):
         """Return the conditions of following, for margins with a probability.
 
         Args:
-            plant: "analytical" or "twin".
-            contact: contact of the twin; None for the analytical model.
+            plant: name of the plant, "analytical" or "twin".
+            contact: contact of the twin, or None for the analytical model.
             chambers: kind of pneumatics.
-            robot: robot file, with the spreads of its modules.
+            robot: robot file, which contains the spreads of the modules.
             planner: planner section.
         """
         spreads = {name: getattr(robot.modules, name, None) for name in SPREADS}

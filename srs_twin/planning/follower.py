@@ -1,13 +1,13 @@
-"""Follower: controller that steers a snake along a plan with the offset of a gait.
+"""Controller that steers a snake along a plan with the offset of a gait.
 
-The follower implements Section 5.2.2. The camera measures poses, which are averaged
+The `Follower` implements Section 5.2.2. A camera measures poses, which are averaged
 over a gait period. A `Predictor` extrapolates the mean pose, and a steering law
 (`Steering`) computes the offset. The offset reaches the gait or ILC after a command
-delay. The run ends at the goal, or earlier with a reason (`ENDINGS`).
+delay. The run ends at the goal, or earlier for one of the reasons in `ENDINGS`.
 
 If the snake deviates too far from its path or its body approaches an obstacle, the
-follower requests a new plan. This plan has the margin of the first plan or, if
-necessary, a fraction of it.
+follower requests a new plan. The new plan has the margin of the first plan or, if
+necessary, a fraction of this margin.
 
 Symbols:
     s: position along the path from its start, m.
@@ -54,7 +54,7 @@ ENDINGS = {
     "no_room": "no path with the required margin",
     "gait_ended": "the gait has ended",
 }
-"""Endings of a run with their explanations. The first ending is success."""
+"""Endings of a run with their explanations. Only the first ending is a success."""
 
 STUCK_SHARE = 0.1
 """Fraction of the footprint's speed below which a snake counts as slow.
@@ -64,13 +64,13 @@ A snake that is slow for `STUCK_PERIODS` is stuck.
 STUCK_PERIODS = 6
 """Duration of slow motion after which a snake is stuck, in gait periods."""
 RETRY_PERIODS = 2
-"""Minimum time between requests for a new plan, in gait periods."""
+"""Minimum time between two requests for a new plan, in gait periods."""
 _MIN_CHANGE = 1e-3
-"""Minimum change of the offset that is sent."""
+"""Minimum change of the offset that is sent to the gait."""
 _WINDOW_M = 0.3
 """Distance along the path within which the next nearest point is searched, m.
 
-The search is local because paths may cross.
+The search is local because paths may cross themselves.
 """
 
 _UNKNOWN = (
@@ -80,7 +80,7 @@ _UNKNOWN = (
 """Pose and path coordinates before the first frame."""
 
 Replan = Callable[[Pose, float], Plan]
-"""Planner that receives a pose and a fraction of the margin."""
+"""Function that plans from a pose with a fraction of the margin."""
 
 
 class Renewal(NamedTuple):
@@ -89,7 +89,7 @@ class Renewal(NamedTuple):
     Attributes:
         plan: new plan, or None if no plan was found.
         reason: reason why there is no plan with the full margin.
-        share: fraction of the margin in the new plan.
+        share: fraction of the margin that the new plan keeps.
     """
 
     plan: Plan | None
@@ -98,17 +98,17 @@ class Renewal(NamedTuple):
 
 
 _HORIZON_M = 0.6
-"""Distance ahead along which the body is checked for obstacles, m."""
+"""Length of path ahead on which the body is checked for obstacles, m."""
 _CHECKED_PIECES = 8
 """Number of pieces into which `_HORIZON_M` is divided."""
 _RESERVE_SHARE = 0.3
-"""Clearance, as a fraction of the margin, below which a new plan is requested."""
+"""Clearance below which a new plan is requested, as a fraction of the margin."""
 _MARGIN_SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
 """Fractions of the margin that are tried in turn for a new plan."""
 _OPTIONAL = ("close", "run_up", "fault", "start")
-"""Reasons for new plans without which the snake may continue along the old plan."""
+"""Reasons for a new plan without which the snake may continue along the old plan."""
 _UNCOUNTED = ("run_up", "fault", "start")
-"""Reasons for new plans that are not counted by `Conditions.replans`."""
+"""Reasons for a new plan that does not count as one of `Conditions.replans`."""
 
 _PLANNED_IN = ("obstacles", "bounds", "goal", "polygons")
 """Fields of a world that affect plans. The floor affects only the plants."""
@@ -119,16 +119,16 @@ class Conditions:
     """Conditions of following: sensing, delays and limits.
 
     Attributes:
-        camera: camera.
+        camera: motion capture.
         delay: command delay, s.
         settle: response length ℓ of the curvature, m.
-        stray: cross-track error at which a new plan is requested, m, or None for no
-            request.
+        stray: cross-track error at which a new plan is requested, or None for no
+            request, m.
         replans: maximum number of new plans.
-        run_up: length of the straight run-up of the first path, m. At its end the rest
-            is planned again from the actual pose, if possible.
-        lag: transport delay of the robot, s, until the frames show the effect of a
-            command.
+        run_up: length of the straight run-up of the first path, m. At the end of the
+            run-up, the rest of the path is planned again from the actual pose, if
+            possible.
+        lag: time until the frames show the effect of a command on the robot, s.
     """
 
     camera: Camera
@@ -142,28 +142,29 @@ class Conditions:
 
 @dataclass(eq=False)
 class Follower(Controller):
-    """Controller that follows a plan (module docstring).
+    """Controller that follows a plan; see the module docstring.
 
     Attributes:
-        gait: controller with an `offset`: a `Gait` or an `ILC`.
+        gait: controller with an `offset`, i.e. a `Gait` or an `ILC`.
         law: steering law.
-        plan: plan to follow; a plan without a path ends the run at once.
-        goal: goal.
+        plan: plan to follow. A plan without a path ends the run at once.
+        goal: goal of the centre of mass.
         footprint: footprint of the snake, which limits the offset.
         conditions: camera, delays and limits.
-        body: footprint of the plan, recorded with the run, by default `footprint`.
-        world: world, recorded with the run.
+        body: footprint of the plan, which is recorded with the run, by default
+            `footprint`.
+        world: world, which is recorded with the run.
         replan: planner for new plans, or None for no new plans.
         submit: function that runs the planner in another thread while the snake moves.
-            Without it the snake waits.
-        least_margin: minimum fraction of the margin in a new plan. If it is above 0,
-            the run ends (`no_room`) without such a plan. It also ends if the body
-            approaches an obstacle and no new plan is left.
-        leans: whether the body may lean on obstacles, so that approaching one requires
-            no new plan.
+            Without this function, the snake waits for the planner.
+        least_margin: minimum fraction of the margin in a new plan. If the fraction is
+            above 0, the run ends (`no_room`) when no such plan is found. It also ends
+            when the body approaches an obstacle and no new plan is left.
+        leans: whether the body may lean on obstacles, so that approaching an obstacle
+            requires no new plan.
         finished: whether the run has ended.
-        ending: key of `ENDINGS`; None before the end.
-        plans: time (s) and plan of each plan, the first at 0.
+        ending: key of `ENDINGS`, or None before the end.
+        plans: time (s) and plan for each plan, where the first time is 0.
 
     Raises:
         InputError: the gait has no offset or no frequency.
@@ -281,15 +282,14 @@ class Follower(Controller):
     def renew(self, reason: str) -> None:
         """Request a new plan at the next frame.
 
-        If none is found, the old plan remains in force.
+        If no new plan is found, the snake continues along the old plan.
         """
         self._requested = reason
 
     def load_state_dict(self, memory: Mapping[str, Any]) -> None:
         """See `Stateful.load_state_dict`.
 
-        The steering law first starts on the path of the last plan, and then gets its
-        state.
+        The steering law starts on the path of the last plan before it gets its state.
         """
         segments = memory["plans"][-1][1].segments
         if segments:
@@ -298,7 +298,7 @@ class Follower(Controller):
         super().load_state_dict(memory)
 
     def signals(self) -> dict[str, Any]:
-        """Return the signals of gait and follower; NaN before the first frame."""
+        """Return the signals of gait and follower, which are NaN before the first frame."""
         pose, point = self._position
         return self.gait.signals() | {
             "offset_commanded": self._commanded,
@@ -317,7 +317,9 @@ class Follower(Controller):
         return events
 
     def describe(self) -> dict[str, object]:
-        """Return the gait's description with plans, footprint, world and ending."""
+        """Return the description of the gait, extended by plans, footprint, world and
+        ending.
+        """
         goal = asdict(self.goal)
         conditions = asdict(self.conditions)
         return self.gait.describe() | {
@@ -349,7 +351,7 @@ class Follower(Controller):
             return
         law = self.law
         later = time + self.conditions.delay
-        # The pose is predicted for the time at which the frames show the effect of the
+        # The law needs the pose at the time when the frames show the effect of the
         # command.
         shows = later + self.conditions.lag
         if law.predicts:
@@ -359,13 +361,12 @@ class Follower(Controller):
         turning = predictor.turning, predictor.disturbance, predictor.gain
         offset = law.offset(SteeringInput(pose, self._locate(pose), *turning))
         offset = min(max(offset, self._low), self._high)
-        # The limits of the offset are sent even after a small change.
+        # An offset at its limit is sent even after a small change.
         if abs(offset - self._commanded) >= _MIN_CHANGE or offset in (
             self._low,
             self._high,
         ):
             if offset != self._commanded:
-                # The command takes effect after the delay.
                 self._pending.append((later, offset))
             self._commanded = offset
 
@@ -393,7 +394,8 @@ class Follower(Controller):
             self._request_plan(time, here, reason)
         elif self._running_up and point.s >= self.conditions.run_up:
             self._running_up = False
-            self._predictor.reset_turning()  # the gait was still learning
+            # The estimates are discarded, because the gait was still learning.
+            self._predictor.reset_turning()
             self._request_plan(time, here, "run_up")
         elif stray is not None and time >= self._not_before:
             if abs(point.n) > stray:
@@ -430,7 +432,7 @@ class Follower(Controller):
         return False
 
     def _request_plan(self, time: float, pose: Pose, reason: str) -> None:
-        """Request a new plan from a pose, unless one is being computed.
+        """Request a new plan from a pose, unless the planner is already running.
 
         `reason` is a key of `ENDINGS` or one of `_OPTIONAL`.
         """
@@ -446,7 +448,8 @@ class Follower(Controller):
                     f"{ENDINGS['no_room']}: {reason}, and no new plan is left",
                 )
             elif self._tries == self.conditions.replans:
-                self._tries += 1  # one event only
+                # One more try ensures that the event occurs only once.
+                self._tries += 1
                 text = (
                     f"{reason}: keeping the old plan, all {self.conditions.replans} new"
                     " plans are used"
@@ -454,8 +457,8 @@ class Follower(Controller):
                 self._events.append(Event(time, "no_new_plan", text))
             return
         self._tries += reason not in _UNCOUNTED
-        # A new plan changes the motion only after some gait periods, so there is no
-        # earlier request.
+        # A new plan changes the motion only after some gait periods, so an earlier
+        # request would be useless.
         self._not_before = time + RETRY_PERIODS * self._period
         job = partial(_new_plan, self.replan, pose, self.least_margin)
         if self.submit is None:

@@ -23,7 +23,7 @@ import numpy as np
 from srs_twin.errors import InputError
 
 COLUMNS = ("offsets", "curvatures", "speeds", "left", "right")
-"""Columns of a footprint table, one value per offset."""
+"""Columns of a footprint table. Each column has one value per offset."""
 
 CURVATURE_TOLERANCE = 1e-9
 """Tolerance for curvatures beyond the ends of the table, 1/m."""
@@ -50,8 +50,8 @@ class FootprintRow:
 class Transient:
     """Deviation from the steady footprint after a change of offset.
 
-    The long-term effect is a jump by (dx, dy) relative to the heading and a turn by
-    dheading. The snake then follows the new arc.
+    The snake turns and is displaced relative to an instant change, and then follows the
+    new arc.
 
     Attributes:
         before: old offset.
@@ -59,8 +59,8 @@ class Transient:
         left: extra width of the left edge, m.
         right: extra width of the right edge, m.
         length: length of the path after the change on which the edges are wider, m.
-        dx: forward jump, m.
-        dy: jump to the left, m.
+        dx: displacement in the direction of the heading, m.
+        dy: displacement to the left, m.
         dheading: turn to the left, rad.
     """
 
@@ -80,7 +80,7 @@ class Footprint:
 
     Attributes:
         name: short name.
-        title: one-line title.
+        title: title on one line.
         offsets: gait offsets in ascending order, shape (rows,).
         curvatures: curvatures of the path of the centre of mass in ascending order,
             positive to the left, 1/m.
@@ -89,8 +89,8 @@ class Footprint:
         right: distances of the right edge from the path, m.
         ahead: distance from the centre of mass to the head along the path, m.
         behind: distance from the centre of mass to the tail along the path, m.
-        transients: measured changes of offset, empty if the offset acts at once, as the
-            dissertation assumes.
+        transients: measured changes of offset. Without any, the offset acts at once, as
+            the dissertation assumes.
     """
 
     name: str
@@ -116,7 +116,7 @@ class Footprint:
         ahead: float = 0.0,
         behind: float = 0.0,
     ) -> Footprint:
-        """Return the box of the dissertation with a constant width (Fig. 54, Table 9).
+        """Return the box of the dissertation, which has a constant width (Fig. 54, Table 9).
 
         In turns the box is shifted outward, because the inner edge approaches the path
         while the outer edge hardly moves (Table 8).
@@ -127,8 +127,10 @@ class Footprint:
             speed: speed of the centre of mass, m/s.
             curvature: curvature of the tightest turn, 1/m.
             offset: offset of the tightest turn.
-            ahead: see the class, m; the box of the dissertation has no length.
-            behind: see the class, m.
+            ahead: distance from the centre of mass to the head, m. In the dissertation
+                it is 0.
+            behind: distance from the centre of mass to the tail, m. In the dissertation
+                it is 0.
         """
         half = width / 2
         wide = half + shift
@@ -157,7 +159,9 @@ class Footprint:
 
     @property
     def backward(self) -> Footprint:
-        """Footprint without transients for the same paths in the opposite direction."""
+        """Footprint without transients for travel along the paths in the opposite
+        direction.
+        """
         return replace(
             self,
             offsets=tuple(-value for value in reversed(self.offsets)),
@@ -173,16 +177,16 @@ class Footprint:
     def reduced(self, turn_share: float = 1.0, margin: float = 0.0) -> Footprint:
         """Return the footprint with a smaller range of curvatures and wider edges.
 
-        The follower of a plan with a reduced footprint can correct errors with tighter
-        turns. The margin allows for the remaining errors.
+        A follower of such a plan can correct errors with turns that the plan does not
+        use. The margin allows for the remaining errors.
 
         Args:
-            turn_share: fraction of the tightest curvatures, at most 1.
+            turn_share: fraction of the tightest curvatures that is kept, at most 1.
             margin: width added to both edges, m.
         """
         low = turn_share * self.curvatures[0]
         high = turn_share * self.curvatures[-1]
-        # Rows too close to the limits would give intervals of almost no width.
+        # Rows too close to the new limits would give intervals of almost no width.
         inner = [
             k
             for k in self.curvatures
@@ -200,7 +204,7 @@ class Footprint:
         )
 
     def at(self, curvature: float) -> FootprintRow:
-        """Return the interpolated row of a curvature (1/m).
+        """Return the interpolated row at a curvature (1/m).
 
         Raises:
             InputError: the curvature is outside the table.
@@ -234,20 +238,17 @@ class Footprint:
         for size, t in measured:
             left, right = widest.get(size, (0.0, 0.0))
             widest[size] = max(left, t.left), max(right, t.right)
-        # The response is linear, so its length does not depend on the size of the
-        # change.
+        # The length of a linear response does not depend on the size of the change.
         return *_interpolated(abs(after - before), widest), max(
             t.length for _, t in measured
         )
 
     @property
     def settle(self) -> float | None:
-        """Response length ℓ of the curvature to a change of offset, m.
-
-        It is None without transients.
+        """Response length ℓ of the curvature to a change of offset, or None, m.
 
         After a change Δκ of the curvature, a first-order response lags in heading by Δκ
-        ℓ = −dheading. The value is a least-squares estimate over all measured changes.
+        ℓ = −dheading. The value is a least-squares estimate over all transients.
         """
         changes = np.array(
             [
@@ -261,11 +262,11 @@ class Footprint:
         return None
 
     def lag(self, before: float, after: float) -> tuple[float, float]:
-        """Return the delay δ and length T of a transition arc, m.
+        """Return the delay δ and the length T of a transition arc, m.
 
-        Both are defined in `planner` and interpolated by the size of the change. They
-        are constant beyond the measured sizes, and 0 without measured changes in this
-        direction.
+        The module `planner` defines both lengths. They are interpolated by the size of
+        the change, and constant beyond the measured sizes. Without measured changes in
+        this direction, they are 0.
         """
         known: dict[float, list[tuple[float, float]]] = {}
         for size, t in self._measured(after - before):
@@ -273,8 +274,8 @@ class Footprint:
             if t.dheading * step < 0:
                 delay = -t.dheading / step
                 moment = 2 * t.dy / step
-                # The arc cannot be shorter than its delay, because of the curvature κ_t
-                # in `planner`.
+                # An arc shorter than its delay would have a curvature κ_t (defined in
+                # `planner`) of the wrong sign.
                 known.setdefault(size, []).append((delay, max(moment / delay, delay)))
         if not known:
             return 0.0, 0.0
@@ -334,8 +335,7 @@ def find_problems(footprint: Footprint) -> list[tuple[str, str]]:
             )
         )
     for side, name in enumerate(("left", "right")):
-        # An edge on the inner side must not reach the centre of curvature, where κ n =
-        # 1.
+        # An inner edge must not reach the centre of curvature, where κ n = 1.
         turn = (1 if name == "left" else -1) * np.array(footprint.curvatures)
         # The edges include the largest transient after any change to this offset.
         extra = [

@@ -5,10 +5,10 @@ a unit, a status and a source. The published footprints are in calibration/footp
 and `srs-twin calibrate footprint` measures new ones.
 
 For margins with a probability, the file contains the maximum excursion beyond the
-footprint in each of n runs on random paths. The excursion of a new run is at most the
-k-th smallest value with a probability of at least k/(n + 1), for any distribution. This
-is split conformal prediction (Vovk et al. 2005; Lei et al. 2018). The margin of
-probability p has k = ⌈(n + 1) p⌉.
+footprint in each of n runs on random paths. The excursion of a new run does not exceed
+the k-th smallest value with a probability of at least k/(n + 1), for any distribution.
+This is split conformal prediction (Vovk et al. 2005; Lei et al. 2018). The margin of
+probability p is the value with k = ⌈(n + 1) p⌉.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ Share = Annotated[float, bounded(0.0, 1.0)]
 Excursion = Annotated[float, bounded(-10.0, 1e3)]
 Runs = Annotated[list[Excursion], Field(min_length=1, max_length=10_000)]
 LOST_M = 1e3
-"""Excursion entered for runs that do not arrive, m."""
+"""Excursion that stands for a run that does not arrive, m."""
 
 Rows = Field(min_length=3, max_length=101)
 Offsets = Record[
@@ -65,7 +65,7 @@ class ConditionsFile(StrictModel):
     plant: Literal["analytical", "twin"]
     """Plant of the runs."""
     contact: ContactName | None = None
-    """Contact of the twin (default preloaded); the analytical model has none."""
+    """Contact of the twin (default preloaded). The analytical model has none."""
     chambers: Literal["lag", "orifice"] = "lag"
     """Model of the chambers."""
     follower: Literal["bearing", "path"]
@@ -108,10 +108,10 @@ class ConditionsFile(StrictModel):
         return self
 
     def covers(self, other: ConditionsFile) -> bool:
-        """Return whether results under these conditions are bounds for others.
+        """Return whether results under these conditions are bounds for other conditions.
 
-        The other conditions must agree in plant, contact, chambers, follower and
-        run-up, and must not be more difficult in any other number.
+        Plant, contact, chambers, follower and run-up must agree, and no number of the
+        other conditions may make following more difficult.
         """
         same = ("plant", "contact", "chambers", "follower", "run_up_m")
         return all(
@@ -122,7 +122,7 @@ class ConditionsFile(StrictModel):
         )
 
     def excess_difficulty(self, other: ConditionsFile) -> float:
-        """Return the sum of the relative differences to conditions that these cover."""
+        """Return the sum of the relative differences to covered conditions."""
         pairs = ((getattr(self, name), getattr(other, name)) for name in _DIFFICULTIES)
         return float(
             sum((own - covered) / own for own, covered in pairs if own > covered)
@@ -138,39 +138,39 @@ _DIFFICULTIES = (
     "position_noise_m",
     "heading_noise_rad",
 )
-"""Keys that make following more difficult as they increase."""
+"""Keys whose larger values make following more difficult."""
 
 
 class ExcursionsFile(StrictModel):
-    """Maximum excursion of each run, m; 1000 if the run did not arrive."""
+    """Maximum excursion of each run, m. A run that did not arrive has 1000."""
 
     conditions: ConditionsFile
     """Conditions of the runs."""
     source: str = Field(min_length=1, max_length=1000)
     """Source of the measurements."""
     path_m: Runs
-    """Maximum excursion of each run, rising, m."""
+    """Maximum excursion of each run in ascending order, m."""
     run_up_m: Runs | None = None
-    """Maximum excursion of each run on the straight run-up, rising, m."""
+    """Maximum excursion of each run on the straight run-up in ascending order, m."""
 
 
 class TransientFile(StrictModel):
     """Deviation from the steady footprint after one change of offset."""
 
     from_offset: Offset
-    """Offset before, -1 to 1."""
+    """Offset before the change, -1 to 1."""
     to_offset: Offset
-    """Offset after, -1 to 1."""
+    """Offset after the change, -1 to 1."""
     left_m: Metres
     """Extra width of the left edge, m, 0 to 10."""
     right_m: Metres
     """Extra width of the right edge, m, 0 to 10."""
     length_m: Metres
-    """Length of the path with wider edges, m, 0 to 10."""
+    """Length of the path on which the edges are wider, m, 0 to 10."""
     dx_m: Shift = 0.0
-    """Jump of the path along itself, m, -10 to 10 (default 0)."""
+    """Displacement in the direction of the path, m, -10 to 10 (default 0)."""
     dy_m: Shift = 0.0
-    """Jump of the path to its left, m, -10 to 10 (default 0)."""
+    """Displacement to the left of the path, m, -10 to 10 (default 0)."""
     dheading_rad: Annotated[float, bounded(-3.15, 3.15)] = 0.0
     """Turn of the path to the left, rad, -3.15 to 3.15 (default 0)."""
 
@@ -191,10 +191,10 @@ class TransientsFile(StrictModel):
 
 
 class SpreadFile(StrictModel):
-    """Standard deviations of repeated measurements of the columns, one per offset."""
+    """Standard deviations of repeated measurements, one per offset for each column."""
 
     source: str = Field(min_length=1, max_length=1000)
-    """Repeated measurement and definition of the spread."""
+    """Repeated measurement, and definition of the spread."""
     curvature_per_m: Spreads
     """Spread of the curvature, 1/m, 0 to 100."""
     speed_m_s: Spreads
@@ -212,7 +212,7 @@ _KEYS = dict(
         strict=True,
     )
 )
-"""Keys in the file for the columns of `Footprint`."""
+"""Key in the file for each column of `Footprint`."""
 
 
 class FootprintFile(StrictModel):
@@ -221,14 +221,14 @@ class FootprintFile(StrictModel):
     name: str = Field(pattern=r"^[a-z][a-z0-9_]*$", min_length=1, max_length=60)
     """Short name."""
     title: str = Field(min_length=1, max_length=200)
-    """Title of one line."""
+    """Title on one line."""
     robot: str = Field(min_length=1, max_length=200)
-    """Robot of this footprint."""
+    """Robot that has this footprint."""
     contact: ContactName | None = None
-    """Contact of the twin of the measurement (default: none, not measured on a twin).
-    """
+    """Contact of the twin on which the footprint was measured (default: not measured
+    on a twin)."""
     offset: Offsets
-    """Gait offsets, rising, -1 to 1; positive turns left."""
+    """Gait offsets in ascending order, -1 to 1. A positive offset turns to the left."""
     curvature_per_m: Curvatures
     """Curvature of the path, 1/m, positive to the left, -100 to 100."""
     speed_m_s: Speeds
@@ -242,11 +242,11 @@ class FootprintFile(StrictModel):
     behind_m: Reach
     """Distance from the centre of mass to the tail along the path, m, 0 to 10."""
     spread: SpreadFile | None = None
-    """Repeatability, if measured."""
+    """Repeatability of the measurement, if known."""
     transients: TransientsFile | None = None
-    """Changes of offset, if measured."""
+    """Changes of offset, if they were measured."""
     excursions: Annotated[list[ExcursionsFile], Field(max_length=100)] | None = None
-    """Excursions of followers, if measured, for margins with a probability."""
+    """Excursions of followers for margins with a probability, if they were measured."""
 
     @property
     def twin_contact(self) -> ContactName | None:
@@ -255,7 +255,7 @@ class FootprintFile(StrictModel):
         return self.contact or (UNSTATED_CONTACT if measured else None)
 
     def mismatch(self, contact: ContactName) -> str | None:
-        """Return a warning if the contact differs from the measurement."""
+        """Return a warning if the contact differs from the measured twin."""
         own = self.twin_contact
         if own in (None, contact):
             return None
@@ -290,20 +290,20 @@ class FootprintFile(StrictModel):
 
 
 def load_footprint_file(name_or_path: StrPath) -> FootprintFile:
-    """Load and check a footprint file, given by a shipped name (gen4_table8) or a path.
+    """Load and check a footprint file by its shipped name (gen4_table8) or path.
 
     Raises:
         InputError: the file is not found or cannot be read.
-        InputFileError: the file is not valid; all problems are listed.
+        InputFileError: the file is not valid. The message lists all problems.
     """
     return load_model(FootprintFile, find_file("footprint", name_or_path))
 
 
 def load_footprint(name_or_path: StrPath) -> Footprint:
-    """Load a footprint, given by a shipped name (gen4_table8) or a path.
+    """Load a footprint by its shipped name (gen4_table8) or the path of its file.
 
     Raises:
-        InputError, InputFileError: as `load_footprint_file`.
+        InputError, InputFileError: the file is refused by `load_footprint_file`.
     """
     return load_footprint_file(name_or_path).footprint()
 
@@ -316,7 +316,7 @@ def save_footprint(
     Args:
         file: footprint file.
         path: output path.
-        header: lines of a comment at the top.
+        header: lines of a comment at the top of the file.
 
     Raises:
         InputFileError: the table is not a valid footprint.
@@ -348,13 +348,15 @@ class Margin:
 
 
 def excursion_quantile(excursions: Sequence[float], probability: float) -> float:
-    """Return the excursion that a new run does not exceed with a probability, m (≥ 0).
+    """Return the excursion that a new run does not exceed with a probability, m.
+
+    The excursion is at least 0.
 
     Raises:
-        InputError: too few runs, or too many of them did not arrive.
+        InputError: there are too few runs, or too many runs did not arrive.
     """
     count = len(excursions)
-    # The tolerance absorbs rounding of products such as 20 · 0.95.
+    # The tolerance absorbs the rounding error of products such as 20 · 0.95.
     rank = math.ceil((count + 1) * probability - 1e-9)
     if rank > count:
         least = math.ceil(probability / (1 - probability) - 1e-9)
@@ -384,7 +386,8 @@ def margin_for(
         conditions: conditions of the run, one per plant.
 
     Raises:
-        InputError: no measurement covers the conditions, or it has too few runs.
+        InputError: no measurement covers the conditions, or a measurement has too few
+            runs.
     """
     paths = [0.0]
     run_ups = [0.0]
@@ -397,8 +400,8 @@ def margin_for(
                 f"no excursions are measured for {text}; `srs-twin calibrate margin`"
                 " measures them"
             )
-        # Only one block is used, because the minimum over several blocks would be
-        # exceeded more often than stated.
+        # Only one block is used, because runs would exceed the minimum over several
+        # blocks more often than the probability states.
         block = min(
             covering, key=lambda block: block.conditions.excess_difficulty(condition)
         )

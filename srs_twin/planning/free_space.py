@@ -1,10 +1,10 @@
-"""Proof that no path exists, and a lower bound on path lengths, regardless of turns.
+"""Proof that no path exists, and a lower bound on path lengths.
 
-Let w be the clearance, i.e. the minimum distance of an edge from the path. Consider a
-point o of an obstacle that is closer than w to a smooth path. If the nearest point of
-the path is not an end, then o is straight across from it and within the edges, which is
-a collision. Therefore the nearest point is an end, and all points of the path within w
-of o are within 2 w of this end.
+Both hold for paths with any turns. Let w be the clearance, i.e. the minimum distance of
+an edge from the path. Consider a point o of an obstacle that is closer than w to a
+smooth path. If the nearest point of the path is not an end, then o is straight across
+from it and within the edges, which is a collision. Therefore the nearest point is an
+end, and all points of the path within w of o are within 2 w of this end.
 
 Hence a collision-free path is contained in the free space. The free space consists of
 the bounds reduced by w, without the obstacles grown by w, and of discs of radius 2 w
@@ -30,10 +30,10 @@ if TYPE_CHECKING:
 _FINE_CHORDS = 32
 """Number of chords per quarter circle in the proof.
 
-Chords lie inside the circle, which only widens gaps.
+Chords lie inside the circle, so that the approximation only widens gaps.
 """
 _COARSE_CHORDS = 4
-"""Number of chords per quarter circle in the length bound; few save time."""
+"""Number of chords per quarter circle in the length bound, small to save time."""
 _ROUNDING_M = 1e-9
 """Tolerance for lines along the boundary of the free space, m."""
 
@@ -43,30 +43,32 @@ def is_disconnected(start: Pose, goal: Goal, world: World, clearance: float) -> 
 
     Args:
         start: start pose.
-        goal: goal; the path may end anywhere within its radius.
+        goal: goal, within whose radius the path may end anywhere.
         world: obstacles and bounds.
-        clearance: `Footprint.narrowest`, m.
+        clearance: minimum distance of an edge from the path (`Footprint.narrowest`), m.
     """
     return _free_component(start, goal, world, clearance, _FINE_CHORDS) is None
 
 
 def min_path_length(start: Pose, goal: Goal, world: World, clearance: float) -> float:
-    """Return a lower bound on the length of any path, m; infinite if there is no path.
+    """Return a lower bound on the length of any path, m.
+
+    The bound is infinite if no path exists.
 
     Args:
         start: start pose.
-        goal: goal; the path may end anywhere within its radius.
+        goal: goal, within whose radius the path may end anywhere.
         world: obstacles and bounds.
-        clearance: `Footprint.narrowest`, m.
+        clearance: minimum distance of an edge from the path (`Footprint.narrowest`), m.
     """
     import shapely
 
     component = _free_component(start, goal, world, clearance, _COARSE_CHORDS)
     if component is None:
         return math.inf
-    # This is A* on the visibility graph, since shortest lines bend only at corners of
-    # the free space. Visibility is tested late, when a line reaches the front of the
-    # queue.
+    # A shortest line bends only at corners of the free space, so the algorithm is A* on
+    # the visibility graph. The visibility of a line is tested only when the line reaches
+    # the front of the queue.
     free = component.buffer(_ROUNDING_M, join_style="mitre")
     shapely.prepare(free)
     corners = np.array(
@@ -114,16 +116,13 @@ def _reflex_corners(polygon: shapely.Polygon) -> list[tuple[float, float]]:
 def _free_component(
     start: Pose, goal: Goal, world: World, clearance: float, chords: int
 ) -> shapely.Polygon | None:
-    """Return the component of the free space that contains start and goal.
-
-    The result is None if start and goal are in different components.
-    """
+    """Return the component of the free space with start and goal, or None."""
     import shapely
 
     here = shapely.Point(start.x, start.y)
     there = shapely.Point(goal.x, goal.y)
-    # The polygons contain the discs around both ends, because the free space must not
-    # be too small.
+    # The factor makes the polygons contain the discs around both ends, because the free
+    # space must not be too small.
     around = 1 / math.cos(math.pi / (4 * chords))
     ends = [
         here.buffer(2 * clearance * around, quad_segs=chords),

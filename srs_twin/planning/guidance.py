@@ -1,16 +1,16 @@
 """Guidance of the search in cluttered worlds: grid distances and narrow passages.
 
-The first search uses the Dubins length as heuristic, which ignores obstacles. If it
-does not succeed at once, a second tree also uses
+The first search uses the Dubins length as heuristic, which ignores obstacles. If the
+first search does not succeed at once, a second tree also uses
 
-- the distance to the goal on a grid around obstacles. This is an estimate and not a
-  lower bound. Grid paths are up to 8 % longer than straight lines, and passages
-  narrower than a cell may be missing or too wide. Therefore the tree finds some path
-  quickly, not necessarily the shortest.
+- the distance to the goal on a grid around obstacles. This estimate is not a lower
+  bound, because grid paths are up to 8 % longer than straight lines. Passages narrower
+  than a cell may be missing or too wide. Therefore the tree finds some path quickly,
+  but not necessarily the shortest path.
 - entry poses of narrow passages. Poses on arcs of fixed length rarely hit a passage
   that is hardly wider than the body. At the centre of a passage, two obstacles have
   their shortest distance, and no other obstacle is nearer. The tree tries Dubins paths
-  to an entry pose far enough ahead for the last transient to end.
+  to an entry pose so far ahead of the centre that the last transient ends before it.
 """
 
 from __future__ import annotations
@@ -40,22 +40,22 @@ _ENTRY_CLEARANCE_M = 1e-3
 """Distance from the head to the narrowest point when the straight path begins, m."""
 
 _ROUND_CLEARANCE = 0.3
-"""Additional distance in body widths, because round obstacles narrow the approach."""
+"""Additional distance from round obstacles, which narrow the approach, in body
+widths."""
 
 _DISTANCE_TOLERANCE_M = 1e-6
-"""Distances closer than this count as equal, m."""
+"""Difference below which two distances count as equal, m."""
 
 _MIN_SPACING = 0.1
-"""Distance, in body widths, below which two passages count as one."""
+"""Distance below which two passages count as one, in body widths."""
 
 
 class GridHeuristic(NamedTuple):
     """Distance to the goal on a grid.
 
     Attributes:
-        distance: distance from each cell to the goal, m, shape (columns, rows), x
-            first. It is infinite without a path. The array is empty without a
-            heuristic.
+        distance: distance from each cell to the goal, m, shape (columns, rows). The
+            distance is infinite without a path. The array is empty without a heuristic.
         west: x of the grid's left edge, m.
         south: y of the grid's lower edge, m.
         cell: cell size, m.
@@ -73,7 +73,7 @@ NO_HEURISTIC = GridHeuristic(np.empty((0, 0)), 0.0, 0.0, 1.0)
 
 @compiled
 def grid_distance(heuristic, x, y):  # type: ignore[no-untyped-def]
-    """Return the grid distance of a position from the goal, m; 0 if unknown."""
+    """Return the grid distance from a position to the goal, or 0 if unknown, m."""
     column = int(np.floor((x - heuristic.west) / heuristic.cell))
     row = int(np.floor((y - heuristic.south) / heuristic.cell))
     if (
@@ -93,12 +93,12 @@ def grid_heuristic(
     """Return the distances to a goal for points that keep a clearance from obstacles.
 
     Args:
-        goal: goal.
+        goal: goal of the path.
         start: pose that the grid must contain.
         world: obstacles and bounds.
-        clearance: clearance, m.
-        margin: width of the grid beyond obstacles, start and goal in a world without
-            bounds, m.
+        clearance: minimum distance from obstacles, m.
+        margin: distance by which the grid of a world without bounds extends beyond
+            obstacles, start and goal, m.
     """
     from scipy.sparse.csgraph import dijkstra
 
@@ -112,7 +112,7 @@ def grid_heuristic(
     row = int((goal.y - south) / cell)
     column = min(column, len(x) - 1)
     row = min(row, len(y) - 1)
-    # The search starts at the goal, so that it gives the distances of all cells.
+    # The search starts at the goal, because it then gives the distances of all cells.
     distance = dijkstra(
         _grid_graph(free, cell), directed=False, indices=column * len(y) + row
     )
@@ -189,11 +189,11 @@ def find_passages(world: World, body: Footprint) -> np.ndarray:
 
     Args:
         world: obstacles and bounds.
-        body: snake footprint.
+        body: footprint of the snake.
 
     Returns:
-        x, y (m) and heading (rad) of the entry pose, and length of the straight path
-        through the passage (m), shape (n, 4).
+        Entry pose x, y (m) and heading (rad), and length of the straight path through
+        the passage (m), shape (n, 4).
     """
     straight = body.at(0.0)
     width = straight.left + straight.right
@@ -207,9 +207,9 @@ def _gap_centres(world: World, width: float) -> list[tuple[list[float], list[flo
     ends, radii = _thick_lines(world)
     if len(ends) < 2:
         return []
-    circles = len(
-        world.obstacles
-    )  # as points: shapely has no distance from a line without length
+    # Circles are points, because shapely computes no distance from a line without
+    # length.
+    circles = len(world.obstacles)
     lines = np.concatenate(
         [shapely.points(ends[:circles, 0]), shapely.linestrings(ends[circles:])]
     )
@@ -234,8 +234,8 @@ def _gap_centres(world: World, width: float) -> list[tuple[list[float], list[flo
     normal = across / distance[:, None]
     centre = near[:, 0] + normal * (radii[one[kept]] + gap / 2)[:, None]
     points = shapely.points(centre)
-    # Pairs with another obstacle between them are dropped, and so are those inside a
-    # polygon.
+    # A pair is dropped if another obstacle is between the two obstacles, or if the
+    # centre is inside a polygon.
     at, obstacle = tree.query(points, predicate="dwithin", distance=gap / 2 + largest)
     nearer = (
         shapely.distance(points[at], lines[obstacle]) - radii[obstacle]
@@ -245,8 +245,8 @@ def _gap_centres(world: World, width: float) -> list[tuple[list[float], list[flo
     is_open = ~(
         np.isin(np.arange(len(gap)), at[nearer]) | shapely.contains(solid, points)
     )
-    # The passages are sorted by width, so that the narrowest of several close passages
-    # is kept.
+    # The passages are sorted by width, because only the narrowest of several close
+    # passages is kept.
     ordered = sorted(
         zip(
             gap[is_open],
@@ -277,8 +277,8 @@ def _entry_poses(
     straight = body.at(0.0)
     transient = max((change.length for change in body.transients), default=0.0)
     width = straight.left + straight.right
-    # The middle of the body follows the middle of the passage, unlike the centre of
-    # mass.
+    # The middle between the edges, and not the centre of mass, follows the middle of
+    # the passage.
     lateral = (straight.right - straight.left) / 2
     ahead = body.ahead + _ENTRY_CLEARANCE_M
     passages: list[tuple[float, float, float, float]] = []
