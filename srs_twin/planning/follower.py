@@ -298,7 +298,7 @@ class Follower(Controller):
         super().load_state_dict(memory)
 
     def signals(self) -> dict[str, Any]:
-        """Return the signals of gait and follower, which are NaN before the first frame."""
+        """Return the signals of gait and follower, NaN before the first frame."""
         pose, point = self._position
         return self.gait.signals() | {
             "offset_commanded": self._commanded,
@@ -317,9 +317,7 @@ class Follower(Controller):
         return events
 
     def describe(self) -> dict[str, object]:
-        """Return the description of the gait, extended by plans, footprint, world and
-        ending.
-        """
+        """Return the description of the gait with plans, world and ending."""
         goal = asdict(self.goal)
         conditions = asdict(self.conditions)
         return self.gait.describe() | {

@@ -116,10 +116,11 @@ class Footprint:
         ahead: float = 0.0,
         behind: float = 0.0,
     ) -> Footprint:
-        """Return the box of the dissertation, which has a constant width (Fig. 54, Table 9).
+        """Return the box of the dissertation with a constant width (Fig. 54, Table 9).
 
         In turns the box is shifted outward, because the inner edge approaches the path
-        while the outer edge hardly moves (Table 8).
+        while the outer edge hardly moves (Table 8). The box of the dissertation has no
+        length.
 
         Args:
             width: distance between the edges, m.
@@ -127,10 +128,8 @@ class Footprint:
             speed: speed of the centre of mass, m/s.
             curvature: curvature of the tightest turn, 1/m.
             offset: offset of the tightest turn.
-            ahead: distance from the centre of mass to the head, m. In the dissertation
-                it is 0.
-            behind: distance from the centre of mass to the tail, m. In the dissertation
-                it is 0.
+            ahead: distance from the centre of mass to the head, m.
+            behind: distance from the centre of mass to the tail, m.
         """
         half = width / 2
         wide = half + shift
@@ -159,9 +158,7 @@ class Footprint:
 
     @property
     def backward(self) -> Footprint:
-        """Footprint without transients for travel along the paths in the opposite
-        direction.
-        """
+        """Footprint without transients for travel in the opposite direction."""
         return replace(
             self,
             offsets=tuple(-value for value in reversed(self.offsets)),
@@ -274,8 +271,8 @@ class Footprint:
             if t.dheading * step < 0:
                 delay = -t.dheading / step
                 moment = 2 * t.dy / step
-                # An arc shorter than its delay would have a curvature κ_t (defined in
-                # `planner`) of the wrong sign.
+                # The curvature of an arc shorter than its delay would change in the
+                # wrong direction (κ_t in `planner`).
                 known.setdefault(size, []).append((delay, max(moment / delay, delay)))
         if not known:
             return 0.0, 0.0

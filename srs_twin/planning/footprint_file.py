@@ -108,7 +108,7 @@ class ConditionsFile(StrictModel):
         return self
 
     def covers(self, other: ConditionsFile) -> bool:
-        """Return whether results under these conditions are bounds for other conditions.
+        """Return whether results under these conditions are bounds for others.
 
         Plant, contact, chambers, follower and run-up must agree, and no number of the
         other conditions may make following more difficult.

@@ -1,4 +1,4 @@
-"""Metrics of runs that follow a plan: deviation, excursions, arrival and contacts."""
+"""Metrics of runs that follow a plan: deviations, excursions, arrival and contacts."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from srs_twin.planning.path import Segment
 
 PLAN_UNITS = units_of(("plan_found", "plan_length_m", "plan_nodes", "plan_kink_rad"))
-"""Metrics of a plan without a run."""
+"""Units of the metrics of a plan without a run."""
 
 PLANNING_UNITS = PLAN_UNITS | units_of(["plan_s"])
-"""Metrics of planning without a run, including its wall time."""
+"""Units of the metrics of a plan without a run, including the wall time of planning."""
 
 _MEANINGS = {
     "plan_found": "1 if a path was found, else 0",
@@ -52,18 +52,19 @@ _MEANINGS = {
 """Meanings of the metrics of a run that follows a plan."""
 
 FOLLOWING_UNITS = units_of(_MEANINGS)
-"""Metrics of a run that follows a plan."""
+"""Units of the metrics of a run that follows a plan."""
 
 DISSERTATION_HALF_WIDTH_M = 0.025
-"""Half the width of the box of Section 5.2, m."""
+"""Half the width of the box of the dissertation (Section 5.2), m."""
 DISSERTATION_SHIFT_M = 0.01
 """Shift of the dissertation's box in the tightest turn, m."""
 DISSERTATION_TIGHTEST = math.pi / 3 / 0.2
-"""Curvature of the tightest turn of Section 5.2, 60 degrees in 0.2 m, 1/m."""
+"""Curvature of the tightest turn of Section 5.2, which turns 60 degrees in 0.2 m,
+1/m."""
 
 
 def following(trajectory: Trajectory) -> Mapping[str, Any] | None:
-    """Return the metadata of a follower, or None for a run without one."""
+    """Return the metadata of a follower, or None for a run without a follower."""
     control = trajectory.metadata.get("control")
     if isinstance(control, Mapping):
         metadata = control.get("following")
@@ -79,8 +80,8 @@ class Leg:
     """Part of a run under one plan.
 
     Attributes:
-        samples: trajectory samples.
-        segments: plan segments.
+        samples: samples of the trajectory during this part.
+        segments: path of the plan.
     """
 
     samples: slice
@@ -88,7 +89,7 @@ class Leg:
 
 
 def legs(trajectory: Trajectory) -> Iterator[Leg]:
-    """Yield the parts of a run under each of its plans that has a path."""
+    """Yield the part of a run under each plan that has a path."""
     metadata = following(trajectory)
     plans = metadata["plans"] if metadata else []
     begins = [
@@ -129,18 +130,18 @@ def footprint_of(metadata: Mapping[str, Any]) -> Footprint:
 
 
 def following_metrics(trajectory: Trajectory) -> dict[str, float | None]:
-    """Return the metrics of a run that followed a plan; all are None for other runs.
+    """Return the metrics of a run that followed a plan, which are None for other runs.
 
     The following metrics refer to the current plan at each sample:
 
-    - ``cross_track_rms_m``, ``cross_track_max_m``: distance of the centre of mass from
-      the path.
+    - ``cross_track_rms_m`` and ``cross_track_max_m``: distance of the centre of mass
+      from the path.
     - ``inside_share``: fraction of samples at which the whole body is between the edges
       of the planned footprint. Connectors and middles of segments represent the body,
-      with half the width to both sides. The path continues straight beyond its ends,
-      where head or tail may be.
-    - ``inside_50mm_share``: fraction of samples inside the 50 mm box of the
-      dissertation.
+      with half the body width to both sides. The path is extended by straight lines for
+      head and tail.
+    - ``inside_50mm_share``: fraction of samples at which the body is inside the 50 mm
+      box of the dissertation.
 
     Metrics at the end of the run:
 
@@ -149,12 +150,12 @@ def following_metrics(trajectory: Trajectory) -> dict[str, float | None]:
       analytical plant.
     - ``arrival_error_m``: distance of the centre of mass from the goal.
     - ``arrival_heading_error_rad``: error of the heading, averaged over a gait period
-      and extrapolated to the end; None without an arrival heading.
+      and extrapolated to the end. It is None for a goal without a heading.
 
     Metrics of the whole run:
 
-    - ``following_time_s``: duration; ``replans``: number of new plans; ``plan_…``:
-      metrics of the first plan.
+    - ``following_time_s`` is the duration and ``replans`` the number of new plans.
+      Metrics with the prefix ``plan_`` describe the first plan.
     """
     metadata = following(trajectory)
     if metadata is None:
@@ -245,10 +246,9 @@ def _deviation(
 
 
 def beyond(trajectory: Trajectory) -> np.ndarray:
-    """Return the distance of the body beyond the planned footprint's edges, m.
+    """Return the distance of the body beyond the planned footprint, m.
 
-    The distance has shape (samples,) and is negative inside the edges, as for
-    `inside_share`.
+    The distance has shape (samples,) and is negative inside the edges.
     """
     metadata = following(trajectory)
     assert metadata is not None, "a run that followed a plan"
@@ -285,7 +285,7 @@ def _path_deviations(
         )
         curvature = np.array([a.curvature for a in leg.segments])
         ends = np.cumsum([a.length for a in leg.segments])
-        # Beyond its end the path continues straight, with curvature 0.
+        # The straight extension beyond the end of the path has the curvature 0.
         here = np.append(curvature, 0.0)[np.searchsorted(ends, s)]
         yield (
             path.coordinates(trajectory.com[leg.samples])[1],
@@ -295,7 +295,7 @@ def _path_deviations(
 
 
 def body_points(trajectory: Trajectory) -> np.ndarray:
-    """Return points beside connectors and the middles of segments, m.
+    """Return points on both sides of connectors and middles of segments, m.
 
     The array has shape (samples, k, 2).
     """
@@ -309,10 +309,10 @@ def centre_points(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     position = trajectory.position
     theta = trajectory.stack("theta")
     chord = position[:, :-1] - position[:, 1:]
-    # Positive bends turn the head end to the left, see the glossary.
+    # A positive bend turns the head end to the left, as the glossary defines.
     bend = np.diff(-theta, axis=1)
-    # The distance of the middle of an arc from its chord is chord · tan(bend/4)/2, to
-    # the outside of the bend.
+    # The middle of an arc is on the outside of the bend, at the distance
+    # chord · tan(bend/4)/2 from the chord.
     sagitta = np.tan(np.clip(bend, -3.0, 3.0) / 4)[..., None] / 2
     middle = (position[:, :-1] + position[:, 1:]) / 2 + sagitta * np.stack(
         [chord[..., 1], -chord[..., 0]], -1
@@ -324,7 +324,7 @@ def centre_points(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _why_undefined(metric: str, trajectory: Trajectory) -> str:
-    """Return why a metric is undefined, or "" if None describes the outcome."""
+    """Return why a metric is undefined, or "" if None is its proper value."""
     if following(trajectory) is None:
         return "the run follows no plan"
     if metric == "arrival_heading_error_rad":

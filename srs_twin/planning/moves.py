@@ -1,4 +1,4 @@
-"""Moves of a search: arcs with edges that are widened by transients, and short cuts."""
+"""Moves of a search: arcs with transients, which widen the edges, and short cuts."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ Wide turns have small transients.
 _SHORTENING_ROUNDS = 4
 """Maximum number of shortening rounds."""
 _MIN_SAVING = 1e-4
-"""Saved fraction of the path length below which shortening ends."""
+"""Fraction of the path length below which a saving ends the shortening."""
 _RETREAT = 0.97
 """Ratio of the distances of successive tries.
 
-The number of tries grows only with the logarithm of the distance.
+With this ratio the number of tries grows only with the logarithm of the distance.
 """
 
 
@@ -50,12 +50,12 @@ class MoveSet(NamedTuple):
         primitives: indices of the curvatures that lead to a node's children, shape
             (m,).
         radius_factors: turning radii of the tested Dubins paths relative to the minimum
-            radius, shape (k,), starting with 1.
+            radius, shape (k,). The first factor is 1.
         dubins_moves: indices of right turn, straight line and left turn for each
             factor, shape (k, 3).
         length: primitive length, m.
-        ahead: extent of the body ahead of the centre of mass, m.
-        behind: extent of the body behind the centre of mass, m.
+        ahead: distance from the centre of mass to the head, m.
+        behind: distance from the centre of mass to the tail, m.
     """
 
     curvatures: np.ndarray
@@ -71,11 +71,11 @@ class MoveSet(NamedTuple):
 
 
 class ArcState(NamedTuple):
-    """End of an arc, with the transient of the last changes of offset.
+    """State at the end of an arc, with the transient of the last offset changes.
 
     Attributes:
-        x: position, m.
-        y: position, m.
+        x: x coordinate, m.
+        y: y coordinate, m.
         heading: heading, rad.
         move: index of the curvature of the arc, or the number of curvatures at the
             start.
@@ -101,12 +101,13 @@ def make_move_set(primitives: Primitives, footprint: Footprint) -> MoveSet:
     """
     right, left = footprint.tightest
     both = min(right, left)
-    # The footprint refuses curvatures beyond its range.
+    # The method `at` raises an error if a primitive is too tight for the footprint.
     for tightest in primitives.curvatures[[0, -1]]:
         footprint.at(float(tightest))
     own = [*primitives.curvatures, -right, -both, 0.0, both, left]
     wide = [side * both / factor for factor in _RADIUS_FACTORS for side in (-1, 1)]
-    # Rounding merges equal curvatures, and clipping keeps them within the footprint.
+    # Rounding merges equal curvatures. Clipping keeps the rounded values within the
+    # range of the footprint.
     curvatures = np.unique(np.round([*own, *wide], 12))
     curvatures = np.clip(curvatures, -right, left)
     rows = [footprint.at(float(k)) for k in curvatures]
@@ -140,11 +141,11 @@ def initial_state(x, y, heading, moves):  # type: ignore[no-untyped-def]
 
 @compiled
 def follow_dubins_path(state, path, factor, moves, grid):  # type: ignore[no-untyped-def]
-    """Return whether a path of `dubins.dubins_path` is free, and its final arc state.
+    """Return whether a Dubins path is free, and the arc state at its end.
 
     Args:
         state: initial arc state.
-        path: Dubins path.
+        path: path as returned by `dubins.dubins_path`.
         factor: index of the turning radius in `MoveSet.radius_factors`.
         moves: arcs that the snake can follow.
         grid: obstacles and bounds.
@@ -179,13 +180,13 @@ def follow_arc(state, move, length, moves, grid):  # type: ignore[no-untyped-def
     right = change[1]
     lasting = change[2]
     if state.lasting > 0:
-        # Overlapping transients combine to the larger width and length.
+        # Of two overlapping transients, the larger width and length apply.
         left = max(state.left, left)
         right = max(state.right, right)
         lasting = max(state.lasting, lasting)
     curvature = moves.curvatures[move]
     steady = Extent(moves.ahead, moves.behind, moves.left[move], moves.right[move])
-    # The edges are wider on the first part of the arc only.
+    # Only the first part of the arc has wider edges.
     first = min(lasting, length)
     free = True
     if first > 0:
@@ -211,7 +212,7 @@ def shorten_path(
         path: collision-free path, with curvatures of the moves.
         moves: arcs that the snake can follow.
         grid: obstacles and bounds.
-        radius: turning radius, m.
+        radius: turning radius of the short cuts, m.
     """
     arcs = [(c, length) for c, length in path if length > 0]
     indices = np.array(
@@ -220,8 +221,8 @@ def shorten_path(
     lengths = np.array([length for _, length in arcs])
     for turn in range(_SHORTENING_ROUNDS):
         before = math.fsum(lengths)
-        # The path is divided more finely in each round, so that short cuts can begin
-        # and end at other poses.
+        # Each round divides the path more finely, so that short cuts can begin and end
+        # at other poses.
         counts = np.ceil(lengths * (2 + turn) / radius).astype(np.int64)
         pieces = np.repeat(indices, counts), np.repeat(lengths / counts, counts)
         indices, lengths = _cut_corners(*start, *pieces, moves, grid, radius)
@@ -236,7 +237,8 @@ def _cut_corners(x, y, heading, indices, lengths, moves, grid, radius):  # type:
     count = len(indices)
     state = initial_state(x, y, heading, moves)
     distances = np.zeros(count + 1)
-    states = [state]  # arc states of the original path, at the ends of its pieces
+    # The list contains the arc states at the ends of the pieces of the original path.
+    states = [state]
     for k in range(count):
         _, state = follow_arc(state, indices[k], lengths[k], moves, grid)
         states.append(state)
@@ -262,13 +264,13 @@ def _cut_corners(x, y, heading, indices, lengths, moves, grid, radius):  # type:
             )
             if path.length < distances[last] - distances[k] - 1e-9:
                 free, end = follow_dubins_path(state, path, 0, moves, grid)
-                # The transient of the last change also widens the edges on the
-                # following path.
+                # The last transient of the short cut also widens the edges on the rest
+                # of the path.
                 if free and _stays_free(
                     end, last, indices, lengths, states, moves, grid
                 ):
                     break
-            # Nearer poses are tried in steps that shrink with the distance.
+            # The next try is at a nearer pose, with steps that shrink with the distance.
             last = k + min(last - k - 1, int(_RETREAT * (last - k)))
         if last > k:
             for piece in range(3):
@@ -297,7 +299,7 @@ def _append_arc(indices, lengths, size, move, length):  # type: ignore[no-untype
 
 @allocating
 def _stays_free(state, k, indices, lengths, states, moves, grid):  # type: ignore[no-untyped-def]
-    """Return whether the path from piece k on stays free after another arc state."""
+    """Return whether the path from piece k on is free after a changed arc state."""
     while k < len(indices):
         original = states[k]
         covered = (

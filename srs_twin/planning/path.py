@@ -1,8 +1,8 @@
-"""Paths of arcs, and path coordinates relative to them.
+"""Paths of arcs, and path coordinates relative to a path.
 
-The coordinate s is the position along the path from its start, and n the distance to
-the left, m (see `arcs`). Straight lines extend the path at both ends, because the body
-reaches beyond the centre of mass.
+The coordinate s (m) is the position along the path from its start. The coordinate n (m)
+is the distance to the left (see `arcs`). Straight lines extend the path at both ends,
+because the body reaches beyond the centre of mass.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from srs_twin.planning.footprint import Footprint
 from srs_twin.robot.world import Pose
 
 EXTENSION_M = 2.0
-"""Length of the straight extensions, m, longer than any body."""
+"""Length of the straight extensions, longer than any body, m."""
 
 
 @dataclass(frozen=True)
@@ -28,10 +28,10 @@ class Segment:
     """Arc of a plan.
 
     Attributes:
-        start: pose of the centre of mass at the start.
+        start: initial pose of the centre of mass.
         curvature: curvature, positive to the left, 1/m.
         length: arc length, m.
-        offset: gait offset that follows the curvature.
+        offset: gait offset that produces the curvature.
         speed: speed of the centre of mass, m/s.
     """
 
@@ -42,19 +42,19 @@ class Segment:
     speed: float
 
     def pose(self, length: float) -> Pose:
-        """Return the pose after a length (m)."""
+        """Return the pose after a length (m) of the segment."""
         return Pose(*map(float, arc_end(*self.start, self.curvature, length)))
 
     @property
     def end(self) -> Pose:
-        """Pose at the end."""
+        """Pose at the end of the segment."""
         return self.pose(self.length)
 
 
 def make_segment(
     start: Pose, curvature: float, length: float, footprint: Footprint
 ) -> Segment:
-    """Return an arc with the offset and speed that belong to its curvature."""
+    """Return an arc with the offset and speed of its curvature in the footprint."""
     row = footprint.at(curvature)
     return Segment(start, curvature, length, row.offset, row.speed)
 
@@ -66,7 +66,7 @@ def path_from_arcs(
 
     Args:
         start: start pose.
-        arcs: curvature (1/m) and length (m) of each arc; arcs without length are
+        arcs: curvature (1/m) and length (m) of each arc. Arcs without length are
             dropped.
         footprint: source of offsets and speeds.
     """
@@ -74,7 +74,7 @@ def path_from_arcs(
     for curvature, length in arcs:
         if length <= 0:
             continue
-        # A difference of 1e-12 1/m is a rounding error.
+        # Curvatures that differ by less than 1e-12 1/m differ by rounding errors only.
         if merged and math.isclose(merged[-1][0], curvature, abs_tol=1e-12):
             merged[-1][1] += length
         else:
@@ -125,7 +125,7 @@ def path_steps(
 
 
 class PathPoint(NamedTuple):
-    """Position s and n (m), with the path's heading (rad) and curvature (1/m)."""
+    """Position s and n (m), with heading (rad) and curvature (1/m) of the path."""
 
     s: float
     n: float
@@ -143,11 +143,7 @@ class ReferencePath:
     """
 
     def __init__(self, segments: Sequence[Segment]) -> None:
-        """Prepare the lookup.
-
-        Args:
-            segments: arcs of a plan, at least one.
-        """
+        """Prepare the lookup for at least one segment."""
         first = segments[0].start
         last = segments[-1].end
         before = (
@@ -176,20 +172,20 @@ class ReferencePath:
     def nearest(
         self, x: float, y: float, low: float = -EXTENSION_M, high: float = math.inf
     ) -> PathPoint:
-        """Return the path coordinates of a point, with s in a range, m."""
+        """Return the path coordinates of a point, with s between two limits, m."""
         return PathPoint(*map(float, _nearest(x, y, self.arcs, low, high)))
 
     def coordinates(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return s and n of points of shape (k, 2), m, shape (k,) each."""
+        """Return s and n (m), each of shape (k,), for points of shape (k, 2), m."""
         rows = _nearest_of_all(np.ascontiguousarray(points, dtype=float), self.arcs)
         return rows[:, 0], rows[:, 1]
 
     def curvature(self, s: float) -> float:
-        """Return the curvature at s (m), 1/m, which is 0 on the extensions."""
+        """Return the curvature (1/m) at s (m), which is 0 on the extensions."""
         return float(self.arcs[self._arc_index(s), 3])
 
     def pose(self, s: float) -> Pose:
-        """Return the pose at s (m)."""
+        """Return the pose of the path at s (m)."""
         x, y, heading, curvature, begin, _ = self.arcs[self._arc_index(s)]
         return Pose(*map(float, arc_end(x, y, heading, curvature, s - begin)))
 
@@ -212,14 +208,14 @@ def _nearest(x, y, arcs, low, high):  # type: ignore[no-untyped-def]
         last = min(length, high - begin)
         if first > last:
             continue
-        # Transform the point to the frame of the arc's start.
+        # The formula needs the point in the frame at the start of the arc.
         c = np.cos(arcs[k, 2])
         sn = np.sin(arcs[k, 2])
         dx = x - arcs[k, 0]
         dy = y - arcs[k, 1]
         n, s = path_coordinates(c * dx + sn * dy, c * dy - sn * dx, curvature)
-        # The formula gives s between -π/|κ| and π/|κ|, so a full turn is added on arcs
-        # of more than half a turn.
+        # The formula gives s between -π/|κ| and π/|κ|. On an arc of more than half a
+        # turn, a negative s may therefore need an additional full turn.
         if s < 0 and curvature != 0 and s + 2 * np.pi / abs(curvature) <= last:
             s += 2 * np.pi / abs(curvature)
         s = min(max(s, first), last)

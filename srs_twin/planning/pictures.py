@@ -51,10 +51,10 @@ def segment_points(
     """Return points along a segment, about a centimetre apart, m, shape (n, 2).
 
     Args:
-        segment: plan segment.
+        segment: segment of a plan.
         offset: distance of the points to the left of the segment, m.
-        behind: extension before the start, m.
-        ahead: extension beyond the end, m.
+        behind: length of the extension before the start, m.
+        ahead: length of the extension beyond the end, m.
     """
     low = -behind
     high = segment.length + ahead
@@ -76,10 +76,10 @@ def following_plot(
 ) -> Figure | None:
     """Plot a plan with the paths and bodies of the runs, or return None without a plan.
 
-    The first plan is the same for all runs. Later plans of each run are thin lines.
+    All runs have a common first plan. Later plans of each run are thin lines.
 
     Args:
-        trajectories: run of each plant.
+        trajectories: trajectory of each plant.
         spec: simulated robot.
     """
     followers = {
@@ -126,7 +126,7 @@ def _sheet(
 ) -> tuple[Figure, Axes]:
     figure, (axes,) = panels(6.0)
     for segment in segments:
-        # Footprints are drawn first, so that obstacles that they touch remain visible.
+        # The footprint is drawn first, so that it does not hide obstacles.
         axes.add_patch(
             Polygon(
                 _band(segment, footprint),

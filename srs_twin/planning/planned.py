@@ -1,4 +1,4 @@
-"""Plan of a scenario without a simulation, with its quality and its files."""
+"""Plan of a scenario without a simulation, with the path quality and the files."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ _ROUNDING = 1e-9
 """Length below which a distance counts as 0, m."""
 
 PLAN = "plan.json"
-"""File of the plan."""
+"""File name of the plan."""
 PICTURE = "plan.png"
-"""Picture of the plan."""
+"""File name of the picture of the plan."""
 _FILES = (PLAN, PICTURE)
 
 
@@ -34,8 +34,8 @@ class PathQuality:
 
     Attributes:
         length_over_least: length relative to the minimum length around the obstacles,
-            dimensionless; None if the minimum length is 0, because the start is within
-            the goal's radius.
+            dimensionless. It is None if the start is within the goal's radius, where
+            the minimum length is 0.
         clearance_m: clearance beyond the edges that must stay free, m.
     """
 
@@ -49,7 +49,7 @@ class ScenarioPlan:
 
     Attributes:
         scenario: planned scenario.
-        plan: plan.
+        plan: result of the planner.
         files: names of the written files, empty without an output folder.
     """
 
@@ -59,7 +59,7 @@ class ScenarioPlan:
 
     @cached_property
     def metrics(self) -> dict[str, float | None]:
-        """Metrics of the plan by name, as `srs-twin list metrics` describes them."""
+        """Metrics of the plan by name, as described by `srs-twin list metrics`."""
         return plan_metrics(self.plan.found, self.plan.segments, self.plan.expanded)
 
     @cached_property
@@ -113,7 +113,7 @@ def plan_scenario(
     Args:
         scenario: name or path of a scenario with a planner, or a loaded scenario.
         out: output folder, or None to write nothing.
-        set: values that override fields of the scenario, see `load_scenario`.
+        set: values that override scenario fields, as described in `load_scenario`.
 
     Raises:
         InputError: the scenario is not valid or has no planner, or start or goal is not

@@ -1,16 +1,16 @@
 r"""The function `plan`, and `plan_with_transitions` for paths with transition arcs.
 
-A transition arc replaces a jump of the curvature by the measured response to a change
-of offset. A change of curvature from κ_a to κ_b is not instant. The path turns by Δκ δ
-less than after an instant change (`Transient.dheading` = −Δκ δ), and is displaced by
-`Transient.dy` = Δκ m/2 to the side. To first order, one arc of length T and curvature
+A change of curvature from κ_a to κ_b = κ_a + Δκ is not instant, because the body responds
+gradually to a change of offset. The path turns by Δκ δ less than after an instant change
+(`Transient.dheading` = −Δκ δ), and is displaced by `Transient.dy` = Δκ m/2 to the side.
+To first order, one transition arc of length T and curvature
 
 $$ κ_t = κ_a + \Bigl(1 - \frac{δ}{T}\Bigr) Δκ, \qquad T = \frac{m}{δ}, $$
 
-has the same effect. If it begins δ before the planned change, the heading of the plan
-is unchanged and the path is displaced by Δκ (m − δ²)/2. Therefore the search aims at a
-goal that is displaced to the other side. A follower that sends each offset δ ahead
-keeps the body on the path.
+has the measured effect. If the arc begins δ before the planned change, the heading of
+the plan is unchanged and the path is displaced by Δκ (m − δ²)/2. Therefore the search
+aims at a goal that is displaced to the other side. A follower that sends each offset δ
+ahead keeps the body on the path.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ from srs_twin.planning.touch import narrowed, plan_with_touch
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 
 _WIDTH_STEPS = (0.1, 0.2, 0.4, 0.8, 1.6)
-"""Widths added to both edges for more clearance, in widths of the straight body."""
+"""Widths that are added to both edges for more clearance, in widths of the straight
+body."""
 _MAX_WIDER_NODES = 4000
 """Maximum number of nodes of the search for a wider body."""
 _COST_SPACING_M = 0.02
@@ -43,7 +44,7 @@ _COST_SPACING_M = 0.02
 _AIM_ITERATIONS = 6
 """Maximum number of corrections of the goal in `plan_with_transitions`."""
 _SHAPING_MARGINS_M = (0.0, 0.01, 0.02, 0.03)
-"""Widths added to both edges in turn, m.
+"""Widths that are added in turn to both edges, m.
 
 The path with transitions must be free with the original edges.
 """
@@ -107,16 +108,16 @@ def _cost(result: Plan, problem: Problem, width: float, weight: float) -> float:
     distance = np.full(len(points), np.inf)
     for _, core, radius in obstacle_shapes(problem.world):
         distance = np.minimum(distance, shapely.distance(points, core) - radius)
-    # The distance of the wider edge is used on both sides as a simple bound.
+    # As a simple bound, the wider edge is used on both sides.
     clearance = np.maximum(distance - np.maximum(steps.left, steps.right), 0.0)
     return float(np.dot(steps.lengths, 1 + weight * np.exp(-clearance / width)))
 
 
 @functools.cache
 def _compile() -> None:
-    """Load or compile the kernels, so that neither counts against a time limit."""
-    # The problem has obstacles in the way and a transient, because a straight path
-    # would not compile all kernels.
+    """Load or compile the kernels, so that they do not count against a time limit."""
+    # A straight path would not use all kernels, so the problem has obstacles in the way
+    # and a transient.
     circles = (Circle(0.6, 0.05, 0.1), Circle(1.7, 0.1, 0.1))
     square = Polygon(((1.1, -0.3), (1.2, -0.3), (1.2, 0.05), (1.1, 0.05)))
     world = World(circles, Bounds((-1.0, 4.0), (-2.0, 2.0)), polygons=(square,))
@@ -134,18 +135,19 @@ def with_transitions(
 ) -> tuple[Segment, ...]:
     """Return a path with transition arcs.
 
-    A change without room for an arc remains a jump.
+    If there is no room for an arc, the curvature still jumps.
 
     Args:
-        segments: path segments.
-        footprint: footprint with the transients; without any, the path is unchanged.
+        segments: segments of the path.
+        footprint: footprint with the transients. Without transients the path is
+            unchanged.
     """
     if not segments:
         return ()
     arcs: list[tuple[float, float]] = []
     remaining = segments[0].length
     for here, after in zip(segments, segments[1:], strict=False):
-        # See δ and T in the module docstring.
+        # The module docstring defines the delay δ and the length T.
         delay, length = footprint.lag(here.offset, after.offset)
         if length == 0 or delay > remaining or length - delay > after.length:
             delay = 0.0
@@ -176,7 +178,7 @@ def plan_with_transitions(
         Plan with the total nodes and time of all searches.
 
     Raises:
-        InputError: as `plan`.
+        InputError: the problem is refused by `plan`.
     """
     plans: list[Plan] = []
 
@@ -202,7 +204,7 @@ def _search_with_transitions(
     if not first.segments or not body.transients:
         return replace(first, segments=(*begin, *first.segments))
     checker = Checker(problem.world, body)
-    # A path that is not shortened stays farther from obstacles.
+    # A path that is not shortened keeps a larger distance from obstacles.
     for smooth, margin in product((True, False), _SHAPING_MARGINS_M):
         wide = replace(problem, footprint=body.reduced(margin=margin))
         aim = problem.goal
@@ -220,7 +222,8 @@ def _search_with_transitions(
                 if checker.is_path_free(path):
                     return replace(result, segments=path)
                 break
-            # Fixed-point iteration: the goal is displaced by the remaining error.
+            # This is a fixed-point iteration, which displaces the goal by the remaining
+            # error.
             aim = _corrected_aim(aim, problem.goal, end)
     reason = (
         f"{first.reason}; without transition arcs, because no path with them was free"

@@ -20,18 +20,20 @@ from srs_twin.robot.world import Goal, Pose, World
 from srs_twin.trajectory import HtmlResult
 
 _MAX_LEVELS = 5
-"""Maximum number of levels; the fifth has arcs 16 times shorter than the first."""
+"""Maximum number of levels. At the fifth level, arcs are 16 times shorter than at
+the first."""
 
 _MAX_COORDINATE_M = 2000.0
-"""Maximum coordinate of start and goal, m; the search's cell indices are limited."""
+"""Maximum coordinate of start and goal, because the search's cell indices are
+limited, m."""
 
 _KINK_ROUNDING = 1e-6
-"""Maximum heading jump that is a rounding error, rad."""
+"""Maximum heading jump that counts as a rounding error, rad."""
 
 
 @dataclass(frozen=True)
 class TouchLimits:
-    """Limits and cost of leaning on obstacles, see `touch`.
+    """Limits and cost of leaning on obstacles, as explained in `touch`.
 
     Attributes:
         hard: footprint whose edges must stay free of obstacles.
@@ -71,17 +73,18 @@ class Settings:
 
     Attributes:
         nodes: maximum number of expanded nodes.
-        seconds: limit on the wall time, s, or None for no limit. It is checked at least
-            every 16,000 nodes, and makes the result depend on the machine.
+        seconds: limit on the wall time, or None for no limit, s. The limit is checked
+            at least every 16,000 nodes. With a limit, the result depends on the
+            machine.
         weight: weight of the lower bound on the remaining length. With 1 the path is
-            the shortest; a larger weight expands fewer nodes, and the path is at most
+            the shortest. A larger weight expands fewer nodes, and the path is at most
             this many times longer.
-        levels: number of resolutions, 1 to 5; each halves the arcs and cells of the
-            previous resolution.
-        smooth: whether to shorten the path afterwards.
+        levels: number of resolutions, 1 to 5. Each level halves the arcs and cells of
+            the previous level.
+        smooth: whether to shorten the path after the search.
         clearance_weight: extra cost of one metre of path that touches an obstacle, m.
-            The cost falls by a factor e per body width of clearance. With a cost above
-            0, the search is repeated for wider bodies.
+            The cost falls by a factor e per body width of clearance. If it is above 0,
+            the search is repeated for wider bodies.
         improve: whether to continue at finer levels for a shorter path while the budget
             lasts.
         touch_limits: limits and cost of leaning on obstacles, or None to keep clear of
@@ -121,7 +124,7 @@ class Problem:
     """Start, goal, world and body of a planning problem.
 
     Attributes:
-        start: pose of the straight snake at the start.
+        start: initial pose of the straight snake.
         goal: goal of the centre of mass.
         world: obstacles and bounds.
         footprint: area that the body covers, and its tightest turns.
@@ -218,8 +221,8 @@ def _check_world(world: World) -> None:
 class Outcome(StrEnum):
     """Outcome of planning, explained by `Plan.reason`.
 
-    - FOUND: a collision-free path.
-    - NOT_FOUND: neither a path nor a proof, within the budget or at the tested poses.
+    - FOUND: a collision-free path was found.
+    - NOT_FOUND: the search found neither a path nor a proof that none exists.
     - PROVEN_IMPOSSIBLE: no path exists, because obstacles separate start and goal.
     """
 
@@ -230,17 +233,18 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True)
 class Plan(HtmlResult):
-    """Result of a planner, equal for equal problems on all machines.
+    """Result of a planner, which is identical for equal problems on all machines.
 
     Attributes:
         outcome: outcome of planning.
         reason: explanation of the outcome, with a remedy.
         segments: arcs of the path, empty unless a path was found.
         expanded: number of expanded nodes.
-        touches: parts of the path that lean on obstacles; None unless
-            `Settings.touch_limits` is set.
-        seconds: wall time, s; not compared.
-        problem: problem with the edges that must stay free; not compared.
+        touches: parts of the path that lean on obstacles, or None without
+            `Settings.touch_limits`.
+        seconds: wall time, which comparisons of plans ignore, s.
+        problem: problem with the edges that must stay free, which comparisons of plans
+            ignore.
     """
 
     page: ClassVar[str] = "plan"
@@ -279,14 +283,14 @@ class Plan(HtmlResult):
 
     @property
     def end(self) -> Pose | None:
-        """Pose at the end of the path; None without segments."""
+        """Pose at the end of the path, or None without segments."""
         if self.segments:
             return self.segments[-1].end
         return None
 
     @property
     def kink(self) -> float:
-        """Maximum heading jump between segments, rad; 0 for a path without jumps."""
+        """Maximum heading jump between segments, or 0 without jumps, rad."""
         pairs = zip(self.segments, self.segments[1:], strict=False)
         jumps = (
             abs(math.remainder(b.start.heading - a.end.heading, 2 * math.pi))
@@ -298,7 +302,7 @@ class Plan(HtmlResult):
         return 0.0
 
     def after(self, begin: tuple[Segment, ...]) -> Plan:
-        """Return the plan with additional segments before its path."""
+        """Return the plan with additional segments before the path."""
         done = math.fsum(segment.length for segment in begin)
         touches = self.touches and tuple(
             replace(touch, begin=touch.begin + done, end=touch.end + done)
@@ -307,7 +311,7 @@ class Plan(HtmlResult):
         return replace(self, segments=(*begin, *self.segments), touches=touches)
 
     def with_edges_of(self, problem: Problem) -> Plan:
-        """Return the plan with the offsets and speeds of another problem's body."""
+        """Return the plan with offsets and speeds for another problem's footprint."""
         arcs = [(segment.curvature, segment.length) for segment in self.segments]
         return replace(
             self, segments=path_from_arcs(problem.start, arcs, problem.footprint)

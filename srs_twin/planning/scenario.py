@@ -49,7 +49,7 @@ class PrimitivesFile(Section):
     constructors = (Primitives,)
 
     count: int = quantity(3, 201)
-    """Number N of arcs, odd."""
+    """Number N of arcs, which must be odd."""
     turn_rad: float = quantity(0.001, 3.14)
     """Maximum turn of an arc."""
     length_m: float = quantity(0.001, 100.0)
@@ -64,15 +64,15 @@ class PlannerSection(ExtensionSection):
     uses_goal = True
 
     footprint: PathOrName
-    """Footprint of the body: a shipped name or the path of a footprint file."""
+    """Footprint of the body, as a shipped name or the path of a footprint file."""
     turn_share: float = quantity(0.05, 1.0, 1.0)
-    """Fraction of the tightest curvature that plans use.
-    The follower needs the rest for corrections."""
+    """Fraction of the tightest curvature that plans use. The follower needs the rest
+    for corrections."""
     margin_m: float | None = quantity(0.0, 10.0, None)
     """Margin added to both edges of the footprint (default 0)."""
     margin_probability: float | None = quantity(0.5, 0.999, None)
-    """Probability that a whole run stays within the margin, from the excursions in the
-    footprint file. It replaces margin_m."""
+    """Probability that a whole run stays within the margin, which is then computed
+    from the excursions in the footprint file. It replaces margin_m."""
 
     @model_validator(mode="after")
     def _keys_agree(self) -> PlannerSection:
@@ -178,35 +178,36 @@ class BestFirstFile(PlannerSection):
     constructors = (Settings,)
 
     touch: Literal["allowed"] | None = None
-    """allowed: the path may lean on obstacles where the body can pass
-    (default: keep clear)."""
+    """With allowed, the path may lean on obstacles where the body can pass (default:
+    keep clear)."""
     run_up_m: float = quantity(0.0, 100.0, 0.0)
-    """Length of a straight run-up at the start of the path,
-    over which the gait becomes steady."""
+    """Length of a straight run-up at the start of the path, over which the gait
+    becomes steady."""
     primitives: PrimitivesFile | None = None
     """Motion primitives (default: chosen by the planner)."""
     kind: Literal["best_first"]
-    """Planner."""
+    """Kind of planner."""
     nodes: int = quantity(1, 100_000_000)
     """Maximum number of expanded nodes."""
     seconds: float | None = quantity(0.001, 3600.0, unit="s")
-    """Limit on the wall time (default: none).
-    With a limit, the result may differ between machines."""
+    """Limit on the wall time (default: none). With a limit, the result may differ
+    between machines."""
     weight: float = quantity(1.0, 100.0)
-    """Weight of the cost-to-go.
-    A value above 1 makes the search faster and the path longer."""
+    """Weight of the cost-to-go. A value above 1 makes the search faster and the path
+    longer."""
     levels: int = quantity(1, 5)
     """Number of resolutions to try."""
     clearance_weight: float = quantity(0.0, 100.0)
-    """Extra cost of a metre of path that touches an obstacle, in metres.
-    With a cost above 0, paths avoid obstacles."""
+    """Extra cost of a metre of path that touches an obstacle, in metres. With a cost
+    above 0, paths avoid obstacles."""
     smooth: bool = constructor_default()
-    """Shorten the path afterwards."""
+    """Whether to shorten the path after the search."""
     shape_changes: bool = False
-    """Plan with transition arcs instead of curvature jumps.
-    They are the measured response to changes of offset."""
+    """Whether to plan with transition arcs, which are the measured response to
+    changes of offset, instead of curvature jumps."""
     improve: bool = constructor_default()
-    """Continue at finer resolutions for a shorter path while the budget lasts."""
+    """Whether to continue at finer resolutions for a shorter path while the budget
+    lasts."""
 
     @model_validator(mode="after")
     def _leans_alone(self) -> BestFirstFile:
@@ -266,10 +267,10 @@ class BestFirstFile(PlannerSection):
 
 
 class GivenFile(PlannerSection):
-    """Given path, as in Fig. 56; obstacles are ignored."""
+    """Given path, as in Fig. 56. The path ignores obstacles."""
 
     kind: Literal["given"]
-    """Planner."""
+    """Kind of planner."""
     turns_rad: Annotated[tuple[Turn, ...], Field(min_length=1, max_length=1000)]
     """Turn of each step, positive to the left, rad, -3.14159 to 3.14159."""
     step_m: float = quantity(0.001, 100.0)
@@ -284,7 +285,7 @@ class GivenFile(PlannerSection):
     def find(
         self, problem: Problem, wider: float = 0.0, limits: TouchLimits | None = None
     ) -> Plan:
-        """See `PlannerSection.find`; obstacles are ignored."""
+        """See `PlannerSection.find`. The path ignores obstacles."""
         return Plan(
             Outcome.FOUND,
             "the path is given",
@@ -304,7 +305,7 @@ PLANNER_FILES: dict[str, type[PlannerSection]] = {
     get_args(section.model_fields["kind"].annotation)[0]: section
     for section in (BestFirstFile, GivenFile)
 }
-"""Section of each kind of planner."""
+"""Section class of each kind of planner."""
 
 
 @dataclass(frozen=True)
@@ -314,7 +315,7 @@ class ScenarioPlanner:
     Attributes:
         file: planner section.
         footprint: footprint of the robot with all its turns and without margin.
-        problem: start, goal, world, and the reduced footprint with margin.
+        problem: problem whose footprint has fewer turns and includes the margin.
         margin: footprint margin.
         touch_limits: limits of leaning on obstacles, or None to keep clear of them.
     """
@@ -326,7 +327,7 @@ class ScenarioPlanner:
     touch_limits: TouchLimits | None = None
 
     def plan(self) -> Plan:
-        """Return the plan, computed once for both plants and the report.
+        """Return the plan, which is computed only once for both plants and the report.
 
         Raises:
             InputError: start or goal is not possible.
@@ -340,7 +341,7 @@ class ScenarioPlanner:
 
     def plan_from(self, pose: Pose, share: float = 1.0) -> Plan:
         """Return a plan from another pose, with a fraction of the margin."""
-        # The gait is already steady, so a new plan needs no run-up.
+        # A new plan needs no run-up, because the gait is already steady.
         file = self.file.model_copy(update={"run_up_m": 0.0})
         body = validate_footprint(
             self.footprint.reduced(file.turn_share, share * self.margin.path)

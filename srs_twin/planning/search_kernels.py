@@ -1,11 +1,11 @@
 """Compiled kernels of the best-first search over arcs (hybrid A*).
 
-A node is a pose that is reached from the start by arcs. Its key is g + w h, where g is
-the length of the path so far, h the Dubins length to the goal at the tightest
-curvature, and w the weight. h is a lower bound on the remaining length, and along an
-arc it decreases by at most the arc's length. Therefore keys never decrease for w = 1.
-For w > 1 the path is at most w times as long as the shortest path on these arcs and
-cells.
+A node is a pose that is reached from the start by arcs. The key of a node is g + w h,
+where g is the length of the path so far, h the Dubins length to the goal at the
+tightest curvature, and w the weight. The length h is a lower bound on the remaining
+length, and along an arc it decreases by at most the arc's length. Therefore keys never
+decrease for w = 1. For w > 1 the path is at most w times as long as the shortest path
+on these arcs and cells.
 
 When a node is expanded, the Dubins path from the node to the goal is tested. If it is
 free, it completes a plan. The open list is a binary heap. The closed set is a hash
@@ -39,21 +39,21 @@ CONNECTED = 0
 ARRIVED = 1
 """Result of `expand` if a node is within the goal's tolerance."""
 PAUSED = 2
-"""Result of `expand` if the requested number of nodes is expanded."""
+"""Result of `expand` if the requested number of nodes has been expanded."""
 EXHAUSTED = 3
 """Result of `expand` if no node is open."""
 FULL = 4
 """Result of `expand` if the arrays are full."""
 
 _INDEX_BITS = 26
-"""Number of bits of a row or column in a cell's key; 11 bits are for the sector."""
+"""Number of bits for a row or a column in the key of a cell. The sector has 11 bits."""
 _INDEX_OFFSET = 1 << (_INDEX_BITS - 1)
 """Offset that makes rows and columns positive."""
 
 _COST_TOLERANCE = 1e-9
 """Minimum improvement of a path length that replaces a node, m."""
 _PASSAGE_INTERVAL = 4
-"""Interval at which narrow passages are tried, in expanded nodes.
+"""Number of expanded nodes after which narrow passages are tried again.
 
 A passage costs far more computing time than an arc.
 """
@@ -62,11 +62,11 @@ _PASSAGE_REACH = 6.0
 
 
 class Node(NamedTuple):
-    """Pose of a search.
+    """Pose of a search with the path length and the transient.
 
     Attributes:
-        x: position, m.
-        y: position, m.
+        x: x coordinate, m.
+        y: y coordinate, m.
         heading: heading, rad.
         cost: length of the path so far, m.
         bound: lower bound on the remaining length, m.
@@ -96,11 +96,11 @@ class Frontier(NamedTuple):
         links: parent (-1 for a root) and move from the parent, shape (capacity, 2).
         keys: keys in heap order, m, shape (capacity,).
         heap: nodes in heap order, shape (capacity,).
-        cells: cell key of each slot of the hash table, shape (slots,), where slots is a
-            power of 2.
+        cells: cell key of each slot of the hash table, shape (slots,). The number of
+            slots is a power of 2.
         owners: 1 + index of the node that represents the cell, or 0 for an empty slot,
             shape (slots,).
-        counts: created, open and expanded nodes, shape (3,).
+        counts: numbers of created, open and expanded nodes, shape (3,).
     """
 
     nodes: np.ndarray
@@ -114,7 +114,7 @@ class Frontier(NamedTuple):
 
 def empty_frontier(capacity: int) -> Frontier:
     """Return the state of a new search for up to `capacity` nodes."""
-    # At least twice as many slots as nodes keep probing short.
+    # With at least twice as many slots as nodes, few slots must be probed.
     slots = 1 << (2 * capacity - 1).bit_length()
     nodes = np.empty((capacity, len(Node._fields)))
     links = np.empty((capacity, 2), dtype=np.int32)
@@ -158,7 +158,7 @@ def push(frontier, node, key):  # type: ignore[no-untyped-def]
 
 @compiled
 def pop(frontier):  # type: ignore[no-untyped-def]
-    """Remove and return the node with the minimum key; the heap must not be empty."""
+    """Remove and return the node with the minimum key of a heap that is not empty."""
     keys = frontier.keys
     heap = frontier.heap
     frontier.counts[OPEN] -= 1
@@ -189,12 +189,12 @@ def cell_slot(frontier, x, y, heading, cell, sector):  # type: ignore[no-untyped
 
     Args:
         cell: cell size, m.
-        sector: heading width of a cell, rad; 2π is a multiple of it.
+        sector: heading width of a cell, by which 2π is divisible, rad.
     """
     row = np.int64(np.floor(x / cell)) + _INDEX_OFFSET
     column = np.int64(np.floor(y / cell)) + _INDEX_OFFSET
     turns = heading / (2 * np.pi)
-    # Wrap the heading to a full turn.
+    # The heading is wrapped to a full turn.
     layer = np.int64(np.floor((turns - np.floor(turns)) * 2 * np.pi / sector))
     return _key_slot(
         frontier, (layer << (2 * _INDEX_BITS)) | (row << _INDEX_BITS) | column
@@ -203,8 +203,8 @@ def cell_slot(frontier, x, y, heading, cell, sector):  # type: ignore[no-untyped
 
 @kernel_only
 def _key_slot(frontier, key):  # type: ignore[no-untyped-def]
-    # Fibonacci hashing multiplies by 2⁶⁴ divided by the golden ratio. The product may
-    # overflow.
+    # Fibonacci hashing multiplies by 2⁶⁴ divided by the golden ratio. An overflow of
+    # the product does no harm.
     last = frontier.cells.shape[0] - 1
     slot = ((key * np.int64(-7046029254386353131)) >> 20) & last
     while frontier.owners[slot] != 0 and frontier.cells[slot] != key:
@@ -224,15 +224,15 @@ class Target(NamedTuple):
     """Goal of a search.
 
     Attributes:
-        x: position, m.
-        y: position, m.
-        heading: heading, rad; ignored if `any_heading` is set.
+        x: x coordinate, m.
+        y: y coordinate, m.
+        heading: heading, ignored if `any_heading` is set, rad.
         any_heading: whether the arrival heading is free.
         radius: position tolerance, m.
         heading_tolerance: heading tolerance, rad.
-        bound_radius: turning radius for the lower bound, from the tightest turn to
-            either side, m.
-        dubins_radius: turning radius of the Dubins paths, possible to both sides, m.
+        bound_radius: minimum turning radius to either side, for the lower bound, m.
+        dubins_radius: turning radius of the Dubins paths, which is possible to both
+            sides, m.
     """
 
     x: float
@@ -250,14 +250,14 @@ class SearchSpec(NamedTuple):
 
     Attributes:
         moves: arcs that the snake can follow.
-        target: goal.
+        target: goal of the search.
         grid: obstacles and bounds.
         cell: side of a cell of poses, m.
-        sector: heading width of a cell, rad; 2π is a multiple of it.
+        sector: heading width of a cell, by which 2π is divisible, rad.
         weight: weight w of the lower bound.
-        heuristic: grid distances that may increase the key, or `guidance.NO_HEURISTIC`;
-            only the lower bound prunes nodes.
-        passages: entry poses and lengths of narrow passages, see
+        heuristic: grid distances that may increase the key, or `guidance.NO_HEURISTIC`.
+            Only the lower bound prunes nodes.
+        passages: entry poses and lengths of narrow passages, as returned by
             `guidance.find_passages`.
     """
 
@@ -293,7 +293,7 @@ def _path_to_goal(x, y, heading, target, radius):  # type: ignore[no-untyped-def
 
 @compiled
 def add_root(frontier, x, y, heading, spec):  # type: ignore[no-untyped-def]
-    """Add a start pose, unless its cell already has one."""
+    """Add a start pose, unless the cell of the pose already has one."""
     slot = cell_slot(frontier, x, y, heading, spec.cell, spec.sector)
     bound = lower_bound(x, y, heading, spec.target)
     if frontier.owners[slot] == 0:
@@ -304,12 +304,12 @@ def add_root(frontier, x, y, heading, spec):  # type: ignore[no-untyped-def]
 
 @compiled
 def expand(frontier, spec, best, count):  # type: ignore[no-untyped-def]
-    """Expand nodes until an event, and return the event (`CONNECTED` …) and its node.
+    """Expand nodes until an event such as `CONNECTED`; return the event and the node.
 
     Args:
-        frontier: state of the search, modified in place.
+        frontier: state of the search, which is modified in place.
         spec: search parameters.
-        best: length of the best plan so far, m; nodes that cannot lead to a shorter
+        best: length of the best plan so far, m. Nodes that cannot lead to a shorter
             plan are dropped.
         count: maximum number of nodes to expand.
     """
@@ -318,7 +318,7 @@ def expand(frontier, spec, best, count):  # type: ignore[no-untyped-def]
     while frontier.counts[OPEN] > 0:
         if frontier.counts[EXPANDED] >= until:
             return PAUSED, -1
-        # A node leaves the heap only if all its children fit into the arrays.
+        # A node may leave the heap only if all its children fit into the arrays.
         children = (
             moves.primitives.shape[0]
             + moves.dubins_moves.shape[0] * spec.passages.shape[0]
@@ -372,9 +372,10 @@ def _try_passages(frontier, node, spec, best):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _try_passage(frontier, node, passage, factor, spec, best):  # type: ignore[no-untyped-def]
-    """Add the child at the exit of a narrow passage if a Dubins path leads into it.
+    """Add the child at the exit of a narrow passage if a Dubins path leads to it.
 
-    Its move is −1 − passage n − factor, where n is the number of radius factors.
+    The move of the child is −1 − passage n − factor, where n is the number of radius
+    factors.
     """
     moves = spec.moves
     target = spec.target
@@ -452,7 +453,7 @@ def _arc_state(frontier, node, moves):  # type: ignore[no-untyped-def]
     at = _node(frontier, node)
     move = np.int64(frontier.links[node, 1])
     if move < 0:
-        # A passage ends straight.
+        # A passage ends with a straight line.
         move = np.int64(moves.dubins_moves[0, 1])
     return (
         ArcState(at.x, at.y, at.heading, move, at.left, at.right, at.lasting),

@@ -27,7 +27,8 @@ from srs_twin.planning.search_kernels import (
 from srs_twin.robot.world import Goal, Pose
 
 _INITIAL_CAPACITY = 4096
-"""Initial number of nodes, enough for easy problems. It is increased when needed."""
+"""Initial number of nodes, which is enough for easy problems and is increased when
+needed."""
 
 _BOUND_SLACK = 1e-6
 """Relative reduction of the turning radius for the lower bound.
@@ -39,12 +40,12 @@ where the Dubins length is larger by a full turn.
 _GOAL_SPREAD = (0.0, -0.7, 0.7)
 """Coordinates of start positions of a backward search, in units of the goal's radius.
 
-They are so small that the corners are within the radius.
+The factor 0.7 keeps the corners of this square pattern within the radius.
 """
 
 
 def make_target(goal: Goal, footprint: Footprint) -> Target:
-    """Return the kernels' form of a goal."""
+    """Return a goal in the form that the kernels need."""
     right, left = footprint.tightest
     x, y, heading = Pose(goal.x, goal.y, goal.heading or 0.0)
     tolerances = float(goal.radius), float(goal.heading_tolerance)
@@ -84,9 +85,9 @@ class SearchTree:
         return int(self.frontier.counts[EXPANDED])
 
     def grow(self, count: int, best: float) -> ArcSequence | None:
-        """Expand up to `count` nodes, and return a plan shorter than `best` (m).
+        """Expand up to `count` nodes, and return a plan shorter than `best`, if any.
 
-        Without such a plan the result is None. The arcs always lead from start to goal.
+        The arcs of the plan lead from start to goal, also in a backward search.
         """
         until = self.expanded + count
         while True:
@@ -99,18 +100,16 @@ class SearchTree:
             return None
         arcs = self._path(int(node), connected=event == CONNECTED)
         if self.backward:
-            # Left turns of the reversed path are right turns.
+            # A left turn of the path becomes a right turn of the reversed path.
             return [(-curvature, length) for curvature, length in reversed(arcs)]
         return arcs
 
     def _path(self, node: int, *, connected: bool) -> ArcSequence:
-        """Return the arcs from the root to a node.
-
-        If connected, the Dubins path to the goal follows.
-        """
+        """Return the arcs from the root to a node, and on to the goal if connected."""
         moves = self.spec.moves
         target = self.spec.target
-        arcs: ArcSequence = []  # from the goal to the root
+        # The arcs are collected from the goal to the root.
+        arcs: ArcSequence = []
         end = Pose(*map(float, self.frontier.nodes[node, :3]))
         if connected:
             heading = None if target.any_heading else target.heading
@@ -139,12 +138,12 @@ class SearchTree:
 
 
 def goal_poses(goal: Goal, sector: float) -> list[Pose]:
-    """Return poses within a goal's tolerances, the goal first.
+    """Return poses within a goal's tolerances, where the goal itself is the first.
 
-    With a free heading there is one pose per sector (rad).
+    A goal with a free heading has one pose per sector (rad).
     """
     if goal.heading is None:
-        # One pose per heading cell is enough.
+        # Further poses in a sector would fall into an occupied cell.
         headings = list(np.arange(0.0, 2 * math.pi, sector))
     else:
         headings = [

@@ -1,15 +1,15 @@
 r"""Steering along a path: a Smith predictor for the pose, and the steering laws.
 
 The mean pose over a gait period T lags by T/2, and a command takes effect after a
-delay. The predictor extrapolates the pose over both with a unicycle model. The
-curvature of the model approaches the curvature of the commanded offset φ in the
-footprint, with a first-order response over the path length ℓ (`Footprint.settle`),
+delay. The predictor extrapolates the pose over both times with a unicycle model. The
+curvature of the model follows the footprint's curvature at the commanded offset φ, with
+a first-order response over the path length ℓ (`Footprint.settle`),
 
 $$ \frac{dκ}{ds} = \frac{κ_{footprint}(φ) - κ}{ℓ}, \qquad \dot θ = v (g κ + d) . $$
 
-The speed v is measured. A snake with individual modules does not turn exactly like its
-footprint. A Kalman filter estimates the gain g and the disturbance d (1/m) of this
-difference.
+The speed v is measured. A snake whose modules differ does not turn exactly like its
+footprint. A Kalman filter estimates this difference as a gain g and a disturbance d
+(1/m).
 
 `BearingLaw` is the law of Section 5.2.2. The snake visits the nodes of the plan in
 turn. The offset is proportional to the bearing of the next node minus the heading, and
@@ -52,14 +52,15 @@ _GAIN_LIMITS = (0.4, 2.5)
 """Minimum and maximum estimate of the gain."""
 
 _PRIOR_STD = np.array([0.2, 0.3])
-"""Initial standard deviations of d, in tightest curvatures, and g.
+"""Initial standard deviations of d, in tightest curvatures, and of g.
 
 The values are explained in docs/following.md.
 """
 _WALK_STD = np.array([0.1, 0.1])
 """Standard deviations of the random walk of d and g per √(gait period)."""
 _CURVATURE_STD = 0.02
-"""Standard deviation of a curvature over a gait period, in tightest curvatures."""
+"""Standard deviation of a curvature measured over a gait period, in tightest
+curvatures."""
 
 _HISTORY_PERIODS = 2.5
 """Length of the stored history of the model in gait periods."""
@@ -67,7 +68,7 @@ _HISTORY_PERIODS = 2.5
 _Sample = tuple[float, ...]
 """Time (s), x, y (m) and heading (rad).
 
-The model's samples also contain the heading change of the footprint alone (rad).
+Samples of the model also contain the heading change due to the footprint alone (rad).
 """
 _time = itemgetter(0)
 
@@ -76,13 +77,13 @@ class Predictor(Stateful):
     """Smith predictor of the pose, with estimates of speed and turning.
 
     Attributes:
-        speed: measured speed, m/s; the footprint's speed until means one period apart
-            are available.
+        speed: measured speed, m/s. Until two means one period apart are available, it
+            is the footprint's speed.
         disturbance: estimated disturbance d, 1/m.
         gain: estimated gain g.
         curvature: current curvature of the model, 1/m.
         moved: distance between the last mean position and the mean position a period
-            earlier, m; None until both are available.
+            earlier, or None until both are available, m.
     """
 
     state_attributes = (
@@ -144,7 +145,7 @@ class Predictor(Stateful):
             return
         final = float(np.interp(offset, self._offsets, self._curvatures))
         length = self.speed * step
-        # The exact solution of dκ/ds = (κ_final - κ)/ℓ is evaluated over the length.
+        # Over the length, dκ/ds = (κ_final - κ)/ℓ has an exponential solution.
         if self._settle > 0:
             decay = math.exp(-length / self._settle)
         else:
@@ -153,7 +154,7 @@ class Predictor(Stateful):
         self.curvature = final + (self.curvature - final) * decay
         nominal_turn = length * (mean + self.curvature) / 2
         turn = self.gain * nominal_turn + length * self.disturbance
-        # The midpoint rule gives the position of the unicycle.
+        # The position of the unicycle is integrated with the midpoint rule.
         middle = heading + turn / 2
         x = x + length * math.cos(middle)
         y = y + length * math.sin(middle)
@@ -184,8 +185,7 @@ class Predictor(Stateful):
         duration = middle - begin
         low, high = (share * self._nominal for share in _SPEED_LIMITS)
         self.speed = min(max(self.moved / duration, low), high)
-        # This is the turn of the footprint over the interval. The model is ahead by the
-        # delay.
+        # The nominal turn is the heading change due to the footprint in this interval.
         nominal = self._at(middle)[4] - self._at(begin)[4]
         length = max(self.moved, 1e-6 + low * duration)
         periods = (time - self._updated) / self._period
@@ -219,11 +219,11 @@ class Predictor(Stateful):
             max(self.gain + float(weights[1]) * innovation, _GAIN_LIMITS[0]),
             _GAIN_LIMITS[1],
         )
-        # This is the Kalman update of two parameters from one scalar measurement.
+        # The covariance of both parameters is reduced by one scalar measurement.
         self._covariance -= np.outer(weights, cross)
 
     def predict(self, middle: float, mean: Pose, time: float) -> Pose:
-        """Return the pose at a time, given the mean pose at `middle`.
+        """Return the pose at a time, given the mean pose at an earlier time.
 
         Args:
             middle: time of the mean pose, s.
@@ -240,7 +240,10 @@ class Predictor(Stateful):
         return Pose(mean.x + c * dx - s * dy, mean.y + s * dx + c * dy, heading + turn)
 
     def _at(self, time: float) -> _Sample:
-        """Return the model at a time of the snake; its command was sent earlier."""
+        """Return the model state that belongs to a time of the snake.
+
+        The model is ahead of the snake, because the command was sent a delay earlier.
+        """
         time -= self._delay
         model = self._model
         k = bisect_right(model, time, key=_time)
@@ -255,7 +258,7 @@ class Predictor(Stateful):
 def _drop_before(samples: list[_Sample], before: float) -> None:
     """Delete samples before a time, except the last of them.
 
-    For speed, they are deleted only if they are more than half of all samples.
+    To save time, they are deleted only if they are more than half of all samples.
     """
     old = bisect_right(samples, before, key=_time) - 1
     if 2 * old > len(samples):
@@ -263,7 +266,8 @@ def _drop_before(samples: list[_Sample], before: float) -> None:
 
 
 DAMPING = 1.0
-"""Damping ratio ζ of the cross-track error: critical, without overshoot."""
+"""Damping ratio ζ of the cross-track error. The value is critical, without
+overshoot."""
 _MAX_APPROACH = 0.7
 """Maximum heading towards the path, rad."""
 
@@ -273,11 +277,12 @@ class SteeringInput:
     """Input of a steering law.
 
     Attributes:
-        pose: predicted pose, or mean pose over a period for laws without prediction.
+        pose: predicted pose, or the mean pose over a period for laws without
+            prediction.
         place: path coordinates of the pose.
         curvature: curvature of the model at the time of the pose, 1/m.
-        disturbance: estimated disturbance d, see `Predictor`, 1/m.
-        gain: estimated gain g, see `Predictor`.
+        disturbance: estimated disturbance d of the turning, 1/m.
+        gain: estimated gain g of the turning.
     """
 
     pose: Pose
@@ -293,8 +298,8 @@ class Steering(Stateful, ABC):
     Attributes:
         predicts: whether the input contains the predicted pose instead of the mean
             pose.
-        node: index of the next node (`BearingLaw`), or number of segments of the plan
-            that the snake has passed.
+        node: index of the next node (`BearingLaw`), or number of passed segments of the
+            plan.
     """
 
     state_attributes = ("node",)
@@ -308,7 +313,7 @@ class Steering(Stateful, ABC):
 
     @abstractmethod
     def offset(self, state: SteeringInput) -> float:
-        """Return the offset before it is limited."""
+        """Return the desired offset, which the follower limits."""
 
     def predict_cross_track(self, n: float, slope: float, ahead: float) -> float:
         """Return the expected cross-track error farther along the path, m.
@@ -322,7 +327,7 @@ class Steering(Stateful, ABC):
 
 
 class BearingLaw(Steering):
-    """Steering law of the dissertation (module docstring)."""
+    """Steering law of the dissertation, from node to node."""
 
     predicts = False
 
@@ -331,7 +336,7 @@ class BearingLaw(Steering):
 
         Args:
             gain: offset per bearing error, 1/rad.
-            node: distance between nodes along the path, m; the last node is the end of
+            node: distance between nodes along the path, m. The last node is the end of
                 the path.
             near: distance at which a node counts as reached, m.
         """
@@ -375,8 +380,8 @@ class PathLaw(Steering):
         """Set the parameters, whose defaults are explained in docs/following.md.
 
         Args:
-            footprint: offset of each curvature.
-            lookahead: decay length L, m.
+            footprint: table of the offset for each curvature.
+            lookahead: length L over which a cross-track error decays, m.
             settle: response length ℓ, m.
         """
         self._offsets = np.array(footprint.offsets)
@@ -411,7 +416,8 @@ class PathLaw(Steering):
             + math.sin(error) / (2 * DAMPING * self._length)
         )
         feedback = 2 * DAMPING / self._length * (error - approach + self._settle * rate)
-        # The limit avoids division by 0 at the centre of curvature.
+        # The lower limit of the denominator avoids a division by 0 at the centre of
+        # curvature.
         curvature = ahead / max(1 - ahead * n, 0.5) - feedback - state.disturbance
         return float(np.interp(curvature / state.gain, self._curvatures, self._offsets))
 

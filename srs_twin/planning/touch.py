@@ -1,8 +1,8 @@
 r"""Plans that lean on obstacles (`planner: {touch: allowed}`).
 
-A footprint contains the side-to-side motion of the gait. Where its edge overlaps an
-obstacle, the obstacle limits this motion, and the body presses against the obstacle.
-The planner may therefore reduce the edges to
+A footprint contains the side-to-side motion of the gait. Where an edge of the footprint
+overlaps an obstacle, the obstacle limits this motion, and the body presses against the
+obstacle. The planner may therefore reduce the edges to
 
 $$ e_{hard} = c + (1 - σ)(e - c), $$
 
@@ -11,11 +11,11 @@ where e is the edge of the footprint, c half the width of the body and σ =
 
 The estimated contact force limits the overlap δ. A connector that is displaced by δ
 between two fixed neighbours bends both adjacent segments by 2δ/L, where L is the
-distance between connectors. The elastic energy 4kδ²/L² of both bends gives the force Kδ
-with K = 8k/L². The obstacle displaces the body as soon as this force exceeds the
-friction on the floor, μ_n m g. The lateral wave of amplitude A = e − c reaches the
-obstacle in a fraction arccos(1 − δ/A)/π of the period. The mean force on one side is
-therefore
+distance between connectors. The elastic energy 4kδ²/L² of both bends, where k is the
+bending stiffness, gives the force Kδ with K = 8k/L². The obstacle displaces the body as
+soon as this force exceeds the friction on the floor, μ_n m g. The lateral wave of
+amplitude A = e − c reaches the obstacle in a fraction arccos(1 − δ/A)/π of the period.
+The mean force on one side is therefore
 
 $$ F = \frac1π \arccos\Bigl(1 - \frac{δ}{A}\Bigr) \min(Kδ,\, μ_n m g), $$
 
@@ -41,8 +41,8 @@ from srs_twin.robot.world import Bounds
 TOUCH_SHARE = 0.5
 """Maximum fraction σ of the space between body and edge that may overlap an obstacle.
 
-Generation 2 passes gaps of 0.75 footprint widths on both plants, but gaps of 0.6 widths
-are not reliable (docs/planning.md).
+Generation 2 passes gaps of 0.75 footprint widths on both plants, but does not reliably
+pass gaps of 0.6 widths (docs/planning.md).
 """
 
 _LEVELS = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -75,7 +75,7 @@ def narrowed(problem: Problem, limits: TouchLimits, level: float) -> Problem:
     """Return a problem whose edges overlap by a fraction of the maximum overlap.
 
     The body cannot lean on the bounds of the world, so they are narrowed by the same
-    width. The overlap is therefore equal at all curvatures.
+    width. The overlap is equal at all curvatures.
     """
     body = problem.footprint
     world = problem.world
@@ -120,7 +120,7 @@ def plan_with_touch(search: Search, problem: Problem, settings: Settings) -> Pla
                     reason = result.reason
                 best = replace(result, touches=touches, reason=reason)
                 lowest = cost
-    # If there is no path, the search with the narrowest edges gives the reason.
+    # Without a path, the reason is taken from the search with the narrowest edges.
     if best is None:
         return replace(result, touches=())
     return best
@@ -131,7 +131,7 @@ class _Overlaps:
     """Overlaps of the footprint with obstacles along a path.
 
     Attributes:
-        names: names of the obstacles, as in messages.
+        names: names of the obstacles.
         s: path length in the middle of each step, m, shape (steps,).
         steps: step lengths, m, shape (steps,).
         depth: overlap with each obstacle, m, shape (obstacles, steps).
