@@ -75,10 +75,7 @@ def contributions(
 ) -> dict[str, Contribution]:
     """Return the Shapley value of each switch.
 
-    Args:
-        names: names of the switches.
-        differences: difference v(S) for each subset S of switches that are on. All
-            arrays have one shape.
+    `differences` contains v(S) for each subset S of switches that are on.
     """
     n = len(names)
     shapley = {}
@@ -133,8 +130,8 @@ class Refinement:
     """Reduction of an approximation that only one plant makes.
 
     The total effect is `factor` times the change under the refinement. The factor is 2
-    for a first-order error that is halved. It is 4/3 for a second-order error that is
-    halved, or a first-order error that is quartered. It is 1 if the refinement removes
+    for a first-order error that is halved, and 4/3 for a second-order error that is
+    halved or a first-order error that is quartered. It is 1 if the refinement removes
     the approximation.
 
     Attributes:
@@ -161,8 +158,7 @@ class PlantVariants:
         all_switches: all switches, where later switches take precedence.
         first: switches that must precede all others, because compliant bends need arcs
             instead of frozen chords.
-        switches: all other switches in which the plants of the scenario differ, in any
-            order.
+        switches: all other switches in which the plants of the scenario differ.
         first_on: names of the switches in `first`.
         sets: all sets of switches that are simulated, with the largest set last.
         same: names of the switches in which the plants agree.
@@ -225,11 +221,7 @@ class PlantVariants:
         ]
 
     def _bend_switches(self) -> list[Switch]:
-        """Return the switches of the bends.
-
-        Arcs and compliant bends need the torque due to friction, which the simplified
-        model may leave out.
-        """
+        """Return the switches of the bends, which include the torque due to friction."""
         spec = self._scenario.robot
         model = self._model.model
         damping_time = spec.bending.damping_time
@@ -341,12 +333,7 @@ class PlantVariants:
         ]
 
     def analytical(self, on: frozenset[str], **options: Any) -> Plant:
-        """Build the analytical model with the named switches on and further arguments.
-
-        Args:
-            on: names of switches.
-            options: further arguments of the model.
-        """
+        """Build the analytical model with some switches on, and with further options."""
         spec = self._scenario.robot
         changes: dict[str, Any] = {}
         for switch in self.all_switches:
@@ -364,8 +351,8 @@ class PlantVariants:
     def damped_twins(self) -> dict[str, Callable[[], Plant]]:
         """Return twins with the damping time at both ends of its 95 % interval.
 
-        The result is empty if there is no interval. It is also empty if the air depends
-        on the bends, because closed chambers diverge with short damping times
+        The result is empty without an interval. It is also empty if the air depends on
+        the bends, because closed chambers diverge with short damping times
         (docs/models.md).
         """
         if self._scenario.document["pneumatics"]["kind"] != "lag":
@@ -512,10 +499,7 @@ def _checked_gap(scenario: Scenario, model: Trajectory, twin: Trajectory) -> np.
 
 
 def _window(scenario: Scenario, controller: Controller, end: float) -> float | None:
-    """Return the attributed length of the runs (s), or None for the whole runs.
-
-    `end` is the end of the longer run, s.
-    """
+    """Return the attributed length of the runs (s), or None for the whole runs."""
     if _is_script(controller) or controller.frequency is None:
         return None
     twin = scenario.file.plants.twin or TwinFile()
@@ -528,7 +512,6 @@ def _window(scenario: Scenario, controller: Controller, end: float) -> float | N
 
 
 def _is_script(controller: Controller) -> bool:
-    """Return whether a controller ignores the state and thus follows a script."""
     return type(controller).script is not Controller.script
 
 
@@ -538,10 +521,6 @@ def main_cause(
     """Return the effect of compliance on the analytical model, from one additional run.
 
     Compliance usually has the largest of the contributions that `explain` computes.
-
-    Args:
-        scenario: scenario of the run.
-        trajectories: trajectories of both plants by name of the plant.
 
     Returns:
         Name of the assumption (`name`), effects on `com_speed_m_s` and
@@ -670,10 +649,6 @@ def _relative_cost(name: str, wall_s: Mapping[str, float]) -> float:
 def _reporter(
     progress: Progress, costs: Sequence[float], *, is_measured: bool
 ) -> Callable[[int], None]:
-    """Report the start and return a function that reports the number of finished runs.
-
-    `costs` are the estimated computing times of the runs, in s if `is_measured`.
-    """
     start = time.monotonic()
     total = sum(costs)
     remaining = None

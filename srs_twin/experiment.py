@@ -133,7 +133,7 @@ class PreparedRun:
     def build(
         cls, scenario: Scenario, folder: Path, plants: Sequence[str] | None
     ) -> PreparedRun:
-        """Build plants and controllers. The arguments are described in `prepare`."""
+        """Build plants and controllers, as described in `prepare`."""
         kinds = tuple(plants or scenario.plants)
         scenario = scenario.run_on(plants)
         with scenario.named_in_errors():
@@ -160,7 +160,7 @@ class PreparedRun:
             explain: function that attributes the difference between the plants
                 (`attribution.explain`), or None for no attribution.
             main_cause: function that computes the main cause of the difference
-                (`attribution.main_cause`), which is used without an attribution.
+                (`attribution.main_cause`) without an attribution.
 
         Raises:
             InputError: a file cannot be written, or the difference cannot be
@@ -255,11 +255,8 @@ class PreparedRun:
     ) -> tuple[dict[str, Any], RunContent]:
         """Return the content of metrics.json, and the content of report and recording.
 
-        Args:
-            trajectories: trajectory of each plant.
-            walls: wall time of each plant, s.
-            attribution: attribution of the difference, or None if it was not computed.
-            cause: main cause of the difference as described in `execute`, or None.
+        The wall times are in s. Attribution and main cause are None if they were not
+        computed.
         """
         scenario = self.scenario
         comparison = None
@@ -320,8 +317,8 @@ class PreparedRun:
     ) -> dict[str, Any]:
         """Return the entries of metrics.json on expectations.
 
-        `metrics` contains all entries on the plants and their comparison. `runs`
-        includes the measured trajectory.
+        `metrics` contains all other entries, and `runs` includes the measured
+        trajectory.
         """
         scenario = self.scenario
         # An expectation of a plant that did not run does not count as missed.
@@ -470,7 +467,7 @@ def _can_be_explained(done: _Simulated) -> bool:
 
 
 def _before_contact(runs: Mapping[str, Trajectory]) -> dict[str, Any] | None:
-    """Return speeds and yaw rates before the first contact, or None without a contact.
+    """Return speeds and yaw rates before the first contact, if there is a contact.
 
     A value is None if too few whole gait periods precede the contact.
     """
@@ -601,11 +598,8 @@ def prepare(
 ) -> PreparedRun:
     """Build the plants and controllers of a scenario and open its output folder.
 
-    Args:
-        scenario: scenario to run.
-        out: output folder, which is created if missing and may contain other files.
-        plants: names of the plants in the order in which they run, or None for the
-            plants of the scenario.
+    The folder is created if missing and may contain other files. By default, the plants
+    of the scenario run.
 
     Raises:
         InputError: a plant or controller cannot be built, or the folder cannot be
@@ -682,10 +676,7 @@ class FinishedRun:
 
 
 def load_run(run: str | Path) -> FinishedRun:
-    """Load a finished run.
-
-    Args:
-        run: output folder, or its name in ``./runs``.
+    """Load a finished run by its output folder, or by its name in ``./runs``.
 
     Raises:
         InputError: there is no such run, or its files are not valid.

@@ -193,8 +193,8 @@ def _play_script(
 ) -> bool:
     """Simulate a script in chunks and return False if the plant cannot play scripts.
 
-    A chunk is a whole number of recorded ticks. Ticks after the last sample are
-    simulated without recording.
+    A chunk is a whole number of recorded ticks. Ticks after the last sample are not
+    recorded.
     """
     plant = recorder.plant
     stride = recorder.stride
@@ -277,11 +277,8 @@ def sample_counts(
 ) -> tuple[int, int]:
     """Return samples per tick and ticks per sample, at least one of which is 1.
 
-    Args:
-        tick: control tick of the plant, s.
-        record_hz: sampling rate, Hz.
-        step: step of which the sampling interval must be a multiple
-            (`Plant.sample_step`), s.
+    The sampling interval must be a multiple of the step (`Plant.sample_step`), if
+    given.
 
     Raises:
         InputError: the rate does not fit the tick. The message suggests the nearest
@@ -706,7 +703,7 @@ def _check_not_shared(jobs: Sequence[Job]) -> None:
 
 
 def _build_plant(job: Job, thread_data: threading.local) -> Plant:
-    """Return the plant of a job. A thread reuses its plant for an identical builder."""
+    """Return the plant of a job, which a thread reuses for an identical builder."""
     if isinstance(job.plant, Plant):
         return job.plant
     if getattr(thread_data, "builder", None) is not job.plant:

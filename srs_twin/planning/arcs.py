@@ -71,10 +71,9 @@ class Extent(NamedTuple):
     """Extent of the body about its centre of mass.
 
     Attributes:
-        ahead: distance from the centre of mass to the head along the arc, m.
-        behind: distance from the centre of mass to the tail along the arc, m.
-        left: distance of the footprint's left edge from the path, m.
-        right: distance of the footprint's right edge from the path, m.
+        ahead, behind: distances from the centre of mass to head and tail along the arc,
+            m.
+        left, right: distances of the footprint's edges from the path, m.
     """
 
     ahead: float
@@ -87,11 +86,9 @@ class Frame(NamedTuple):
     """Position and direction of a point of an arc.
 
     Attributes:
-        x: x coordinate, m.
-        y: y coordinate, m.
+        x, y: position, m.
         heading: heading, rad.
-        cosine: cosine of the heading.
-        sine: sine of the heading.
+        cosine, sine: cosine and sine of the heading.
     """
 
     x: float
@@ -107,10 +104,9 @@ class Region(NamedTuple):
     Attributes:
         curvature: arc curvature, 1/m.
         half: half the length h of the region along the arc, m.
-        left: distance of the left edge from the arc, m.
-        right: distance of the right edge from the arc, m.
+        left, right: distances of the edges from the arc, m.
         reach: radius of a circle about the middle that contains the region, m.
-        end: front end of the region. The coordinates x and y of this frame are u and w.
+        end: front end of the region, whose x and y are the coordinates u and w.
     """
 
     curvature: float
@@ -324,11 +320,7 @@ def _roots(a, b, c):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _leaves_bounds(middle, region, bounds):  # type: ignore[no-untyped-def]
-    """Return whether a region leaves the bounds.
-
-    A region extends farthest in x or y at a corner, or where an edge is parallel to an
-    axis.
-    """
+    """Return whether a corner or an extreme point of an edge is out of bounds."""
     # Most regions are far from the bounds, so the bounding square is tested first.
     if (
         bounds.west <= middle.x - region.reach
@@ -342,6 +334,7 @@ def _leaves_bounds(middle, region, bounds):  # type: ignore[no-untyped-def]
             return True
     if region.curvature == 0:
         return False
+    # An edge extends farthest in x or y where it is parallel to an axis.
     for quarter in range(4):
         turn = quarter * np.pi / 2 - middle.heading
         turn -= 2 * np.pi * np.round(turn / (2 * np.pi))

@@ -69,8 +69,8 @@ often."""
 class _LevelResult(NamedTuple):
     """Result of the search at one resolution.
 
-    Without a path, `reason` explains why there is none, unless the budget is spent.
-    `proven` tells whether no path exists at any resolution.
+    `reason` explains why no path exists. It is empty if the budget is spent. `proven`
+    tells whether no path exists at any resolution.
     """
 
     path: ArcSequence | None = None
@@ -134,8 +134,8 @@ class _Search:
     def start_trees(self, level: int) -> list[SearchTree]:
         """Return the tree from the start and, without transients, a tree from the goal.
 
-        The primitives of the problem, if given, are used at the first level. Each level
-        halves arcs and cells, and the third and later levels have more curvatures.
+        Each level halves arcs and cells. The third and later levels have more
+        curvatures.
         """
         problem = self.problem
         body = self.problem.footprint
@@ -184,7 +184,6 @@ class _Search:
 
     @cached_property
     def guidance(self) -> tuple[GridHeuristic, np.ndarray]:
-        """Grid distances and narrow passages, which do not depend on the level."""
         problem = self.problem
         body = self.problem.footprint
         margin = 4 / min(body.tightest)

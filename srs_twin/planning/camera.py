@@ -101,12 +101,7 @@ class PeriodMean(Stateful):
         self.complete = False
 
     def add(self, time: float, pose: Pose) -> None:
-        """Add a frame and unwrap its heading with respect to the previous frame.
-
-        Args:
-            time: frame time, s.
-            pose: measured pose.
-        """
+        """Add a frame at a time (s), whose heading is unwrapped."""
         integrals = self._integrals
         last = self._last
         period_start = time - self._period

@@ -1,7 +1,4 @@
-"""Collision checks of arcs and paths in a world.
-
-The checks are exact up to `arcs.ROUNDING_MARGIN`.
-"""
+"""Collision checks of arcs and paths in a world, exact up to a rounding margin."""
 
 from __future__ import annotations
 
@@ -36,7 +33,7 @@ _MIN_CELL_M = 1e-9
 
 
 class Box(NamedTuple):
-    """Bounds of a world, m. A missing bound is infinite."""
+    """Bounds of a world, where a missing bound is infinite, m."""
 
     west: float = -math.inf
     east: float = math.inf
@@ -51,13 +48,12 @@ class ObstacleGrid(NamedTuple):
         circles: x, y and radius of the circles, m, shape (n, 3).
         sides: x, y of both ends of the polygon sides, m, shape (m, 4).
         bounds: world bounds.
-        west: x of the grid's left edge, m.
-        south: y of the grid's lower edge, m.
+        west, south: x of the left edge and y of the lower edge of the grid, m.
         cell: cell size, m.
         cell_ranges: start and end of the items of each cell in `cell_items`, shape
             (columns, rows, 2).
-        cell_items: numbers of the items that overlap each cell, shape (k,). The circles
-            are numbered before the sides.
+        cell_items: numbers of the items that overlap each cell, circles before sides,
+            shape (k,).
     """
 
     circles: np.ndarray
@@ -210,14 +206,9 @@ class Checker:
     def first_collision(
         self, pose: Pose, length: float = 0.0, wider: float = 0.0
     ) -> str:
-        """Describe an obstacle or bound that a straight path touches.
+        """Describe an obstacle or bound that a straight path touches, if any.
 
-        The result is an empty string if the path is free.
-
-        Args:
-            pose: pose of the centre of mass at the start.
-            length: path length, m.
-            wider: width added to both edges, m.
+        The path has a length (m), and both edges of the footprint are `wider` (m).
         """
         both = (wider, wider)
         # The whole world is tested first, because the name of an obstacle is needed
@@ -257,10 +248,7 @@ def obstacle_shapes(world: World) -> list[tuple[str, shapely.Geometry, float]]:
 
 
 def obstacle_at(world: World, x: float, y: float) -> str:
-    """Describe the obstacle that contains a point, or the bounds that exclude it.
-
-    The result is an empty string if the point is free.
-    """
+    """Describe the obstacle or the bounds that exclude a point, if any."""
     import shapely
 
     point = shapely.Point(x, y)

@@ -54,14 +54,8 @@ def shortest_path(
 ) -> ArcSequence:
     """Return the three arcs of the shortest path from a pose to a pose or point.
 
-    An arc may have length 0.
-
-    Args:
-        start: start pose.
-        x: x of the end, m.
-        y: y of the end, m.
-        heading: heading at the end, or None for any heading, rad.
-        radius: turning radius, m.
+    The end has the coordinates x and y (m) and a heading (rad), or any heading if it is
+    None. An arc may have length 0.
     """
     path = dubins_path(
         *start, *Pose(x, y, heading or 0.0), heading is None, float(radius)

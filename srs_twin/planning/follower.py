@@ -145,7 +145,7 @@ class Follower(Controller):
     """Controller that follows a plan; see the module docstring.
 
     Attributes:
-        gait: controller with an `offset`, i.e. a `Gait` or an `ILC`.
+        gait: controller with an `offset`: a `Gait` or an `ILC`.
         law: steering law.
         plan: plan to follow. A plan without a path ends the run at once.
         goal: goal of the centre of mass.
@@ -154,12 +154,12 @@ class Follower(Controller):
         body: footprint of the plan, which is recorded with the run, by default
             `footprint`.
         world: world, which is recorded with the run.
-        replan: planner for new plans, or None for no new plans.
-        submit: function that runs the planner in another thread while the snake moves.
-            Without this function, the snake waits for the planner.
-        least_margin: minimum fraction of the margin in a new plan. If the fraction is
-            above 0, the run ends (`no_room`) when no such plan is found. It also ends
-            when the body approaches an obstacle and no new plan is left.
+        replan: planner for new plans, or None.
+        submit: function that runs the planner in another thread. Without it, the snake
+            waits for the planner.
+        least_margin: minimum fraction of the margin in a new plan. If it is above 0, a
+            run ends (`no_room`) when no such plan is found, or when the body approaches
+            an obstacle and no new plan is left.
         leans: whether the body may lean on obstacles, so that approaching an obstacle
             requires no new plan.
         finished: whether the run has ended.

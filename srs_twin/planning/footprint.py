@@ -36,8 +36,7 @@ class FootprintRow:
     Attributes:
         offset: gait offset, positive to the left.
         speed: speed of the centre of mass, m/s.
-        left: distance of the left edge from the path, m.
-        right: distance of the right edge from the path, m.
+        left, right: distances of the edges from the path, m.
     """
 
     offset: float
@@ -50,18 +49,13 @@ class FootprintRow:
 class Transient:
     """Deviation from the steady footprint after a change of offset.
 
-    The snake turns and is displaced relative to an instant change, and then follows the
-    new arc.
-
     Attributes:
-        before: old offset.
-        after: new offset.
-        left: extra width of the left edge, m.
-        right: extra width of the right edge, m.
+        before, after: old and new offset.
+        left, right: extra widths of the edges, m.
         length: length of the path after the change on which the edges are wider, m.
-        dx: displacement in the direction of the heading, m.
-        dy: displacement to the left, m.
-        dheading: turn to the left, rad.
+        dx, dy: final displacement forward and to the left, relative to an instant
+            change, m.
+        dheading: final turn to the left, relative to an instant change, rad.
     """
 
     before: float
@@ -85,12 +79,11 @@ class Footprint:
         curvatures: curvatures of the path of the centre of mass in ascending order,
             positive to the left, 1/m.
         speeds: speeds of the centre of mass, m/s.
-        left: distances of the left edge from the path, m.
-        right: distances of the right edge from the path, m.
-        ahead: distance from the centre of mass to the head along the path, m.
-        behind: distance from the centre of mass to the tail along the path, m.
-        transients: measured changes of offset. Without any, the offset acts at once, as
-            the dissertation assumes.
+        left, right: distances of the edges from the path, m.
+        ahead, behind: distances from the centre of mass to head and tail along the
+            path, m.
+        transients: measured changes of offset, empty if the offset acts at once, as the
+            dissertation assumes.
     """
 
     name: str
@@ -174,8 +167,8 @@ class Footprint:
     def reduced(self, turn_share: float = 1.0, margin: float = 0.0) -> Footprint:
         """Return the footprint with a smaller range of curvatures and wider edges.
 
-        A follower of such a plan can correct errors with turns that the plan does not
-        use. The margin allows for the remaining errors.
+        A follower corrects errors with the turns that a plan does not use. The margin
+        allows for the remaining errors.
 
         Args:
             turn_share: fraction of the tightest curvatures that is kept, at most 1.
@@ -259,11 +252,10 @@ class Footprint:
         return None
 
     def lag(self, before: float, after: float) -> tuple[float, float]:
-        """Return the delay δ and the length T of a transition arc, m.
+        """Return the delay δ and the length T of a transition arc (`planner`), m.
 
-        The module `planner` defines both lengths. They are interpolated by the size of
-        the change, and constant beyond the measured sizes. Without measured changes in
-        this direction, they are 0.
+        They are interpolated by the size of the change, and constant beyond the
+        measured sizes. Without measured changes in this direction, they are 0.
         """
         known: dict[float, list[tuple[float, float]]] = {}
         for size, t in self._measured(after - before):

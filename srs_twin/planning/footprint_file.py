@@ -142,7 +142,7 @@ _DIFFICULTIES = (
 
 
 class ExcursionsFile(StrictModel):
-    """Maximum excursion of each run, m. A run that did not arrive has 1000."""
+    """Maximum excursion of each run, or 1000 if the run did not arrive, m."""
 
     conditions: ConditionsFile
     """Conditions of the runs."""
@@ -294,13 +294,13 @@ def load_footprint_file(name_or_path: StrPath) -> FootprintFile:
 
     Raises:
         InputError: the file is not found or cannot be read.
-        InputFileError: the file is not valid. The message lists all problems.
+        InputFileError: the file is not valid.
     """
     return load_model(FootprintFile, find_file("footprint", name_or_path))
 
 
 def load_footprint(name_or_path: StrPath) -> Footprint:
-    """Load a footprint by its shipped name (gen4_table8) or the path of its file.
+    """Load a footprint by its shipped name (gen4_table8) or path.
 
     Raises:
         InputError, InputFileError: the file is refused by `load_footprint_file`.
@@ -311,12 +311,7 @@ def load_footprint(name_or_path: StrPath) -> Footprint:
 def save_footprint(
     file: FootprintFile, path: StrPath, *, header: Sequence[str] = ()
 ) -> None:
-    """Write a footprint file atomically.
-
-    Args:
-        file: footprint file.
-        path: output path.
-        header: lines of a comment at the top of the file.
+    """Write a footprint file atomically, with `header` as a comment at the top.
 
     Raises:
         InputFileError: the table is not a valid footprint.
@@ -348,9 +343,7 @@ class Margin:
 
 
 def excursion_quantile(excursions: Sequence[float], probability: float) -> float:
-    """Return the excursion that a new run does not exceed with a probability, m.
-
-    The excursion is at least 0.
+    """Return the excursion (m) that a new run does not exceed with a probability.
 
     Raises:
         InputError: there are too few runs, or too many runs did not arrive.
@@ -378,12 +371,9 @@ def margin_for(
     probability: float,
     conditions: Sequence[ConditionsFile],
 ) -> Margin:
-    """Return the margin for a run under each of several conditions.
+    """Return the margin within which a whole run stays with a given probability.
 
-    Args:
-        measured: measured excursions.
-        probability: probability that a whole run stays within the margin.
-        conditions: conditions of the run, one per plant.
+    There is one set of conditions per plant.
 
     Raises:
         InputError: no measurement covers the conditions, or a measurement has too few

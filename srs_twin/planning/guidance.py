@@ -54,10 +54,9 @@ class GridHeuristic(NamedTuple):
     """Distance to the goal on a grid.
 
     Attributes:
-        distance: distance from each cell to the goal, m, shape (columns, rows). The
-            distance is infinite without a path. The array is empty without a heuristic.
-        west: x of the grid's left edge, m.
-        south: y of the grid's lower edge, m.
+        distance: distance from each cell to the goal, infinite without a path, m, shape
+            (columns, rows). The array is empty without a heuristic.
+        west, south: x of the left edge and y of the lower edge of the grid, m.
         cell: cell size, m.
     """
 
@@ -90,15 +89,10 @@ def grid_distance(heuristic, x, y):  # type: ignore[no-untyped-def]
 def grid_heuristic(
     goal: Goal, start: Pose, world: World, clearance: float, margin: float
 ) -> GridHeuristic:
-    """Return the distances to a goal for points that keep a clearance from obstacles.
+    """Return the distances to a goal for points that keep a clearance (m).
 
-    Args:
-        goal: goal of the path.
-        start: pose that the grid must contain.
-        world: obstacles and bounds.
-        clearance: minimum distance from obstacles, m.
-        margin: distance by which the grid of a world without bounds extends beyond
-            obstacles, start and goal, m.
+    The grid contains start and goal. In a world without bounds, it extends beyond them
+    and the obstacles by a margin (m).
     """
     from scipy.sparse.csgraph import dijkstra
 
@@ -183,13 +177,7 @@ def _grid_graph(free: np.ndarray, cell: float):  # type: ignore[no-untyped-def]
 
 
 def find_passages(world: World, body: Footprint) -> np.ndarray:
-    """Return the narrow passages of a world, in both directions.
-
-    A passage may have several entry poses.
-
-    Args:
-        world: obstacles and bounds.
-        body: footprint of the snake.
+    """Return entry poses of the narrow passages of a world, in both directions.
 
     Returns:
         Entry pose x, y (m) and heading (rad), and length of the straight path through

@@ -152,10 +152,8 @@ def following_metrics(trajectory: Trajectory) -> dict[str, float | None]:
     - ``arrival_heading_error_rad``: error of the heading, averaged over a gait period
       and extrapolated to the end. It is None for a goal without a heading.
 
-    Metrics of the whole run:
-
-    - ``following_time_s`` is the duration and ``replans`` the number of new plans.
-      Metrics with the prefix ``plan_`` describe the first plan.
+    The duration is ``following_time_s``, the number of new plans is ``replans``, and
+    the metrics ``plan_…`` describe the first plan.
     """
     metadata = following(trajectory)
     if metadata is None:
@@ -204,7 +202,6 @@ def _arrival(
 
 
 def _mean_heading(trajectory: Trajectory) -> float:
-    """Return the mean heading of the last gait period, extrapolated to the end."""
     frequency = positive_number(trajectory, "gait_frequency_hz")
     time = trajectory.time
     heading = trajectory["heading"]
@@ -246,9 +243,9 @@ def _deviation(
 
 
 def beyond(trajectory: Trajectory) -> np.ndarray:
-    """Return the distance of the body beyond the planned footprint, m.
+    """Return how far the body is beyond the planned footprint, shape (samples,), m.
 
-    The distance has shape (samples,) and is negative inside the edges.
+    The distance is negative inside the edges.
     """
     metadata = following(trajectory)
     assert metadata is not None, "a run that followed a plan"
@@ -295,10 +292,7 @@ def _path_deviations(
 
 
 def body_points(trajectory: Trajectory) -> np.ndarray:
-    """Return points on both sides of connectors and middles of segments, m.
-
-    The array has shape (samples, k, 2).
-    """
+    """Return points beside connectors and segment middles, shape (samples, k, 2), m."""
     half = (positive_number(trajectory, "body_width_m") or 0.0) / 2
     centres, heading = centre_points(trajectory)
     return offset_to_sides(centres, heading, half)

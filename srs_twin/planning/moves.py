@@ -42,20 +42,18 @@ class MoveSet(NamedTuple):
 
     Attributes:
         curvatures: curvatures in ascending order, 1/m, shape (n,).
-        left: left edge of the footprint for each curvature, m, shape (n,).
-        right: right edge of the footprint for each curvature, m, shape (n,).
+        left, right: edges of the footprint for each curvature, m, shape (n,).
         transients: extra left width, extra right width and length (m) of the transient
             after a change of curvature, shape (n + 1, n, 3). Row n applies at the
             start.
         primitives: indices of the curvatures that lead to a node's children, shape
             (m,).
         radius_factors: turning radii of the tested Dubins paths relative to the minimum
-            radius, shape (k,). The first factor is 1.
+            radius, starting with 1, shape (k,).
         dubins_moves: indices of right turn, straight line and left turn for each
             factor, shape (k, 3).
         length: primitive length, m.
-        ahead: distance from the centre of mass to the head, m.
-        behind: distance from the centre of mass to the tail, m.
+        ahead, behind: distances from the centre of mass to head and tail, m.
     """
 
     curvatures: np.ndarray
@@ -74,13 +72,11 @@ class ArcState(NamedTuple):
     """State at the end of an arc, with the transient of the last offset changes.
 
     Attributes:
-        x: x coordinate, m.
-        y: y coordinate, m.
+        x, y: position, m.
         heading: heading, rad.
         move: index of the curvature of the arc, or the number of curvatures at the
             start.
-        left: extra width of the left edge, m.
-        right: extra width of the right edge, m.
+        left, right: extra widths of the edges, m.
         lasting: remaining length of the wider edges, m.
     """
 
@@ -143,12 +139,7 @@ def initial_state(x, y, heading, moves):  # type: ignore[no-untyped-def]
 def follow_dubins_path(state, path, factor, moves, grid):  # type: ignore[no-untyped-def]
     """Return whether a Dubins path is free, and the arc state at its end.
 
-    Args:
-        state: initial arc state.
-        path: path as returned by `dubins.dubins_path`.
-        factor: index of the turning radius in `MoveSet.radius_factors`.
-        moves: arcs that the snake can follow.
-        grid: obstacles and bounds.
+    `factor` is the index of the turning radius in `MoveSet.radius_factors`.
     """
     free = True
     for piece in range(3):
@@ -165,12 +156,7 @@ def follow_dubins_path(state, path, factor, moves, grid):  # type: ignore[no-unt
 def follow_arc(state, move, length, moves, grid):  # type: ignore[no-untyped-def]
     """Return whether an arc is free, and the arc state at its end.
 
-    Args:
-        state: initial arc state.
-        move: curvature index.
-        length: arc length, m.
-        moves: arcs that the snake can follow.
-        grid: obstacles and bounds.
+    `move` is the index of the curvature, and `length` the arc length (m).
     """
     x = state.x
     y = state.y
@@ -207,12 +193,7 @@ def shorten_path(
 ) -> ArcSequence:
     """Return a collision-free path with the same ends that is not longer.
 
-    Args:
-        start: start pose.
-        path: collision-free path, with curvatures of the moves.
-        moves: arcs that the snake can follow.
-        grid: obstacles and bounds.
-        radius: turning radius of the short cuts, m.
+    The path must consist of moves. The short cuts have a turning radius (m).
     """
     arcs = [(c, length) for c, length in path if length > 0]
     indices = np.array(

@@ -64,11 +64,7 @@ def path_from_arcs(
 ) -> tuple[Segment, ...]:
     """Return the path of consecutive arcs, merging neighbours of equal curvature.
 
-    Args:
-        start: start pose.
-        arcs: curvature (1/m) and length (m) of each arc. Arcs without length are
-            dropped.
-        footprint: source of offsets and speeds.
+    Arcs without length are dropped.
     """
     merged: list[list[float]] = []
     for curvature, length in arcs:
@@ -92,8 +88,7 @@ class Steps(NamedTuple):
     Attributes:
         poses: x, y (m) and heading (rad) in the middle of each step, shape (n, 3).
         lengths: step lengths, m, shape (n,).
-        left: left edge of the footprint, m, shape (n,).
-        right: right edge of the footprint, m, shape (n,).
+        left, right: edges of the footprint, m, shape (n,).
     """
 
     poses: np.ndarray

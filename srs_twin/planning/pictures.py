@@ -50,11 +50,7 @@ def segment_points(
 ) -> np.ndarray:
     """Return points along a segment, about a centimetre apart, m, shape (n, 2).
 
-    Args:
-        segment: segment of a plan.
-        offset: distance of the points to the left of the segment, m.
-        behind: length of the extension before the start, m.
-        ahead: length of the extension beyond the end, m.
+    The points are `offset` to the left. The segment is extended at both ends.
     """
     low = -behind
     high = segment.length + ahead
@@ -77,10 +73,6 @@ def following_plot(
     """Plot a plan with the paths and bodies of the runs, or return None without a plan.
 
     All runs have a common first plan. Later plans of each run are thin lines.
-
-    Args:
-        trajectories: trajectory of each plant.
-        spec: simulated robot.
     """
     followers = {
         plant: metadata
@@ -105,13 +97,7 @@ def following_plot(
 
 @drawing
 def plan_plot(problem: Problem, segments: Sequence[Segment], title: str) -> Figure:
-    """Plot a plan without runs.
-
-    Args:
-        problem: world, goal and footprint of the plan.
-        segments: path, possibly empty.
-        title: plot title.
-    """
+    """Plot a plan without runs. The path may be empty."""
     figure, axes = _sheet(_metadata(problem), segments, problem.footprint)
     axes.set_title(title, fontsize=10, wrap=True)
     return figure

@@ -78,10 +78,6 @@ def plan(problem: Problem, settings: Settings | None = None) -> Plan:
 
 
 def _lowest_cost(first: Plan, problem: Problem, settings: Settings) -> Plan:
-    """Return the plan with the lowest cost, including plans for wider bodies.
-
-    `Settings.clearance_weight` defines the cost.
-    """
     straight = problem.footprint.at(0.0)
     width = straight.left + straight.right
     short = replace(settings, nodes=min(settings.nodes, _MAX_WIDER_NODES))
@@ -133,14 +129,9 @@ def _compile() -> None:
 def with_transitions(
     segments: Sequence[Segment], footprint: Footprint
 ) -> tuple[Segment, ...]:
-    """Return a path with transition arcs.
+    """Return a path with transition arcs for the transients of the footprint.
 
     If there is no room for an arc, the curvature still jumps.
-
-    Args:
-        segments: segments of the path.
-        footprint: footprint with the transients. Without transients the path is
-            unchanged.
     """
     if not segments:
         return ()
@@ -164,18 +155,11 @@ def with_transitions(
 def plan_with_transitions(
     problem: Problem, settings: Settings, begin: Sequence[Segment] = ()
 ) -> Plan:
-    """Plan a path with transition arcs.
+    """Plan a path with transition arcs after the fixed segments `begin`.
 
     The path is free with its transients and ends within the goal's tolerances. If no
-    such path is found, the plan has no transition arcs, and its reason says so.
-
-    Args:
-        problem: problem that starts at the end of `begin`.
-        settings: search settings.
-        begin: fixed first segments of the path.
-
-    Returns:
-        Plan with the total nodes and time of all searches.
+    such path is found, the plan has no transition arcs, and its reason says so. The
+    problem starts at the end of `begin`.
 
     Raises:
         InputError: the problem is refused by `plan`.

@@ -54,8 +54,7 @@ class Touch:
 
     Attributes:
         obstacle: name of the obstacle, such as "obstacle 2".
-        begin: path length at the start of the contact, m.
-        end: path length at the end of the contact, m.
+        begin, end: path lengths at start and end of the contact, m.
         depth: maximum overlap, m.
         force: estimated contact force, averaged over time, N.
     """

@@ -162,10 +162,8 @@ class PlannerSection(ExtensionSection):
     ) -> Plan:
         """Return the plan of a problem.
 
-        Args:
-            problem: planning problem.
-            wider: additional width of the footprint on the straight run-up, m.
-            limits: limits of leaning on obstacles, or None to keep clear of them.
+        On the straight run-up, the footprint is `wider` (m). Without `limits`, the path
+        keeps clear of obstacles.
 
         Raises:
             InputError: start or goal is not possible.

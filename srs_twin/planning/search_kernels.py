@@ -65,13 +65,11 @@ class Node(NamedTuple):
     """Pose of a search with the path length and the transient.
 
     Attributes:
-        x: x coordinate, m.
-        y: y coordinate, m.
+        x, y: position, m.
         heading: heading, rad.
         cost: length of the path so far, m.
         bound: lower bound on the remaining length, m.
-        left: extra width of the left edge due to transients, m.
-        right: extra width of the right edge due to transients, m.
+        left, right: extra widths of the edges due to transients, m.
         lasting: remaining length of the wider edges, m.
     """
 
@@ -94,10 +92,9 @@ class Frontier(NamedTuple):
     Attributes:
         nodes: fields of each `Node`, shape (capacity, 8).
         links: parent (-1 for a root) and move from the parent, shape (capacity, 2).
-        keys: keys in heap order, m, shape (capacity,).
-        heap: nodes in heap order, shape (capacity,).
-        cells: cell key of each slot of the hash table, shape (slots,). The number of
-            slots is a power of 2.
+        keys, heap: keys (m) and nodes in heap order, shape (capacity,).
+        cells: cell key of each slot of the hash table, shape (slots,), where the number
+            of slots is a power of 2.
         owners: 1 + index of the node that represents the cell, or 0 for an empty slot,
             shape (slots,).
         counts: numbers of created, open and expanded nodes, shape (3,).
@@ -224,8 +221,7 @@ class Target(NamedTuple):
     """Goal of a search.
 
     Attributes:
-        x: x coordinate, m.
-        y: y coordinate, m.
+        x, y: position, m.
         heading: heading, ignored if `any_heading` is set, rad.
         any_heading: whether the arrival heading is free.
         radius: position tolerance, m.
@@ -255,9 +251,8 @@ class SearchSpec(NamedTuple):
         cell: side of a cell of poses, m.
         sector: heading width of a cell, by which 2π is divisible, rad.
         weight: weight w of the lower bound.
-        heuristic: grid distances that may increase the key, or `guidance.NO_HEURISTIC`.
-            Only the lower bound prunes nodes.
-        passages: entry poses and lengths of narrow passages, as returned by
+        heuristic: grid distances that may increase the key, but do not prune nodes.
+        passages: entry poses and lengths of narrow passages; see
             `guidance.find_passages`.
     """
 
@@ -307,11 +302,11 @@ def expand(frontier, spec, best, count):  # type: ignore[no-untyped-def]
     """Expand nodes until an event such as `CONNECTED`; return the event and the node.
 
     Args:
-        frontier: state of the search, which is modified in place.
+        frontier: state of the search, which is modified.
         spec: search parameters.
-        best: length of the best plan so far, m. Nodes that cannot lead to a shorter
+        best: length of the best plan so far, m. Nodes without a chance of a shorter
             plan are dropped.
-        count: maximum number of nodes to expand.
+        count: maximum number of nodes.
     """
     moves = spec.moves
     until = frontier.counts[EXPANDED] + count

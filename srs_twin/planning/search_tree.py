@@ -87,7 +87,7 @@ class SearchTree:
     def grow(self, count: int, best: float) -> ArcSequence | None:
         """Expand up to `count` nodes, and return a plan shorter than `best`, if any.
 
-        The arcs of the plan lead from start to goal, also in a backward search.
+        The arcs of the plan always lead from start to goal.
         """
         until = self.expanded + count
         while True:

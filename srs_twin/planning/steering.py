@@ -101,14 +101,7 @@ class Predictor(Stateful):
     def __init__(
         self, footprint: Footprint, period: float, delay: float, settle: float
     ) -> None:
-        """Start a run.
-
-        Args:
-            footprint: curvature and speed of each offset.
-            period: gait period, s.
-            delay: command delay, s.
-            settle: response length ℓ, m.
-        """
+        """Start a run with gait period (s), command delay (s) and response length (m)."""
         self._offsets = np.array(footprint.offsets)
         self._curvatures = np.array(footprint.curvatures)
         self._period = period
@@ -164,11 +157,8 @@ class Predictor(Stateful):
     def measure(self, time: float, middle: float, mean: Pose, *, whole: bool) -> None:
         """Process a mean pose, and estimate speed and turning over whole periods.
 
-        Args:
-            time: current time, s.
-            middle: middle of the averaging window, s.
-            mean: mean pose.
-            whole: whether the window covers a whole gait period.
+        The averaging window has its middle at a time (s), and may be shorter than a
+        period.
         """
         means = self._means
         means.append((middle, mean.x, mean.y, mean.heading))
@@ -197,8 +187,8 @@ class Predictor(Stateful):
     def _update_turning(self, measured: float, nominal: float, periods: float) -> None:
         """Update gain and disturbance with a Kalman filter (measured = d + g nominal).
 
-        `measured` is the measured curvature and `nominal` the curvature of the
-        footprint, 1/m. `periods` is the number of gait periods since the last update.
+        Both curvatures are in 1/m. `periods` is the number of gait periods since the
+        last update.
         """
         if periods <= 0:
             return
@@ -223,12 +213,9 @@ class Predictor(Stateful):
         self._covariance -= np.outer(weights, cross)
 
     def predict(self, middle: float, mean: Pose, time: float) -> Pose:
-        """Return the pose at a time, given the mean pose at an earlier time.
+        """Return the pose at a time (s), given the mean pose at an earlier time (s).
 
-        Args:
-            middle: time of the mean pose, s.
-            mean: mean pose.
-            time: time of the prediction, at most the delay from now, s.
+        The time of the prediction is at most the delay from now.
         """
         _, x0, y0, heading0, _ = self._at(middle)
         _, x, y, heading, _ = self._at(time)
@@ -240,10 +227,8 @@ class Predictor(Stateful):
         return Pose(mean.x + c * dx - s * dy, mean.y + s * dx + c * dy, heading + turn)
 
     def _at(self, time: float) -> _Sample:
-        """Return the model state that belongs to a time of the snake.
-
-        The model is ahead of the snake, because the command was sent a delay earlier.
-        """
+        """Return the model state that belongs to a time of the snake."""
+        # The model is ahead of the snake by the command delay.
         time -= self._delay
         model = self._model
         k = bisect_right(model, time, key=_time)
@@ -256,10 +241,7 @@ class Predictor(Stateful):
 
 
 def _drop_before(samples: list[_Sample], before: float) -> None:
-    """Delete samples before a time, except the last of them.
-
-    To save time, they are deleted only if they are more than half of all samples.
-    """
+    """Delete samples before a time, except the last, if they are more than half."""
     old = bisect_right(samples, before, key=_time) - 1
     if 2 * old > len(samples):
         del samples[:old]
@@ -281,8 +263,7 @@ class SteeringInput:
             prediction.
         place: path coordinates of the pose.
         curvature: curvature of the model at the time of the pose, 1/m.
-        disturbance: estimated disturbance d of the turning, 1/m.
-        gain: estimated gain g of the turning.
+        disturbance, gain: estimates of the turning by the `Predictor` (d in 1/m, g).
     """
 
     pose: Pose
@@ -316,12 +297,9 @@ class Steering(Stateful, ABC):
         """Return the desired offset, which the follower limits."""
 
     def predict_cross_track(self, n: float, slope: float, ahead: float) -> float:
-        """Return the expected cross-track error farther along the path, m.
+        """Return the expected cross-track error (m) at a distance ahead (m).
 
-        Args:
-            n: current cross-track error, m.
-            slope: current heading relative to the path, rad.
-            ahead: distance along the path, m.
+        The error is now n (m), and the heading deviates from the path by `slope` (rad).
         """
         return n + slope * ahead
 

@@ -74,8 +74,7 @@ def touch_limits(spec: RobotSpec, footprint: Footprint) -> TouchLimits:
 def narrowed(problem: Problem, limits: TouchLimits, level: float) -> Problem:
     """Return a problem whose edges overlap by a fraction of the maximum overlap.
 
-    The body cannot lean on the bounds of the world, so they are narrowed by the same
-    width. The overlap is equal at all curvatures.
+    The body cannot lean on the bounds of the world, so they are narrowed as well.
     """
     body = problem.footprint
     world = problem.world
@@ -92,10 +91,7 @@ def narrowed(problem: Problem, limits: TouchLimits, level: float) -> Problem:
 def plan_with_touch(search: Search, problem: Problem, settings: Settings) -> Plan:
     """Return the plan with the lowest cost among plans with increasing overlap.
 
-    Args:
-        search: planner for one footprint.
-        problem: start, goal, world and body with its full edges.
-        settings: search settings.
+    The body of the problem has its full edges.
     """
     limits = settings.touch_limits
     assert limits is not None, "the caller plans with touch"
@@ -131,7 +127,7 @@ class _Overlaps:
     """Overlaps of the footprint with obstacles along a path.
 
     Attributes:
-        names: names of the obstacles.
+        names: obstacle names.
         s: path length in the middle of each step, m, shape (steps,).
         steps: step lengths, m, shape (steps,).
         depth: overlap with each obstacle, m, shape (obstacles, steps).

@@ -79,8 +79,6 @@ def optimize(
 
 
 class _BestSoFar:
-    """Best feasible value of the first objective at each fidelity."""
-
     def __init__(self, study: OptimizationStudy) -> None:
         self._study = study
         self._values = dict[str, float]()
@@ -153,7 +151,6 @@ def _text(value: float | None) -> str:
 
 
 def _design_lines(design: DesignDocument, k: int) -> Iterator[str]:
-    """Yield remarks on the k-th best design, each printed after "best/k"."""
     from srs_twin.studies.optimization.report import percentage
     from srs_twin.viewing.plots.labels import metric_label
 

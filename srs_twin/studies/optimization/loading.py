@@ -1,7 +1,4 @@
-"""Study files and their design space.
-
-All problems of a file are reported together.
-"""
+"""Study files and their design space. All problems of a file are reported together."""
 
 from __future__ import annotations
 
@@ -379,7 +376,6 @@ def _check_metrics(document: Document, file: StudyFile) -> None:
 
 
 def _check_range_ends(document: Document, study: OptimizationStudy) -> None:
-    """Validate the scenario with each variable at the ends of its range."""
     points: list[tuple[Loc, Experiment, Changes]] = []
     for i, name in enumerate(study.file.variables):
         for end, share in (("low", 0.0), ("high", 1.0)):

@@ -50,12 +50,8 @@ def draw_convergence(
 ) -> CaptionedFigure:
     """Draw the objective of the twin's runs and the best feasible value so far.
 
-    Args:
-        values: objective of each run, shape (runs,).
-        feasible: mask of runs that satisfy the constraints, shape (runs,).
-        label: axis label of the objective.
-        initial: value of the unmodified scenario.
-        maximize: whether a higher objective is better.
+    The arrays have the shape (runs,). `initial` is the value of the unmodified
+    scenario.
     """
     figure = Figure(figsize=(6.5, 3.4), layout="constrained")
     axes = figure.subplots()
@@ -114,8 +110,7 @@ def draw_parallel(
 ) -> CaptionedFigure:
     """Draw designs as parallel coordinates, with the better designs more prominent.
 
-    `ranks` contains the rank of each run, shape (runs,). The bounds of the `best`
-    designs are marked.
+    The bounds on which the `best` designs lie are marked.
     """
     places = np.arange(space.size)
     figure = Figure(figsize=(max(6.5, 1.1 * space.size), 3.6), layout="constrained")
@@ -161,11 +156,10 @@ BOUND_MARK = "†"
 
 
 def write_result(result: StudyResult, folder: Path) -> tuple[str, ...]:
-    """Write all output files into a folder atomically and return their names.
+    """Write all output files into a folder, all or none, and return their names.
 
     Raises:
-        InputError: a file cannot be written. All files of the folder are then
-            unchanged.
+        InputError: a file cannot be written.
     """
     with replace_files(folder, PRODUCTS) as fresh:
         return _write(result, fresh)
@@ -260,7 +254,6 @@ def _figures(
 
 
 def _best_table(result: StudyResult, document: StudyDocument) -> Table:
-    """Return a table of the initial scenario and the best designs."""
     study = result.study
     objectives = [objective.metric for objective in study.file.objectives]
     headings = [
@@ -308,10 +301,7 @@ def _interval_text(
 
 
 def bound_lines(document: StudyDocument) -> list[str]:
-    """Return a sentence for each bound on which a best design lies.
-
-    The last sentence explains the meaning of such a bound.
-    """
+    """Return a sentence for each bound on which a best design lies."""
     designs: dict[str, list[str]] = {}
     for design in document["best"]:
         for name, bound in design["on_bound"].items():

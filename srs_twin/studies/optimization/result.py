@@ -259,7 +259,6 @@ class StudyResult:
         return tuple(dict.fromkeys([*objectives, *constraints]))
 
     def _beats_next(self, k: int) -> float | None:
-        """Return the fraction of drawn robots for which a design beats the next one."""
         objective, *others = self.study.file.objectives
         if not self.designs[k].samples or others or k + 1 >= len(self.designs):
             return None
@@ -327,7 +326,6 @@ def _in_groups(rows: list[Row], size: int, count: int) -> list[tuple[Row, ...]]:
 
 
 def _draw_robots(study: OptimizationStudy, count: int) -> list[Changes]:
-    """Draw the uncertain robot parameters that are not variables of the study."""
     if not count:
         return []
     robot = RobotFile.model_validate(study.experiments["twin"].base["robot"])

@@ -137,10 +137,7 @@ def search(study: OptimizationStudy, runs: StudyRuns) -> Optimum:
 
 
 def costs(study: OptimizationStudy, runs: Sequence[Run]) -> np.ndarray:
-    """Return the objectives of runs as costs, NaN if unknown, shape (runs, objectives).
-
-    An objective to maximise has a negative sign.
-    """
+    """Return the objectives of runs as costs to minimise, shape (runs, objectives)."""
     goals = study.file.objectives
     return _signed(runs, [(goal.metric, goal.sign, 0.0) for goal in goals])
 
@@ -148,7 +145,7 @@ def costs(study: OptimizationStudy, runs: Sequence[Run]) -> np.ndarray:
 def excesses(study: OptimizationStudy, runs: Sequence[Run]) -> np.ndarray:
     """Return the violations of the constraints, shape (runs, limits).
 
-    A satisfied constraint has a value of at most 0.
+    The value of a satisfied constraint is at most 0.
     """
     limits = [
         (constraint.metric, sign, limit)
@@ -193,7 +190,7 @@ def _cma() -> Any:
 
 
 class _Search:
-    """State of a search. Each call of `iterate` runs one round."""
+    """State of a search, of which `iterate` runs one round."""
 
     def __init__(self, study: OptimizationStudy, runs: StudyRuns) -> None:
         self._study = study
@@ -238,7 +235,6 @@ class _Search:
                 share -= max(len(self._compliant_runs) - before, 1)
 
     def run_initial_designs(self) -> None:
-        """Run the twin at the best low-fidelity designs and at some random designs."""
         budget = self._study.file.budget.twin
         count = max(int(_INITIAL_SHARE * budget), min(4, budget))
         if not self._compliant_runs:
@@ -265,10 +261,7 @@ class _Search:
         return self._study.file.budget.twin - len(self._twin_runs)
 
     def iterate(self) -> bool:
-        """Run the twin at the designs with maximum expected improvement.
-
-        The result is False if no design is left.
-        """
+        """Run the twin at the best candidates; return False if no candidate is left."""
         candidates = self._candidates()
         if not candidates:
             return False
@@ -388,10 +381,7 @@ class _Search:
         weight: np.ndarray,
         relative_to: Sequence[Run] | None = None,
     ) -> np.ndarray:
-        """Return the Tchebycheff scalarisation of runs as costs, shape (runs,).
-
-        The costs include penalties for failures and violated constraints.
-        """
+        """Return penalised Tchebycheff scalarisations of runs as costs."""
         reference = runs if relative_to is None else relative_to
         reference_costs = costs(self._study, reference)
         known = reference_costs[~np.isnan(reference_costs).any(axis=1)]
@@ -463,7 +453,6 @@ class _Search:
         return new
 
     def _scores(self, designs: np.ndarray) -> np.ndarray:
-        """Return the expected improvement of new designs, shape (designs,)."""
         low_fidelity = None
         if self._compliant_runs:
             shares = np.array([run.shares for run in self._compliant_runs])
@@ -494,11 +483,7 @@ class _Search:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return predicted means and standard deviations, shape (candidates, outputs).
 
-        Args:
-            candidates: designs to predict.
-            objective: objective to minimise, or None for the whole front.
-            low_fidelity: low-fidelity outputs of the candidates. If None, the model
-                runs where necessary.
+        Without `low_fidelity` outputs, the low-fidelity model runs where necessary.
         """
         known = self._twin_runs
         outputs = self._outputs(known)
@@ -557,11 +542,8 @@ class _Search:
     ) -> np.ndarray:
         """Return the expected improvement of each candidate, shape (candidates,).
 
-        Args:
-            mean: predicted outputs, shape (candidates, outputs).
-            sd: standard deviations of the predictions, shape (candidates, outputs).
-            known: outputs of the twin, shape (runs, outputs).
-            objective: objective to improve, or None for the area of the front.
+        `mean`, `sd` and the `known` outputs of the twin have one column per output. If
+        the objective is None, the improvement is the growth of the dominated area.
         """
         count = self._objectives
         is_feasible = (known[:, count:] <= 0).all(axis=1)
@@ -586,8 +568,8 @@ def area_gained(known: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Return the growth of the dominated area by each point, shape (…).
 
     Points of shape (…, 2) contain two costs. The reference point that bounds the area
-    lies beyond both ends of the front by the extent of the front. Moving an end is
-    therefore a gain as well.
+    lies beyond both ends of the front by the extent of the front, so that moving an end
+    is a gain.
     """
     members = known[front(known)]
     members = members[np.argsort(members[:, 0])]
@@ -611,11 +593,6 @@ def _predict_with_process(
 
     A simulation has no noise, so the fitted noise is structure that a further run may
     find. The standard deviation therefore includes it.
-
-    Args:
-        x: inputs of the samples, shape (samples, d).
-        y: values of the samples, shape (samples,).
-        at: inputs of the prediction, shape (inputs, d).
     """
     scale = max(float(y.std()), 1e-12)
     mean = float(y.mean())

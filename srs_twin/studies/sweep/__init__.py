@@ -1,7 +1,4 @@
-"""Sweeps: runs of a scenario over many values of its fields.
-
-Rows are stored as soon as their runs finish, so an interrupted sweep can resume.
-"""
+"""Sweeps: stored and resumable runs of a scenario over many values of its fields."""
 
 from typing import TYPE_CHECKING
 

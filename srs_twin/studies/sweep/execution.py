@@ -1,8 +1,7 @@
 """Execution of sweeps: run the missing points, store each row at once, write the files.
 
-An engine runs the points in worker processes, on Ray, or in batches on an accelerator
-(`warp`). The metrics are always computed on the CPU. All engines give equal rows,
-except that `warp` computes in single precision.
+Engines run points in worker processes, on Ray, or in batches on an accelerator
+(`warp`). All engines give equal rows, except that `warp` computes in single precision.
 """
 
 from __future__ import annotations
@@ -59,7 +58,7 @@ def local(workers: int | None = None) -> Engine:
     """Return the engine that runs points in processes on this machine.
 
     Threads, or `mujoco.batch` for twins of one model, would be no faster (see
-    benchmarks/sweeps.py). With threads, a crash would end all other runs as well.
+    benchmarks/sweeps.py), and a crash would end all runs.
     """
 
     def run(
@@ -74,10 +73,7 @@ def local(workers: int | None = None) -> Engine:
 def on_ray(address: str | None = None, workers: int | None = None) -> Engine:
     """Return the engine that runs points on a Ray cluster or on a local Ray instance.
 
-    Args:
-        address: address of a cluster as in `ray.init`, or None to start a local
-            instance that ends with the sweep.
-        workers: number of processors of the local instance, or None for all.
+    Without an address, a local instance starts, which ends with the sweep.
 
     Raises:
         InputError: Ray is not installed, or both an address and a number of workers are
@@ -159,12 +155,9 @@ def quiet(part: str, total: int, row: Row | None) -> None:
 def make_engine(
     engine: str | Engine, workers: int | None = None, address: str | None = None
 ) -> Engine:
-    """Return an engine by name. An engine object is returned unchanged.
+    """Return an engine by name ("local", "ray" or "warp"), or an engine unchanged.
 
-    Args:
-        engine: name of the engine ("local", "ray" or "warp"), or an engine object.
-        workers: number of parallel runs, or None for one per processor.
-        address: address of a Ray cluster, or name of a Warp device.
+    The address is that of a Ray cluster or a Warp device.
 
     Raises:
         InputError: the arguments do not suit the engine, or the engine is not
@@ -185,9 +178,7 @@ def make_engine(
 
 
 def select_points(swept: Sweep, without: Sequence[str]) -> set[str]:
-    """Return the keys of the points that `without` does not exclude.
-
-    Each exclusion has the form `field=value`.
+    """Return the keys of the points without excluded values (`field=value`).
 
     Raises:
         UnknownNameError: a field is not varied, or never has this value.
@@ -291,7 +282,7 @@ _PRODUCTS = (SUMMARY, RESULTS, SWEEP, SCENARIO, REPORT, f"{PLOTS}/[0-9]*_*.png")
 def open_sweep(
     sweep: Sweep, folder: Path, *, changed: bool = False
 ) -> Iterator[OpenSweep]:
-    """Open and lock a folder for a sweep. A missing folder is created.
+    """Open and lock a folder for a sweep.
 
     With `changed`, the folder may belong to another version of the sweep, and rows that
     still apply are kept.
@@ -337,11 +328,10 @@ class OpenSweep:
         )
 
     def finish(self) -> Summary:
-        """Write table, plots, report and summary of the stored rows.
+        """Write table, plots, report and summary of the stored rows, all or none.
 
         Raises:
-            InputError: a file cannot be written. All files of the folder are then
-                unchanged.
+            InputError: a file cannot be written.
         """
         with replace_files(self.folder, _PRODUCTS) as fresh:
             return self._write(fresh)
@@ -458,7 +448,6 @@ def _abbreviate(names: Sequence[str]) -> str:
 
 
 def _value_changes(before: Any, now: Any, path: str = "") -> Iterator[str]:
-    """Yield 'field old → new' for each scalar value that differs."""
     if isinstance(before, dict) and isinstance(now, dict):
         for key in before | now:
             inner = f"{path}.{key}".lstrip(".")
@@ -486,12 +475,8 @@ class _TwinPoint(NamedTuple):
 def on_device(device: str | None = None, workers: int | None = None) -> Engine:
     """Return the engine that runs twins with MuJoCo Warp.
 
-    Points that Warp cannot run are run by `local` after a warning.
-
-    Args:
-        device: Warp device. None selects an accelerator, or `local` for all points if
-            the machine has none.
-        workers: number of workers of `local`.
+    Points that Warp cannot run, and all points without an accelerator, are run by
+    `local`.
 
     Raises:
         InputError: MuJoCo Warp is not installed.

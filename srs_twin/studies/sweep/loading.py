@@ -106,7 +106,6 @@ def load_sweep(
 def _with_changes(
     sweep: Sweep, scenario: Scenario, written: Mapping[str, Any], locs: Sequence[Loc]
 ) -> Sweep:
-    """Return a sweep whose title names its changes."""
     plants = written.get("plants")
     if plants is None:
         plants = list(scenario.plants)
@@ -131,11 +130,7 @@ def changed_base(
 ) -> list[dict[str, Any]]:
     """Return the fields of an experiment that differ from its file.
 
-    Args:
-        experiment: experiment including the changes.
-        scenario: unmodified scenario.
-        written: sweep or study file as plain data.
-        locs: paths of the changed scenario fields.
+    `written` is the sweep or study file without the changes at `locs`.
     """
     fixed = written.get("fixed")
     original = replace(experiment, base=scenario.document)
@@ -334,7 +329,6 @@ class _Loader:
         self._document.report(loc, text)
 
     def _robots(self) -> dict[str, Any]:
-        """Return the content of each named robot, which enters the keys of points."""
         robots = {}
         varied = self._file.vary.get("robot")
         names: list[tuple[str, object]] = [("fixed", self._file.fixed.get("robot"))]
@@ -351,7 +345,7 @@ class _Loader:
     def _test_points(
         self, sweep: Sweep
     ) -> Iterator[tuple[Loc, Experiment, Mapping[str, Value]]]:
-        """Yield a point for each varied value, with other fields at first values."""
+        """Yield a point for each varied value, with first values of other fields."""
         experiment = sweep.experiment
         rows = [dict(zip(sweep.fields, row, strict=True)) for row in sweep.values]
         if self._file.sampling.kind == "list":

@@ -1,7 +1,7 @@
 """Plots of a sweep: a metric along one field, or against another column.
 
 Means are taken over seeds only. If further fields vary, each combination of their
-values has its own line. A plot without any value contains a note instead.
+values has its own line.
 """
 
 from __future__ import annotations
@@ -53,12 +53,11 @@ _KEY_WIDTH = 1.3
 def draw(plot: Plot, results: SweepTable) -> Figure:
     """Return the figure of a plot, independent of the order of the rows.
 
-    The comparison is shown only if no plant has the metric.
-
     Raises:
         InputError: a column does not exist.
     """
     owners = results.owners(plot.metric)
+    # The comparison is shown only if no plant has the metric.
     owners = [owner for owner in owners if owner != COMPARISON] or owners
     if plot.kind == "line" and plot.by is None:
         separate = _separate_fields(plot, results)
@@ -247,7 +246,6 @@ def _mark_failed(axes: Axes, x: np.ndarray) -> None:
 
 
 def _draw_legend(axes: Axes, owners: list[str], plot: Plot) -> None:
-    """Draw a legend of plants and of failed runs above the plot on the right."""
     handles: list[Artist] = []
     # A plan has no plant to distinguish, so it has no legend entry.
     for owner in owners if PLAN not in owners else ():
@@ -277,7 +275,7 @@ def _draw_legend(axes: Axes, owners: list[str], plot: Plot) -> None:
 def _draw_lines(axes: Axes, owner: str, columns: np.ndarray, colors: _Colors) -> int:
     """Draw the means over seeds for each value of `by` and return the point count.
 
-    `columns` contains x, y and `by` of each run, shape (3, runs).
+    The rows of `columns` are x, y and `by`.
     """
     drawn = 0
     x, y, by = columns

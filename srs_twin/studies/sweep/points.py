@@ -227,10 +227,7 @@ class Experiment:
         return document
 
     def with_change(self, document: Any, name: str, value: Value | list[Value]) -> Any:
-        """Return a scenario with one field changed, as plain data.
-
-        The name of a robot is replaced by the content of its file.
-        """
+        """Return a scenario with one field changed, and a robot name resolved."""
         content: Any = self.robots.get(str(value), value) if name == "robot" else value
         path = parse_path(name)
         if name == "planner.kind":
@@ -331,7 +328,7 @@ def leaf_names(data: object, prefix: str = "") -> Iterator[str]:
 def _duration(
     document: Mapping[str, Any], plants: tuple[str, ...], periods: float
 ) -> Any:
-    """Return the duration of a number of periods, rounded up to whole ticks, s.
+    """Return a number of periods as a duration in whole ticks, s.
 
     If the frequency or a tick is unknown, it is the duration of the scenario.
     """
@@ -402,7 +399,6 @@ def sobol_points(
 def _space_filling_points(
     fields: Sequence[Sequence[Value] | RangeFile], sampling: SamplingFile
 ) -> list[tuple[Value, ...]]:
-    """Return points that fill the ranges evenly, using all values of a list equally."""
     from scipy.stats import qmc
 
     assert sampling.count is not None, "checked by the file's model"

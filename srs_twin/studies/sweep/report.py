@@ -34,12 +34,12 @@ class Summary:
         folder: output folder.
         points: number of points.
         done: number of successful runs.
-        reasons: number of failed runs by failure message.
+        reasons: number of failed runs by message.
         exit_code: highest exit code of the failed runs; 0 without failures.
         sha256: digest of all rows.
         ranges: (minimum, median, maximum) of each summary metric.
-        files: names of written files.
-        results: all rows as columns.
+        files: written files.
+        results: all rows.
     """
 
     folder: Path
@@ -74,7 +74,6 @@ class _Column:
         return cell(None)
 
     def mean_text(self, runs: np.ndarray) -> str:
-        """Return mean ± standard deviation, and the count if values are missing."""
         numbers = self.numbers[runs]
         known = numbers[np.isfinite(numbers)]
         if not len(known):
@@ -88,10 +87,7 @@ class _Column:
 
 
 def run_tables(results: SweepTable, metrics: Sequence[str]) -> list[Table]:
-    """Return tables with one row per run, ordered by field values.
-
-    More than `MAX_RUNS` runs are replaced by a note.
-    """
+    """Return tables with one row per run, or a note for more than `MAX_RUNS` runs."""
     failed = results.failed
     if len(failed) > MAX_RUNS:
         note = f"{len(failed)} runs; their rows are in results.parquet."
@@ -151,10 +147,7 @@ def _split_tables(
     lines: list[tuple[list[str], Any]],
     text: Callable[[_Column, Any], str],
 ) -> list[Table]:
-    """Return at least one table, each with as many metric columns as fit on a page.
-
-    Each line consists of its first cells and its run or runs, which `text` formats.
-    """
+    """Return at least one table, each with as many metric columns as fit on a page."""
     columns, note = _metric_columns(results, metrics)
     tables = []
     for first in range(0, max(len(columns), 1), _COLUMNS_PER_TABLE):

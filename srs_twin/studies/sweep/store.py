@@ -45,7 +45,7 @@ class SweepIdentity:
         keys: hash of the keys of all points.
         scenario: scenario of the experiment.
         fields: varied fields.
-        versions: version of each package.
+        versions: package versions.
         sources: source hash of each module that computes rows.
         files: content hash of each file that points read.
     """
@@ -182,7 +182,7 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
         """Store the rows of tasks as they finish, and call `on_row` with each row.
 
         A task that raised an error is stored as a failed row. The rows that finished
-        before an interrupt are kept. `keys` contains the key of each task.
+        before an interrupt are kept.
 
         Raises:
             InputError: a row cannot be stored.

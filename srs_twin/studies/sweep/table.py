@@ -56,8 +56,7 @@ class ColumnValues:
 
     Attributes:
         label: axis label.
-        numbers: values, or indices of texts in `names`, shape (rows,). A missing value
-            is NaN.
+        numbers: values or indices of texts in `names`, NaN if missing, shape (rows,).
         names: distinct texts in order; empty for a column of numbers.
     """
 
@@ -165,7 +164,7 @@ class SweepTable:
         return [owner for owner in OWNERS if self._names(owner, metric)]
 
     def metric(self, metric: str, owner: str) -> ColumnValues:
-        """Return a metric of an owner. A list metric is represented by its mean."""
+        """Return a metric of an owner, averaged over the elements of a list metric."""
         names = self._names(owner, metric)
         elements = np.array([_numbers(self.columns[name]) for name in names])
         label = metric_label(metric)
@@ -275,7 +274,6 @@ def _plotted_columns(sweep: Sweep) -> dict[str, None]:
 
 
 def _of_one_type(values: list[Any]) -> list[Any]:
-    """Return the values with one common type, where mixed types become JSON texts."""
     types = {type(value) for value in values}
     if len(types) <= 1:
         return values
@@ -301,12 +299,8 @@ def _numbers(column: Sequence[Any]) -> np.ndarray:
 def group_means(group: np.ndarray, count: int, values: np.ndarray) -> np.ndarray:
     """Return the mean of each group of values, independent of the order of the rows.
 
-    Missing values (NaN) are ignored, and an empty group has a mean of NaN.
-
-    Args:
-        group: group number of each value, shape (rows,).
-        count: number of groups.
-        values: values to average, shape (rows,).
+    Missing values (NaN) are ignored, and an empty group has a mean of NaN. `group`
+    contains the group number of each value.
     """
     # Floating-point sums depend on the order of their terms, so the values are sorted.
     order = np.lexsort((values, group))

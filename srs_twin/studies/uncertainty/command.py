@@ -167,7 +167,6 @@ def _print_result(result: Propagation) -> None:
 
 
 def _print_plant(result: Propagation, plant: str) -> bool:
-    """Print the table of one plant and return whether it has published values."""
     from srs_twin.comparison.metrics import metric_units
     from srs_twin.identification.fitting import print_table
     from srs_twin.studies.uncertainty.metric_uncertainty import RANGES

@@ -56,9 +56,7 @@ _ERROR: dict[str, Any] = {
 def draw_intervals(title: str, document: Mapping[str, Any]) -> Figure:
     """Draw the target's intervals on each plant, and the effect of each quantity.
 
-    Args:
-        title: title of the scenario.
-        document: result as returned by `Propagation.document`.
+    The document is the result of `Propagation.document`.
     """
     plant = document["target"]["plant"]
     metric = document["target"]["metric"]

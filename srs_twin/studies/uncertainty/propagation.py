@@ -217,9 +217,9 @@ class Propagation:
 
     @property
     def target(self) -> tuple[str, str]:
-        """Plant and metric of the summary.
+        """Plant and metric of the summary, the first with a published value.
 
-        They are the first metric with a published value, by default the speed.
+        By default the metric is the speed.
         """
         plants = [plant for plant in PLANTS if plant in self.plants]
         for plant in reversed(plants):
@@ -285,8 +285,8 @@ class Propagation:
     def segments(self) -> dict[str, list[float]] | None:
         """Minimum and maximum speed of the twin over stiffness and damping time, m/s.
 
-        Both parameters vary over their 95 % intervals. With the key `damping`, only the
-        damping time varies. The result is None if the runs are missing.
+        Both parameters, or only the damping time (`damping`), vary over their 95 %
+        intervals. The result is None if the runs are missing.
         """
         speeds = self.rows.get(SEGMENTS, {}).get("com_speed_m_s")
         if speeds is None or not np.isfinite(speeds).all():
@@ -316,7 +316,6 @@ class Propagation:
 
     @cached_property
     def _chaos(self) -> PolynomialChaos:
-        """Polynomial chaos expansion of the target metric."""
         return PolynomialChaos.fit(
             self.study.shares, _fill_missing(self._target.samples)[:, None]
         )
@@ -444,15 +443,10 @@ def propagate(
     *,
     changed: bool = False,
 ) -> Propagation:
-    """Run the missing rows of a study in a folder and return the result.
+    """Run the missing rows of a study and return the result.
 
-    Args:
-        study: study to run.
-        folder: output folder, with one subfolder per fidelity.
-        engine: engine for the runs.
-        progress: callback that reports the missing runs of each fidelity.
-        changed: whether the folder may belong to another version of the study; see
-            `open_sweep`.
+    The folder has one subfolder per fidelity. With `changed`, it may belong to another
+    version of the study, as described in `open_sweep`.
 
     Raises:
         InputError: a folder cannot be written, or there is no result.

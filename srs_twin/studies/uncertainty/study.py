@@ -146,10 +146,7 @@ class UncertaintyStudy:
     def _sampled(
         self, shares: np.ndarray, plant: str, step: float
     ) -> Iterator[list[Any]]:
-        """Yield a row for each point u.
-
-        A short damping time shortens the time step of the twin.
-        """
+        """Yield a row for each point u; short damping times shorten the time step."""
         parameters, choices = np.split(shares, [len(self.priors.parameters)], axis=1)
         for values, fractions in zip(
             self.priors.quantile(parameters).tolist(), choices, strict=True
@@ -164,11 +161,7 @@ class UncertaintyStudy:
     def _over_segments(
         self, nominal: Sequence[Any], step: float
     ) -> Iterator[list[Any]]:
-        """Yield rows for all pairs of stiffness and damping time.
-
-        Each parameter has its value in the robot file and the two ends of its 95 %
-        interval.
-        """
+        """Yield rows for all pairs of nominal and extreme stiffness and damping."""
         places = [self.priors.paths.index(path) for path in (STIFFNESS, DAMPING)]
         levels = []
         for prior in (self.priors.parameters[place] for place in places):
@@ -188,10 +181,7 @@ def on_plant(
 ) -> dict[str, Any]:
     """Return a scenario with a single plant and no expectations, as plain data.
 
-    Args:
-        document: scenario as plain data.
-        plant: name of the plant.
-        settings: settings of the plant, or None for the settings in the scenario.
+    Without settings, the plant keeps the settings in the scenario.
     """
     if settings is None:
         settings = document["plants"].get(plant, {})

@@ -188,12 +188,9 @@ class GaussianProcess:
         *,
         log_hyperparameters: Array | None = None,
     ) -> None:
-        """Fit the process to samples.
+        """Fit the process to inputs, shape (samples, d), and values of order 1.
 
-        Args:
-            x: inputs of order 1, shape (samples, d).
-            y: values of order 1, shape (samples,).
-            log_hyperparameters: values to use instead of the most probable ones.
+        Given `log_hyperparameters` replace the most probable values.
         """
         self._x = x
         self._y = y
@@ -242,7 +239,6 @@ class GaussianProcess:
     def _negative_log_posterior(
         self, log_hyperparameters: Array, centre: Array
     ) -> float:
-        """Return the negative logarithm of the posterior density, up to a constant."""
         try:
             factor = scipy.linalg.cholesky(
                 self._covariance(log_hyperparameters), lower=True
