@@ -7,9 +7,9 @@ orders of switching:
 
 $$ \phi_i = \sum_{S \not\ni i} \frac{|S|!\,(n - |S| - 1)!}{n!}\,\bigl[v(S \cup i) - v(S)\bigr]. $$
 
-The contributions add up to v(all) − v(none). An approximation that only one plant makes,
-such as its time step, cannot be switched. It is refined instead, and the change under
-the refinement is extrapolated to the limit.
+The contributions add up to v(all) − v(none). An approximation that only one plant
+makes, such as its time step, cannot be switched. It is refined instead, and the change
+under the refinement is extrapolated to the limit.
 """
 
 from __future__ import annotations
@@ -221,7 +221,7 @@ class PlantVariants:
         ]
 
     def _bend_switches(self) -> list[Switch]:
-        """Return the switches of the bends, which include the torque due to friction."""
+        """Return the switches for bends and for the torque due to friction."""
         spec = self._scenario.robot
         model = self._model.model
         damping_time = spec.bending.damping_time
@@ -333,7 +333,7 @@ class PlantVariants:
         ]
 
     def analytical(self, on: frozenset[str], **options: Any) -> Plant:
-        """Build the analytical model with some switches on, and with further options."""
+        """Build the analytical model with some switches on and further options."""
         spec = self._scenario.robot
         changes: dict[str, Any] = {}
         for switch in self.all_switches:

@@ -1,9 +1,9 @@
 """Rollouts of plants under controllers.
 
-`rollout` simulates one run. `run_many` runs independent jobs on several threads and gives
-the results that `rollout` would give. `run_batch` simulates a batch of twins that one
-policy commands tick by tick. Kernels and MuJoCo release the interpreter's lock while they
-step, so the threads run in parallel.
+`rollout` simulates one run. `run_many` runs independent jobs on several threads and
+gives the results that `rollout` would give. `run_batch` simulates a batch of twins that
+one policy commands tick by tick. Kernels and MuJoCo release the interpreter's lock
+while they step, so the threads run in parallel.
 
 >>> from functools import partial
 >>> from srs_twin import AnalyticalSnake, Gait, Job, load_robot, run_many
@@ -277,8 +277,7 @@ def sample_counts(
 ) -> tuple[int, int]:
     """Return samples per tick and ticks per sample, at least one of which is 1.
 
-    The sampling interval must be a multiple of the step (`Plant.sample_step`), if
-    given.
+    If `step` is given, the sampling interval must be a multiple of the step.
 
     Raises:
         InputError: the rate does not fit the tick. The message suggests the nearest

@@ -20,8 +20,8 @@ region. A polygon that contains the whole region needs no check. The regions of 
 are connected and start outside all polygons, so an earlier region would cross a side.
 
 Motion primitives are the arcs from a search node to its children (Section 5.2.1). The N
-arcs have turns α from -α_max to α_max and the length v Δt. With θ' = θ + α and r = vΔt/α
-(Eq. 33 with corrected signs, E7), an arc leads to
+arcs have turns α from -α_max to α_max and the length v Δt. With θ' = θ + α and
+r = vΔt/α (Eq. 33 with corrected signs, E7), an arc leads to
 
 $$ x' = x + r(\sin θ' - \sin θ), \qquad y' = y - r(\cos θ' - \cos θ) $$
 """

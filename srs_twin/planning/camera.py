@@ -101,7 +101,10 @@ class PeriodMean(Stateful):
         self.complete = False
 
     def add(self, time: float, pose: Pose) -> None:
-        """Add a frame at a time (s), whose heading is unwrapped."""
+        """Add a frame and unwrap its heading with respect to the previous frame.
+
+        The time of the frame is in s.
+        """
         integrals = self._integrals
         last = self._last
         period_start = time - self._period

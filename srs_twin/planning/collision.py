@@ -208,7 +208,7 @@ class Checker:
     ) -> str:
         """Describe an obstacle or bound that a straight path touches, if any.
 
-        The path has a length (m), and both edges of the footprint are `wider` (m).
+        `length` is the length of the path and `wider` the width added to both edges, m.
         """
         both = (wider, wider)
         # The whole world is tested first, because the name of an obstacle is needed

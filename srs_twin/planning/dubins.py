@@ -54,8 +54,8 @@ def shortest_path(
 ) -> ArcSequence:
     """Return the three arcs of the shortest path from a pose to a pose or point.
 
-    The end has the coordinates x and y (m) and a heading (rad), or any heading if it is
-    None. An arc may have length 0.
+    The end is the point x, y (m). Its heading (rad) may be None, which stands for any
+    heading. An arc may have length 0.
     """
     path = dubins_path(
         *start, *Pose(x, y, heading or 0.0), heading is None, float(radius)

@@ -217,9 +217,9 @@ class Footprint:
     def transient(self, before: float, after: float) -> tuple[float, float, float]:
         """Return the extra left and right width and the length of a transient, m.
 
-        The widths are interpolated by the size of the change. A change beyond the
-        measured range has the widths of the largest measured change. If several
-        measured changes have equal size, the widest transient is used.
+        The widths are interpolated between the measured sizes of a change. A change
+        beyond the measured range has the widths of the largest measured change. If
+        several measured changes have equal size, the widest transient is used.
         """
         measured = self._measured(after - before)
         if not measured:
@@ -254,8 +254,8 @@ class Footprint:
     def lag(self, before: float, after: float) -> tuple[float, float]:
         """Return the delay δ and the length T of a transition arc (`planner`), m.
 
-        They are interpolated by the size of the change, and constant beyond the
-        measured sizes. Without measured changes in this direction, they are 0.
+        Both lengths are interpolated between the measured sizes of a change and
+        constant beyond them. Without measured changes in this direction, they are 0.
         """
         known: dict[float, list[tuple[float, float]]] = {}
         for size, t in self._measured(after - before):

@@ -7,8 +7,8 @@ and `srs-twin calibrate footprint` measures new ones.
 For margins with a probability, the file contains the maximum excursion beyond the
 footprint in each of n runs on random paths. The excursion of a new run does not exceed
 the k-th smallest value with a probability of at least k/(n + 1), for any distribution.
-This is split conformal prediction (Vovk et al. 2005; Lei et al. 2018). The margin of
-probability p is the value with k = ⌈(n + 1) p⌉.
+The method is split conformal prediction (Vovk et al. 2005; Lei et al. 2018). The margin
+of probability p is the value with k = ⌈(n + 1) p⌉.
 """
 
 from __future__ import annotations
@@ -122,7 +122,10 @@ class ConditionsFile(StrictModel):
         )
 
     def excess_difficulty(self, other: ConditionsFile) -> float:
-        """Return the sum of the relative differences to covered conditions."""
+        """Return how much more difficult these conditions are than covered conditions.
+
+        The value is the sum of the relative differences.
+        """
         pairs = ((getattr(self, name), getattr(other, name)) for name in _DIFFICULTIES)
         return float(
             sum((own - covered) / own for own, covered in pairs if own > covered)
@@ -373,7 +376,7 @@ def margin_for(
 ) -> Margin:
     """Return the margin within which a whole run stays with a given probability.
 
-    There is one set of conditions per plant.
+    `conditions` has one entry per plant.
 
     Raises:
         InputError: no measurement covers the conditions, or a measurement has too few

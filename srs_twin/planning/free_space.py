@@ -1,10 +1,11 @@
 """Proof that no path exists, and a lower bound on path lengths.
 
-Both hold for paths with any turns. Let w be the clearance, i.e. the minimum distance of
-an edge from the path. Consider a point o of an obstacle that is closer than w to a
-smooth path. If the nearest point of the path is not an end, then o is straight across
-from it and within the edges, which is a collision. Therefore the nearest point is an
-end, and all points of the path within w of o are within 2 w of this end.
+The proof and the bound hold for paths with any turns. Let the clearance w be the
+minimum distance of an edge from the path. Consider a point o of an obstacle that is
+closer than w to a smooth path. If the nearest point of the path is not an end, then o
+is straight across from it and within the edges, which is a collision. Therefore the
+nearest point is an end, and all points of the path within w of o are within 2 w of this
+end.
 
 Hence a collision-free path is contained in the free space. The free space consists of
 the bounds reduced by w, without the obstacles grown by w, and of discs of radius 2 w
@@ -58,8 +59,8 @@ def min_path_length(start: Pose, goal: Goal, world: World, clearance: float) -> 
     if component is None:
         return math.inf
     # A shortest line bends only at corners of the free space, so the algorithm is A* on
-    # the visibility graph. The visibility of a line is tested only when the line reaches
-    # the front of the queue.
+    # the visibility graph. The visibility of a line is tested only when it reaches the
+    # front of the queue.
     free = component.buffer(_ROUNDING_M, join_style="mitre")
     shapely.prepare(free)
     corners = np.array(

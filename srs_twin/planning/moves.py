@@ -193,7 +193,8 @@ def shorten_path(
 ) -> ArcSequence:
     """Return a collision-free path with the same ends that is not longer.
 
-    The path must consist of moves. The short cuts have a turning radius (m).
+    The curvatures of the path must be in `moves`. `radius` is the turning radius of the
+    short cuts, m.
     """
     arcs = [(c, length) for c, length in path if length > 0]
     indices = np.array(
@@ -251,7 +252,7 @@ def _cut_corners(x, y, heading, indices, lengths, moves, grid, radius):  # type:
                     end, last, indices, lengths, states, moves, grid
                 ):
                     break
-            # The next try is at a nearer pose, with steps that shrink with the distance.
+            # The next try is at a nearer pose. The steps shrink with the distance.
             last = k + min(last - k - 1, int(_RETREAT * (last - k)))
         if last > k:
             for piece in range(3):

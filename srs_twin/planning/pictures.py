@@ -50,7 +50,8 @@ def segment_points(
 ) -> np.ndarray:
     """Return points along a segment, about a centimetre apart, m, shape (n, 2).
 
-    The points are `offset` to the left. The segment is extended at both ends.
+    `offset` is the distance of the points to the left of the segment. `behind` and
+    `ahead` are the lengths by which the segment is extended, m.
     """
     low = -behind
     high = segment.length + ahead

@@ -1,9 +1,9 @@
 r"""The function `plan`, and `plan_with_transitions` for paths with transition arcs.
 
-A change of curvature from κ_a to κ_b = κ_a + Δκ is not instant, because the body responds
-gradually to a change of offset. The path turns by Δκ δ less than after an instant change
-(`Transient.dheading` = −Δκ δ), and is displaced by `Transient.dy` = Δκ m/2 to the side.
-To first order, one transition arc of length T and curvature
+A change of curvature from κ_a to κ_b = κ_a + Δκ is not instant, because the body
+responds gradually to a change of offset. The path turns by Δκ δ less than after an
+instant change (`Transient.dheading` = −Δκ δ), and is displaced to the side by
+`Transient.dy` = Δκ m/2. To first order, one transition arc of length T and curvature
 
 $$ κ_t = κ_a + \Bigl(1 - \frac{δ}{T}\Bigr) Δκ, \qquad T = \frac{m}{δ}, $$
 

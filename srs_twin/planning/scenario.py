@@ -162,8 +162,8 @@ class PlannerSection(ExtensionSection):
     ) -> Plan:
         """Return the plan of a problem.
 
-        On the straight run-up, the footprint is `wider` (m). Without `limits`, the path
-        keeps clear of obstacles.
+        `wider` is an additional width (m) of the footprint on the straight run-up.
+        Without `limits`, the path keeps clear of obstacles.
 
         Raises:
             InputError: start or goal is not possible.

@@ -138,7 +138,7 @@ class SearchTree:
 
 
 def goal_poses(goal: Goal, sector: float) -> list[Pose]:
-    """Return poses within a goal's tolerances, where the goal itself is the first.
+    """Return poses within a goal's tolerances, beginning with the goal.
 
     A goal with a free heading has one pose per sector (rad).
     """

@@ -12,8 +12,8 @@ footprint. A Kalman filter estimates this difference as a gain g and a disturban
 (1/m).
 
 `BearingLaw` is the law of Section 5.2.2. The snake visits the nodes of the plan in
-turn. The offset is proportional to the bearing of the next node minus the heading, and
-limited. When the snake is within a threshold of a node, it heads for the next node.
+turn. The offset is limited and proportional to the bearing of the next node minus the
+heading. When the snake is within a threshold of a node, it heads for the next node.
 
 `PathLaw` is a law of this project. Let n be the cross-track error and e the heading
 error, both predicted for the time at which the command takes effect. The curvature
@@ -101,7 +101,11 @@ class Predictor(Stateful):
     def __init__(
         self, footprint: Footprint, period: float, delay: float, settle: float
     ) -> None:
-        """Start a run with gait period (s), command delay (s) and response length (m)."""
+        """Start a run.
+
+        The period and the delay of commands are in s, and the response length ℓ is in
+        m.
+        """
         self._offsets = np.array(footprint.offsets)
         self._curvatures = np.array(footprint.curvatures)
         self._period = period
@@ -157,8 +161,8 @@ class Predictor(Stateful):
     def measure(self, time: float, middle: float, mean: Pose, *, whole: bool) -> None:
         """Process a mean pose, and estimate speed and turning over whole periods.
 
-        The averaging window has its middle at a time (s), and may be shorter than a
-        period.
+        `middle` is the middle of the averaging window (s), and `whole` tells whether
+        the window covers a whole gait period.
         """
         means = self._means
         means.append((middle, mean.x, mean.y, mean.heading))
@@ -187,8 +191,8 @@ class Predictor(Stateful):
     def _update_turning(self, measured: float, nominal: float, periods: float) -> None:
         """Update gain and disturbance with a Kalman filter (measured = d + g nominal).
 
-        Both curvatures are in 1/m. `periods` is the number of gait periods since the
-        last update.
+        `measured` is the measured curvature and `nominal` the curvature of the
+        footprint, 1/m. `periods` is the number of gait periods since the last update.
         """
         if periods <= 0:
             return
@@ -215,7 +219,7 @@ class Predictor(Stateful):
     def predict(self, middle: float, mean: Pose, time: float) -> Pose:
         """Return the pose at a time (s), given the mean pose at an earlier time (s).
 
-        The time of the prediction is at most the delay from now.
+        The prediction reaches at most the command delay beyond the current time.
         """
         _, x0, y0, heading0, _ = self._at(middle)
         _, x, y, heading, _ = self._at(time)
@@ -299,7 +303,8 @@ class Steering(Stateful, ABC):
     def predict_cross_track(self, n: float, slope: float, ahead: float) -> float:
         """Return the expected cross-track error (m) at a distance ahead (m).
 
-        The error is now n (m), and the heading deviates from the path by `slope` (rad).
+        `n` is the current error (m), and `slope` the heading relative to the path
+        (rad).
         """
         return n + slope * ahead
 

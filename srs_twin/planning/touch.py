@@ -91,7 +91,7 @@ def narrowed(problem: Problem, limits: TouchLimits, level: float) -> Problem:
 def plan_with_touch(search: Search, problem: Problem, settings: Settings) -> Plan:
     """Return the plan with the lowest cost among plans with increasing overlap.
 
-    The body of the problem has its full edges.
+    The footprint of the problem has its full edges.
     """
     limits = settings.touch_limits
     assert limits is not None, "the caller plans with touch"

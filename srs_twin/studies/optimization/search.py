@@ -10,8 +10,8 @@ $$ \mathrm{EI}(u) = σ \bigl(z Φ(z) + φ(z)\bigr) \prod_c P(c \text{ holds}), \
 where μ and σ are the predicted mean and standard deviation at the design u, and y* is
 the best result so far. Each round selects two designs, the second as if the first had
 given its expected result. Candidates are all designs that the low-fidelity model has
-run. In every round, it runs the most promising of many new designs near the best ones
-and in the whole space, judged with results that are interpolated between earlier runs.
+run. Every round judges many new designs, near the best ones and in the whole space, by
+interpolation between earlier results. It runs the most promising of these designs.
 Failed runs do not enter the Gaussian processes. A design whose nearest run has failed
 has an expected improvement of zero.
 
@@ -190,7 +190,7 @@ def _cma() -> Any:
 
 
 class _Search:
-    """State of a search, of which `iterate` runs one round."""
+    """State of a search. The method `iterate` runs one round."""
 
     def __init__(self, study: OptimizationStudy, runs: StudyRuns) -> None:
         self._study = study

@@ -157,7 +157,7 @@ def make_engine(
 ) -> Engine:
     """Return an engine by name ("local", "ray" or "warp"), or an engine unchanged.
 
-    The address is that of a Ray cluster or a Warp device.
+    The address names a Ray cluster or a Warp device.
 
     Raises:
         InputError: the arguments do not suit the engine, or the engine is not
@@ -178,7 +178,7 @@ def make_engine(
 
 
 def select_points(swept: Sweep, without: Sequence[str]) -> set[str]:
-    """Return the keys of the points without excluded values (`field=value`).
+    """Return the keys of the points that `without` (`field=value`) does not exclude.
 
     Raises:
         UnknownNameError: a field is not varied, or never has this value.

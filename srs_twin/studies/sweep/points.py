@@ -227,7 +227,10 @@ class Experiment:
         return document
 
     def with_change(self, document: Any, name: str, value: Value | list[Value]) -> Any:
-        """Return a scenario with one field changed, and a robot name resolved."""
+        """Return a scenario with one field changed, as plain data.
+
+        The name of a robot is replaced by the content of its file.
+        """
         content: Any = self.robots.get(str(value), value) if name == "robot" else value
         path = parse_path(name)
         if name == "planner.kind":
@@ -328,7 +331,7 @@ def leaf_names(data: object, prefix: str = "") -> Iterator[str]:
 def _duration(
     document: Mapping[str, Any], plants: tuple[str, ...], periods: float
 ) -> Any:
-    """Return a number of periods as a duration in whole ticks, s.
+    """Return the duration of a number of periods, rounded up to whole ticks, s.
 
     If the frequency or a tick is unknown, it is the duration of the scenario.
     """

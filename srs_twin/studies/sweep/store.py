@@ -63,8 +63,8 @@ _DAMAGE = (
     UnicodeDecodeError,
 )  # SQLite may quote damaged text in an error message.
 
-# Exclusive locking must be set first. The log then needs no shared memory, which network
-# drives do not support.
+# Exclusive locking must be set first. The log then needs no shared memory, which
+# network drives do not support.
 _OPENING = (
     "PRAGMA locking_mode=EXCLUSIVE",
     "PRAGMA journal_mode=WAL",

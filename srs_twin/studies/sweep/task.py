@@ -33,8 +33,8 @@ PLAN = "plan"
 PLAN_TIME = f"{PLAN}.plan_s"
 """Column of the planning time, which differs between identical runs."""
 
-# Wall times are no metrics of a row, because they differ between identical runs. The
-# column wall_s contains the total time.
+# Wall times differ between identical runs, so they are not metrics of a row. The column
+# wall_s contains the total time.
 _TIMES = ("wall_s", "realtime_factor")
 
 _warmed_planners: set[str] = set()

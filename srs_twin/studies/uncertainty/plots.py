@@ -80,8 +80,8 @@ def draw_intervals(title: str, document: Mapping[str, Any]) -> Figure:
     )
     _draw_intervals(upper, rows, metric)
     _draw_swings(lower, swings, plant, rows[plant], metric)
-    # Headings begin at the left edge of the figure, because they would not fit above the
-    # panels alone.
+    # Headings begin at the left edge of the figure, because they are wider than the
+    # panels.
     headings = [
         "50 and 95 %; tick: value; line: published",
         f"{style_of(plant).label}: {_EFFECT}",

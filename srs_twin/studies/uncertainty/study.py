@@ -90,7 +90,7 @@ class UncertaintyStudy:
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """Fidelities, and `SEGMENTS` if stiffness and damping time are uncertain."""
+        """Fidelities of the study and, if possible, the part `SEGMENTS`."""
         if {"analytical", "twin"} <= {*self.plants} and {STIFFNESS, DAMPING} <= {
             *self.priors.paths
         }:

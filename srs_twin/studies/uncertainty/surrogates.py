@@ -188,9 +188,9 @@ class GaussianProcess:
         *,
         log_hyperparameters: Array | None = None,
     ) -> None:
-        """Fit the process to inputs, shape (samples, d), and values of order 1.
+        """Fit the process to inputs x, shape (samples, d), and values y of order 1.
 
-        Given `log_hyperparameters` replace the most probable values.
+        If `log_hyperparameters` are given, they replace the most probable values.
         """
         self._x = x
         self._y = y
