@@ -75,7 +75,9 @@ def contributions(
 ) -> dict[str, Contribution]:
     """Return the Shapley value of each switch.
 
-    `differences` contains v(S) for each subset S of switches that are on.
+    Args:
+        names: names of the switches.
+        differences: difference v(S) for each subset S of switches that are on.
     """
     n = len(names)
     shapley = {}
@@ -333,7 +335,12 @@ class PlantVariants:
         ]
 
     def analytical(self, on: frozenset[str], **options: Any) -> Plant:
-        """Build the analytical model with some switches on and further options."""
+        """Build the analytical model with some switches on.
+
+        Args:
+            on: names of the switches that are on.
+            options: further arguments of the model.
+        """
         spec = self._scenario.robot
         changes: dict[str, Any] = {}
         for switch in self.all_switches:
@@ -521,6 +528,10 @@ def main_cause(
     """Return the effect of compliance on the analytical model, from one additional run.
 
     Compliance usually has the largest of the contributions that `explain` computes.
+
+    Args:
+        scenario: scenario of the run.
+        trajectories: trajectories of both plants by name of the plant.
 
     Returns:
         Name of the assumption (`name`), effects on `com_speed_m_s` and

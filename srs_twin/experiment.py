@@ -255,8 +255,11 @@ class PreparedRun:
     ) -> tuple[dict[str, Any], RunContent]:
         """Return the content of metrics.json, and the content of report and recording.
 
-        The wall times are in s. Attribution and main cause are None if they were not
-        computed.
+        Args:
+            trajectories: trajectory of each plant.
+            walls: wall time of each plant, s.
+            attribution: attribution of the difference, or None if it was not computed.
+            cause: main cause of the difference as described in `execute`, or None.
         """
         scenario = self.scenario
         comparison = None
@@ -598,8 +601,11 @@ def prepare(
 ) -> PreparedRun:
     """Build the plants and controllers of a scenario and open its output folder.
 
-    The folder is created if missing and may contain other files. By default, the plants
-    of the scenario run.
+    Args:
+        scenario: scenario to run.
+        out: output folder, which is created if missing and may contain other files.
+        plants: names of the plants in the order in which they run, or None for the
+            plants of the scenario.
 
     Raises:
         InputError: a plant or controller cannot be built, or the folder cannot be

@@ -277,7 +277,10 @@ def sample_counts(
 ) -> tuple[int, int]:
     """Return samples per tick and ticks per sample, at least one of which is 1.
 
-    If `step` is given, the sampling interval must be a multiple of the step.
+    Args:
+        tick: control tick of the plant, s.
+        record_hz: sampling rate, Hz.
+        step: step of which the sampling interval must be a multiple, s.
 
     Raises:
         InputError: the rate does not fit the tick. The message suggests the nearest

@@ -69,8 +69,8 @@ often."""
 class _LevelResult(NamedTuple):
     """Result of the search at one resolution.
 
-    `reason` explains why no path exists. It is empty if the budget is spent. `proven`
-    tells whether no path exists at any resolution.
+    `reason` explains why no path was found, and is empty if the budget is spent.
+    `proven` tells whether no path exists at any resolution.
     """
 
     path: ArcSequence | None = None

@@ -103,7 +103,9 @@ class PeriodMean(Stateful):
     def add(self, time: float, pose: Pose) -> None:
         """Add a frame and unwrap its heading with respect to the previous frame.
 
-        The time of the frame is in s.
+        Args:
+            time: frame time, s.
+            pose: measured pose.
         """
         integrals = self._integrals
         last = self._last

@@ -208,7 +208,10 @@ class Checker:
     ) -> str:
         """Describe an obstacle or bound that a straight path touches, if any.
 
-        `length` is the length of the path and `wider` the width added to both edges, m.
+        Args:
+            pose: initial pose of the centre of mass.
+            length: path length, m.
+            wider: width added to both edges, m.
         """
         both = (wider, wider)
         # The whole world is tested first, because the name of an obstacle is needed

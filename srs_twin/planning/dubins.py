@@ -54,8 +54,14 @@ def shortest_path(
 ) -> ArcSequence:
     """Return the three arcs of the shortest path from a pose to a pose or point.
 
-    The end is the point x, y (m). Its heading (rad) may be None, which stands for any
-    heading. An arc may have length 0.
+    An arc may have length 0.
+
+    Args:
+        start: start pose.
+        x: x of the end, m.
+        y: y of the end, m.
+        heading: heading at the end, or None for any heading, rad.
+        radius: turning radius, m.
     """
     path = dubins_path(
         *start, *Pose(x, y, heading or 0.0), heading is None, float(radius)

@@ -144,7 +144,15 @@ class FollowFile(ControllerSection):
         robot: RobotFile,
         planner: PlannerSection,
     ) -> ConditionsFile:
-        """Return the conditions of following, for margins with a probability."""
+        """Return the conditions of following, for margins with a probability.
+
+        Args:
+            plant: name of the plant, "analytical" or "twin".
+            contact: contact of the twin, or None for the analytical model.
+            chambers: kind of pneumatics.
+            robot: robot file, which contains the spreads of the modules.
+            planner: planner section.
+        """
         spreads = {name: getattr(robot.modules, name, None) for name in SPREADS}
         return ConditionsFile.model_validate(
             {

@@ -314,7 +314,12 @@ def load_footprint(name_or_path: StrPath) -> Footprint:
 def save_footprint(
     file: FootprintFile, path: StrPath, *, header: Sequence[str] = ()
 ) -> None:
-    """Write a footprint file atomically, with `header` as a comment at the top.
+    """Write a footprint file atomically.
+
+    Args:
+        file: footprint file.
+        path: output path.
+        header: lines of a comment at the top of the file.
 
     Raises:
         InputFileError: the table is not a valid footprint.
@@ -374,9 +379,12 @@ def margin_for(
     probability: float,
     conditions: Sequence[ConditionsFile],
 ) -> Margin:
-    """Return the margin within which a whole run stays with a given probability.
+    """Return the margin for a run under each of several conditions.
 
-    `conditions` has one entry per plant.
+    Args:
+        measured: measured excursions.
+        probability: probability that a whole run stays within the margin.
+        conditions: conditions of the run, one per plant.
 
     Raises:
         InputError: no measurement covers the conditions, or a measurement has too few

@@ -42,8 +42,11 @@ _ROUNDING_M = 1e-9
 def is_disconnected(start: Pose, goal: Goal, world: World, clearance: float) -> bool:
     """Return whether start and goal are in different components of the free space.
 
-    The path may end anywhere within the goal's radius. The clearance (m) is the minimum
-    distance of an edge from the path.
+    Args:
+        start: start pose.
+        goal: goal, within whose radius the path may end anywhere.
+        world: obstacles and bounds.
+        clearance: minimum distance of an edge from the path (`Footprint.narrowest`), m.
     """
     return _free_component(start, goal, world, clearance, _FINE_CHORDS) is None
 
@@ -51,7 +54,11 @@ def is_disconnected(start: Pose, goal: Goal, world: World, clearance: float) -> 
 def min_path_length(start: Pose, goal: Goal, world: World, clearance: float) -> float:
     """Return a lower bound on the length of any path, infinite if none exists, m.
 
-    The arguments are described in `is_disconnected`.
+    Args:
+        start: start pose.
+        goal: goal, within whose radius the path may end anywhere.
+        world: obstacles and bounds.
+        clearance: minimum distance of an edge from the path (`Footprint.narrowest`), m.
     """
     import shapely
 

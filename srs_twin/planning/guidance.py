@@ -89,10 +89,15 @@ def grid_distance(heuristic, x, y):  # type: ignore[no-untyped-def]
 def grid_heuristic(
     goal: Goal, start: Pose, world: World, clearance: float, margin: float
 ) -> GridHeuristic:
-    """Return the distances to a goal for points that keep a clearance (m).
+    """Return the distances to a goal for points that keep a clearance from obstacles.
 
-    The grid contains start and goal. In a world without bounds, it extends beyond them
-    and the obstacles by a margin (m).
+    Args:
+        goal: goal of the path.
+        start: pose that the grid must contain.
+        world: obstacles and bounds.
+        clearance: minimum distance from obstacles, m.
+        margin: distance by which the grid of a world without bounds extends beyond
+            obstacles, start and goal, m.
     """
     from scipy.sparse.csgraph import dijkstra
 
@@ -177,7 +182,13 @@ def _grid_graph(free: np.ndarray, cell: float):  # type: ignore[no-untyped-def]
 
 
 def find_passages(world: World, body: Footprint) -> np.ndarray:
-    """Return entry poses of the narrow passages of a world, in both directions.
+    """Return the narrow passages of a world, in both directions.
+
+    A passage may have several entry poses.
+
+    Args:
+        world: obstacles and bounds.
+        body: footprint of the snake.
 
     Returns:
         Entry pose x, y (m) and heading (rad), and length of the straight path through

@@ -139,7 +139,12 @@ def initial_state(x, y, heading, moves):  # type: ignore[no-untyped-def]
 def follow_dubins_path(state, path, factor, moves, grid):  # type: ignore[no-untyped-def]
     """Return whether a Dubins path is free, and the arc state at its end.
 
-    `factor` is the index of the turning radius in `MoveSet.radius_factors`.
+    Args:
+        state: initial arc state.
+        path: Dubins path.
+        factor: index of the turning radius in `MoveSet.radius_factors`.
+        moves: arcs that the snake can follow.
+        grid: obstacles and bounds.
     """
     free = True
     for piece in range(3):
@@ -156,7 +161,12 @@ def follow_dubins_path(state, path, factor, moves, grid):  # type: ignore[no-unt
 def follow_arc(state, move, length, moves, grid):  # type: ignore[no-untyped-def]
     """Return whether an arc is free, and the arc state at its end.
 
-    `move` is the index of the curvature, and `length` the arc length (m).
+    Args:
+        state: initial arc state.
+        move: index of the curvature.
+        length: arc length, m.
+        moves: arcs that the snake can follow.
+        grid: obstacles and bounds.
     """
     x = state.x
     y = state.y
@@ -193,8 +203,12 @@ def shorten_path(
 ) -> ArcSequence:
     """Return a collision-free path with the same ends that is not longer.
 
-    The curvatures of the path must be in `moves`. `radius` is the turning radius of the
-    short cuts, m.
+    Args:
+        start: start pose.
+        path: collision-free path, with curvatures of the moves.
+        moves: arcs that the snake can follow.
+        grid: obstacles and bounds.
+        radius: turning radius of the short cuts, m.
     """
     arcs = [(c, length) for c, length in path if length > 0]
     indices = np.array(

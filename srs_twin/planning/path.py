@@ -64,7 +64,11 @@ def path_from_arcs(
 ) -> tuple[Segment, ...]:
     """Return the path of consecutive arcs, merging neighbours of equal curvature.
 
-    Arcs without length are dropped.
+    Args:
+        start: start pose.
+        arcs: curvature (1/m) and length (m) of each arc. Arcs without length are
+            dropped.
+        footprint: source of offsets and speeds.
     """
     merged: list[list[float]] = []
     for curvature, length in arcs:
@@ -138,7 +142,11 @@ class ReferencePath:
     """
 
     def __init__(self, segments: Sequence[Segment]) -> None:
-        """Prepare the lookup for at least one segment."""
+        """Prepare the lookup.
+
+        Args:
+            segments: arcs of a plan, at least one.
+        """
         first = segments[0].start
         last = segments[-1].end
         before = (

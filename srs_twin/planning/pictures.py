@@ -50,8 +50,11 @@ def segment_points(
 ) -> np.ndarray:
     """Return points along a segment, about a centimetre apart, m, shape (n, 2).
 
-    `offset` is the distance of the points to the left of the segment. `behind` and
-    `ahead` are the lengths by which the segment is extended, m.
+    Args:
+        segment: segment of a plan.
+        offset: distance of the points to the left of the segment, m.
+        behind: length of the extension before the start, m.
+        ahead: length of the extension beyond the end, m.
     """
     low = -behind
     high = segment.length + ahead
@@ -74,6 +77,10 @@ def following_plot(
     """Plot a plan with the paths and bodies of the runs, or return None without a plan.
 
     All runs have a common first plan. Later plans of each run are thin lines.
+
+    Args:
+        trajectories: trajectory of each plant.
+        spec: simulated robot.
     """
     followers = {
         plant: metadata
@@ -98,7 +105,13 @@ def following_plot(
 
 @drawing
 def plan_plot(problem: Problem, segments: Sequence[Segment], title: str) -> Figure:
-    """Plot a plan without runs. The path may be empty."""
+    """Plot a plan without runs.
+
+    Args:
+        problem: world, goal and footprint of the plan.
+        segments: path, which may be empty.
+        title: plot title.
+    """
     figure, axes = _sheet(_metadata(problem), segments, problem.footprint)
     axes.set_title(title, fontsize=10, wrap=True)
     return figure

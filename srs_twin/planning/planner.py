@@ -129,9 +129,13 @@ def _compile() -> None:
 def with_transitions(
     segments: Sequence[Segment], footprint: Footprint
 ) -> tuple[Segment, ...]:
-    """Return a path with transition arcs for the transients of the footprint.
+    """Return a path with transition arcs.
 
     If there is no room for an arc, the curvature still jumps.
+
+    Args:
+        segments: path without transition arcs.
+        footprint: footprint with the transients, without which the path is unchanged.
     """
     if not segments:
         return ()
@@ -155,11 +159,18 @@ def with_transitions(
 def plan_with_transitions(
     problem: Problem, settings: Settings, begin: Sequence[Segment] = ()
 ) -> Plan:
-    """Plan a path with transition arcs after the fixed segments `begin`.
+    """Plan a path with transition arcs.
 
     The path is free with its transients and ends within the goal's tolerances. If no
-    such path is found, the plan has no transition arcs, and its reason says so. The
-    problem starts at the end of `begin`.
+    such path is found, the plan has no transition arcs, and its reason says so.
+
+    Args:
+        problem: problem that starts at the end of `begin`.
+        settings: search settings.
+        begin: fixed first segments of the path.
+
+    Returns:
+        Plan with the total nodes and time of all searches.
 
     Raises:
         InputError: the problem is refused by `plan`.

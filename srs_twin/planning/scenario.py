@@ -162,8 +162,10 @@ class PlannerSection(ExtensionSection):
     ) -> Plan:
         """Return the plan of a problem.
 
-        `wider` is an additional width (m) of the footprint on the straight run-up.
-        Without `limits`, the path keeps clear of obstacles.
+        Args:
+            problem: planning problem.
+            wider: additional width of the footprint on the straight run-up, m.
+            limits: limits of leaning on obstacles, or None to keep clear of them.
 
         Raises:
             InputError: start or goal is not possible.

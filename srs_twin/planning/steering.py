@@ -103,8 +103,11 @@ class Predictor(Stateful):
     ) -> None:
         """Start a run.
 
-        The period and the delay of commands are in s, and the response length ℓ is in
-        m.
+        Args:
+            footprint: curvature and speed of each offset.
+            period: gait period, s.
+            delay: command delay, s.
+            settle: response length ℓ, m.
         """
         self._offsets = np.array(footprint.offsets)
         self._curvatures = np.array(footprint.curvatures)
@@ -161,8 +164,11 @@ class Predictor(Stateful):
     def measure(self, time: float, middle: float, mean: Pose, *, whole: bool) -> None:
         """Process a mean pose, and estimate speed and turning over whole periods.
 
-        `middle` is the middle of the averaging window (s), and `whole` tells whether
-        the window covers a whole gait period.
+        Args:
+            time: current time, s.
+            middle: middle of the averaging window, s.
+            mean: mean pose.
+            whole: whether the window covers a whole gait period.
         """
         means = self._means
         means.append((middle, mean.x, mean.y, mean.heading))
@@ -217,9 +223,12 @@ class Predictor(Stateful):
         self._covariance -= np.outer(weights, cross)
 
     def predict(self, middle: float, mean: Pose, time: float) -> Pose:
-        """Return the pose at a time (s), given the mean pose at an earlier time (s).
+        """Return the pose at a time, given the mean pose at an earlier time.
 
-        The prediction reaches at most the command delay beyond the current time.
+        Args:
+            middle: time of the mean pose, s.
+            mean: mean pose.
+            time: time of the prediction, at most the delay from now, s.
         """
         _, x0, y0, heading0, _ = self._at(middle)
         _, x, y, heading, _ = self._at(time)
@@ -301,10 +310,12 @@ class Steering(Stateful, ABC):
         """Return the desired offset, which the follower limits."""
 
     def predict_cross_track(self, n: float, slope: float, ahead: float) -> float:
-        """Return the expected cross-track error (m) at a distance ahead (m).
+        """Return the expected cross-track error farther along the path, m.
 
-        `n` is the current error (m), and `slope` the heading relative to the path
-        (rad).
+        Args:
+            n: current cross-track error, m.
+            slope: current heading relative to the path, rad.
+            ahead: distance along the path, m.
         """
         return n + slope * ahead
 

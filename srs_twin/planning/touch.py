@@ -91,7 +91,10 @@ def narrowed(problem: Problem, limits: TouchLimits, level: float) -> Problem:
 def plan_with_touch(search: Search, problem: Problem, settings: Settings) -> Plan:
     """Return the plan with the lowest cost among plans with increasing overlap.
 
-    The footprint of the problem has its full edges.
+    Args:
+        search: planner for one footprint.
+        problem: start, goal, world and body with its full edges.
+        settings: search settings.
     """
     limits = settings.touch_limits
     assert limits is not None, "the caller plans with touch"

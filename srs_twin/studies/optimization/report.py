@@ -50,8 +50,12 @@ def draw_convergence(
 ) -> CaptionedFigure:
     """Draw the objective of the twin's runs and the best feasible value so far.
 
-    The arrays have the shape (runs,). `initial` is the value of the unmodified
-    scenario.
+    Args:
+        values: objective of each run, shape (runs,).
+        feasible: mask of runs that satisfy the constraints, shape (runs,).
+        label: axis label of the objective.
+        initial: value of the unmodified scenario.
+        maximize: whether a higher objective is better.
     """
     figure = Figure(figsize=(6.5, 3.4), layout="constrained")
     axes = figure.subplots()
@@ -110,7 +114,11 @@ def draw_parallel(
 ) -> CaptionedFigure:
     """Draw designs as parallel coordinates, with the better designs more prominent.
 
-    The bounds on which the `best` designs lie are marked.
+    Args:
+        space: design space.
+        runs: runs of the twin.
+        ranks: rank of each run, shape (runs,).
+        best: best designs, whose bounds are marked.
     """
     places = np.arange(space.size)
     figure = Figure(figsize=(max(6.5, 1.1 * space.size), 3.6), layout="constrained")

@@ -73,9 +73,15 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
         *,
         changed: bool = False,
     ) -> None:
-        """Open the folder, which is created if missing.
+        """Open the folder.
 
-        With `changed`, the folder may belong to another study, and valid runs are kept.
+        Args:
+            study: study whose designs are run.
+            folder: folder of the runs, which is created if missing.
+            engine: engine for new runs.
+            on_row: callback for each newly finished run.
+            changed: whether `folder` may belong to another study. Valid runs are then
+                kept.
 
         Raises:
             InputError: the folder cannot be written, is locked, or belongs to another
@@ -103,9 +109,11 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
         self._opened.close()
 
     def run(self, part: str, shares: np.ndarray) -> list[Run]:
-        """Return the runs of designs at one fidelity, "compliant" or "twin".
+        """Return the runs of designs at one fidelity.
 
-        Designs are given as fractions of the ranges, shape (designs, d).
+        Args:
+            part: fidelity, "compliant" or "twin".
+            shares: designs as fractions of the ranges, shape (designs, d).
 
         Raises:
             InputError: a row cannot be written.

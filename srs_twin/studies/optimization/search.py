@@ -123,6 +123,10 @@ class Optimum:
 def search(study: OptimizationStudy, runs: StudyRuns) -> Optimum:
     """Find the best designs within the budget.
 
+    Args:
+        study: study with variables, objectives, constraints and budget.
+        runs: store that runs the designs.
+
     Raises:
         InputError: no run of the twin has a result, or a row cannot be written.
     """

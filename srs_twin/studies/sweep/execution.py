@@ -59,6 +59,9 @@ def local(workers: int | None = None) -> Engine:
 
     Threads, or `mujoco.batch` for twins of one model, would be no faster (see
     benchmarks/sweeps.py), and a crash would end all runs.
+
+    Args:
+        workers: number of processes, or None for one per processor.
     """
 
     def run(
@@ -73,7 +76,10 @@ def local(workers: int | None = None) -> Engine:
 def on_ray(address: str | None = None, workers: int | None = None) -> Engine:
     """Return the engine that runs points on a Ray cluster or on a local Ray instance.
 
-    Without an address, a local instance starts, which ends with the sweep.
+    Args:
+        address: address of a cluster as in `ray.init`, or None for a local instance
+            that ends with the sweep.
+        workers: number of processors of the local instance, or None for all.
 
     Raises:
         InputError: Ray is not installed, or both an address and a number of workers are
@@ -155,9 +161,12 @@ def quiet(part: str, total: int, row: Row | None) -> None:
 def make_engine(
     engine: str | Engine, workers: int | None = None, address: str | None = None
 ) -> Engine:
-    """Return an engine by name ("local", "ray" or "warp"), or an engine unchanged.
+    """Return an engine by name. An engine object is returned unchanged.
 
-    The address names a Ray cluster or a Warp device.
+    Args:
+        engine: name of the engine ("local", "ray" or "warp"), or an engine object.
+        workers: number of parallel runs, or None for one per processor.
+        address: address of a Ray cluster, or name of a Warp device.
 
     Raises:
         InputError: the arguments do not suit the engine, or the engine is not
@@ -178,7 +187,11 @@ def make_engine(
 
 
 def select_points(swept: Sweep, without: Sequence[str]) -> set[str]:
-    """Return the keys of the points that `without` (`field=value`) does not exclude.
+    """Return the keys of the points of a sweep that are not excluded.
+
+    Args:
+        swept: sweep whose points are selected.
+        without: excluded values, each as `field=value`.
 
     Raises:
         UnknownNameError: a field is not varied, or never has this value.
@@ -284,8 +297,11 @@ def open_sweep(
 ) -> Iterator[OpenSweep]:
     """Open and lock a folder for a sweep.
 
-    With `changed`, the folder may belong to another version of the sweep, and rows that
-    still apply are kept.
+    Args:
+        sweep: sweep to run.
+        folder: folder of rows and results, which is created if missing.
+        changed: whether the folder may belong to another version of the sweep. Rows
+            that still apply are kept.
 
     Raises:
         InputError: the folder cannot be written, is locked, or belongs to another
@@ -322,7 +338,13 @@ class OpenSweep:
         points: tuple[Point, ...],
         finished: Callable[[Row], object] | None = None,
     ) -> None:
-        """Run points and store each row as it finishes."""
+        """Run points and store each row as it finishes; see `RowStore.collect`.
+
+        Args:
+            engine: engine for the runs.
+            points: points to run.
+            finished: callback for each stored row.
+        """
         self._store.collect(
             engine(self.sweep.experiment, points), [p.key for p in points], finished
         )
@@ -475,8 +497,12 @@ class _TwinPoint(NamedTuple):
 def on_device(device: str | None = None, workers: int | None = None) -> Engine:
     """Return the engine that runs twins with MuJoCo Warp.
 
-    Points that Warp cannot run, and all points without an accelerator, are run by
-    `local`.
+    Points that Warp cannot run are run by `local` after a warning.
+
+    Args:
+        device: Warp device, or None for an accelerator. Without an accelerator, `local`
+            runs all points.
+        workers: number of workers of `local`.
 
     Raises:
         InputError: MuJoCo Warp is not installed.

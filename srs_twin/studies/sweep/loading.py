@@ -130,7 +130,11 @@ def changed_base(
 ) -> list[dict[str, Any]]:
     """Return the fields of an experiment that differ from its file.
 
-    `written` is the sweep or study file without the changes at `locs`.
+    Args:
+        experiment: experiment including the changes.
+        scenario: unmodified scenario.
+        written: sweep or study file as plain data.
+        locs: paths of the changed scenario fields.
     """
     fixed = written.get("fixed")
     original = replace(experiment, base=scenario.document)
@@ -141,7 +145,12 @@ def changed_base(
 def problems_at(
     points: Iterable[tuple[Loc, Experiment, Mapping[str, Value]]],
 ) -> Iterator[tuple[Loc, str]]:
-    """Yield each distinct problem of scenarios, given with location and changes."""
+    """Yield each distinct problem of scenarios at some points with its location.
+
+    Args:
+        points: location in the file, experiment, and changes of the scenario for each
+            point.
+    """
     reported: set[str] = set()
     for loc, experiment, changes in points:
         try:

@@ -51,7 +51,11 @@ _KEY_WIDTH = 1.3
 
 @drawing
 def draw(plot: Plot, results: SweepTable) -> Figure:
-    """Return the figure of a plot, independent of the order of the rows.
+    """Return the figure of a plot.
+
+    Args:
+        plot: plot of a sweep.
+        results: results of the sweep, whose order of rows does not matter.
 
     Raises:
         InputError: a column does not exist.

@@ -87,7 +87,13 @@ class _Column:
 
 
 def run_tables(results: SweepTable, metrics: Sequence[str]) -> list[Table]:
-    """Return tables with one row per run, or a note for more than `MAX_RUNS` runs."""
+    """Return tables with one row per run, ordered by field values.
+
+    Args:
+        results: results of a sweep. More than `MAX_RUNS` runs are replaced by a note.
+        metrics: metrics to show for each plant and the comparison. A list metric is
+            shown by its mean.
+    """
     failed = results.failed
     if len(failed) > MAX_RUNS:
         note = f"{len(failed)} runs; their rows are in results.parquet."
@@ -106,7 +112,12 @@ def run_tables(results: SweepTable, metrics: Sequence[str]) -> list[Table]:
 
 
 def mean_tables(results: SweepTable, metrics: Sequence[str]) -> list[Table]:
-    """Return tables of means over seeds, or none if no run is repeated."""
+    """Return tables of means over seeds, or none if no run is repeated.
+
+    Args:
+        results: results of a sweep. Failed runs are left out.
+        metrics: metrics to show, as in `run_tables`.
+    """
     groups = results.groups(results.settings)
     if len(groups) == len(results.failed):
         return []
@@ -172,7 +183,13 @@ _MAX_REASONS = 20
 def write_report(
     path: Path, sweep: Sweep, summary: Summary, pictures: Mapping[str, bytes]
 ) -> None:
-    """Write the self-contained HTML page atomically, with a PNG image for each title.
+    """Write the self-contained HTML page atomically.
+
+    Args:
+        path: file to write or replace.
+        sweep: sweep to report.
+        summary: summary of the sweep.
+        pictures: PNG image by title.
 
     Raises:
         InputError: the path cannot be written.

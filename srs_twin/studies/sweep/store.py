@@ -179,10 +179,15 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
         keys: Sequence[str],
         on_row: Callable[[Row], object] | None = None,
     ) -> None:
-        """Store the rows of tasks as they finish, and call `on_row` with each row.
+        """Store the rows of tasks as they finish.
 
         A task that raised an error is stored as a failed row. The rows that finished
         before an interrupt are kept.
+
+        Args:
+            finished: results of tasks.
+            keys: key of each task.
+            on_row: callback for each stored row.
 
         Raises:
             InputError: a row cannot be stored.

@@ -75,7 +75,11 @@ class ColumnValues:
 
 @dataclass(frozen=True)
 class SweepTable:
-    """Results of a sweep by column, with one value per row."""
+    """Results of a sweep by column.
+
+    Attributes:
+        columns: values of each column, one per row.
+    """
 
     columns: Mapping[str, Sequence[Any]]
 
@@ -86,6 +90,10 @@ class SweepTable:
         The columns are ``key``, the varied fields, ``status``, ``reason``,
         ``exit_code``, the metrics (such as ``twin.com_speed_m_s``) and ``wall_s``. A
         missing metric is None.
+
+        Args:
+            sweep: sweep that produced the rows.
+            rows: rows in any order.
         """
         rows = sorted(rows, key=lambda row: row.key)
         changes = {point.key: point.changes for point in sweep.points}
@@ -299,8 +307,10 @@ def _numbers(column: Sequence[Any]) -> np.ndarray:
 def group_means(group: np.ndarray, count: int, values: np.ndarray) -> np.ndarray:
     """Return the mean of each group of values, independent of the order of the rows.
 
-    Missing values (NaN) are ignored, and an empty group has a mean of NaN. `group`
-    contains the group number of each value.
+    Args:
+        group: group number of each value, shape (rows,).
+        count: number of groups. An empty group has a mean of NaN.
+        values: values to average, shape (rows,). NaN is ignored.
     """
     # Floating-point sums depend on the order of their terms, so the values are sorted.
     order = np.lexsort((values, group))

@@ -73,8 +73,12 @@ def run_point(
 ) -> Row:
     """Run the plants of a point, or only plan it, and compute the metrics.
 
-    `ran` contains trajectories or errors of plants that have already run. An `SrsError`
-    does not propagate but gives a failed row.
+    An `SrsError` does not propagate but gives a failed row.
+
+    Args:
+        experiment: common inputs of the sweep.
+        point: point to run.
+        ran: trajectories or errors of plants that have already run.
     """
     start = time.perf_counter()
     trajectories: dict[str, Trajectory] = {}
@@ -160,6 +164,10 @@ def flat_metrics(prefix: str, metrics: Mapping[str, object]) -> dict[str, float 
 
     The elements of a list metric are numbered from 1. The two chambers of a segment are
     named plus and minus.
+
+    Args:
+        prefix: owner of the metrics: a plant, "comparison" or "plan".
+        metrics: metrics by name, as in metrics.json.
     """
     scalars: dict[str, float | None] = {}
     for name, value in metrics.items():

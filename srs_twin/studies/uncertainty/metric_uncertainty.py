@@ -192,7 +192,11 @@ class MetricUncertainty:
         )
 
     def document(self, names: tuple[str, ...]) -> dict[str, object]:
-        """Return the distribution, with indices by quantity name, as JSON values."""
+        """Return the distribution as JSON values.
+
+        Args:
+            names: names of the uncertain quantities.
+        """
         sensitivity = None
         if self.indices is not None:
             sensitivity = self.indices.document(names)
@@ -237,9 +241,12 @@ def sampling_errors(samples: Array) -> Array:
 def predict_twin(shares: Array, low: Array, high: Array) -> tuple[Array, Array]:
     """Return the twin's metric at all samples, and the errors of interval ends.
 
-    The inputs u have the shape (samples, d). The low-fidelity metric is known at all
-    samples (NaN if missing), and the twin's metric at the first ones. The errors are
-    standard errors due to the surrogate.
+    The errors are standard errors due to the surrogate.
+
+    Args:
+        shares: inputs u of all samples, shape (samples, d).
+        low: low-fidelity metric, NaN if unknown, shape (samples,).
+        high: twin's metric at the first samples, shape (fewer,).
     """
     count = len(high)
     is_known = np.isfinite(low)

@@ -56,7 +56,9 @@ _ERROR: dict[str, Any] = {
 def draw_intervals(title: str, document: Mapping[str, Any]) -> Figure:
     """Draw the target's intervals on each plant, and the effect of each quantity.
 
-    The document is the result of `Propagation.document`.
+    Args:
+        title: title of the scenario.
+        document: result of `Propagation.document`.
     """
     plant = document["target"]["plant"]
     metric = document["target"]["metric"]

@@ -443,10 +443,15 @@ def propagate(
     *,
     changed: bool = False,
 ) -> Propagation:
-    """Run the missing rows of a study and return the result.
+    """Run the missing rows of a study in a folder and return the result.
 
-    The folder has one subfolder per fidelity. With `changed`, it may belong to another
-    version of the study, as described in `open_sweep`.
+    Args:
+        study: study to run.
+        folder: output folder, with one subfolder per fidelity.
+        engine: engine for the runs.
+        progress: callback that reports the missing runs of each fidelity.
+        changed: whether the folder may belong to another version of the study, as in
+            `open_sweep`.
 
     Raises:
         InputError: a folder cannot be written, or there is no result.

@@ -181,7 +181,10 @@ def on_plant(
 ) -> dict[str, Any]:
     """Return a scenario with a single plant and no expectations, as plain data.
 
-    Without settings, the plant keeps the settings in the scenario.
+    Args:
+        document: scenario as plain data.
+        plant: name of the plant.
+        settings: settings of the plant, or None for the settings in the scenario.
     """
     if settings is None:
         settings = document["plants"].get(plant, {})

@@ -188,9 +188,12 @@ class GaussianProcess:
         *,
         log_hyperparameters: Array | None = None,
     ) -> None:
-        """Fit the process to inputs x, shape (samples, d), and values y of order 1.
+        """Fit the process to samples.
 
-        If `log_hyperparameters` are given, they replace the most probable values.
+        Args:
+            x: inputs of order 1, shape (samples, d).
+            y: values of order 1, shape (samples,).
+            log_hyperparameters: values to use instead of the most probable ones.
         """
         self._x = x
         self._y = y
