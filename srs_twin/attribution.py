@@ -86,6 +86,8 @@ def contributions(
         changes = [
             differences[subset | {name}] - differences[subset] for subset in others
         ]
+        # The weight is the fraction of all orders in which exactly this subset precedes
+        # the switch.
         weights = [
             math.factorial(len(subset))
             * math.factorial(n - len(subset) - 1)
@@ -223,7 +225,6 @@ class PlantVariants:
         ]
 
     def _bend_switches(self) -> list[Switch]:
-        """Return the switches for bends and for the torque due to friction."""
         spec = self._scenario.robot
         model = self._model.model
         damping_time = spec.bending.damping_time
@@ -506,7 +507,6 @@ def _checked_gap(scenario: Scenario, model: Trajectory, twin: Trajectory) -> np.
 
 
 def _window(scenario: Scenario, controller: Controller, end: float) -> float | None:
-    """Return the attributed length of the runs (s), or None for the whole runs."""
     if _is_script(controller) or controller.frequency is None:
         return None
     twin = scenario.file.plants.twin or TwinFile()

@@ -460,7 +460,6 @@ def _compare_with_measured(
 
 
 def _can_be_explained(done: _Simulated) -> bool:
-    """Return whether the plants ran long enough without divergence or contact."""
     if done.diverged:
         return False
     before = _before_contact(done.trajectories)
@@ -667,8 +666,7 @@ class FinishedRun:
     Attributes:
         folder: output folder.
         scenario: scenario with defaults and robot written out.
-        trajectories: trajectory of each plant, and the measured trajectory if there is
-            one.
+        trajectories: trajectory of each plant, and the measured trajectory, if any.
     """
 
     folder: Path

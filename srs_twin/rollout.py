@@ -178,7 +178,6 @@ def _check_drives(controller: Controller, plant: Plant) -> None:
 
 
 def _script(controller: Controller, start: float, span: float) -> Schedule | None:
-    """Return the commands over a span (s), or None if they depend on the state."""
     script = controller.script(start + span)
     if script is not None and start:
         script = script.slice(start, start + span)
@@ -728,5 +727,4 @@ class _PolicyController(Controller):
         """Do nothing."""
 
     def step(self, state: SnakeState) -> np.ndarray:
-        """Return the current valve states."""
         return state.valves

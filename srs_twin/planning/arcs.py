@@ -320,7 +320,6 @@ def _roots(a, b, c):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _leaves_bounds(middle, region, bounds):  # type: ignore[no-untyped-def]
-    """Return whether a corner or an extreme point of an edge is out of bounds."""
     # Most regions are far from the bounds, so the bounding square is tested first.
     if (
         bounds.west <= middle.x - region.reach

@@ -118,6 +118,7 @@ class PeriodMean(Stateful):
             return
         turn = math.remainder(pose.heading - float(last[2]), 2 * math.pi)
         self._last = np.array([pose.x, pose.y, last[2] + turn])
+        # The trapezoidal rule is exact for a pose that is linear between frames.
         last_time, integral = integrals[-1]
         end_integral = integral + (time - last_time) / 2 * (last + self._last)
         integrals.append((time, end_integral))

@@ -124,12 +124,7 @@ def build_grid(circles: np.ndarray, sides: np.ndarray, bounds: Box) -> ObstacleG
 
 @dataclass(frozen=True)
 class Checker:
-    """Collision checker of a footprint in a world.
-
-    Attributes:
-        world: obstacles and bounds.
-        footprint: area that the body covers along its path.
-    """
+    """Collision checker of a footprint in a world."""
 
     world: World
     footprint: Footprint

@@ -87,7 +87,7 @@ class Renewal(NamedTuple):
     """Result of a request for a new plan.
 
     Attributes:
-        plan: new plan, or None if no plan was found.
+        plan: new plan, if one was found.
         reason: reason why there is no plan with the full margin.
         share: fraction of the margin that the new plan keeps.
     """

@@ -31,13 +31,7 @@ CURVATURE_TOLERANCE = 1e-9
 
 @dataclass(frozen=True)
 class FootprintRow:
-    """Row of a footprint table.
-
-    Attributes:
-        offset: gait offset, positive to the left.
-        speed: speed of the centre of mass, m/s.
-        left, right: distances of the edges from the path, m.
-    """
+    """Row of a footprint table; see `Footprint`."""
 
     offset: float
     speed: float
@@ -261,6 +255,7 @@ class Footprint:
         for size, t in self._measured(after - before):
             step = self._curvature(t.after) - self._curvature(t.before)
             if t.dheading * step < 0:
+                # The module `planner` derives dheading = −Δκ δ and dy = Δκ m/2.
                 delay = -t.dheading / step
                 moment = 2 * t.dy / step
                 # The curvature of an arc shorter than its delay would change in the

@@ -339,11 +339,11 @@ def save_footprint(
 
 @dataclass(frozen=True)
 class Margin:
-    """Width added to the edges of a footprint.
+    """Width added to the edges of a footprint, m.
 
     Attributes:
-        path: margin along the path, m.
-        run_up: margin on the straight run-up, m.
+        path: margin on all of the path.
+        run_up: margin on the straight run-up.
     """
 
     path: float = 0.0

@@ -115,7 +115,6 @@ def _reflex_corners(polygon: shapely.Polygon) -> list[tuple[float, float]]:
 def _free_component(
     start: Pose, goal: Goal, world: World, clearance: float, chords: int
 ) -> shapely.Polygon | None:
-    """Return the component of the free space with start and goal, or None."""
     import shapely
 
     here = shapely.Point(start.x, start.y)

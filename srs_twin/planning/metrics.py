@@ -77,12 +77,7 @@ def following(trajectory: Trajectory) -> Mapping[str, Any] | None:
 
 @dataclass(frozen=True)
 class Leg:
-    """Part of a run under one plan.
-
-    Attributes:
-        samples: samples of the trajectory during this part.
-        segments: path of the plan.
-    """
+    """Part of a run under one plan: samples of the trajectory, and path of the plan."""
 
     samples: slice
     segments: tuple[Segment, ...]
@@ -318,7 +313,6 @@ def centre_points(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _why_undefined(metric: str, trajectory: Trajectory) -> str:
-    """Return why a metric is undefined, or "" if None is its proper value."""
     if following(trajectory) is None:
         return "the run follows no plan"
     if metric == "arrival_heading_error_rad":

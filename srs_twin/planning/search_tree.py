@@ -105,7 +105,6 @@ class SearchTree:
         return arcs
 
     def _path(self, node: int, *, connected: bool) -> ArcSequence:
-        """Return the arcs from the root to a node, and on to the goal if connected."""
         moves = self.spec.moves
         target = self.spec.target
         # The arcs are collected from the goal to the root.

@@ -203,6 +203,7 @@ class Predictor(Stateful):
         if periods <= 0:
             return
         self._covariance += np.diag((_WALK_STD * self._scale) ** 2 * periods)
+        # The row is the derivative of the measured curvature with respect to d and g.
         row = np.array([1.0, nominal])
         # The averaging windows overlap, so all frames of a period count as one
         # measurement.
@@ -230,6 +231,8 @@ class Predictor(Stateful):
             mean: mean pose.
             time: time of the prediction, at most the delay from now, s.
         """
+        # The motion of the model since the mean pose is rotated into the frame of the
+        # mean pose.
         _, x0, y0, heading0, _ = self._at(middle)
         _, x, y, heading, _ = self._at(time)
         turn = mean.heading - heading0
@@ -276,7 +279,7 @@ class SteeringInput:
             prediction.
         place: path coordinates of the pose.
         curvature: curvature of the model at the time of the pose, 1/m.
-        disturbance, gain: estimates of the turning by the `Predictor` (d in 1/m, g).
+        disturbance, gain: disturbance d (1/m) and gain g estimated by the `Predictor`.
     """
 
     pose: Pose

@@ -133,8 +133,8 @@ class _Overlaps:
         names: obstacle names.
         s: path length in the middle of each step, m, shape (steps,).
         steps: step lengths, m, shape (steps,).
-        depth: overlap with each obstacle, m, shape (obstacles, steps).
-        force: mean contact force at each obstacle, N, shape (obstacles, steps).
+        depth, force: overlap (m) with each obstacle, and mean contact force (N), shape
+            (obstacles, steps).
     """
 
     names: list[str]
@@ -144,7 +144,6 @@ class _Overlaps:
     force: np.ndarray
 
     def touches(self) -> tuple[Touch, ...]:
-        """Return the parts of the path that lean on an obstacle, in path order."""
         found = []
         for name, depth, force in zip(self.names, self.depth, self.force, strict=True):
             edges = np.flatnonzero(np.diff(np.r_[False, depth > _MIN_DEPTH_M, False]))
@@ -182,6 +181,7 @@ def _overlaps(
             np.cos(heading) * dy > np.sin(heading) * dx, path.left, path.right
         )
         depth[k] = np.maximum(edge - (np.hypot(dx, dy) - radius), 0.0)
+        # The body touches the obstacle in this fraction of the gait period.
         share = (
             np.arccos(
                 np.clip(1 - depth[k] / np.maximum(edge - limits.core, 1e-9), -1, 1)

@@ -268,8 +268,8 @@ class OptimizationStudy:
 
     Attributes:
         name: name of the study and of the output folder.
-        file: content of the study file.
-        scenario: scenario that is varied.
+        file: validated file.
+        scenario: varied scenario.
         space: design space.
         experiments: experiment at each fidelity: "compliant", if it can run the
             scenario, and "twin".

@@ -37,7 +37,7 @@ def optimize(
         engine: name of the engine ("local", "ray" or "warp"), or an engine object.
         workers: number of parallel runs, or None for one per processor.
         changed: whether runs of another study in `out` may be reused; see `StudyRuns`.
-        progress: callback that reports finished runs, out of the maximum number of runs.
+        progress: callback that reports finished runs and the maximum number of runs.
 
     Raises:
         InputError: the study is not valid, the engine is not available, or the folder

@@ -96,8 +96,8 @@ class EvaluatedDesign:
         run: run of the twin.
         refined: runs with half the time step and with twice the hinges; empty for the
             initial scenario.
-        samples: runs with drawn robot parameters, which are identical for all designs;
-            may be empty.
+        samples: runs with drawn robots, which are identical for all designs; may be
+            empty.
     """
 
     run: Run
@@ -122,11 +122,11 @@ class StudyResult:
     """Result of a study.
 
     Attributes:
-        study: study that was run.
-        runs: all runs of the search in order.
+        study: optimised study.
+        runs: runs of the search.
         initial: unmodified scenario with the fixed fields.
         designs: best designs, best first.
-        files: names of the written files; empty without an output folder.
+        files: written files; empty without an output folder.
         improvement: expected improvement by a further run; see `Optimum`.
     """
 

@@ -163,7 +163,6 @@ def excesses(study: OptimizationStudy, runs: Sequence[Run]) -> np.ndarray:
 def _signed(
     runs: Sequence[Run], terms: Sequence[tuple[str, float, float]]
 ) -> np.ndarray:
-    """Return sign · (metric − offset) for each run and term, shape (runs, terms)."""
     rows = [
         [sign * (run.metric(name) - offset) for name, sign, offset in terms]
         for run in runs
@@ -179,11 +178,7 @@ def front(costs: np.ndarray) -> np.ndarray:
 
 
 def _cma() -> Any:
-    """Import the optional package cma.
-
-    Raises:
-        InputError: cma is not installed.
-    """
+    """Import the optional package cma."""
     try:
         import cma
     except ImportError as error:
@@ -311,11 +306,7 @@ class _Search:
         )
 
     def best(self) -> tuple[Run, ...]:
-        """Return the best runs of the twin with minimum constraint violation.
-
-        Raises:
-            InputError: no run has a result.
-        """
+        """Return the best runs of the twin with minimum constraint violation."""
         if self._objectives == 1:
             return self._distinct_optima(0)
         feasible = self._most_feasible()
@@ -340,7 +331,6 @@ class _Search:
         ]
 
     def _distinct_optima(self, objective: int) -> tuple[Run, ...]:
-        """Return the best runs for one objective, at a distance from each other."""
         feasible = self._most_feasible()
         chosen: list[Run] = []
         for k in np.argsort(costs(self._study, feasible)[:, objective]):
@@ -392,6 +382,7 @@ class _Search:
         if not len(known):
             return np.zeros(len(runs))
         std = np.maximum(known.std(axis=0), 1e-12)
+        # Costs are relative to the best known costs, in standard deviations.
         weighted = weight * ((costs(self._study, runs) - known.min(axis=0)) / std)
         value = weighted.max(axis=1) + 0.05 * weighted.sum(axis=1)
         scale = np.maximum(np.nanstd(excesses(self._study, reference), axis=0), 1e-12)
@@ -405,7 +396,6 @@ class _Search:
         return np.hstack([costs(self._study, runs), excesses(self._study, runs)])
 
     def _candidates(self) -> list[Run]:
-        """Return the low-fidelity and new designs that the twin has not run."""
         count = _NEIGHBOURS[self._objectives]
         if self._compliant_runs and self._objectives == 1:
             screened = self._screened_designs()
@@ -430,7 +420,6 @@ class _Search:
         return np.vstack([self._neighbours(_SCREENED), self._sample_space(_SCREENED)])
 
     def _neighbours(self, count: int) -> np.ndarray:
-        """Return new designs near the best ones, shape (count, d)."""
         objective = self._improved_objective
         best = optima = self.best()
         if self._objectives == 1:
@@ -514,7 +503,6 @@ class _Search:
     def _compliant_outputs(
         self, candidates: list[Run], given: np.ndarray | None
     ) -> np.ndarray | None:
-        """Return scaled low-fidelity outputs of twin runs and candidates."""
         if not self._compliant_runs:
             return None
         runs = [*self._twin_runs]
@@ -556,6 +544,7 @@ class _Search:
             feasible = known[is_feasible, :count]
             if objective is not None:
                 spread = sd[:, objective]
+                # The score is the expected improvement EI of the module docstring.
                 z = (feasible[:, objective].min() - mean[:, objective]) / spread
                 score = spread * (z * norm.cdf(z) + norm.pdf(z))
             else:

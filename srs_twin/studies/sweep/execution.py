@@ -565,11 +565,7 @@ def _batches(
 
 
 def _group_key(experiment: Experiment, scenario: Scenario) -> tuple[object, ...]:
-    """Return the timing that all runs of one batch share.
-
-    Raises:
-        InputError: the scenario cannot run in a batch.
-    """
+    """Return the timing that all runs of one batch share."""
     timing = scenario.timing
     if "twin" not in experiment.plants:
         raise InputError("engine 'warp' runs only twins; add twin to plants")

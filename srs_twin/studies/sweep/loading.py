@@ -209,8 +209,6 @@ def base_scenario(document: Document) -> tuple[Scenario | None, tuple[str, ...]]
 
 
 class _Loader:
-    """Validation of a sweep file against its scenario."""
-
     def __init__(self, document: Document, file: SweepFile, scenario: Scenario) -> None:
         self._document = document
         self._file = file

@@ -150,7 +150,7 @@ class _Colors:
     Attributes:
         column: values of the first owner; zeros if no field distinguishes the runs.
         groups: distinct values.
-        few: whether a legend explains the colours.
+        few: whether there is a legend.
         norm: map from values to positions on the colour map.
         by_group: colour of each value; empty if owners determine the colours.
     """

@@ -180,11 +180,11 @@ BY_A_SWEEP = "varied by a sweep"
 
 @dataclass(frozen=True)
 class Point:
-    """One run of a sweep.
+    """One run of a sweep with the value of each varied field.
 
     Attributes:
         key: SHA-256 of all inputs that affect the results.
-        changes: value of each varied field.
+        changes: values by field.
     """
 
     key: str
@@ -253,7 +253,7 @@ class Sweep:
     Attributes:
         name: name of the sweep and of its output folder.
         title: title of reports.
-        experiment: inputs of all points.
+        experiment: common inputs.
         fields: dotted names of the varied fields.
         values: field values, one row per point.
         metrics: metrics that become columns, or None for all.

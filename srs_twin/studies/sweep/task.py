@@ -153,7 +153,6 @@ def _plan_metrics(scenario: Scenario) -> dict[str, object]:
 def _partial_trajectory(
     error: SrsError, plants: tuple[str, ...], done: Mapping[str, Trajectory]
 ) -> dict[str, Trajectory]:
-    """Return the trajectory of a diverged plant up to the divergence."""
     trajectory = getattr(error, "trajectory", None)
     plant = next((plant for plant in plants if plant not in done), None)
     return {} if trajectory is None or plant is None else {plant: trajectory}

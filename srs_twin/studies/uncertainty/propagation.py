@@ -270,6 +270,8 @@ class Propagation:
         if indices is None:
             return []
         count = len(names)
+        # Two rows per quantity have the quantity at the ends of its 95 % interval. All
+        # others are just below the median, so that a choice of two has its first value.
         shares = np.full((2 * count, count), 0.5 - 1e-9)
         shares[np.arange(2 * count), np.repeat(np.arange(count), 2)] = np.tile(
             RANGES["interval_95"], count

@@ -36,7 +36,7 @@ class UncertaintyStudy:
 
     Attributes:
         scenario: scenario to study.
-        priors: priors of the robot parameters.
+        priors: robot parameter priors.
         discrete_choices: equally likely values of scenario fields, such as two chamber
             models.
         plants: plants that run.
@@ -207,11 +207,6 @@ def compliant_scenario(scenario: Scenario) -> Mapping[str, object] | None:
 
 
 def _field_value(document: object, name: str) -> object:
-    """Return the value of a dotted field of plain data.
-
-    Raises:
-        UnknownNameError: the field does not exist.
-    """
     for key in name.split("."):
         if not isinstance(document, Mapping) or key not in document:
             raise UnknownNameError(

@@ -248,12 +248,15 @@ class GaussianProcess:
             )
         except scipy.linalg.LinAlgError:
             return 1e12
+        # With the Cholesky factor L of the covariance, the vector L⁻¹ y is white noise
+        # of unit variance.
         white = scipy.linalg.solve_triangular(factor, self._y, lower=True)
         prior = float(((log_hyperparameters - centre) ** 2).sum())
         return float(white @ white / 2 + np.log(np.diag(factor)).sum() + prior / 2)
 
 
 def _kernel(log_hyperparameters: Array, x: Array, y: Array) -> Array:
+    # In the symbols of `GaussianProcess`, size is s², slope is b² and lengths are ℓ.
     size = np.exp(2 * log_hyperparameters[0])
     slope = np.exp(2 * log_hyperparameters[1])
     lengths = np.exp(log_hyperparameters[3:])
