@@ -152,8 +152,9 @@ class PreparedRun:
     ) -> RunResult:
         """Simulate all plants, compute and compare metrics, and write the files.
 
-        If a plant diverges, the other plants still run, and the trajectory up to the
-        divergence is written. Comparison, pictures and metrics.json are then missing.
+        The file metrics.json is written last. If a plant diverges, the other plants
+        still run, and the trajectory up to the divergence is written. Comparison,
+        pictures and metrics.json are then missing.
 
         Args:
             progress: callback with the name of the plant and the completed fraction.

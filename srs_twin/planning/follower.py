@@ -128,7 +128,8 @@ class Conditions:
         run_up: length of the straight run-up of the first path, m. At the end of the
             run-up, the rest of the path is planned again from the actual pose, if
             possible.
-        lag: time until the frames show the effect of a command on the robot, s.
+        lag: transport delay of the robot, after which the frames show the effect of a
+            command, s.
     """
 
     camera: Camera

@@ -333,7 +333,7 @@ def _duration(
 ) -> Any:
     """Return the duration of a number of periods, rounded up to whole ticks, s.
 
-    If the frequency or a tick is unknown, it is the duration of the scenario.
+    If the frequency or a tick is unknown, the result is the duration of the scenario.
     """
     controller = document.get("controller", {})
     frequency = (controller.get("reference") or controller).get("frequency_hz")

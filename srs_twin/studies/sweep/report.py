@@ -66,7 +66,7 @@ class _Column:
     numbers: np.ndarray
 
     def text(self, run: int) -> str:
-        """Return a number with four significant digits of the column maximum."""
+        """Return a number, rounded to the fourth digit of the column maximum."""
         largest = np.abs(self.numbers[np.isfinite(self.numbers)]).max(initial=0)
         places = 3 - int(np.floor(np.log10(largest))) if largest else 0
         if np.isfinite(self.numbers[run]):

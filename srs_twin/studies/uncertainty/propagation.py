@@ -287,8 +287,9 @@ class Propagation:
     def segments(self) -> dict[str, list[float]] | None:
         """Minimum and maximum speed of the twin over stiffness and damping time, m/s.
 
-        Both parameters, or only the damping time (`damping`), vary over their 95 %
-        intervals. The result is None if the runs are missing.
+        The key `stiffness_and_damping` is for runs that vary both parameters over their
+        95 % intervals. With the key `damping`, only the damping time varies. The result
+        is None if the runs are missing.
         """
         speeds = self.rows.get(SEGMENTS, {}).get("com_speed_m_s")
         if speeds is None or not np.isfinite(speeds).all():
