@@ -40,7 +40,7 @@ _COLUMNS_OF_UNIT = {
     "J": "work internal_loss air",
     "mixed": "qpos",
 }
-# The names are without the numbers of numbered columns. All other columns are
+# The name of a numbered column is its stem, such as "bend". All other columns are
 # dimensionless.
 _UNIT_OF_COLUMN = {
     name: unit for unit, names in _COLUMNS_OF_UNIT.items() for name in names.split()

@@ -57,7 +57,8 @@ def plan(
     elif not quiet:
         _print_plan(planned)
     say(f"files in {display_path(folder)}: {', '.join(planned.files)}", quiet=quiet)
-    write = say if as_json else print  # stdout is for the JSON document
+    # The JSON document must be the only text on stdout.
+    write = say if as_json else print
     missed = [row for row in checked if verdict(row) == "missed"]
     for row in checked if not quiet else missed if check else ():
         write(f"{STATE_LABELS[verdict(row)]:6} {row['metric']} {result_text(row)}")

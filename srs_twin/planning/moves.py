@@ -233,7 +233,7 @@ def _cut_corners(x, y, heading, indices, lengths, moves, grid, radius):  # type:
     count = len(indices)
     state = initial_state(x, y, heading, moves)
     distances = np.zeros(count + 1)
-    # The list contains the arc states at the ends of the pieces of the original path.
+    # These are the arc states at the ends of the pieces of the original path.
     states = [state]
     for k in range(count):
         _, state = follow_arc(state, indices[k], lengths[k], moves, grid)

@@ -239,7 +239,7 @@ class Experiment:
             twin = with_preset(document["plants"].get("twin", {}), value)
             return {**document, "plants": {**document["plants"], "twin": twin}}
         if len(path) == 3 and path[0] == "robot" and not isinstance(content, Mapping):
-            # Add a record for a parameter that the robot file does not have.
+            # A parameter that the robot file does not have needs a new record.
             unit = section_units(str(path[1])).get(str(path[2]))
             if unit is not None:
                 content = replace_value(None, value, unit, BY_A_SWEEP)

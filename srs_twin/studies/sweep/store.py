@@ -164,7 +164,7 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
         Raises:
             InputError: the row or a file cannot be written.
         """
-        # Write the files first, because the row marks the point as finished.
+        # The files are written first, because the row marks the point as finished.
         for plant, parquet in row.files.items():
             with atomic_write(self.trajectory_file(row.key, plant)) as part:
                 part.write_bytes(parquet)
