@@ -1,27 +1,26 @@
-r"""SupplyFilter and LeakDetector: estimates from the air that filling chambers take in.
+r"""Supply pressure and leaks, estimated from the air that filling chambers take in.
 
-While the valve of a chamber is open, the chamber pressure P and the bend q of the segment
-satisfy the balance of air
+While the valve of a chamber is open, the chamber pressure P and the bend q of the
+segment satisfy the balance of air
 
 $$ \Delta (P\,V(q)) = c \int \dot n_{in}\,dt - (\lambda_0 + \lambda)\,K \int (P - P_a)\,dt, $$
 
 where V is the chamber volume, ṅ_in the flow through an orifice (`pneumatics/flow.py`),
-P_a the ambient pressure and K the capacity of a nominal chamber. A stroke is the time in
-which the valve stays open. Linear regression with forgetting estimates the flow factor c
-and the apparent loss λ₀ of an intact chamber over many strokes. The scatter between
-strokes is estimated as well. A leak λ is then visible within one stroke. First-order
-chambers satisfy the balance with other values of c and λ₀.
+P_a the ambient pressure and K the capacity of a nominal chamber. A stroke is the time
+in which the valve stays open. Linear regression with forgetting estimates the flow
+factor c and the apparent loss λ₀ of an intact chamber over many strokes, and the
+scatter between strokes. A leak λ is then visible within one stroke.
 
-All chambers share one supply, whose gauge pressure S is modelled as a random walk. Since
-its valve opened, chamber i has taken in r_i more air than expected. With the derivative
+All chambers share one supply, whose gauge pressure S is modelled as a random walk.
+During its stroke, chamber i takes in r_i more air than expected. With the derivative
 h_i of the amount with respect to S and an error v_i, the excess is
 r_i = h_i (S − Ŝ) + v_i. A Kalman filter combines the chambers:
 
 $$ \hat S' = \hat S + \frac{\sum_i w_i h_i r_i / \sigma_i^2}{1/P + \sum_i w_i h_i^2 / \sigma_i^2}. $$
 
-Here σ_i is the standard deviation of v_i, and P is the variance of Ŝ. The weights w_i of
-Student's t distribution limit the effect of a chamber that leaks or is stuck. If most
-filling chambers agree on a large change, the estimate follows the change at once.
+Here σ_i is the standard deviation of v_i, and P is the variance of Ŝ. The weights w_i
+of Student's t distribution limit the effect of a chamber that leaks or is stuck. If
+most filling chambers agree on a large change, the estimate follows the change at once.
 """
 
 from __future__ import annotations
@@ -133,7 +132,8 @@ class SupplyFilter(Stateful):
             chance = np.pi / 2 / len(residual) * scatter
             if change**2 > _SURPRISE**2 * (self.variance + chance):
                 self.variance += change**2
-                # Earlier messages of the strokes did not contain the change.
+                # Earlier messages did not contain the change, so they are not
+                # correlated with this one.
                 repeats = 1.0
         expected = variance + response**2 * self.variance
         square = (residual - response * change) ** 2 / expected
@@ -173,7 +173,7 @@ class SupplyFilter(Stateful):
         self._set(self.pressure + gain * (pressure - self.pressure))
 
     def jump(self, share: float) -> None:
-        """Set the pressure to a fraction of the estimate and raise the variance."""
+        """Multiply the estimate by a fraction and increase the variance."""
         self._set(share * self.pressure)
         self.variance = (LARGEST_SD * self.pressure) ** 2
 
@@ -189,13 +189,13 @@ to leak before the first strokes are learnt."""
 LOSS_SD = 0.3
 """Prior standard deviation of the apparent loss λ₀, 1/s."""
 FORGETTING = 0.95
-"""Weight of a stroke relative to the next one."""
+"""Weight of a stroke relative to the weight of the next stroke."""
 MOST_STROKES = 40
 """Maximum number of strokes over which the scatter is averaged."""
 SCATTER = 0.05
-"""Prior scatter between strokes, fraction of the inflow."""
+"""Prior standard deviation between strokes, fraction of the inflow."""
 SCATTER_STROKES = 3
-"""Number of first strokes that do not change the prior scatter."""
+"""Number of initial strokes during which the prior scatter is kept."""
 LEAST_SCATTER = 0.02
 """Lower limit of the scatter, fraction of the inflow."""
 MESSAGES_PER_INDEPENDENT = 16
@@ -209,9 +209,9 @@ WEAK_INFLOW_SD = 0.7
 LEAST_INFLOW = 0.1
 """Minimum inflow of a used stroke, fraction of K times the supply pressure."""
 LONGEST_GAP_S = 0.1
-"""Interval between messages that ends a stroke, s."""
+"""Time without a message after which a stroke ends, s."""
 SOUND = 0.98
-"""Probability of no fault above which the strokes of a chamber are learnt."""
+"""Strokes are learnt if the probability of no fault exceeds this value."""
 LIMIT = 3.0
 """Maximum residual from which the scatter is learnt, in standard deviations."""
 TAILS = 12.0
@@ -269,10 +269,7 @@ class _Residual(NamedTuple):
 
 
 class _Message(IntEnum):
-    """Column of `LeakDetector._pending`, the most informative message of a stroke.
-
-    The last column contains the contribution of the stroke to the scatter.
-    """
+    """Column of `LeakDetector._pending`, the most informative message of a stroke."""
 
     INFLOW = 0
     OUTFLOW = 1
@@ -437,7 +434,7 @@ class LeakDetector(Stateful):
     def _continues(
         self, time: float, pressure: np.ndarray, filled: np.ndarray
     ) -> np.ndarray:
-        """Return whether the valve of a chamber has been open since the last pressure."""
+        """Return whether each valve has been open since the last pressure message."""
         since = time - self._time
         opened: np.ndarray = (
             ~np.isnan(pressure) & (since < LONGEST_GAP_S) & (filled > since - 1e-6)
@@ -506,18 +503,18 @@ class LeakDetector(Stateful):
         )
 
     def _accumulate(self, used: np.ndarray) -> None:
-        """Keep the most informative message of each stroke, from which `_learn` learns."""
+        """Store the most informative message of each stroke for `_learn`."""
         inflow = self._sums[..., _SOUND_INFLOW]
         pending = self._pending
         residual, variance, fit_variance = self._residual().sound()
-        # All messages of a stroke have common errors, so only one message counts.
+        # The messages of one stroke share their errors, so only one of them is used.
         weight = 1 / (variance - fit_variance)
         known = pending[..., _Message.WEIGHT] * pending[..., _Message.INFLOW] ** 2
         better = used & (weight * inflow**2 > known)
         message = [inflow, -self._sums[..., _OUTFLOW], residual, weight]
         pending[better, : _Message.EXCESS] = np.stack(message, axis=-1)[better]
-        # A single outlier must not increase the scatter by more than a residual at the
-        # limit.
+        # A residual beyond the limit counts as a residual at the limit, so that a single
+        # outlier cannot dominate the scatter.
         excess = np.minimum(residual**2, LIMIT**2 * variance) - variance
         pending[used, _Message.EXCESS] = excess[used] / inflow[used] ** 2
 
