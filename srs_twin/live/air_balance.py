@@ -251,12 +251,12 @@ class SupplyResidual(NamedTuple):
 
 
 class _Residual(NamedTuple):
-    """Residuals of the air balances; each array has shape (segments, 2, variants).
+    """Residuals of the air balances, shape (segments, 2, variants).
 
     Attributes:
         value: residual of each balance.
         variance: variance of each residual.
-        fit_variance: part of the variance that is due to the fit.
+        fit_variance: part of the variance that is due to uncertain c and λ₀.
     """
 
     value: np.ndarray
@@ -264,7 +264,6 @@ class _Residual(NamedTuple):
     fit_variance: np.ndarray
 
     def sound(self) -> _Residual:
-        """Return the residuals of the variant without a fault, shape (segments, 2)."""
         return _Residual(*(values[..., 0] for values in self))
 
 
@@ -434,7 +433,6 @@ class LeakDetector(Stateful):
     def _continues(
         self, time: float, pressure: np.ndarray, filled: np.ndarray
     ) -> np.ndarray:
-        """Return whether each valve has been open since the last pressure message."""
         since = time - self._time
         opened: np.ndarray = (
             ~np.isnan(pressure) & (since < LONGEST_GAP_S) & (filled > since - 1e-6)
@@ -503,7 +501,6 @@ class LeakDetector(Stateful):
         )
 
     def _accumulate(self, used: np.ndarray) -> None:
-        """Store the most informative message of each stroke for `_learn`."""
         inflow = self._sums[..., _SOUND_INFLOW]
         pending = self._pending
         residual, variance, fit_variance = self._residual().sound()

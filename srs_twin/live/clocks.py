@@ -123,7 +123,6 @@ class SenderClock:
         return min(sent + self.offset, arrived)
 
     def _follow(self, arrivals: deque[_Arrival], *, confirmed: bool) -> None:
-        """Restart with a new offset if it is confirmed and the messages agree on it."""
         delays = [arrival.delay for arrival in arrivals]
         lowest = min(delays)
         agreeing = [delay for delay in delays if delay - lowest <= STEP_S]

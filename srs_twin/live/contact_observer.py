@@ -344,7 +344,6 @@ class ContactObserver(Stateful):
         return None
 
     def _learn(self, sample: np.ndarray, k: int) -> None:
-        """Update the means and the variance of the deviation with a sample."""
         mean = self._sums[k]
         known = self._bins[k]
         if known:
@@ -401,7 +400,6 @@ class ContactObserver(Stateful):
         return ContactEstimate(touched=False, score=score)
 
     def _compare(self, filtered: np.ndarray | None) -> None:
-        """Update the hypotheses with a filtered deviation, or None if it is missing."""
         self._recent.append(filtered)
         if self._hypotheses is not None:
             last = self._samples - 1
@@ -469,7 +467,6 @@ class ContactObserver(Stateful):
 
 
 def _interval(values: np.ndarray, weight: np.ndarray) -> Interval:
-    """Return the central interval that contains a fraction `COVERAGE` of the weight."""
     order = np.argsort(values)
     share = np.cumsum(weight[order]) / weight.sum()
     low, high = np.searchsorted(share, [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2])

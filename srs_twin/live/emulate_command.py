@@ -220,7 +220,6 @@ def _motion_capture(given: str, connectors: int) -> NatNetServer:
 
 
 def _pose(text: str) -> tuple[float, float, float]:
-    """Parse a pose "x,y,heading" in m and rad."""
     try:
         x, y, heading = (float(number) for number in text.split(","))
     except ValueError:

@@ -412,7 +412,7 @@ class Transport:
             heapq.heappush(self._waiting, entry)
 
     def send_until(self, due: float) -> None:
-        """Wait until a time of the local clock (s), and send the messages that are due."""
+        """Wait until a time of the local clock (s), and send messages due by then."""
         while True:
             while self._waiting and self._waiting[0].due <= clock():
                 heapq.heappop(self._waiting).call()

@@ -374,10 +374,7 @@ class EnsembleFilter:
         return np.asarray(numbers - numbers.mean(axis=0))
 
     def _localisation(self) -> dict[str, np.ndarray]:
-        """Return masks of the columns that each measurement corrects.
-
-        Masks have the shape (measurements, columns).
-        """
+        """Return masks of the corrected columns, shape (measurements, columns)."""
         n = self._segments
         width = self.members.shape[1]
         bend = np.zeros((n, width))
@@ -419,7 +416,6 @@ class EnsembleFilter:
         return np.asarray(normalised)
 
     def _estimate_noise(self, name: str, before: np.ndarray, after: np.ndarray) -> None:
-        """Update the noise of frames with residuals before and after a correction."""
         if np.isnan(before * after).all():
             return
         usual = getattr(self.noise, name)
@@ -433,7 +429,6 @@ class EnsembleFilter:
         )
 
     def _place(self, poses: np.ndarray) -> None:
-        """Initialise the poses of the members near the measured pose."""
         seen = ~np.isnan(poses).any(axis=1)
         if not seen.any():
             return
@@ -478,7 +473,6 @@ class EnsembleFilter:
             self.members[~valid] = self.members[others]
 
     def _restart(self) -> None:
-        """Set the members to rest at an unknown position."""
         self.members[:] = 0.0
         self._of("disturbance")[:] = self.error.disturbance * self._random(
             "disturbance"

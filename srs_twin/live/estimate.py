@@ -320,8 +320,7 @@ class LiveContact:
     def _update_period(self, period: int) -> None:
         """Adopt a period of the commands after it was constant for half a second.
 
-        A period of 0 means that no period was found. As long as too few commands are
-        known, a shorter period with similar commands may be found first.
+        As long as few commands are known, too short a period may be found.
         """
         if not period:
             return

@@ -225,7 +225,7 @@ class FaultDetector(Stateful):
             self.probability[number - 1, 0] = 1.0
 
     def restart(self) -> None:
-        """Treat the pressures as unknown after a restart. Learnt parameters are kept."""
+        """Treat the pressures as unknown after a restart, but keep learnt values."""
         self.time = 0.0
         self._level = math.nan
         self.leaks.drop_all()
@@ -243,7 +243,7 @@ class FaultDetector(Stateful):
         self._covariance[..., _State.LOAD, _State.LOAD] += change[:, None] ** 2
 
     def most_likely(self) -> np.ndarray:
-        """Return the most likely hypothesis of each segment among its detected faults."""
+        """Return the most likely hypothesis of each segment, given detected faults."""
         return self.naming.most_likely(self.probability)
 
     def modules(self) -> Uncertain:
@@ -368,7 +368,6 @@ class FaultDetector(Stateful):
         return rows
 
     def _mix(self, dt: float) -> None:
-        """Mix the Kalman filters by transition probabilities, and predict states."""
         # Faults do not heal. Transitions between faults remain possible, because a
         # fault may first look like another one.
         transition = np.full((len(HYPOTHESES),) * 2, _FAULT_RATE * dt)
@@ -442,10 +441,7 @@ class FaultDetector(Stateful):
         return np.where(available, log, 0.0)
 
     def _sensor_log_likelihood(self, readings: np.ndarray) -> np.ndarray:
-        """Return log-likelihoods of missing readings and of repeated equal readings.
-
-        Missing readings indicate a silent sensor, and equal readings a frozen sensor.
-        """
+        """Return log-likelihoods of missing (silent) and equal (frozen) readings."""
         log_likelihood = np.zeros(self.probability.shape)
         lost = np.isnan(readings)[:, None]
         silent = SENSORS == Sensor.SILENT
@@ -483,13 +479,6 @@ class FaultDetector(Stateful):
         return np.asarray(log.sum(axis=-1) * min(dt / _PRESSURE_TIME_S, 1.0))
 
     def _update_supply(self, pressures: np.ndarray, usual: Uncertain) -> None:
-        """Correct the supply estimate with chambers that fill as commanded.
-
-        Args:
-            pressures: gauge pressures of the chambers, shape (segments, 2), Pa.
-            usual: learnt pressure residuals, fraction of the supply pressure, shape
-                (segments, 2).
-        """
         before = self.supply.pressure
         response = self._pressure[:, 0] / before + usual.value
         sd = before * usual.sd
@@ -604,5 +593,4 @@ class FaultDetector(Stateful):
 
 
 def _log_student(square: np.ndarray) -> np.ndarray:
-    """Return the log-density of Student's t distribution up to a constant."""
     return np.asarray(-np.log1p(square / _TAILS) * (_TAILS + 1) / 2)

@@ -144,7 +144,6 @@ class Journal:
 
 
 def _nanoseconds(time: float) -> int:
-    """Convert a time from s to whole ns, the unit of MCAP."""
     return round(min(max(time, 0.0), LATEST_S) * 1e9)
 
 
@@ -195,7 +194,6 @@ def journal_messages(
 def _records(
     whole: memoryview, skip: Callable[[BadMessageError], None]
 ) -> Iterator[Any]:
-    """Yield the records of a file up to the first damaged record."""
     try:
         yield from stream_messages(whole)
     except Exception as error:  # a damaged file raises errors of many kinds
@@ -228,7 +226,6 @@ def opened_journal(path: Path) -> IO[bytes]:
 def _message(
     topic: str, log_time: int, data: bytes, robot: str, segments: int
 ) -> Message | None:
-    """Decode a record, or return None if its message belongs to another robot."""
     arrived = log_time / 1e9
     try:
         prefix, source, kind = topic.split("/", 2)

@@ -101,10 +101,7 @@ class Link(ABC):
             self.counts["nobody asked"] += 1
 
     def _refuse(self, error: Exception) -> None:
-        """Count a refused message under its reason.
-
-        The reason of an unexpected error is the name of its class.
-        """
+        """Count a refused message under its reason, or under the class of the error."""
         reason = type(error).__name__
         if isinstance(error, BadMessageError):
             reason = str(error)[:80]
@@ -150,10 +147,7 @@ def address(given: str, port: int) -> tuple[str, int]:
 
 
 def _is_host(name: str) -> bool:
-    """Return whether a text is a valid host name.
-
-    A host name consists of labels of letters, digits and hyphens, separated by dots.
-    """
+    """Return whether all labels of a name have letters, digits and hyphens only."""
     try:
         encoded = name.encode("idna")  # the encoding that sockets apply
     except UnicodeError:
@@ -348,7 +342,6 @@ class MqttLink(Link):
 
 
 def _trust(client: mqtt.Client, ca: Path) -> None:
-    """Enable TLS, and trust brokers whose certificate is signed by this authority."""
     place = require_file(ca, suffix=".pem")  # opening a pipe would block
     try:
         client.tls_set(str(place))

@@ -209,7 +209,7 @@ class MemberDynamics:
 
 @allocating
 def _free_bends(linear, speed, bias, law):  # type: ignore[no-untyped-def]
-    """Return free bends (rad) and their rates (rad/s), shapes (members, times, segments).
+    """Return free bends (rad) and rates (rad/s), shape (members, times, segments).
 
     Args:
         linear: linear bends, shape (times, members, segments), rad.
@@ -231,7 +231,6 @@ def _free_bends(linear, speed, bias, law):  # type: ignore[no-untyped-def]
 
 @allocating
 def _advance(states, velocities, steps, free, model, work):  # type: ignore[no-untyped-def]
-    """Advance the bodies in place, and return which of them completed all steps."""
     complete = np.empty(states.shape[0], dtype=np.bool_)
     marks = np.empty(0, dtype=np.int64)
     seen = kernels.Samples(
@@ -247,10 +246,7 @@ def _advance(states, velocities, steps, free, model, work):  # type: ignore[no-u
 
 @compiled
 def _set_momenta(states, velocities, model, work):  # type: ignore[no-untyped-def]
-    """Fill the velocities and momenta of the states.
-
-    The given velocities refer to the frame of the mean heading of each body.
-    """
+    """Fill velocities and momenta from velocities in the frame of the mean heading."""
     segments = work.bend.shape[0]
     ahead = compliant_kernels.BENDS
     momentum = work.momentum

@@ -118,7 +118,6 @@ class _Reader:
         self.at = 0
 
     def read(self, form: str) -> tuple[Any, ...]:
-        """Read little-endian numbers, given their `struct` format."""
         try:
             values = struct.unpack_from("<" + form, self._data, self.at)
         except struct.error:
@@ -294,7 +293,6 @@ def read_frame(content: bytes, version: Version) -> Frame:
 def _skip(
     packet: _Reader, version: Version, read_one: Callable[[_Reader, Version], object]
 ) -> None:
-    """Skip a list at once if its length is known, or else entry by entry."""
     count, end = packet.listed(version)
     if end is None:
         for _ in range(count):

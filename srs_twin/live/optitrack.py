@@ -78,7 +78,7 @@ class _UdpLink(Link):
     def _packet(
         self, kind: int, content: bytes, sender: tuple[str, int], arrived: float
     ) -> None:
-        """Process a packet that arrived at the time `arrived` (s, local clock)."""
+        """Process a packet, given the time of arrival (s, local clock)."""
 
     def close(self) -> None:
         """See `Link.close`."""

@@ -1,7 +1,7 @@
 """Tables of pressure residuals of a first-order chamber model.
 
-A chamber with compressible flow deviates from the first-order model in the same way in
-each stroke. The tables are indexed by chamber, valve state and time since switching.
+In each stroke, a chamber with compressible flow deviates similarly from the first-order
+model. The tables are indexed by chamber, valve state and time since switching.
 """
 
 from __future__ import annotations
@@ -85,9 +85,7 @@ class PressureRates:
 
     _BINS = 50
     _WIDTH_S = 0.01
-    """Width of a bin, s.
-
-    Pressures arrive once per tick of the robot, and a bin is half a tick wide."""
+    """Width of a bin, s (half a tick of the robot)."""
     _GAIN = 0.2
     """Fraction of an innovation that is added to the rates of its bins."""
     _MEMORY = 8.0
@@ -168,14 +166,19 @@ class PressureLevels(Stateful):
     """Number of pressures over which a mean is taken."""
 
     def __init__(self, segments: int, sd: float) -> None:
-        """Start with means of 0 and an initial standard deviation (dimensionless)."""
+        """Start with means of 0.
+
+        Args:
+            segments: number of segments.
+            sd: initial standard deviation, fraction of the supply pressure.
+        """
         self.ages = ValveAges(segments, self._BINS, self._WIDTH_S)
         self._count = np.ones(self.ages.shape)
         self._mean = np.zeros(self.ages.shape)
         self._variance = np.full(self.ages.shape, sd**2)
 
     def read(self) -> Uncertain:
-        """Return means and standard deviations in the current bins, shape (segments, 2)."""
+        """Return means and standard deviations in the current bins, (segments, 2)."""
         index = self.ages.index()
         return Uncertain(self._mean[index], np.sqrt(self._variance[index]))
 

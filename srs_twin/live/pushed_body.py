@@ -166,7 +166,6 @@ class PushedBody:
         self._products = np.concatenate(products, axis=1)
 
     def _tabulate_moments(self, motion: _Motion) -> None:
-        """Fill the moments per unit of friction and of acceleration at the samples."""
         place = motion.place[:, None]
         n = self._spec.segments
         front = np.arange(n + 1) <= np.arange(n)[:, None]
@@ -188,7 +187,7 @@ class PushedBody:
         self._on_friction = np.tile(front.T, (4, 1)) * moved
 
     def _tabulate_push(self, motion: _Motion, stations: np.ndarray) -> None:
-        """Fill the generalised force of a unit force at each station, and its moments."""
+        """Fill generalised force and moments of a unit force at each station."""
         g = self._spec.geometry
         n = self._spec.segments
         j = np.minimum((stations / g.pitch).astype(int), n - 1)
