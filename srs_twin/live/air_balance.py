@@ -222,9 +222,9 @@ _volume = np.vectorize(volume, otypes=[float, float])
 _flow = np.vectorize(
     lambda first, second: flow(first, second, CRITICAL_RATIO)[0], otypes=[float]
 )
-# Columns of the integrals over a stroke: the gauge pressure, the inflow of each variant,
-# and the derivative of the inflow with respect to the supply pressure. The first variant
-# has no fault.
+# Columns of the integrals over a stroke: the gauge pressure, the inflow of each
+# variant, and the derivative of the inflow with respect to the supply pressure. The
+# first variant has no fault.
 _OUTFLOW = 0
 _SOUND_INFLOW = 1
 _INFLOWS = slice(1, -1)
@@ -337,7 +337,8 @@ class LeakDetector(Stateful):
         self._pending = np.zeros((*shape, len(_Message)))
         # Time of the last pressure of the stroke, or NaN outside a stroke.
         self._time = np.full(shape, np.nan)
-        # The last axis holds the amount of air and the standard deviation of the amount.
+        # The last axis holds the amount of air and the standard deviation of the
+        # amount.
         self._begun = np.zeros((*shape, 2))
         self._reached = np.zeros((*shape, 2))
         # The last axis runs from `_OUTFLOW` to `_SLOPE`.
@@ -461,7 +462,8 @@ class LeakDetector(Stateful):
         lines = np.append(self._shares * line, [line + sd, line - sd])
         flows = self._conductance * _flow(lines + AMBIENT_PA, inside[..., None])
         flows[..., :-2] *= self._shares > 0.0
-        # A difference quotient is used because the derivative diverges at equal pressures.
+        # A difference quotient is used because the derivative diverges at equal
+        # pressures.
         slope = (flows[..., -2:-1] - flows[..., -1:]) / (2 * sd)
         gauge = np.nan_to_num(pressure)[..., None] / self._nominal
         rates = np.concatenate([gauge, flows[..., :-2], slope], axis=-1)
@@ -510,8 +512,8 @@ class LeakDetector(Stateful):
         better = used & (weight * inflow**2 > known)
         message = [inflow, -self._sums[..., _OUTFLOW], residual, weight]
         pending[better, : _Message.EXCESS] = np.stack(message, axis=-1)[better]
-        # A residual beyond the limit counts as a residual at the limit, so that a single
-        # outlier cannot dominate the scatter.
+        # A residual beyond the limit counts as a residual at the limit, so that a
+        # single outlier cannot dominate the scatter.
         excess = np.minimum(residual**2, LIMIT**2 * variance) - variance
         pending[used, _Message.EXCESS] = excess[used] / inflow[used] ** 2
 

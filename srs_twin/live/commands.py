@@ -82,8 +82,8 @@ class CommandHistory:
             # A single state of a pulse-width-modulated valve does not tell its duty.
             return None
         else:
-            # The shortest interval between reports is the robot's tick. Longer intervals
-            # are due to lost reports.
+            # The shortest interval between reports is the robot's tick. Longer
+            # intervals are due to lost reports.
             if _LEAST_INTERVAL_S < message.sent - self._reported < self._report_s:
                 self._report_s = message.sent - self._reported
             self._reported = message.sent

@@ -45,8 +45,8 @@ from srs_twin.live.pushed_body import PushedBody
 from srs_twin.pneumatics.chambers import air_bend
 from srs_twin.robot.spec import GRAVITY, RobotSpec
 
-# All times hold for a robot with a time unit of 1 s (`robot.scale`). They are multiplied
-# by the time unit of the robot.
+# All times hold for a robot with a time unit of 1 s (`robot.scale`). They are
+# multiplied by the time unit of the robot.
 WINDOW_S = 0.3
 """Duration of the score's time window, s, and of the shortest detectable contact."""
 SETTLING_S = 2.0
@@ -347,7 +347,8 @@ class ContactObserver(Stateful):
         mean = self._sums[k]
         known = self._bins[k]
         if known:
-            # The mean of few samples is uncertain itself, which increases the deviation.
+            # The mean of few samples is uncertain itself, which increases the
+            # deviation.
             error = _deviation(sample, mean) * math.sqrt(known / (known + 1))
             self._count += 1
             weight = 1 / min(self._count, self._learnt - self._settled)

@@ -466,7 +466,8 @@ def emulate(
                     heard = message.arrived
             state = robot.step(command if clock() - heard <= SILENT_S else None)
             done += 1
-            # The simulated state refers to the end of the tick, so it is published then.
+            # The simulated state refers to the end of the tick, so it is published
+            # then.
             due = begun + done * tick
             messages = {
                 BENDS: robot.bends(),

@@ -409,8 +409,8 @@ class EnsembleFilter:
         normalised = correct(
             self.members, predicted, measured, variances, masks, correlated
         )
-        # A moving body can enlarge a closed chamber, so gauge pressures may be negative.
-        # The absolute pressure cannot be negative.
+        # A moving body can enlarge a closed chamber, so gauge pressures may be
+        # negative. The absolute pressure cannot be negative.
         pressure = self._of("pressure")
         np.maximum(pressure, -AMBIENT_PA, out=pressure)
         return np.asarray(normalised)

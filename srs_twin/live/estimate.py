@@ -187,7 +187,8 @@ class PredictionCalibration:
         self._open.append(raw)
         if not self._count:
             return raw
-        # The mean square of few errors is uncertain, so the interval is widened further.
+        # The mean square of few errors is uncertain, so the interval is widened
+        # further.
         count = min(self._count, _MEMORY)
         factor = (count + 1) / max(count - 1, 1)
         excess = np.maximum(factor * self._error - self._stated, 0.0)

@@ -199,8 +199,8 @@ class FaultDetector(Stateful):
         self._covariance = np.tile(np.diag(np.square(sd)), (count, kinds, 1, 1))
         self.probability = np.zeros((count, kinds))
         self.probability[:, 0] = 1.0
-        # Median ratio of measured to expected pressures of filling chambers, NaN without
-        # measured pressures.
+        # Median ratio of measured to expected pressures of filling chambers, NaN
+        # without measured pressures.
         self._level = math.nan
         self._last = np.full(count, np.nan)
         self.time = 0.0

@@ -137,8 +137,8 @@ class MemberDynamics:
         h = dt / slots / steps
         stages = (np.arange(steps)[:, None] + [kernels.GAMMA, 1.0]).ravel() * h
         after = stages[:, None, None, None]
-        # The random walk is spread over the steps. If it were added at the end, it would
-        # not act on the bends of this period.
+        # The random walk is spread over the steps. If it were added at the end, it
+        # would not act on the bends of this period.
         noise = air.noise / math.sqrt(dt)
         pressures = [air.pressure[None].copy()]
         lags = [air.lagged[None].copy()]
@@ -201,8 +201,8 @@ class MemberDynamics:
         )
         steps = np.full(len(drive.bend) // 2, drive.step)
         complete = _advance(states, velocity, steps, free, self._model, work)
-        # A diverged member would distort the ensemble mean, so it is reported as invalid
-        # although the integrator has finished.
+        # A diverged member would distort the ensemble mean, so it is reported as
+        # invalid although the integrator has finished.
         slow = (np.abs(velocity[:, :3]) <= _LARGEST_VELOCITY).all(axis=1)
         return bends, complete & slow & np.isfinite(states).all(axis=1)
 

@@ -291,8 +291,8 @@ class Odometry:
             c = math.cos(pose[2])
             s = math.sin(pose[2])
             residual = np.array([c * x + s * y, c * y - s * x, turn])
-            # The predicted pose already contains the learnt part of the motion. The part
-            # is added again because W is fitted to the whole motion.
+            # The predicted pose already contains the learnt part of the motion. The
+            # part is added again because W is fitted to the whole motion.
             residual += self._features @ connection.weights
             residual -= connection.kinematic_matrix((bend + now) / 2) @ (now - bend)
             connection.learn(self._features + connection.features(bend, now), residual)

@@ -67,7 +67,8 @@ class ValveAges(Stateful):
             dt: time step, s.
         """
         filling = (duty > 0.5).astype(int)
-        # The age refers to the start of the step, so it grows by the previous time step.
+        # The age refers to the start of the step, so it grows by the previous time
+        # step.
         self.age = np.where(filling == self.filling, self.age + self._dt, 0.0)
         self.filling = filling
         self._dt = dt

@@ -385,8 +385,8 @@ class Session:
 
     def _submit(self, now: float) -> None:
         intervals = self._intervals
-        # While the twin falls behind its messages, predictions would cost processor time
-        # that the messages need.
+        # While the twin falls behind its messages, predictions would cost processor
+        # time that the messages need.
         can_predict = (
             self.estimate is not None and self._predicting is None and not self._behind
         )

@@ -376,8 +376,8 @@ class Shadow:
         if time - self.time < _LEAST_STEP_S:
             return
         if time - self.time > LOST_AFTER_S:
-            # The motion during a long pause is unknown, so the next frame determines the
-            # position again.
+            # The motion during a long pause is unknown, so the next frame determines
+            # the position again.
             self.ensemble.placed = False
             self.time = time - LOST_AFTER_S
         slots = math.ceil((time - self.time) / SLOT_S - 1e-6)
