@@ -321,11 +321,7 @@ def _texts(paths: Paths) -> list[str]:
 
 
 class _Task:
-    """Call of a function of this module.
-
-    The attribute `files` lists the fitted files and then the files for validation. A
-    requested `length` is measured from markers.
-    """
+    """Call of a function, in which `files` lists fitted files before validation files."""
 
     def __init__(
         self, function: Callable[..., Calibration], given: Mapping[str, Any]
@@ -473,8 +469,6 @@ def _read_decays(task: _Task) -> list[Decay]:
 
 
 class _Kind(NamedTuple):
-    """Kind of data to which a robot is fitted, with its reader and fit function."""
-
     method: Method
     title: str
     read: Callable[[_Task], Sequence[Any]]

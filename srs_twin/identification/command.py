@@ -68,10 +68,7 @@ def calibrate() -> None:
 
 
 def _fits(declaration: Callable[..., None]) -> None:
-    """Build the command that fits with the function `calibrate_NAME`.
-
-    An option that is not given has the default value of the function.
-    """
+    """Build the command that calls `calibrate_NAME` with the given options."""
 
     @app.command()
     @with_options

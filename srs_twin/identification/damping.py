@@ -263,11 +263,7 @@ class _DampingFit:
         return values
 
     def unknowns(self, *, coarse: bool = False) -> list[FreeParameter]:
-        """Return the unknowns of the fit.
-
-        Coarse unknowns exclude leak rate and recovery, which a few swings do not
-        determine.
-        """
+        """Return the unknowns, coarse ones without those that need many swings."""
 
         def free(
             name: str, unit: str, bounds: tuple[float, float], scale: float
@@ -301,11 +297,7 @@ class _DampingFit:
         refit: Refit | None = None,
         swings: float = math.inf,
     ) -> FitEstimate:
-        """Fit the unknowns to the first swings.
-
-        The result replaces the best values found so far, unless `bends` replaces the
-        measured bends.
-        """
+        """Fit the unknowns to the first swings of the measured or given bends."""
         fitted = [decay.bend for decay in self.decays] if bends is None else bends
 
         def residuals(values: Mapping[str, float]) -> list[Residual]:
@@ -343,7 +335,6 @@ class _DampingFit:
             )
 
     def refit(self, values: Mapping[str, float]) -> Mapping[str, float]:
-        """Fit simulated decays of a material with a constant loss factor."""
         pulsation = 2 * math.pi * self.small_swing(values).frequency
         bends = [
             self._swing(values, k, pulsation).bend for k in range(len(self.decays))
@@ -365,9 +356,8 @@ class _DampingFit:
     ) -> Ringing:
         """Return the small oscillation at the end of the first recording.
 
-        Missing values are the best values found so far. The loss factor is nearly
-        constant about the frequency `constant_about` (rad/s), or proportional to the
-        frequency if it is None.
+        The loss factor is nearly constant about the frequency `constant_about` (rad/s),
+        or proportional to the frequency if it is None.
         """
         values = self.values | dict(values)
         material = self._material(values)
@@ -474,8 +464,7 @@ def _derived(
 ) -> Parameter:
     """Return an attribute of `Ringing` with linearly propagated errors.
 
-    The interval is symmetric in the logarithm. `model_error` is an additional error of
-    the logarithm.
+    `model_error` is an additional error of the logarithm.
     """
 
     def logarithm(changes: Mapping[str, float]) -> float:

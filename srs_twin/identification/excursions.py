@@ -137,11 +137,7 @@ class FollowerRun:
 def _random_arcs(
     rng: np.random.Generator, low: float, high: float
 ) -> list[tuple[float, float]]:
-    """Return the curvature and length of each arc of a random path.
-
-    As in plans, an arc is straight or has the minimum or maximum curvature. The first
-    arc is curved.
-    """
+    """Return curvature and length of arcs, which are straight or curved as in plans."""
     arcs = []
     left = LENGTH_M
     heading = 0.0

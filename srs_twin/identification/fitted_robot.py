@@ -106,11 +106,7 @@ def robot_override(
 def _changes(
     fit: FitFile, used: Sequence[ParameterEntry], changed: Iterable[str]
 ) -> Iterator[tuple[str, str, str]]:
-    """Yield the name, status and source of the values that change.
-
-    If several values belong to one record, the first value determines status and
-    source.
-    """
+    """Yield the name, status and source of the values that change."""
     for parameter in used:
         record = _record_key(parameter.name)
         same_record = [other for other in used if _record_key(other.name) == record]
@@ -185,7 +181,6 @@ def _record_key(name: str) -> str:
 
 
 def _prior(parameter: ParameterEntry) -> dict[str, object]:
-    """Return the entry `uncertain` of a record, which is empty for list elements."""
     numbers = (parameter.value, parameter.low, parameter.high)
     if parameter.name.startswith(("modules.", "mass.")) or None in numbers:
         return {}

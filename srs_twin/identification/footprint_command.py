@@ -195,10 +195,6 @@ def margin(
 
 
 def _print_footprint(measured: FootprintMeasurement) -> None:
-    """Print the tables of steady paths and transients.
-
-    Steady values are followed by half the range over the repeats.
-    """
     paths = zip(measured.offsets, measured.steady, measured.spread, strict=True)
     rows = []
     for offset, path, spread in paths:

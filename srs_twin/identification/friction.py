@@ -616,10 +616,7 @@ class _CoastingModel:
     def _residuals(
         self, run: CoastingTest, k: int, values: Mapping[str, float], angle: float
     ) -> list[Residual]:
-        """Return the residuals of run k in both directions.
-
-        The mean is subtracted, which fits the initial position.
-        """
+        """Return the residuals of run k, minus their means (fit of initial position)."""
         velocity = values.get(f"along_{k}", 0.0), values.get(f"across_{k}", 0.0)
         mu_t, mu_n = (values[name] for name in _NAMES)
         slip_law = getattr(friction, self.law)
@@ -656,10 +653,7 @@ _SHARP_SLIP = 1e-12
 
 
 def _motion(run: CoastingTest, k: int) -> list[FreeParameter]:
-    """Return the initial velocities and the rolling angle of run k as parameters.
-
-    The initial velocity is not fitted in a direction in which the body does not move.
-    """
+    """Return the initial velocities and the rolling angle of run k as parameters."""
     few = len(run.time) // 4
     late = run.position[-few:].mean(axis=0)
     moved = late - run.position[2 * few : 3 * few].mean(axis=0)

@@ -254,7 +254,6 @@ def ringing(
     gains = (segment.gain_plus, -segment.gain_minus)
 
     def air_bend(bend: float) -> tuple[float, float]:
-        """Return φ(x) and r of the equation above."""
         x = x_slope = 0.0
         for side, gain in enumerate(gains if segment.encloses_air else ()):
             size, growth = volume(segment.dead_volume, segment.displacement, bend, side)

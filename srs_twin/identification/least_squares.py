@@ -477,7 +477,6 @@ def _count_samples(
 def _iterate_bias(
     search: Search, z: Array, refit: Refit, errors: Array
 ) -> tuple[Array, Array]:
-    """Return the bias of an estimate, and the last change of the bias."""
     bias = search.bias(z, refit)
     change = np.full(len(z), np.inf)
     for _ in range(_MAX_REFITS - 1):
@@ -496,9 +495,6 @@ _MAX_REFITS = 5
 def _spread_of_minima(
     best: SearchResult, ends: Sequence[SearchResult], limit: float
 ) -> Array:
-    """Return the distance of each parameter in z to the farthest equivalent minimum.
-
-    Two minima are equivalent if their sums of squares differ by at most `limit`.
-    """
+    """Return the distance of each parameter in z to the farthest equivalent minimum."""
     minima = [end.z for end in ends if 2 * (end.cost - best.cost) <= limit]
     return np.asarray(np.abs(np.array(minima) - best.z).max(axis=0))

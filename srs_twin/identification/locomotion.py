@@ -315,7 +315,6 @@ class _Comparison:
     def simulated(
         self, data: Sequence[_Data], plant: PlantModel, values: Mapping[str, float]
     ) -> list[_Data]:
-        """Return runs of another plant in place of the measured runs."""
         robot = with_values(self.spec, values)
         return [
             self.data(replace(run, trajectory=plant.simulate(run, robot)), role)

@@ -77,10 +77,7 @@ class FreeParameter:
 
 @dataclass(frozen=True)
 class _Accessor:
-    """Getter and setter of a parameter in a robot.
-
-    The argument k of both is the index of the connector or segment, counted from 0.
-    """
+    """Getter and setter of a parameter of connector or segment k, counted from 0."""
 
     unit: str
     low: float
@@ -214,7 +211,6 @@ def _scalar(
 def _module(
     attribute: str, side: int | None, unit: str, low: float, high: float, **more: Any
 ) -> _Accessor:
-    """Return the accessor of a module parameter, where side 0 is the + chamber."""
     place = () if side is None else (side,)
 
     def get(spec: RobotSpec, k: int) -> float:

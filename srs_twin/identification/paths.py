@@ -318,8 +318,7 @@ def _excess(
     """Return how far the body reaches beyond the new arc to the left and right, m.
 
     The area swept along the old arc within one body length before the change is
-    excluded. `begin` is the pose at the change, and `settled` is the end of the
-    transient, s.
+    excluded.
     """
     before, after = paths
     during = (trajectory.time >= time - 1e-9) & (trajectory.time <= settled + 1e-9)

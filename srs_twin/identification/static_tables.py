@@ -191,7 +191,6 @@ def _settled_frames(
     end: int,
     wait: float,
 ) -> np.ndarray | None:
-    """Return the frames of a plateau to average, or None if it is not usable."""
     span = float(time[end - 1] - time[begin])
     deviation = np.abs(pressure[begin:end] - np.median(pressure[begin:end], axis=0))
     limit = _OUTLIER_MEDIANS * np.median(deviation, axis=0) + _OUTLIER_MARGIN_PA
@@ -248,10 +247,7 @@ def _noise_scale(values: np.ndarray) -> np.ndarray:
 def _settled_mean(
     time: np.ndarray, pressure: np.ndarray, bend: np.ndarray, frame_error: np.ndarray
 ) -> list[float]:
-    """Return the mean pressures, mean bend and standard error of a segment.
-
-    The bend is NaN if it does not settle.
-    """
+    """Return mean pressures, mean bend (NaN if not settled) and standard error."""
     kept = np.flatnonzero(np.isfinite(bend))
     while len(kept) >= MIN_FRAMES:
         since = time[kept] - time[kept].mean()

@@ -50,8 +50,6 @@ Measurements that depend on bends must be processed after the bends.
 
 
 class _Arrival(NamedTuple):
-    """Time of arrival on the local clock and delay since the sending time, s."""
-
     time: float
     delay: float
 

@@ -366,7 +366,6 @@ class ContactObserver(Stateful):
         return self._gait
 
     def _patterns(self, body: PushedBody) -> np.ndarray:
-        """Return the bends per unit of force, averaged over forces from both sides."""
         count = len(self.stations)
         station = np.tile(np.arange(count), 2)
         force = np.repeat([self._friction, -self._friction], count)
@@ -407,7 +406,6 @@ class ContactObserver(Stateful):
             self._hypotheses = self._compared(self._hypotheses, last, filtered)
 
     def _start(self) -> None:
-        """Create hypotheses for each onset, and compare them with recent samples."""
         first = self._samples - len(self._recent)
         size = self._friction * _LEAST_FORCE * _FORCE_RATIO**_POWERS
         sizes = np.concatenate([size, -size])

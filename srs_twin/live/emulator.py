@@ -366,10 +366,7 @@ _POLL_S = 0.002
 
 
 class _DelayedCall(NamedTuple):
-    """Call that is due at a time of the local clock (s).
-
-    Calls with equal times are ordered by their number.
-    """
+    """Call that is due at a time of the local clock (s)."""
 
     due: float
     number: int

@@ -366,10 +366,7 @@ class EnsembleFilter:
         return self.members[:, self.columns[name]]
 
     def _random(self, name: str) -> np.ndarray:
-        """Draw standard normal numbers for the columns `name`.
-
-        The mean over the members is 0, so that noise does not shift the ensemble mean.
-        """
+        """Draw normal numbers whose mean is 0, so as not to shift the ensemble mean."""
         numbers = self._rng.normal(size=self._of(name).shape)
         return np.asarray(numbers - numbers.mean(axis=0))
 

@@ -196,8 +196,6 @@ class PredictionCalibration:
 
 
 class _PredictedState(NamedTuple):
-    """State predicted for a time of the local clock (s), with standard deviations."""
-
     time: float
     value: np.ndarray
     sd: np.ndarray

@@ -510,7 +510,6 @@ class FaultDetector(Stateful):
         self._adopt_supply(before)
 
     def _adopt_supply(self, before: float) -> None:
-        """Rescale all hypotheses to a supply estimate that was `before` (Pa)."""
         self._rescale(before)
         if before - self.supply.pressure > SUDDEN * self.supply.nominal:
             # Before the loss of supply pressure was noticed, chambers with a low

@@ -99,7 +99,6 @@ class Journal:
         self._attempt(self._file.close)
 
     def _attempt(self, step: Callable[[], object]) -> None:
-        """Call a function of the writer. Its first error ends the journal silently."""
         if self.trouble:
             return
         try:
@@ -318,11 +317,7 @@ class McapLink(Link):
         return min(self._first + (clock() - self._begun) * self._speed, self._next)
 
     def _of_the_robot(self, path: Path, robot: str, segments: int) -> Iterator[Message]:
-        """Open a journal and read it up to the first message of the robot.
-
-        The playback thread cannot raise errors, so a journal without any message of the
-        robot is refused here.
-        """
+        """Read up to the first message of the robot, as the thread cannot raise errors."""
         others: set[str] = set()
         messages = in_order(
             journal_messages(path, robot, segments, self._refuse, others), self._refuse

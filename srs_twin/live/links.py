@@ -147,7 +147,6 @@ def address(given: str, port: int) -> tuple[str, int]:
 
 
 def _is_host(name: str) -> bool:
-    """Return whether all labels of a name have letters, digits and hyphens only."""
     try:
         encoded = name.encode("idna")  # the encoding that sockets apply
     except UnicodeError:
@@ -393,10 +392,7 @@ def typed_words(terminal: TextIO | None = None) -> Iterator[Callable[[], list[st
 
 
 def _in_foreground(handle: int) -> bool:
-    """Return whether the process runs in the foreground of its terminal.
-
-    The operating system stops a background process that reads from the terminal.
-    """
+    """Return whether the process may read from its terminal without being stopped."""
     try:
         return os.tcgetpgrp(handle) == os.getpgrp()
     except OSError:  # `handle` is not the controlling terminal

@@ -111,8 +111,6 @@ class Server(NamedTuple):
 
 
 class _Reader:
-    """Cursor that reads values from a packet."""
-
     def __init__(self, data: bytes) -> None:
         self._data = memoryview(data)
         self.at = 0
@@ -134,10 +132,7 @@ class _Reader:
         return int(count)
 
     def listed(self, version: Version) -> tuple[int, int | None]:
-        """Read the number of entries of a list, and the position of its end.
-
-        The position is None before version 4.1, which introduced the length of lists.
-        """
+        """Read the number of entries and, from version 4.1 on, the end of a list."""
         count = self.count()
         if version < (4, 1):
             return count, None
@@ -151,7 +146,6 @@ class _Reader:
         return self.at + int(size)
 
     def text(self) -> str:
-        """Read a zero-terminated text."""
         # The length is limited, so that a damaged packet is not read as one long name.
         rest = bytes(self._data[self.at : self.at + _NAME + 1])
         end = rest.find(b"\0")

@@ -72,7 +72,7 @@ class _UdpLink(Link):
             self._refuse(error)
 
     def _idle(self) -> None:
-        """Send the requests that are due. Called before each wait for a packet."""
+        """Send due requests; called before each wait for a packet."""
 
     @abstractmethod
     def _packet(

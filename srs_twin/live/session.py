@@ -156,7 +156,6 @@ def write_results(
 
 
 def _quantiles_ms(durations: Collection[float]) -> dict[str, float | None]:
-    """Return quantiles of durations (s) in ms, or None without durations."""
     if not durations:
         return {"median": None, "p99": None}
     median, p99 = np.quantile(np.array(durations) * 1e3, [0.5, 0.99]).tolist()
@@ -243,7 +242,6 @@ class Interval:
 
 
 def _restore(shadow: Shadow, path: Path) -> bool:
-    """Restore the state of an earlier session, and return whether one was found."""
     if not path.exists():
         return False
     try:

@@ -396,7 +396,6 @@ class Shadow:
         self._commands.forget(self.time - KEPT_S)
 
     def _present(self, now: float) -> EnsembleFilter:
-        """Predict the ensemble to the current time with all commands that arrived."""
         dt = min(now - self.time, LOST_AFTER_S)
         if dt < _LEAST_STEP_S:
             return self.ensemble
@@ -410,7 +409,6 @@ class Shadow:
         return present
 
     def _valve_input(self, duties: np.ndarray) -> ValveInput:
-        """Return the input of the chambers under the detected faults."""
         likely = self.faults.most_likely()
         chambers = CHAMBERS[likely]
         leak = np.where(chambers == Chamber.LEAKS, LEAK_RATES[likely][:, None], 0.0)

@@ -176,11 +176,7 @@ def shadow(
 def _checked(
     lab: LabOptions, options: SessionOptions, context: typer.Context
 ) -> LabOptions:
-    """Return the options completed by the set-up file, after checking all of them.
-
-    The checks take place before the kernels are compiled, so that errors appear at
-    once.
-    """
+    """Return all options of the lab after checks, which precede the slow compilation."""
     from srs_twin.io.files import check_output_folder, require_file
     from srs_twin.live.session import KEPT
 
@@ -289,7 +285,6 @@ def _motion_capture(natnet: str, lab: LabOptions) -> NatNetLink:
 def _live_views(
     stack: ExitStack, options: SessionOptions, spec: RobotSpec
 ) -> tuple[list[View], str]:
-    """Return the views of a session, and their address or an empty string."""
     if not (options.window or options.web or options.out):
         return [], ""
     from srs_twin.io.files import create_numbered_file

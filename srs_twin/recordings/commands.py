@@ -312,7 +312,6 @@ def export(
 
 
 def _write(path: Path, runs: Mapping[str, Trajectory], first: str) -> None:
-    """Write the runs as MCAP, or only the run `first` as CSV or NumPy archive."""
     from srs_twin.io.documents import dump_yaml
     from srs_twin.io.files import write_text
     from srs_twin.recordings import export as exporting

@@ -364,10 +364,7 @@ class RecordedFile:
     def _not_a_number(
         self, rows: bytes, header_lines: int, reported: str
     ) -> InputError:
-        """Return an error at the cell that Arrow reports.
-
-        Arrow does not count empty lines, so the line number is corrected.
-        """
+        """Return an error at the cell that Arrow reports, counting empty lines too."""
         cell = _REPORTED_CELL.search(reported)
         if cell is None:
             problem = f"no rows of numbers ({' '.join(reported.split())[:200]})"

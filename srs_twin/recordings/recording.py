@@ -372,11 +372,7 @@ def _captured_markers(
 
 
 def _kept_frames(frames: FrameGrid, points: np.ndarray, longest_gap_s: float) -> slice:
-    """Return the longest interval in which all markers are known.
-
-    All markers are visible on the first and the last frame, so that no position is
-    extrapolated.
-    """
+    """Return the longest interval in which no marker position is extrapolated."""
     kept = longest_complete(frames.time, points, longest_gap_s)
     if kept.stop - kept.start < MIN_FRAMES:
         complete = 100 * (~np.isnan(points[..., 0])).all(axis=1).mean()

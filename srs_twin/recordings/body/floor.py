@@ -220,8 +220,7 @@ def _rotated(points: np.ndarray, normal: np.ndarray, axis: int) -> np.ndarray:
 def _fit_slopes(place: np.ndarray, height: np.ndarray) -> tuple[np.ndarray, float]:
     """Return the gradients of the floor and the residual of the heights, m.
 
-    Each marker may have another height above the floor. Markers that move up and down,
-    such as a cap on a head, get little weight.
+    Markers that move up and down, such as a cap on a head, get little weight.
     """
     x, y = (place - np.nanmean(place, axis=0)).reshape(-1, 2).T
     z = (height - np.nanmean(height, axis=0)).ravel()
@@ -266,7 +265,6 @@ def _body_extent(place: np.ndarray) -> float:
 
 
 def _displacements(points: np.ndarray) -> np.ndarray:
-    """Return the larger half of the displacements, shape (samples, 3), m."""
     lags = {max(1, len(points) // parts) for parts in _LAG_FRACTIONS}
     moved = np.concatenate(
         [(points[lag:] - points[:-lag]).reshape(-1, 3) for lag in sorted(lags)]
@@ -284,10 +282,7 @@ def _is_plane(spread: np.ndarray) -> bool:
 
 
 def _principal_axes(moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return ascending spreads about the origin and the principal axes.
-
-    Outliers are ignored.
-    """
+    """Return ascending spreads about the origin and the axes, without outliers."""
     pairs = np.random.default_rng(0).integers(len(moved), size=(2, _NORMALS))
     normals = np.cross(*moved[pairs])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-18)

@@ -85,8 +85,7 @@ class LengthModel(Enum):
     FREE = "free"
     """Lengths may vary, and the markers determine the bends for any lengths."""
     FIXED = "fixed"
-    """Lengths are constant, and the markers determine the bends only for this reason.
-    """
+    """Lengths are constant, and the markers determine the bends only for this reason."""
 
 
 @dataclass(frozen=True)
@@ -269,7 +268,6 @@ def _body_shape(
     prior: StatePrior,
     scale: float,
 ) -> BodyShape:
-    """Return the shape, given the ratio `scale` of estimated to assumed noise."""
     fits.state[:, 2] = np.unwrap(fits.state[:, 2])
     body = MarkerPlacement(np.zeros(0, dtype=int), np.zeros(0), geometry).kinematics(
         fits.state
@@ -303,10 +301,7 @@ class _RecordingFits:
     def update(
         self, frames: np.ndarray, fit: Callable[[np.ndarray], FrameFit]
     ) -> np.ndarray:
-        """Fit frames in chunks, and return the sums of χ² and degrees of freedom.
-
-        The chunks run in threads, because NumPy releases the interpreter lock.
-        """
+        """Fit frames in chunks, and return the sums of χ² and degrees of freedom."""
 
         def work(rows: np.ndarray) -> tuple[float, float]:
             fitted = fit(rows)

@@ -332,10 +332,7 @@ class _Tracker:
 def _move_rigidly(
     point: np.ndarray, before: np.ndarray, after: np.ndarray
 ) -> np.ndarray:
-    """Move a point with the rigid motion of the points around it.
-
-    The motion is a least-squares fit in which close points have more weight.
-    """
+    """Move a point with the rigid motion of other points, weighted by distance."""
     weight = 1.0 / (((before - point)[:, :2] ** 2).sum(axis=1) + 1e-6) ** 2
     weight /= weight.sum()
     centre = weight @ before

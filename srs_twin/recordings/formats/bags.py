@@ -176,7 +176,6 @@ class Ros1Bag(Bag):
 
 
 def _ros1_records(data: memoryview) -> Iterator[tuple[dict[str, bytes], memoryview]]:
-    """Yield the header fields and the content of each record."""
     while data:
         header = _block(data)
         if not len(header):

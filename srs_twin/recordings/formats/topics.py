@@ -404,11 +404,7 @@ class _Frames(NamedTuple):
 
 
 def _frames(bodies: Mapping[str, np.ndarray], main: str) -> _Frames:
-    """Return the frames of the body `main`, which has the most messages.
-
-    Frames on which this body is missing are added if other bodies of the topic have
-    messages.
-    """
+    """Return the frames of the body `main`, and further frames of its topic."""
     time = np.unique(bodies[main][:, 0])
     half = 0.5 * float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     every = np.unique(np.concatenate([rows[:, 0] for rows in bodies.values()]))
@@ -439,10 +435,7 @@ def _has_rotation(poses: np.ndarray) -> np.ndarray:
 def _compose(
     poses: np.ndarray, names: list[str], parents: Mapping[str, str]
 ) -> list[str]:
-    """Convert transforms relative to another body to the parent frame of that body.
-
-    The names of the converted bodies are returned.
-    """
+    """Convert transforms relative to another body to the parent frame of that body."""
     from scipy.spatial.transform import Rotation
 
     index = {name: k for k, name in enumerate(names)}
@@ -530,10 +523,7 @@ def _decoder(topic: Topic) -> tuple[str, str, Callable[[bytes], Decoded] | None]
 
 @cache
 def _definitions(encoding: str) -> Typestore:
-    """Return the ROS message definitions of the library.
-
-    Definitions in files are ignored, because compiling them would be unsafe.
-    """
+    """Return ROS message definitions of the library, since those in files are unsafe."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(
@@ -545,7 +535,6 @@ def _definitions(encoding: str) -> Typestore:
 
 
 def _numbers(pose: Decoded) -> _Numbers:
-    """Return position and quaternion x, y, z, w, which is NaN if it is missing."""
     position: Decoded = getattr(pose, "position", getattr(pose, "translation", pose))
     rotation = getattr(pose, "orientation", getattr(pose, "rotation", None))
     if rotation is None:

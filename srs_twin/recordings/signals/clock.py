@@ -192,7 +192,6 @@ def _check_unambiguous(loss: np.ndarray, offsets: np.ndarray, best: int) -> None
 
 
 def _independent_fraction(bends: np.ndarray, model: np.ndarray, lag: int) -> float:
-    """Return the fraction of independent samples for a residual of the type AR(1)."""
     first = max(0, lag)
     last = min(len(bends), lag + len(model))
     b = bends[first:last]

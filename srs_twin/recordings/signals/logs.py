@@ -311,10 +311,7 @@ def _checked_values(
     notes: list[str],
     error: Callable[[int, int, str], InputError],
 ) -> np.ndarray:
-    """Return valve states, duties or gauge pressures after checking them.
-
-    The function `error` builds the error to raise from a row, a column and a message.
-    """
+    """Return valve states, duties or gauge pressures after checking them."""
     if kind in AIR:
         if ambient:
             notes.append(f"absolute pressures: {ambient / 1e3:g} kPa subtracted")
@@ -400,10 +397,7 @@ def _log(
 def _switched_valves(
     time: np.ndarray, duty: np.ndarray, carrier_hz: float | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Convert duties to times (rows,), s, and valve states (rows, segments, 2).
-
-    Duties are from 0 to 1 and hold until the next row.
-    """
+    """Convert duties (0 to 1) to times, s, and valve states (rows, segments, 2)."""
     if carrier_hz is None:
         raise InputError(
             "duties need their carrier frequency; give log: {carrier_hz: 30} in a map"
