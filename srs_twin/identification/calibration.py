@@ -321,7 +321,7 @@ def _texts(paths: Paths) -> list[str]:
 
 
 class _Task:
-    """Call of a function, in which `files` lists fitted files before validation files."""
+    """Call of a fit, with the fitted files before the validation files in `files`."""
 
     def __init__(
         self, function: Callable[..., Calibration], given: Mapping[str, Any]

@@ -263,7 +263,7 @@ class _DampingFit:
         return values
 
     def unknowns(self, *, coarse: bool = False) -> list[FreeParameter]:
-        """Return the unknowns, coarse ones without those that need many swings."""
+        """Return the unknowns, of which a coarse fit omits leak rate and recovery."""
 
         def free(
             name: str, unit: str, bounds: tuple[float, float], scale: float

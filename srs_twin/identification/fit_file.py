@@ -174,7 +174,7 @@ _DIGITS = 9
 """Significant digits of numbers in a fit file."""
 
 _NUMBERS = ("value", "standard_error", "low", "high")
-"""Keys that a parameter without a value lacks."""
+"""Keys that are missing if a parameter has no value."""
 
 
 class DataEntry(StrictModel):

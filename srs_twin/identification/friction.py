@@ -528,9 +528,7 @@ _STDS_IN_HALF_WIDTH = 1.96
 
 
 def misalignment(bends: np.ndarray, spec: RobotSpec) -> np.ndarray:
-    """Return the misalignment ε of bent bodies, rad.
-
-    The module docstring defines ε.
+    """Return the mean misalignment ε of the wheels of bent bodies, rad.
 
     Args:
         bends: bends, rad, shape (..., segments).
@@ -583,11 +581,7 @@ class _CoastingModel:
     def fit(
         self, runs: Sequence[CoastingTest], side: float, watch: Watch | None
     ) -> FitEstimate:
-        """Fit the coefficients at one value of ε.
-
-        The value is the lower end of the interval of ε if `side` is −1, the best
-        estimate if it is 0, and the upper end if it is 1.
-        """
+        """Fit the coefficients at the lower end (−1), best value or upper end of ε."""
         angles = [self._misalignment(run, side) for run in runs]
 
         def residuals(values: Mapping[str, float]) -> list[Residual]:
@@ -616,7 +610,7 @@ class _CoastingModel:
     def _residuals(
         self, run: CoastingTest, k: int, values: Mapping[str, float], angle: float
     ) -> list[Residual]:
-        """Return the residuals of run k, minus their means (fit of initial position)."""
+        """Return the residuals of run k without their means (initial position)."""
         velocity = values.get(f"along_{k}", 0.0), values.get(f"across_{k}", 0.0)
         mu_t, mu_n = (values[name] for name in _NAMES)
         slip_law = getattr(friction, self.law)

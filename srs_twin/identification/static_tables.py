@@ -232,9 +232,9 @@ def _constant_intervals(
 def _noise_scale(values: np.ndarray) -> np.ndarray:
     """Return the noise scale of a log, which is 1.65 σ for white noise.
 
-    The scale is the smaller median magnitude of first and second differences. Steps
-    change few first differences, and ramps change no second differences. First
-    differences of white noise are smaller than second differences by √3.
+    The scale is the smaller median magnitude of first and second differences, because
+    steps change few first differences and ramps change no second differences. For white
+    noise, first differences are smaller than second differences by the factor √3.
     """
     medians = [
         scale * np.median(np.abs(np.diff(values, order, axis=0)), axis=0)
@@ -386,8 +386,8 @@ def fit_static(
 ) -> FitEstimate:
     """Estimate gains, rest bends and the bend limit from static tables.
 
-    A dead zone is included if it improves the fit significantly (F-test, 1 %). It is
-    first fitted without a response inside the zone, and then with a response.
+    A dead zone is included if it improves the fit significantly (F-test, 1 %). The dead
+    zone is first fitted without a response inside the zone, and then with a response.
 
     Args:
         tables: measured tables.

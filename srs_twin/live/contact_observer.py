@@ -218,8 +218,6 @@ class _Gait(NamedTuple):
 class ContactObserver(Stateful):
     """Observer of the contact force on a snake in a periodic gait.
 
-    The module docstring describes the method.
-
     Attributes:
         period: period of the commands in samples, or 0 if they are not periodic.
     """

@@ -154,9 +154,9 @@ def emulate(
 ) -> None:
     """Emulate a robot over MQTT and NatNet.
 
-    A twin with varying modules, compressible flow in the chambers, sensor noise and
-    faults obeys commands and publishes bends, pressures, valve states and poses in real
-    time. docs/live.md describes the messages. The environment variable
+    The emulated robot obeys commands and publishes bends, pressures, valve states and
+    poses in real time. It has random module properties, sensor noise and faults.
+    docs/live.md describes the messages. The environment variable
     SRS_TWIN_MQTT_PASSWORD contains the password of --user.
 
     Options:

@@ -317,7 +317,7 @@ class McapLink(Link):
         return min(self._first + (clock() - self._begun) * self._speed, self._next)
 
     def _of_the_robot(self, path: Path, robot: str, segments: int) -> Iterator[Message]:
-        """Read up to the first message of the robot, as the thread cannot raise errors."""
+        """Read up to the first message of the robot, or raise an error without one."""
         others: set[str] = set()
         messages = in_order(
             journal_messages(path, robot, segments, self._refuse, others), self._refuse

@@ -358,8 +358,8 @@ KEYS = {"p": PAUSE, "g": GO, "v": VENT, "s": STOP}
 def typed_words(terminal: TextIO | None = None) -> Iterator[Callable[[], list[str]]]:
     """Yield a function that returns the control words typed since its last call.
 
-    Control words are listed in `WORDS`. Keys act without Enter until the context ends,
-    which restores the terminal. In the background or without a terminal no key is read.
+    Keys act without Enter until the context ends, which restores the terminal. In the
+    background or without a terminal no key is read.
 
     Args:
         terminal: terminal to read from, by default the standard input.

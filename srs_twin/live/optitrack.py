@@ -72,7 +72,7 @@ class _UdpLink(Link):
             self._refuse(error)
 
     def _idle(self) -> None:
-        """Send due requests; called before each wait for a packet."""
+        """Send the requests that are due before each wait for a packet."""
 
     @abstractmethod
     def _packet(

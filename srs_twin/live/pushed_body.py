@@ -77,8 +77,6 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 class PushedBody:
     """Body with periodic bends under a force at one of several stations.
 
-    The module docstring states the equations of motion.
-
     Attributes:
         free_velocity: velocities u of the motion without a contact force, shape
             (period, 3), m/s and rad/s.
@@ -139,10 +137,9 @@ class PushedBody:
         )
 
     def _tabulate_wheels(self, motion: _Motion) -> None:
-        """Fill the Jacobian of the wheel velocities, shape (steps, 4N, 3).
+        """Fill the Jacobian of the longitudinal and lateral wheel velocities.
 
-        Its first 2N rows are the velocities along the connectors, the others the
-        lateral velocities.
+        Its shape is (steps, 4N, 3), and the first 2N rows are longitudinal.
         """
         arm = self._spec.geometry.half_track
         jacobian = []

@@ -141,10 +141,7 @@ def load_setup(path: Path, overridden: Container[str] = ()) -> SetupFile:
 
 
 def setup_json_schema() -> dict[str, object]:
-    """Return the JSON schema (draft 2020-12) of set-up files.
-
-    The schema describes every key with its title, description, unit and range.
-    """
+    """Return the JSON schema (draft 2020-12) of set-up files."""
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema"
     } | SetupFile.model_json_schema()

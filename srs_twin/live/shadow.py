@@ -54,7 +54,7 @@ from srs_twin.robot.geometry import measured_bend
 from srs_twin.robot.spec import RobotSpec
 
 TRANSPORT_DELAY_S = 0.002
-"""Assumed minimum transport delay of the bends, s, which cannot be observed."""
+"""Assumed minimum transport delay of messages, s, which cannot be observed."""
 LOST_AFTER_S = 1.0
 """Time without a message after which the state is unknown, s."""
 LARGEST_SD_M = 0.05
@@ -213,10 +213,7 @@ class Shadow:
         return self.prediction_calibration.widened(self.prediction_task()())
 
     def prediction_task(self) -> Callable[[], Prediction]:
-        """Return a function that computes a prediction in another thread.
-
-        The result must be passed to `prediction_calibration`.
-        """
+        """Return a function that computes a prediction in another thread."""
         # All inputs are copied here, because the filter continues to change while the
         # other thread predicts.
         per_step = round(_PREDICTION_STEP_S / SLOT_S)

@@ -176,7 +176,7 @@ def shadow(
 def _checked(
     lab: LabOptions, options: SessionOptions, context: typer.Context
 ) -> LabOptions:
-    """Return all options of the lab after checks, which precede the slow compilation."""
+    """Return the checked options of the lab, including those of the set-up file."""
     from srs_twin.io.files import check_output_folder, require_file
     from srs_twin.live.session import KEPT
 

@@ -55,7 +55,7 @@ FrequencyOption = Annotated[
 
 @dataclass(frozen=True)
 class TableOptions:
-    """Options on information that a file lacks or that cannot be detected.
+    """Options for information that a file lacks or that cannot be detected.
 
     Options:
         map: Recording map: quantities of markers and columns (docs/logs.md).
@@ -245,7 +245,7 @@ class FormatOptions:
     npz: Annotated[bool, option("--npz")] = False
 
     def chosen(self, out: str | None) -> str:
-        """Return the chosen format; without one, the suffix of the file decides.
+        """Return the chosen format, or the format that the suffix of the file names.
 
         Raises:
             InputError: no format or more than one format is given.

@@ -4,7 +4,7 @@ The topics of a plant, for example ``twin``, are:
 
 - ``/twin/connector_1/pose`` (geometry_msgs/PoseStamped): pose of each connector.
 - ``/twin/com/pose`` (geometry_msgs/PoseStamped): pose of the centre of mass.
-- ``/tf``: the connector poses as transforms from ``world`` to ``twin/connector_1`` etc.
+- ``/tf``: transforms from ``world`` to ``twin/connector_1`` etc.
 - ``/twin/bends`` (sensor_msgs/JointState): bends, rad, positive to the left.
 - ``/twin/pressure_plus_1`` (sensor_msgs/FluidPressure): absolute chamber pressure, Pa.
 - ``/twin/valves`` (std_msgs/Int8MultiArray): valve states of the + and − chamber of
@@ -77,7 +77,7 @@ def write_mcap(path: Path, runs: Mapping[str, Trajectory]) -> None:
     """Write trajectories as ROS 2 messages in an MCAP file.
 
     Args:
-        path: file to write; an existing file is replaced.
+        path: output file. An existing file is replaced.
         runs: trajectory of each plant.
 
     Raises:

@@ -257,7 +257,7 @@ class Recording:
 
 @contextmanager
 def named_in_errors(file: str) -> Iterator[None]:
-    """Add a file name to the messages of errors raised inside the block."""
+    """Add a file name to the messages of errors that the block raises."""
     try:
         yield
     except UnknownNameError as error:

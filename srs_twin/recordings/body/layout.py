@@ -12,8 +12,6 @@ The layouts are:
 Markers on adjacent connectors are never farther apart than the length of a straight
 segment, while other markers sometimes are. The order along the body is therefore the
 minimum spanning tree of the maximum distances.
-
-Errors raised here do not contain the file name, which `read_motion` adds.
 """
 
 from __future__ import annotations
@@ -240,7 +238,7 @@ def rigid_pairs(points: np.ndarray, connectors: int) -> np.ndarray:
     """Return the pairs of markers with a constant distance, shape (connectors, 2).
 
     Raises:
-        InputError: there are no such pairs.
+        InputError: no pairs have a constant distance.
     """
     median, spread = distance_statistics(points)
     score = spread + 0.02 * median

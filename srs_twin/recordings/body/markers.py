@@ -1,7 +1,4 @@
-"""Assignment of tracked markers to the body: layout, head, and fitted shape.
-
-Errors raised here do not contain the file name, which `read_motion` adds.
-"""
+"""Assignment of tracked markers to the body, and fit of the body shape."""
 
 from __future__ import annotations
 

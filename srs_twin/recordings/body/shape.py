@@ -85,7 +85,7 @@ class LengthModel(Enum):
     FREE = "free"
     """Lengths may vary, and the markers determine the bends for any lengths."""
     FIXED = "fixed"
-    """Lengths are constant, and the markers determine the bends only for this reason."""
+    """Lengths are constant, which the markers need to determine the bends."""
 
 
 @dataclass(frozen=True)

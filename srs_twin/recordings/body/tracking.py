@@ -17,8 +17,6 @@ r"""Tracking of markers through swaps and gaps.
 
 Of 65 synthetic recordings with swaps, gaps and markers that return in new columns, 16
 can be read without tracking and all 65 with tracking.
-
-Errors raised here do not contain the file name, which `read_motion` adds.
 """
 
 from __future__ import annotations
@@ -73,13 +71,13 @@ class Tracks(NamedTuple):
 
 
 def pack_slots(points: np.ndarray) -> Tracks:
-    """Join columns into as few slots as there are markers on one frame.
+    """Join columns into as few slots as possible.
 
     Args:
         points: marker positions, shape (frames, columns, 2 or 3), m.
 
     Raises:
-        InputError: there is no marker.
+        InputError: the file contains no marker.
     """
     visible = ~np.isnan(points[..., 0])
     used = np.flatnonzero(visible.any(axis=0))

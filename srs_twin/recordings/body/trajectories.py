@@ -5,7 +5,7 @@ fit to a sample and the n samples before and after it, with n = 5 in the dissert
 
 $$ v_k = \frac{\sum_m (t_m - \bar t)(y_m - \bar y)}{\sum_m (t_m - \bar t)^2}, \qquad m = k-n \ldots k+n. $$
 
-The slope has no lag. It attenuates an oscillation with angular frequency ω by the
+The slope has no lag. An oscillation with angular frequency ω is attenuated by the
 factor
 
 $$ \frac{3 \sum_{m=1}^{n} m \sin(m \omega \Delta t)}{n (n + 1)(n + \tfrac12)\, \omega \Delta t}, $$
@@ -31,7 +31,7 @@ from srs_twin.trajectory import Trajectory
 
 @dataclass(frozen=True)
 class MarkerCounts:
-    """Numbers on the markers of a recording.
+    """Numbers and errors of the markers in a recording.
 
     Attributes:
         header_frames: number of frames that the header states, or None.
@@ -73,7 +73,7 @@ class LogSummary:
         samples_filled: number of interpolated positions or bends in the trajectory.
         start: time of the first frame of the trajectory, s.
         end: time of the last frame of the trajectory, s.
-        markers: numbers on the markers, or None for a bend log.
+        markers: numbers and errors of the markers, or None for a bend log.
     """
 
     source: str

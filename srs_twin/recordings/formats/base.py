@@ -42,7 +42,7 @@ _NOT_A_POSITION = re.compile(
     r"residual|imu",
     re.IGNORECASE,
 )
-"""Words in names of columns that have an axis but are not positions."""
+"""Words in names of columns that name an axis but do not contain positions."""
 
 
 class Unstated(NamedTuple):

@@ -523,7 +523,7 @@ def _decoder(topic: Topic) -> tuple[str, str, Callable[[bytes], Decoded] | None]
 
 @cache
 def _definitions(encoding: str) -> Typestore:
-    """Return ROS message definitions of the library, since those in files are unsafe."""
+    """Return ROS message definitions, as compiling definitions in files is unsafe."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(

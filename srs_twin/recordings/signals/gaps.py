@@ -1,7 +1,4 @@
-"""Frame grid, outliers and gaps of tracks.
-
-Errors raised here do not contain the file name, which `read_motion` adds.
-"""
+"""Frame grid, outliers and gaps of tracks."""
 
 from __future__ import annotations
 
@@ -137,7 +134,7 @@ _STD_PER_MAD = 1.4826
 
 
 def outliers(points: np.ndarray, min_jump: float) -> np.ndarray:
-    """Return a mask of the samples that jump away from their track and back.
+    """Return the mask of single samples that are far away from the track.
 
     Args:
         points: marker positions, shape (frames, tracks, 2), m.
