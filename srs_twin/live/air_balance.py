@@ -453,6 +453,8 @@ class LeakDetector(Stateful):
         size, growth = _volume(
             chamber.dead_volume, chamber.displacement, bend.value[:, None], [0, 1]
         )
+        # The amount of air is the pressure times the volume, in units of K times the
+        # nominal supply pressure.
         held = inside / self._unit
         held_sd = held * np.abs(growth) * bend.sd[:, None]
         reached = np.stack([held * size, held_sd], axis=-1)
@@ -469,6 +471,8 @@ class LeakDetector(Stateful):
         rates = np.concatenate([gauge, flows[..., :-2], slope], axis=-1)
         begins = np.isnan(self._time)
         since = np.where(filling & ~begins, time - self._time, 0.0)
+        # The trapezoidal rule integrates all rates over the time since the last
+        # message.
         self._sums += since[..., None] * (self._rates + rates) / 2
         self._rates[filling] = rates[filling]
         begins &= filling
@@ -479,6 +483,8 @@ class LeakDetector(Stateful):
     def _residual(self) -> _Residual:
         inflow = self._sums[..., _INFLOWS]
         outflow = self._sums[..., [_OUTFLOW]]
+        # The balance is linear in the fit: the gain of air is c inflow − λ₀ outflow,
+        # and a leak λ reduces it by λ outflow.
         row = np.stack([inflow, np.broadcast_to(-outflow, inflow.shape)], axis=-1)
         gain = (self._reached - self._begun)[..., :1]
         residual = gain - (row @ self.fit[..., None])[..., 0] + self._leaks * outflow

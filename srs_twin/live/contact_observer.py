@@ -378,6 +378,8 @@ class ContactObserver(Stateful):
 
     def _estimate(self, sample: np.ndarray, k: int) -> ContactEstimate:
         mean = self._sums[k]
+        # The mean of n samples is uncertain itself, so the variance of the deviation is
+        # larger by the factor 1 + 1/n.
         share = math.sqrt(self._bins[k] / (self._bins[k] + 1))
         error = _deviation(sample, mean)
         pattern = self._learnt_gait().patterns[k]
@@ -385,6 +387,7 @@ class ContactObserver(Stateful):
         self._window.append(_Fit(weighted @ error, (weighted * pattern).sum(axis=1)))
         moment = np.sum([fit.moment for fit in self._window], axis=0)
         information = np.sum([fit.information for fit in self._window], axis=0)
+        # The fitted force is moment/information, and its variance is 1/information.
         score = float(np.abs(moment / np.sqrt(information)).max())
         self._filtered = self._filtered + self._gain * (error - self._filtered)
         suspect = score >= _LEARNING_SCORE
@@ -441,6 +444,8 @@ class ContactObserver(Stateful):
         return later.pruned(_PRUNED * later.inflation(self._independent))
 
     def _contact(self, score: float, now: Hypotheses) -> ContactEstimate:
+        # The weights are likelihoods of the hypotheses. The intervals use wider
+        # likelihoods, because model errors are correlated in time.
         variance = 2 * now.inflation(self._independent)
         weight = np.exp((now.cost.min() - now.cost) / variance)
         best = int(now.cost.argmin())

@@ -533,8 +533,12 @@ def _innovation(predicted, measured, variance):  # type: ignore[no-untyped-def]
     mean = _mean(predicted)
     spread = _covariance(predicted, mean, predicted, mean)
     value = measured - mean
+    # The noise of an outlier is increased until its innovation equals `_OUTLIER`
+    # standard deviations.
     noise = max(variance, (value / _OUTLIER) ** 2 - spread)
     total = spread + noise
+    # The square root filter reduces the gain for deviations from the mean, so that the
+    # ensemble keeps the correct variance without perturbed measurements.
     reduction = 1 / (1 + math.sqrt(noise / total))
     return _Innovation(value, mean, spread, total, reduction)
 

@@ -384,6 +384,8 @@ class FaultDetector(Stateful):
         noise = np.tile(sound, (len(HYPOTHESES), 1, 1))
         drifts = SENSORS == Sensor.DRIFTS
         noise[drifts, _State.OFFSET, _State.OFFSET] = (_DRIFT_WALK * root) ** 2
+        # `joint` is the probability that hypothesis i was true before and j is true
+        # now. `share` is the probability of i, given that j is true now.
         joint = self.probability[:, :, None] * transition
         predicted = joint.sum(axis=1)
         share = joint / np.maximum(predicted[:, None, :], 1e-300)
@@ -401,6 +403,8 @@ class FaultDetector(Stateful):
         self, rows: np.ndarray, readings: np.ndarray
     ) -> np.ndarray:
         sensed = rows.copy()
+        # The reading (1 + e) q + s has the derivative 1 with respect to s, and q with
+        # respect to e.
         sensed[..., _State.OFFSET] = 1.0
         sensed[..., _State.SCALE] = np.einsum("smk,smk->sm", rows, self.mean)
         self._last = np.where(np.isnan(readings), self._last, readings)
@@ -426,6 +430,7 @@ class FaultDetector(Stateful):
             Log-likelihood of each hypothesis, which is 0 without a measurement.
         """
         available = ~np.isnan(measured)[:, None] & used
+        # `gain` is the cross covariance P Hᵀ, and `weight` is the Kalman gain.
         gain = np.einsum("smkl,sml->smk", self._covariance, rows)
         variance = np.einsum("smk,smk->sm", rows, gain) + noise**2
         predicted = np.einsum("smk,smk->sm", rows, self.mean)

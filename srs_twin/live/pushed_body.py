@@ -228,6 +228,9 @@ class PushedBody:
         h = self._h
         for i in range(self._steps):
             g = ((k - 1) * self._steps + i + 1) % len(inertia)
+            # Without forces, the velocity is constant in the world frame and the
+            # angular momentum is constant. The frame of the mean heading turns by
+            # `turned`.
             forward, lateral, yaw = u.T
             spin = inertia[g - 1] * yaw + self._relative[g - 1] - self._relative[g]
             turned = h * yaw
@@ -241,10 +244,13 @@ class PushedBody:
             )
             push = force[:, None] * self._push[g, station]
             wheels, slope = self._friction(g, u)
+            # This is a linearly implicit Euler step: (M - h df/du) Δu = h f.
             matrix = np.diag([total, total, inertia[g]]) - h * slope
             impulse = h * (wheels @ self._jacobian[g] + push)
             u = u + np.linalg.solve(matrix, impulse[..., None])[..., 0]
         wheels, _ = self._friction(g, u)
+        # The moments at the sample are due to the wheel forces, the contact force, the
+        # yaw rate w (centrifugal and Coriolis terms) and the acceleration of the body.
         load = wheels @ self._jacobian[g] + push
         load[:, 2] -= self._growth[g] * u[:, 2]
         s = g // self._steps
