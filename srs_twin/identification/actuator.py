@@ -59,8 +59,6 @@ class Response:
     """Bends of segments in response to valve states or measured pressures.
 
     Attributes:
-        name: name of the data.
-        sha256: SHA-256 of the data.
         drive: valve states from time 0, or a log of pressures on the clock of `time`.
         supply_pa: gauge supply pressure, Pa, not used with a log of pressures.
         time: sample times in ascending order, s, shape (samples,).

@@ -68,8 +68,6 @@ class Decay:
     """Free swing of a released segment.
 
     Attributes:
-        name: name of the data.
-        sha256: SHA-256 of the file.
         time: times of the free swing, s, shape (samples,).
         bend: measured bends, rad, shape (samples,).
         before: bends recorded up to the first sample of the free swing, rad, shape
@@ -144,7 +142,8 @@ def read_decay(
         noise: standard deviation of a bend, rad, or None to estimate it.
 
     Raises:
-        InputError: a column is missing, or the recording contains no usable swing.
+        InputError: a column is missing, or the swing does not determine k and T
+            separately.
     """
     pressures = dict.fromkeys(("pressure_plus", "pressure_minus"), PRESSURES)
     table = read_table(read_file(path), CLOCK | {"bend": ANGLES} | pressures)

@@ -71,8 +71,6 @@ class FollowerRun:
     Attributes:
         document: scenario with a straight path to follow, as plain data.
         run_up: length of the straight start of the path, m.
-        plant: simulated plant.
-        seed: random seed of modules, noise and path.
     """
 
     document: dict[str, object]

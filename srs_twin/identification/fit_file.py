@@ -42,7 +42,6 @@ class DataSet:
         name: file name or label.
         sha256: SHA-256 of the file, or of the numbers if there is no file.
         role: role of the data, "fit" or "validation".
-        samples: number of samples.
         from_s: start of the part that is used, s, or None for the start of the data.
         to_s: end of the part that is used, s, or None for the end of the data.
     """

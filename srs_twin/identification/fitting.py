@@ -212,12 +212,8 @@ class FitOutput:
     """Output files of a fit, and format of the printed result.
 
     Attributes:
-        name: name of the fit.
         path: path of the fit file. The report is written to the same folder.
         robot: name or path of the initial robot, as given.
-        command: command line.
-        quiet: whether only errors are printed.
-        as_json: whether the fit is printed as JSON.
     """
 
     name: str

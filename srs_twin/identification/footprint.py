@@ -241,9 +241,6 @@ class FootprintMeasurement:
     """Measured footprint.
 
     Attributes:
-        setup: robot, gait and plant.
-        offsets: offsets in ascending order.
-        steady: steady path at each offset.
         spread: half the range over the repeated runs, for each value of `steady`.
         transients: measured changes of offset.
         repeats: number of runs per offset and per change.
@@ -271,7 +268,6 @@ class FootprintStudy:
     """Runs from which a footprint is measured.
 
     Attributes:
-        setup: robot, gait and plant.
         offsets: three or more offsets on both sides of 0, in ascending order.
         changes: changes of offset to measure, as (before, after).
         periods: number of measured gait periods of each steady run.

@@ -101,7 +101,6 @@ class Pulls:
         mass: mass m of the pulled robot, kg.
         stiffness_error: standard error of k, N/m.
         mass_error: standard error of m, kg.
-        name: name of the data.
         sha256: SHA-256 of the file, or an empty string without a file.
     """
 
@@ -388,8 +387,6 @@ class CoastingTest:
     """Recorded deceleration of the vented robot after a push.
 
     Attributes:
-        name: name of the data.
-        sha256: SHA-256 of the data.
         time: time since the first used sample, s, shape (samples,).
         position: displacement of the centre of mass along and across the heading, m,
             shape (samples, 2).

@@ -53,7 +53,6 @@ class Identifiability:
         covariance: covariance of the n parameters, shape (n, n).
         share: component of each parameter in the unidentifiable directions, shape (n,).
         directions: unidentifiable directions, shape (directions, n).
-        names: names of the parameters.
     """
 
     covariance: np.ndarray
@@ -142,13 +141,11 @@ class Accuracy:
     Attributes:
         unknowns: n free parameters.
         z: estimate, shape (n,).
-        converged: whether the search converged.
         inside: indices of the parameters that did not end at a bound.
         known: identifiability of the parameters in `inside`.
         bias: bias due to model error in z, shape (n,).
         spread: maximum distance in z to a minimum that fits equally well, shape (n,).
         quantile: half width of a confidence interval in standard errors.
-        explained: whether the model explains the data.
     """
 
     unknowns: tuple[FreeParameter, ...]

@@ -136,7 +136,6 @@ class SearchResult:
     Attributes:
         z: coordinates, shape (n,).
         cost: half the sum of squared weighted residuals.
-        converged: whether the search converged.
     """
 
     z: Array

@@ -191,7 +191,6 @@ class GaitRun:
         trajectory: measured motion from rest, with the gait frequency in the metadata.
         controller: controller that replays the recorded valve states.
         supply_pa: supply pressure, Pa.
-        name: name of the data.
         chambers: pneumatic model that replays recorded pressures, or None if valve
             states were recorded.
     """

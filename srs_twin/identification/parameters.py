@@ -29,10 +29,7 @@ class FreeParameter:
 
     Attributes:
         name: name of the robot parameter, or any name of a nuisance parameter.
-        unit: unit of the value.
         start: initial value of the search.
-        low: lower bound of the value.
-        high: upper bound of the value.
         scale: significant difference in `unit`, or None for a positive value whose
             logarithm is z.
         nuisance: whether the value is not a result of interest, such as the initial

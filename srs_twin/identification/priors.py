@@ -30,10 +30,7 @@ class Prior:
     Attributes:
         path: path of the parameter in a robot file.
         value: value in the robot file.
-        unit: unit of the value.
-        uncertain: distribution of the value.
         bounds: minimum and maximum value that a robot file allows.
-        source: source of the distribution.
     """
 
     path: str
@@ -66,7 +63,6 @@ class Priors:
     """Joint prior distribution of the uncertain parameters of a robot.
 
     Attributes:
-        parameters: prior of each parameter.
         correlation: correlation matrix R of the normal variables, shape (d, d).
     """
 

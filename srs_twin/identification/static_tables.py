@@ -92,8 +92,6 @@ class StaticTable:
     """Bends at constant pressures.
 
     Attributes:
-        name: file name.
-        sha256: SHA-256 of the file.
         pressure: gauge pressures, Pa, shape (points, segments, 2).
         bend: measured bends, NaN if not measured, rad, shape (points, segments).
         bend_error: standard errors of the bends, NaN if unknown, rad, shape (points,

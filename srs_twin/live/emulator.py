@@ -84,7 +84,6 @@ class Fault:
     """Fault that begins at a given time.
 
     Attributes:
-        kind: kind of the fault, one of `KINDS`.
         number: number of the segment or connector, counted from 1 at the head, or 0 for
             the whole robot.
         side: side of the chamber, 0 for + and 1 for −.
@@ -193,8 +192,6 @@ class EmulatedRobot:
 
     Attributes:
         twin: simulation of the robot.
-        state: true state of the robot.
-        faults: faults with their times.
         supply_pa: nominal gauge supply pressure, Pa.
         supply_now_pa: current gauge supply pressure, Pa.
         valves: valve states in the last tick, including the states of stuck valves.

@@ -100,7 +100,6 @@ class EnsembleFilter:
     """Ensemble Kalman filter described in the module docstring.
 
     Attributes:
-        spec: robot specification from the robot file.
         members: states of the members, one row per member.
         columns: columns of `members` by name. Names are x, y, heading, motion (forward
             and lateral velocity, yaw rate, bend rates), bend, pressure, lagged

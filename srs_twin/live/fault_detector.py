@@ -563,12 +563,9 @@ class FaultDetector(Stateful):
             self.naming.clear(0)
 
     def _attribute_to_supply(self, common: np.ndarray, kind: np.ndarray) -> None:
-        """Move the probability of faults that the supply explains to the hypothesis 0.
+        """Move the probability of the hypotheses `common` to "no fault".
 
-        Args:
-            common: whether the supply explains a hypothesis, shape (hypotheses,).
-            kind: index of the hypothesis from which each segment takes its state, shape
-                (segments,).
+        The state of each segment is taken from the hypothesis `kind`.
         """
         moved = self.probability[:, common].sum(axis=1)
         segments = np.flatnonzero(moved > 0.5)

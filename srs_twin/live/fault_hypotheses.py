@@ -53,9 +53,6 @@ class Hypothesis(NamedTuple):
 
     Attributes:
         name: name of the fault, or an empty string for a segment without a fault.
-        plus: behaviour of the + chamber.
-        minus: behaviour of the − chamber.
-        sensor: behaviour of the sensor.
         leak: relative rate at which a leaking chamber loses pressure, 1/s.
         weak: supply pressure of the segment as a fraction of the robot's supply
             pressure.

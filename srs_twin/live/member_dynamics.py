@@ -211,11 +211,7 @@ class MemberDynamics:
 def _free_bends(linear, speed, bias, law):  # type: ignore[no-untyped-def]
     """Return free bends (rad) and rates (rad/s), shape (members, times, segments).
 
-    Args:
-        linear: linear bends, shape (times, members, segments), rad.
-        speed: time derivatives of the linear bends, shape of `linear`, rad/s.
-        bias: rest bends, shape (members, segments), rad.
-        law: `BendLaw` of the segments.
+    The linear bends and their rates `speed` have the shape (times, members, segments).
     """
     times, members, segments = linear.shape
     bends = np.empty((members, times, segments))

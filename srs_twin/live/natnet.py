@@ -88,7 +88,6 @@ class Frame:
     Attributes:
         number: frame number, counted by the sender.
         time: time stamp on the clock of the sender, s.
-        bodies: rigid bodies by id.
     """
 
     number: int

@@ -215,7 +215,6 @@ class Odometry:
     random. A random displacement represents the uncertainty of the connection.
 
     Attributes:
-        connection: local connection of the robot.
         twist: forward and lateral velocity (m/s) and yaw rate (rad/s) of the last step.
     """
 

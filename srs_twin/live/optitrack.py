@@ -126,7 +126,6 @@ class NatNetLink(_UdpLink):
 
     Attributes:
         version: NatNet version of the server, or None before its first answer.
-        names: names of the bodies by id.
     """
 
     def __init__(
@@ -272,11 +271,7 @@ class NatNetLink(_UdpLink):
 
 
 class NatNetServer(_UdpLink):
-    """Emulated motion capture server that sends frames to each client.
-
-    Attributes:
-        port: command port of the server.
-    """
+    """Emulated motion capture server that sends frames to each client."""
 
     def __init__(
         self, names: Mapping[int, str], *, host: str = LOOPBACK, port: int = 0

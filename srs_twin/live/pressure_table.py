@@ -154,11 +154,7 @@ class PressureRates:
 
 
 class PressureLevels(Stateful):
-    """Means and variances of pressure residuals relative to the supply pressure.
-
-    Attributes:
-        ages: times since the valves switched.
-    """
+    """Means and variances of pressure residuals relative to the supply pressure."""
 
     state_attributes = ("ages", "_count", "_mean", "_variance")
     _BINS = 25

@@ -257,7 +257,6 @@ class Session:
     """Session of a live twin with links, views and files.
 
     Attributes:
-        shadow: live twin of the robot.
         estimate: latest estimate, or None before the first message of the robot.
         faults: time of the first detection since the start, s, by part and fault.
         problems: errors that did not end the session, such as a file that cannot be

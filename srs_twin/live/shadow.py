@@ -90,9 +90,7 @@ class Shadow:
     """Live twin of one robot, described in the module docstring.
 
     Attributes:
-        spec: robot specification from the robot file.
         ensemble: filter for pose, bends and pressures.
-        faults: fault detector.
         command_period: period of the commands.
         contact: estimator of the contact force.
         prediction_calibration: calibration of predictions based on earlier errors.

@@ -104,9 +104,6 @@ class EstimateSteering:
     A segment with a stuck valve is kept straight by filling or venting both chambers,
     and a new plan is made. All chambers are vented while the estimate is lost, and at
     the end after a loss of supply pressure.
-
-    Attributes:
-        follower: follower of the scenario.
     """
 
     def __init__(

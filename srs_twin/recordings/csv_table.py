@@ -47,7 +47,6 @@ class TimedRows(NamedTuple):
     """Rows of a table with their times.
 
     Attributes:
-        time: times of the rows, shape (rows,), s.
         values: numbers in SI units, shape (rows, columns).
         epoch_ns: offset that was subtracted from times since 1970, ns, or None for
             other times.

@@ -161,7 +161,7 @@ class RecordingFacts(_Facts):
     bodies: list[str] | None = None
     """Names of the rigid bodies with a rotation."""
     tracks: Count | None = None
-    """Number of tracked markers that are detected on at least 20 % of the frames."""
+    """Number of possible robot markers that are detected on at least 20 % of frames."""
     positions_of_nothing: Count | None = None
     """Number of positions that do not belong to a tracked marker."""
     noise_mm: Millimetres | None = None

@@ -104,7 +104,6 @@ class Times(NamedTuple):
     """Times of the rows.
 
     Attributes:
-        time: times of the rows, shape (rows,), s.
         epoch_ns: offset that was subtracted from times since 1970, ns, or None for
             other times.
     """

@@ -71,8 +71,6 @@ class LogSummary:
         kind: file format, for example "Motive CSV 1.21", "plain CSV" or "bend log".
         frames_read: number of rows of the file that were used.
         samples_filled: number of interpolated positions or bends in the trajectory.
-        start: time of the first frame of the trajectory, s.
-        end: time of the last frame of the trajectory, s.
         markers: numbers and errors of the markers, or None for a bend log.
     """
 

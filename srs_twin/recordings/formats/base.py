@@ -110,9 +110,6 @@ class Format(ABC):
     """File format of motion recordings.
 
     A reader converts lengths to m and times to s, and keeps the axes of the file.
-
-    Attributes:
-        binary: whether files are not text.
     """
 
     name: ClassVar[str]
@@ -212,7 +209,6 @@ class Rows(NamedTuple):
     """Rows of a table of markers.
 
     Attributes:
-        time: times of the frames, shape (frames,), s.
         points: marker positions in the unit of the file, shape (frames, markers, 3).
         others: values of other columns, shape (frames, others).
     """

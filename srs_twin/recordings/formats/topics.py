@@ -166,11 +166,7 @@ class RecordedTopics:
 
 
 class Bag(Format):
-    """Container of messages, whose end may be missing.
-
-    Attributes:
-        suffix: usual suffix of file names.
-    """
+    """Container of messages, whose end may be missing."""
 
     binary = True
     suffix: ClassVar[str]
