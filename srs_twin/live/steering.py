@@ -33,7 +33,7 @@ EMPTY = "supply_empty"
 STOPPED = "stopped"  # the session ended before the path
 TOO_SLOW = "estimate_too_old"
 LEAST_MARGIN = 0.25
-"""Minimum margin of a new plan, as a fraction of the margin of the first plan.
+"""Minimum margin of a new plan, as a fraction of the margin of the scenario.
 
 Without such a plan the robot is stopped. The margins of the shipped footprints were
 measured with 100 runs of each kind, 3.5 m each (`planning/margins.py`). Of these runs,
