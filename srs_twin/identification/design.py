@@ -230,7 +230,7 @@ class ExperimentDesign:
     """Chosen experiments and the accuracy after each experiment.
 
     Accuracies are half widths of 95 % intervals relative to the value of the parameter.
-    If the value is 0, they are absolute.
+    The accuracy of a parameter with the value 0 is absolute.
 
     Attributes:
         chosen: experiments in the order of the design.

@@ -131,7 +131,7 @@ class MessageOptions:
         tell_supply: Publish the supply pressure.
         duration: Stop after S seconds. [default: run until Ctrl-C]
         user: MQTT user name.
-        ca: CA certificate file (PEM); enables TLS.
+        ca: CA certificate file (PEM), which enables TLS.
     """
 
     loss: Annotated[float, option("--loss SHARE", min=0.0, max=0.99)] = 0.0
@@ -163,7 +163,7 @@ def emulate(
         mqtt: MQTT broker.
         natnet: Local address on which NatNet frames are served. [default: no motion
             capture]
-        name: Robot's name in topics. [default: ROBOT]
+        name: Name of the robot in topics. [default: ROBOT]
     """
     from srs_twin.live.emulator import Transport, emulate as run
     from srs_twin.live.messages import COMMAND

@@ -123,9 +123,7 @@ _FROZEN_NOISE = 0.1
 _SUPPLY_EXPLAINS = (SUPPLY_SHARES < 1.0) | np.isin(
     CHAMBERS, (Chamber.LEAKS, Chamber.VENTS)
 ).any(axis=1)
-"""Hypotheses under which filling chambers reach too low a pressure.
-
-A low supply pressure has this effect, too."""
+"""Hypotheses that look like a low supply pressure while chambers fill."""
 
 
 class _State(IntEnum):

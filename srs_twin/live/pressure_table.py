@@ -80,8 +80,8 @@ class PressureRates:
     Attributes:
         rate: measured minus modelled pressure rate, shape (segments, 2, states, bins),
             Pa/s.
-        wander: additional variance of the pressures per time, shape (segments, 2,
-            states, bins), Pa²/s.
+        wander: variance of the random walk of the pressures per time, shape (segments,
+            2, states, bins), Pa²/s.
     """
 
     _BINS = 50
@@ -92,7 +92,7 @@ class PressureRates:
     _MEMORY = 8.0
     """Number of innovations over which the variance is averaged."""
     _LEAST_WANDER = 0.03
-    """Lower limit of the wander, fraction of the nominal supply pressure per √s."""
+    """Lower limit of the random walk, fraction of the nominal pressure per √s."""
     _LONGEST_S = 0.1
     """Maximum interval between pressures from which a rate is learnt, s."""
 
@@ -102,7 +102,7 @@ class PressureRates:
         Args:
             segments: number of segments.
             supply: nominal supply pressure, gauge, Pa.
-            wander: initial wander, fraction of the supply pressure per √s.
+            wander: initial random walk, fraction of the supply pressure per √s.
         """
         self.ages = ValveAges(segments, self._BINS, self._WIDTH_S)
         self.rate = np.zeros(self.ages.shape)
@@ -175,7 +175,7 @@ class PressureLevels(Stateful):
         self._variance = np.full(self.ages.shape, sd**2)
 
     def read(self) -> Uncertain:
-        """Return means and standard deviations in the current bins, (segments, 2)."""
+        """Return mean and standard deviation per current bin, shape (segments, 2)."""
         index = self.ages.index()
         return Uncertain(self._mean[index], np.sqrt(self._variance[index]))
 

@@ -139,7 +139,7 @@ class PushedBody:
     def _tabulate_wheels(self, motion: _Motion) -> None:
         """Fill the Jacobian of the longitudinal and lateral wheel velocities.
 
-        Its shape is (steps, 4N, 3), and the first 2N rows are longitudinal.
+        The Jacobian has the shape (steps, 4N, 3), with 2N longitudinal rows first.
         """
         arm = self._spec.geometry.half_track
         jacobian = []

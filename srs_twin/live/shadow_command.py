@@ -50,7 +50,7 @@ class LabOptions:
             (docs/live.md#steering).
         duration: Stop after S seconds. [default: run until Ctrl-C]
         user: MQTT user name.
-        ca: CA certificate file (PEM); enables TLS.
+        ca: CA certificate file (PEM), which enables TLS.
     """
 
     robot: Annotated[str | None, argument("ROBOT", shipped=["robot"])] = None

@@ -114,7 +114,7 @@ class RobotFacts(_Facts):
     length_mm: list[Millimetres] | None = None
     """Median arc length of each segment, ordered from the head."""
     stretch: list[Ratio] | None = None
-    """Range of the arc length of each segment, relative to the segment of the robot.
+    """Range of the arc length of each segment, relative to the nominal length.
 
     A range is the difference of the 98 % and the 2 % quantile.
     """

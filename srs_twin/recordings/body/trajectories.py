@@ -5,13 +5,13 @@ fit to a sample and the n samples before and after it, with n = 5 in the dissert
 
 $$ v_k = \frac{\sum_m (t_m - \bar t)(y_m - \bar y)}{\sum_m (t_m - \bar t)^2}, \qquad m = k-n \ldots k+n. $$
 
-The slope has no lag. An oscillation with angular frequency ω is attenuated by the
-factor
+The slope has no lag. The amplitude of an oscillation with the angular frequency ω is
+multiplied by the factor
 
-$$ \frac{3 \sum_{m=1}^{n} m \sin(m \omega \Delta t)}{n (n + 1)(n + \tfrac12)\, \omega \Delta t}, $$
+$$ \frac{3 \sum_{m=1}^{n} m \sin(m \omega \Delta t)}{n (n + 1)(n + \tfrac12)\, \omega \Delta t}. $$
 
-which is 0.97 for 2 Hz at 120 frames per second. At the 15 frames per second of the
-dissertation it is 0 for 2 Hz and 0.82 for 0.6 Hz.
+At 120 frames per second, this factor is 0.97 for 2 Hz. At the 15 frames per second of
+the dissertation, it is 0 for 2 Hz and 0.82 for 0.6 Hz.
 """
 
 from __future__ import annotations
