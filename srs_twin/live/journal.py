@@ -1,4 +1,4 @@
-"""Journals of a session in the MCAP format, and a link that plays them back."""
+"""Journals in the MCAP format, and a link that plays them back."""
 
 from __future__ import annotations
 

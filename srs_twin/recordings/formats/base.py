@@ -1,4 +1,4 @@
-"""Abstract base of the file formats, marker tables, and helpers for axes and units."""
+"""Abstract base of the file formats, marker tables, and axis and unit functions."""
 
 from __future__ import annotations
 
