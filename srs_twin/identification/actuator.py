@@ -1,17 +1,17 @@
 """Actuator parameters of free segments, estimated from step responses.
 
 The data are valve states or pressures over time, and the resulting bends. The model is
-`pneumatics.LagPneumatics`, i.e. Eq. 14 for nominal modules. The time constants τ_fill,
-τ_vent and τ_mode are common to all modules, whereas each module has its own gain and
-rest bend.
+`pneumatics.LagPneumatics`, which is Eq. 14 for nominal modules. The time constants
+τ_fill, τ_vent and τ_mode are common to all modules, whereas each module has its own
+gain and rest bend.
 
 The segments must bend freely, on a bench or lifted, because on the floor the bends also
-depend on the load of the body. `actuator.bend_rad` has the same effect as a common
-factor of all gains, so it is fixed unless requested.
+depend on the load of the body. A change of `actuator.bend_rad` is equivalent to a
+common factor of all gains, so this parameter is fixed unless requested.
 
-A log of pressures cannot show how the chambers fill. The bends then follow the
-pressures with the delay τ_mode. If the pressures have the time constant τ₁, the
-relative error of this approximation is (τ_mode/τ₁)².
+If pressures instead of valve states were logged, the bends are assumed to follow the
+pressures with the delay τ_mode, and τ_fill and τ_vent are not identified. For pressures
+with the time constant τ₁, the relative error of this approximation is (τ_mode/τ₁)².
 """
 
 from __future__ import annotations
@@ -39,16 +39,16 @@ from srs_twin.recordings.signals.logs import SIDES
 from srs_twin.robot.spec import RobotSpec
 
 _BEND_NOISE_RAD = 0.01
-"""Standard deviation of bends whose error is not known."""
+"""Standard deviation of bends whose error is unknown, rad."""
 
 _PRESSURE_NOISE_PA = 500.0
-"""Standard deviation of measured pressures."""
+"""Standard deviation of measured pressures, Pa."""
 
 MIN_DRIFT_RAD = 1e-4
-"""Drift over a plateau below which a bend has settled; also the minimum error."""
+"""Drift over a plateau below which a bend has settled, and minimum error, rad."""
 
 CLOCK_ERROR_S = 0.05
-"""Error of an estimated clock offset."""
+"""Standard error of an estimated clock offset, s."""
 
 _BEND = "actuator.bend_rad"
 MODULE_PARAMETERS = ("modules.gain_plus", "modules.gain_minus", "modules.bias_rad")
@@ -59,15 +59,13 @@ class Response:
     """Bends of segments in response to valve states or measured pressures.
 
     Attributes:
-        name: data name.
-        sha256: data hash (SHA-256).
-        drive: valve states from time 0, or a log of pressures on the same clock.
-        supply_pa: gauge pressure of the supply, Pa; not used with a log of pressures.
+        drive: valve states from time 0, or a log of pressures on the clock of `time`.
+        supply_pa: gauge supply pressure, Pa, not used with a log of pressures.
         time: sample times in ascending order, s, shape (samples,).
-        bend: measured bends, rad, shape (samples, segments); NaN if unknown.
-        pressure: pressures measured with a log of valves, Pa, shape (samples, segments,
-            2), or None.
-        clock_known: whether drive and bends share a clock; if not, their offset is
+        bend: measured bends, NaN if unknown, rad, shape (samples, segments).
+        pressure: pressures measured in addition to valve states, Pa, shape (samples,
+            segments, 2), or None.
+        clock_known: whether drive and bends share a clock. If not, the clock offset is
             estimated.
     """
 
@@ -84,9 +82,9 @@ class Response:
     def from_recording(
         cls, recording: Recording, name: str, supply_pa: float
     ) -> Response:
-        """Create a response from a recording that has been joined with its log.
+        """Create a response from a recording with a log.
 
-        Bends that were interpolated become NaN.
+        Interpolated bends become NaN.
 
         Raises:
             InputError: the recording has no log.
@@ -169,8 +167,8 @@ def fit_actuator(
         watch: progress callback.
 
     Raises:
-        InputError: there is no response, the number of segments differs from the
-            robot's, or a validation response is also fitted.
+        InputError: there is no response, a response has the wrong number of segments,
+            or a validation response is also fitted.
     """
     data = assign_roles("responses", responses, validation)
     for response, _ in data:
@@ -210,10 +208,10 @@ def fit_actuator(
 def fixed_values(
     spec: RobotSpec, unknowns: Sequence[FreeParameter]
 ) -> dict[str, float]:
-    """Return the values to which the fitted gains are relative.
+    """Return the fixed values that the fitted gains refer to.
 
-    These are the nominal pressure and the bend at this pressure, unless the bend is
-    free.
+    These are the nominal pressure and, unless it is a free parameter, the bend at this
+    pressure.
     """
     fixed = {"actuator.at_pressure_kpa": spec.supply.nominal / 1e3}
     if all(unknown.name != _BEND for unknown in unknowns):
@@ -228,12 +226,12 @@ def predict_response(
 
     Args:
         response: response whose drive and sample times are used.
-        spec: robot.
+        spec: robot specification.
         clock: clock offset, s.
 
     Returns:
         Bends, rad, shape (samples, segments), and pressures, Pa, shape (samples,
-        segments, 2). Without valve states the pressures are None.
+        segments, 2), or None if pressures were logged.
     """
     if isinstance(response.drive, ValveLog):
         delayed = response.drive.at(response.time + clock - spec.actuator.tau_mode)

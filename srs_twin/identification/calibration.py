@@ -1,4 +1,4 @@
-"""Functions behind `srs-twin calibrate`, which fit a robot to recordings and tables."""
+"""Functions that fit a robot to recordings and tables, as `srs-twin calibrate` does."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ from srs_twin.scenario.provenance import versions
 Paths = Sequence[StrPath]
 Robot = StrPath | RobotSpec
 Notify = Callable[[str], object]
-"""Function that receives a note about each recording before the search starts."""
+"""Function called with a note about each recording before the search starts."""
 
 LOCOMOTION = (
     "friction.mu_t",
@@ -83,13 +83,14 @@ class Calibration:
     """Result of a fit, with the data that it used.
 
     Attributes:
-        estimate: parameters, correlations and residuals; a notebook displays it as a
+        estimate: parameters, correlations and residuals, which a notebook displays as a
             page.
         method: fit method.
-        title: title, one line.
-        robot: initial robot, a name or a path.
+        title: title of one line.
+        robot: name or path of the initial robot.
         data: data sets.
-        plateaus: table of the constant pressures in recordings; None for other fits.
+        plateaus: table of constant pressures found in recordings, or None for other
+            fits.
     """
 
     estimate: FitEstimate
@@ -103,9 +104,9 @@ class Calibration:
         """Write the report and the fit file together, and return the fit file.
 
         Args:
-            path: fit file; the report is written to the same folder.
-            name: fit name.
-            command: command line that made the fit.
+            path: path of the fit file. The report is written to the same folder.
+            name: name of the fit.
+            command: command line that produced the fit.
 
         Raises:
             InputError: a file cannot be written.
@@ -143,16 +144,16 @@ def calibrate_friction(
     notify: Notify = str,
     progress: Watch | None = None,
 ) -> Calibration:
-    """Estimate mu_t and mu_n, as `srs-twin calibrate friction`.
+    """Estimate mu_t and mu_n, as `srs-twin calibrate friction` does.
 
     Args:
         files: one table of spring deformations, or recordings of coasting tests.
         robot: initial robot.
         validate: tables or recordings for validation, not used by the fit.
-        law: friction law of coasting tests: "wheel", "axis" or "ellipse".
-        wheel_inertia: whether coasting tests include the rotational inertia of the
-            wheels.
-        reader: settings with which recordings are read.
+        law: friction law of coasting tests ("wheel", "axis" or "ellipse").
+        wheel_inertia: whether the rotational inertia of the wheels is included in
+            coasting tests.
+        reader: reader of recordings.
         out: path of the fit file, or None to write nothing. An existing file is
             replaced, and the report is written to the same folder.
         notify: function called with a note about each recording.
@@ -184,7 +185,7 @@ def calibrate_actuator(
     notify: Notify = str,
     progress: Watch | None = None,
 ) -> Calibration:
-    """Estimate time constants, gains and rest bends, as `srs-twin calibrate actuator`.
+    """Estimate the actuator parameters, as `srs-twin calibrate actuator` does.
 
     Args:
         files: recordings of step responses, or tables or recordings of constant
@@ -194,7 +195,8 @@ def calibrate_actuator(
             beside the recordings.
         validate: recordings or tables for validation, not used by the fit.
         supply_pa: supply pressure, Pa, by default the nominal pressure of the robot.
-        find: parameters to fit, by default all that the data can show.
+        find: names of the parameters to fit, by default all that the data can
+            determine.
         static: whether plateaus of constant pressure in recordings are fitted.
         starts: number of searches.
         reader: see `calibrate_friction`.
@@ -235,10 +237,10 @@ def calibrate_locomotion(
     notify: Notify = str,
     progress: Watch | None = None,
 ) -> Calibration:
-    """Estimate friction, gap, masses or stiffness, as `srs-twin calibrate locomotion`.
+    """Estimate friction, gap, masses or stiffness from runs on the floor.
 
-    The data are runs on the floor. If they include markers, the rigid gap (or the
-    length of a segment) is measured from the markers.
+    If recordings include markers, the rigid gap (or the length of a segment) is
+    measured from the markers.
 
     Args:
         files: recordings.
@@ -247,12 +249,12 @@ def calibrate_locomotion(
             beside the recordings.
         validate: recordings for validation, not used by the fit.
         supply_pa: supply pressure, Pa, by default the nominal pressure of the robot.
-        find: parameters to fit.
-        plant: "analytical" or "twin".
+        find: names of the parameters to fit.
+        plant: simulated plant, "analytical" or "twin".
         model: analytical model, by default "compliant".
         law: friction law of the analytical plant, by default "wheel".
-        against: compared signals: "averages", "shapes" or "both".
-        starts: number of searches, by default 3, or 1 with the twin's shapes.
+        against: compared signals ("averages", "shapes" or "both").
+        starts: number of searches, by default 3, or 1 with shapes of the twin.
         reader: see `calibrate_friction`.
         out: see `calibrate_friction`.
         notify: see `calibrate_friction`.
@@ -294,11 +296,11 @@ def calibrate_damping(
     Args:
         files: recordings of one hanging segment that is released from a bend.
         robot: initial robot.
-        valves: state of the chambers: "open" to the air or "closed".
-        mass_kg: mass of the body at the end of the segment, by default the first
-            connector.
+        valves: state of the chambers, "open" to the air or "closed".
+        mass_kg: mass of the body at the end of the segment, by default the mass of the
+            first connector.
         inertia_kg_m2: moment of inertia of the body about its centre, by default
-            computed from the connector's radius of gyration.
+            computed from the radius of gyration of the first connector.
         leak_per_s: leak rate of closed chambers, or None to fit it.
         noise_rad: standard deviation of a recorded bend, or None to estimate it.
         from_s: time from which the segment swings freely, or None to detect it.
@@ -319,11 +321,7 @@ def _texts(paths: Paths) -> list[str]:
 
 
 class _Task:
-    """Call of a function of this module.
-
-    `length` is the length measured from markers, if it is a requested parameter.
-    `files` lists the fitted files, then the files for validation.
-    """
+    """Call of a fit, with the fitted files before the validation files in `files`."""
 
     def __init__(
         self, function: Callable[..., Calibration], given: Mapping[str, Any]
@@ -441,7 +439,8 @@ def _read_gait_runs(task: _Task) -> list[GaitRun]:
     recordings = task.recordings()
     length = measured()
     if length is not None:
-        # Bends and centre of mass depend on the length, so read the recordings again.
+        # The recordings are read again, because bends and centre of mass depend on the
+        # measured length.
         task.spec = with_values(task.spec, {length.name: length.value or 0.0})
         task.notify = str
         recordings = task.recordings()
@@ -470,8 +469,6 @@ def _read_decays(task: _Task) -> list[Decay]:
 
 
 class _Kind(NamedTuple):
-    """Kind of data to which a robot is fitted, with its reader and fit function."""
-
     method: Method
     title: str
     read: Callable[[_Task], Sequence[Any]]

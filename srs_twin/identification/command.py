@@ -1,4 +1,4 @@
-"""`srs-twin calibrate`, which estimates robot parameters from recordings and runs."""
+"""Command `srs-twin calibrate`, which estimates robot parameters."""
 
 from __future__ import annotations
 
@@ -64,17 +64,11 @@ app = typer.Typer(
 
 @app.callback()
 def calibrate() -> None:
-    """Estimate robot parameters from recordings, and footprints from simulated runs.
-
-    The margins of followers are also derived from simulated runs.
-    """
+    """Estimate robot parameters from recordings, or footprints from simulated runs."""
 
 
 def _fits(declaration: Callable[..., None]) -> None:
-    """Add the command of a declaration, which fits with `calibrate_NAME`.
-
-    An option that is not given has the default of the function in `calibration`.
-    """
+    """Build the command that calls `calibrate_NAME` with the given options."""
 
     @app.command()
     @with_options
@@ -114,8 +108,8 @@ def friction(
 ) -> None:
     """Estimate mu_t and mu_n from pulls or coasting tests.
 
-    Pulls are given as a table of spring deformations, measured with a spring car.
-    Coasting tests are given as recordings.
+    The input is a table of spring deformations, measured while a spring car pulls the
+    robot, or recordings of coasting tests.
 
     Options:
         --law NAME: Friction law of coasting tests: wheel, axis or ellipse (skids).
@@ -133,8 +127,8 @@ def design(
 ) -> None:
     """Choose the recordings for a requested accuracy.
 
-    Candidates are pulls, weighing, markers, constant pressures, pressure steps and gait
-    runs.
+    Possible experiments are pulls, weighing, markers, constant pressures, pressure
+    steps and gait runs.
 
     Options:
         --want NAMES: Parameters and target half-widths of their 95 % intervals, e.g.
@@ -199,8 +193,8 @@ def actuator(
 ) -> None:
     """Estimate time constants, gains and rest bends.
 
-    Data are recordings of step responses, or tables or recordings of constant pressures
-    (gains only).
+    The data are recordings of step responses. Tables or recordings of constant
+    pressures are sufficient for gains.
 
     Options:
         --static: Fit plateaus of constant pressure in recordings, and write them to
@@ -234,7 +228,7 @@ def locomotion(
         --plant NAME: Simulated plant: analytical or twin.
         --model NAME: Analytical model. [default: compliant]
         --against WHAT: Compared signals: averages, shapes or both.
-        --starts N: Number of searches. [default: 3; 1 with the twin's shapes]
+        --starts N: Number of searches. [default: 3, or 1 with shapes of the twin]
     """
 
 
@@ -253,12 +247,13 @@ def damping(
 ) -> None:
     """Estimate stiffness, damping time and loss factor.
 
-    Data are recordings of a hanging segment that is released from a bend, at 100 Hz or
-    more.
+    The data are recordings of a hanging segment that is released from a bend, sampled
+    at 100 Hz or more.
 
     Options:
-        --valves STATE: Chambers during the recordings: open or closed.
-        --mass-kg KG: Mass of the body at the end of the segment. [default: the robot's]
+        --valves STATE: State of the chambers during the recordings: open or closed.
+        --mass-kg KG: Mass of the body at the end of the segment. [default: mass of the
+            first connector]
         --leak-per-s RATE: Leak rate of closed chambers, 1/s. [default: estimated]
         --noise-rad RAD: Standard deviation of a recorded bend, rad. [default:
             estimated]
@@ -280,9 +275,9 @@ def robot(
     """Write a robot file with the results of fits.
 
     Options:
-        fits: Fit files of one robot; later ones override earlier ones.
+        fits: Fit files of one robot. Later files override earlier files.
         --name NAME: Name of the new robot and its file.
-        --out FILE.yaml: Robot file. [default: robots/NAME.yaml]
+        --out FILE.yaml: Output robot file. [default: robots/NAME.yaml]
         --weak/--no-weak: Include weakly identified parameters.
     """
     from srs_twin.identification.fitted_robot import calibrate_robot

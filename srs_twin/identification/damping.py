@@ -1,22 +1,23 @@
 """Stiffness and damping of a segment, fitted to free oscillations after a release.
 
-`decay` reads the recordings, and `hanging_segment` is the model. A decay alone
+`decay` reads the recordings, and `hanging_segment` contains the model. A decay alone
 determines only k/m and T, where k is the stiffness, m the mass and T the damping time.
-The known mass and the weight turn the frequency into a stiffness.
+The stiffness follows because the mass and the weight are known.
 
-**Fit.** All recordings share k, T and the leak rate. Each recording has its own initial
-state and rest bend, and two exponentials for the recovery of the rest bend after the
-segment was held.
+**Fit.** The parameters k, T and the leak rate are common to all recordings. Each
+recording has an initial state and a rest bend. Two exponentials describe how the rest
+bend recovers after the segment was held.
 
 Without measured pressures, closed chambers are assumed to be at ambient pressure at the
-first sample of the recording, when the segment is at rest. The leak rate and the
-recorded bends determine the air at the release. The rest bends before and after the
-release separate k from the pressures.
+first sample, when the segment is at rest. The amount of air at the release follows from
+the leak rate and the recorded bends. The effects of k and of the pressures are
+separated by the rest bends before and after the release.
 
-**Intervals.** The scale of the residuals combines the noise with 1 % of the amplitude
-for errors of the model. The damping is viscous, so the loss factor η = 2π f T grows
-with the frequency f. The model error is measured with a simulated material that has an
-almost constant loss factor and the fitted stiffness and loss at f.
+**Intervals.** The scale of the residuals combines the noise with an allowance of 1 % of
+the amplitude for model errors. In the model the damping is viscous, so the loss factor
+η = 2π f T is proportional to the frequency f. The resulting error is estimated by a fit
+to a simulated material with a nearly constant loss factor, which has the fitted
+stiffness and loss at f.
 """
 
 from __future__ import annotations
@@ -64,19 +65,16 @@ NAMES = ("bending.stiffness_nm_per_rad", "bending.damping_time_s")
 VALVES = ("open", "closed")
 
 _MODEL_ERROR = 0.01
-"""Allowance for the model, as a fraction of the amplitude."""
+"""Allowance for model errors, as a fraction of the amplitude."""
 
 _CREEP_RATIOS = (3.0, 12.0)
-"""Time constants of the recovery, as multiples of 1/ω."""
+"""Time constants with which the rest bend recovers, as multiples of 1/ω."""
 
 _MAX_CALM_SAMPLES = 25
-"""Maximum number of samples that count for the rest bend.
-
-Further samples share the errors of the model.
-"""
+"""Maximum number of samples at rest that count as independent."""
 
 _FIRST_LEAK = 0.1
-"""Leak rate with which a search starts, 1/s."""
+"""Initial leak rate of a search, 1/s."""
 
 _LEAKS = (-2.0, 30.0)
 """Bounds of the leak rate, 1/s. A bound of 0 would cut the interval of a small rate."""
@@ -84,17 +82,18 @@ _LEAKS = (-2.0, 30.0)
 _STAGES = (2.0, 4.0, 8.0)
 """Numbers of swings to which the model is fitted in turn.
 
-A wrong frequency would slip by whole swings if the first search used the whole decay.
+A first search over the whole decay could end at a frequency that is off by whole
+periods.
 """
 
 _SEARCH = SearchOptions(step=1e-3, tolerance=1e-8)
-"""Steps of the search, which average over the kinks of the air's stiffness."""
+"""Search options with steps that average over the kinks of the air stiffness."""
 
 _ERROR_STEP = 1e-3
-"""Step of the derivatives of a derived quantity, in standard errors of a parameter."""
+"""Step of finite differences of derived quantities, in standard errors."""
 
 _UPSAMPLING = 4
-"""Points per sample between which measured pressures are interpolated linearly."""
+"""Number of points per sample at which measured pressures are interpolated."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +102,7 @@ class HangingBody:
 
     Attributes:
         mass: mass m, kg.
-        inertia: moment of inertia J about its centre, kg·m².
+        inertia: moment of inertia J about the centre of the body, kg·m².
     """
 
     mass: float
@@ -115,7 +114,7 @@ class HangingBody:
     ) -> HangingBody:
         """Return the first connector of a robot, or a body with other mass or inertia.
 
-        If only a mass is given, the body has the connector's radius of gyration.
+        If only a mass is given, the body has the radius of gyration of the connector.
 
         Raises:
             InputError: a value is not positive, or the robot has a skin or bends in
@@ -161,9 +160,9 @@ def fit_damping(
     """Estimate stiffness, damping time, frequency and loss factor.
 
     Args:
-        decays: free swings of the same segment with the same body.
+        decays: free swings of one segment with one body.
         spec: robot whose geometry and chambers are used.
-        valves: state of the chambers: "open" to the air or "closed".
+        valves: state of the chambers, "open" to the air or "closed".
         body: hanging body, by default the first connector.
         leak: leak rate of closed chambers, 1/s, or None to fit it.
         watch: progress callback.
@@ -186,15 +185,15 @@ def fit_damping(
     for swings in _STAGES:
         fit.search(fit.unknowns(coarse=True), watch=watch, swings=swings)
     start = fit.search(fit.unknowns(), watch=watch)
-    # The fitted frequency is independent of how the material dissipates energy. Its
-    # interval therefore uses the first fit, without the bias of k and T.
+    # The fitted frequency hardly depends on how the material dissipates energy, so its
+    # interval uses the first fit, without the bias of k and T.
     error = fit.frequency_error()
     estimate = fit.search(fit.unknowns(), watch=watch, refit=fit.refit)
     derived: tuple[Parameter, ...] = ()
     if estimate.values.keys() >= set(NAMES):
         frequency = _derived(start, fit, "frequency", "Hz", error)
         derived = (frequency, _derived(estimate, fit, "loss_factor", "1"))
-    count = len(NAMES)  # the other unknowns follow
+    count = len(NAMES)  # other unknowns come after these parameters
     return replace(
         estimate,
         parameters=estimate.parameters[:count],
@@ -205,14 +204,14 @@ def fit_damping(
 
 
 class _Swing(NamedTuple):
-    """Predicted bends, rad, and p V of the enclosed air at the end, J."""
+    """Predicted bends, rad, and product p V of the enclosed air at the end, J."""
 
     bend: np.ndarray
     air: np.ndarray
 
 
 class _DampingFit:
-    """Model of several decays, with the best values of the unknowns so far."""
+    """Model of several decays, with the best values found so far."""
 
     def __init__(
         self,
@@ -244,8 +243,8 @@ class _DampingFit:
 
     def _first_values(self) -> dict[str, float]:
         first = self.decays[0]
-        # The squared frequency is linear in k, because the weight adds a constant and
-        # the stiffness of the air is proportional to k.
+        # The squared frequency is a linear function of k, because the weight adds a
+        # constant and the stiffness of the air is proportional to k.
         segment = self.body.segment(self.spec, self.closed)
         air = self._air_at_end()
         one, two = (
@@ -264,11 +263,7 @@ class _DampingFit:
         return values
 
     def unknowns(self, *, coarse: bool = False) -> list[FreeParameter]:
-        """Return the unknowns.
-
-        Coarse unknowns exclude leak and recovery, because a few swings do not show
-        them.
-        """
+        """Return the unknowns, of which a coarse fit omits leak rate and recovery."""
 
         def free(
             name: str, unit: str, bounds: tuple[float, float], scale: float
@@ -302,11 +297,7 @@ class _DampingFit:
         refit: Refit | None = None,
         swings: float = math.inf,
     ) -> FitEstimate:
-        """Fit the unknowns to the first swings.
-
-        The fitted values become the best values, unless `bends` replaces the measured
-        bends.
-        """
+        """Fit the unknowns to the first swings of the measured or given bends."""
         fitted = [decay.bend for decay in self.decays] if bends is None else bends
 
         def residuals(values: Mapping[str, float]) -> list[Residual]:
@@ -344,7 +335,6 @@ class _DampingFit:
             )
 
     def refit(self, values: Mapping[str, float]) -> Mapping[str, float]:
-        """Fit simulated decays of a material with a constant loss factor."""
         pulsation = 2 * math.pi * self.small_swing(values).frequency
         bends = [
             self._swing(values, k, pulsation).bend for k in range(len(self.decays))
@@ -353,7 +343,7 @@ class _DampingFit:
         return self.values | dict(values) | fitted
 
     def frequency_error(self) -> float:
-        """Return the logarithmic error of the frequency due to viscous damping."""
+        """Return the error of ln(frequency) due to the assumed viscous damping."""
         pulsation = 2 * math.pi * self.small_swing(self.values).frequency
         true = self.small_swing(self.values, pulsation).frequency
         return math.log(self.small_swing(self.refit(self.values)).frequency / true)
@@ -366,8 +356,8 @@ class _DampingFit:
     ) -> Ringing:
         """Return the small oscillation at the end of the first recording.
 
-        A missing value is the best value so far. The loss factor is constant about the
-        frequency `constant_about`, rad/s, unless the damping is viscous (None).
+        The loss factor is nearly constant about the frequency `constant_about` (rad/s),
+        or proportional to the frequency if it is None.
         """
         values = self.values | dict(values)
         material = self._material(values)
@@ -407,17 +397,17 @@ class _DampingFit:
         return _Swing(path[:: len(grid) // len(decay.time)], end[2:4])
 
     def _enclosed_air(self, decay: Decay, leak: float) -> np.ndarray:
-        """Return p V of the air at the start of the free swing, J."""
+        """Return the product p V of the air at the start of the free swing, J."""
         volumes = self._volumes(decay.before)
-        # The amount of air approaches its value at ambient pressure, which changes with
-        # the volume.
+        # The amount of air approaches the amount at ambient pressure, which changes
+        # with the volume.
         kept = np.exp(-leak * (decay.time[0] - decay.before_time))
         weights = np.append(np.diff(kept), 0.0)
         amounts: np.ndarray = AMBIENT_PA * (kept[0] * volumes[0] + weights @ volumes)
         return amounts
 
     def _air_at_end(self) -> np.ndarray:
-        """Return p V of the air at the mean final pressure of the first decay, J."""
+        """Return the product p V at the mean final pressure of the first decay, J."""
         first = self.decays[0]
         end = slice(-(len(first.time) // 4), None)
         pressure = 0.0 if first.pressure is None else first.pressure[end].mean(axis=0)
@@ -472,9 +462,9 @@ def _derived(
     unit: str,
     model_error: float = 0.0,
 ) -> Parameter:
-    """Return an attribute of `Ringing`, with errors propagated linearly.
+    """Return an attribute of `Ringing` with linearly propagated errors.
 
-    The interval is symmetric in the logarithm, whose model error is `model_error`.
+    `model_error` is an additional error of the logarithm.
     """
 
     def logarithm(changes: Mapping[str, float]) -> float:

@@ -1,16 +1,15 @@
-"""Recordings of decays: the free swing of a segment that is held bent and released.
+"""Recordings of decays, that is, free swings of a segment that is bent and released.
 
 A recording is a CSV file with ``time_s`` and ``bend_rad`` (or ``bend_deg``), sampled at
 100 Hz or more. The optional columns ``pressure_plus_kpa`` and ``pressure_minus_kpa``
-are gauge pressures of closed chambers.
+contain gauge pressures of closed chambers.
 
-The free swing begins at the maximum speed, about a quarter of a swing after the
-release. The part that is used is twice as long as the part in which half swings exceed
-the noise.
+The free swing begins at the maximum speed, about a quarter of a period after the
+release. The fit uses twice the time during which half swings exceed the noise.
 
-The noise is estimated from the smallest singular values of the trajectory matrix.
-Neighbouring samples of a noise-free swing satisfy a linear recurrence, so these
-singular values are due to noise.
+The noise is estimated from the smallest singular values of the trajectory matrix. They
+would be 0 without noise, because successive samples of a free swing satisfy a linear
+recurrence.
 """
 
 from __future__ import annotations
@@ -38,25 +37,28 @@ _MIN_SAMPLES_PER_SWING = 5.0
 _MIN_HALF_SWINGS = 3
 
 _MIN_TURN = 6.0
-"""Smallest visible half swing, in standard deviations of the noise."""
+"""Minimum visible half swing, in standard deviations of the noise."""
 
 _MIN_SIZE = 12.0
-"""Smallest range of the bends, in standard deviations of the noise.
+"""Minimum range of the bends, in standard deviations of the noise.
 
 Noise alone has a range of about 6 standard deviations.
 """
 
 _MIN_TURN_SHARE = 0.02
-"""Smallest visible half swing, as a fraction of the range of the bends."""
+"""Minimum visible half swing, as a fraction of the range of the bends."""
 
 _LEAST_DECREMENT = 0.01
-"""Smallest logarithmic decrement with which a search starts."""
+"""Minimum initial logarithmic decrement of a search."""
 
 _WINDOW = 12
-"""Number of columns of the trajectory matrix, more than a swing has exponentials."""
+"""Number of columns of the trajectory matrix.
+
+The number must exceed the number of exponentials in a swing.
+"""
 
 _KEPT_SPANS = 2.0
-"""Length of the used part, relative to the length of the visible swing."""
+"""Duration of the fitted part, relative to the duration of the visible swing."""
 
 _MIN_CALM_SAMPLES = 5
 
@@ -66,16 +68,14 @@ class Decay:
     """Free swing of a released segment.
 
     Attributes:
-        name: data name.
-        sha256: file hash (SHA-256).
         time: times of the free swing, s, shape (samples,).
         bend: measured bends, rad, shape (samples,).
-        before: bends recorded before the free swing, followed by its first bend, rad,
-            shape (earlier samples + 1,).
+        before: bends recorded up to the first sample of the free swing, rad, shape
+            (earlier samples + 1,).
         before_time: sample times of `before`, s.
-        pressure: measured gauge pressures, (+ chamber, − chamber), Pa, shape (samples,
-            2); None if not measured.
-        noise: standard deviation of a bend, rad.
+        pressure: measured gauge pressures of the + and − chamber, Pa, shape (samples,
+            2), or None if they were not measured.
+        noise: standard deviation of a measured bend, rad.
         half_period: mean time between two turning points, s.
         log_decrement: mean logarithm of the ratio of two successive half swings.
     """
@@ -93,13 +93,13 @@ class Decay:
 
     @property
     def pulsation(self) -> float:
-        """Approximate ringing frequency ω, rad/s."""
+        """Approximate angular frequency ω, rad/s."""
         return math.pi / self.half_period
 
     def first_state(self) -> tuple[float, float]:
         """Return the bend (rad) and bend rate (rad/s) at the first sample.
 
-        Both are estimated by fitting a sine to the first swing.
+        A sine is fitted to the first swing.
         """
         since = (
             self.time[self.time <= self.time[0] + 2 * self.half_period] - self.time[0]
@@ -142,7 +142,7 @@ def read_decay(
         noise: standard deviation of a bend, rad, or None to estimate it.
 
     Raises:
-        InputError: a column is missing, or the recording does not determine k and T
+        InputError: a column is missing, or the swing does not determine k and T
             separately.
     """
     pressures = dict.fromkeys(("pressure_plus", "pressure_minus"), PRESSURES)
@@ -189,9 +189,9 @@ def free_swing(
     start: float | None = None,
     noise: float | None = None,
 ) -> Decay:
-    """Return the free swing in recorded bends.
+    """Extract the free swing from recorded bends.
 
-    The arguments are described in `Decay` and `read_decay`.
+    `Decay` and `read_decay` describe the arguments.
 
     Raises:
         InputError: the swing is too small, too short, overdamped or too fast for the

@@ -1,23 +1,23 @@
-r"""Optimal experimental design: choose recordings for a requested accuracy.
+r"""Optimal experimental design, which chooses recordings for a requested accuracy.
 
-Each candidate is an experiment whose results a fit can use, with predicted observations
-and their noise. Let z be the logarithms of all uncertain parameters, J the Jacobian of
-the predictions with respect to z, and R the covariance of the noise. The experiment
-changes the information matrix Λ to
+Each candidate experiment has predicted observations and their noise. Let z be the
+logarithms of all uncertain parameters, J the Jacobian of the predictions with respect
+to z, and R the covariance of the noise. The experiment changes the information matrix Λ
+to
 
 $$ \Lambda' = \Lambda + J^T R^{-1} J, \qquad \mathrm{sd}(z_i) = \sqrt{(\Lambda'^{-1})_{ii}}. $$
 
-The initial Λ comes from the `uncertain` parameters of the robot file. The coordinate z
-of a parameter with value 0, such as drag, is its value divided by a tenth of the
-robot's axial friction.
+The initial Λ is computed from the `uncertain` parameters of the robot file. For a
+parameter that is 0, such as drag, z is the value divided by a tenth of the axial
+friction of the robot.
 
-The design is greedy. For all intervals that are still too wide, the next experiment
-minimises the mean logarithm of the ratio of the interval to the requested interval. The
-design ends if no experiment narrows an interval by 2 %.
+The experiments are chosen one after another. Each experiment minimises the mean of the
+logarithm of (interval/requested interval) over all intervals that are still too wide.
+The design ends if no experiment narrows an interval by 2 %.
 
-Model discrepancy is only included for gait runs, as 2 % of the speed and of the turning
-rate. This is the difference between the model `compliant` and the twin, regardless of
-the length of a run.
+Model errors are included for gait runs only, as 2 % of the speed and of the turning
+rate. The speeds and turning rates of the model `compliant` and of the twin differ by
+this fraction, regardless of the duration of a run.
 """
 
 from __future__ import annotations
@@ -43,17 +43,16 @@ from srs_twin.robot.spec import GRAVITY, RobotSpec
 from srs_twin.rollout import rollout
 
 PULL_SHARE = 0.015
-"""Relative standard error of the mean of ten pulls: 0.0015 of 0.0966 (Section 3.4.1).
-"""
+"""Relative standard error of the mean of ten pulls (0.0015/0.0966, Section 3.4.1)."""
 
 LENGTH_STD_M = 4e-4
-"""Standard deviation of a length measured by markers during a run."""
+"""Standard deviation of a length measured with markers during a run, m."""
 
 BEND_STD_RAD = 0.01
-"""Standard deviation of a measured bend."""
+"""Standard deviation of a measured bend, rad."""
 
 MASS_STD_KG = 1e-3
-"""Standard deviation of a weighed mass."""
+"""Standard deviation of a weighed mass, kg."""
 
 RUN_DISCREPANCY = 0.02
 """Relative difference between `compliant` and the twin in speed and turning rate."""
@@ -62,16 +61,16 @@ _MAX_REPETITIONS = 3
 """Maximum number of times that an experiment is chosen."""
 
 _MIN_NARROWING = 0.98
-"""Ratio of interval widths below which an experiment is worthwhile."""
+"""Ratio of the new to the old interval below which an experiment is worthwhile."""
 
 _STEP = 0.05
-"""Step of finite differences in z, which must be large.
+"""Step of finite differences in z.
 
-Metrics of runs are not smooth in their third digit.
+The step is large because metrics of simulated runs are not smooth in the third digit.
 """
 
 _PRIOR_STD = 3.0
-"""Standard deviation of z of a parameter without a prior in the robot file."""
+"""Standard deviation of z for a parameter without a prior in the robot file."""
 
 
 @dataclass(frozen=True)
@@ -79,10 +78,10 @@ class CandidateExperiment:
     """Experiment that a design may choose.
 
     Attributes:
-        description: instruction for the lab sheet.
+        description: instruction for the operator.
         minutes: duration, minutes.
-        predict: function of a robot that returns the predicted observations.
-        noise: function of the predictions that returns their standard deviations.
+        predict: function that returns the predicted observations for a robot.
+        noise: function that returns the standard deviations of given predictions.
     """
 
     description: str
@@ -228,16 +227,16 @@ def _gait_runs(spec: RobotSpec) -> Iterator[CandidateExperiment]:
 
 @dataclass(frozen=True)
 class ExperimentDesign:
-    """Chosen experiments and the accuracy after each.
+    """Chosen experiments and the accuracy after each experiment.
+
+    Accuracies are half widths of 95 % intervals relative to the value of the parameter.
+    The accuracy of a parameter with the value 0 is absolute.
 
     Attributes:
-        chosen: experiments in order.
-        after: for each requested parameter, half the 95 % interval after each
-            experiment, relative to the value (in the parameter's unit if the value is
-            0).
-        before: half the 95 % interval before the first experiment, in the units of
-            `after`.
-        targets: requested accuracy.
+        chosen: experiments in the order of the design.
+        after: accuracy of each requested parameter after each experiment.
+        before: accuracy of each requested parameter before the first experiment.
+        targets: requested accuracy of each parameter.
     """
 
     chosen: tuple[CandidateExperiment, ...]
@@ -274,12 +273,12 @@ class ExperimentDesign:
 
 @checked
 def calibrate_design(robot: StrPath, want: Mapping[str, float]) -> ExperimentDesign:
-    """Choose the recordings for a requested accuracy, as `srs-twin calibrate design`.
+    """Choose recordings for a requested accuracy, as `srs-twin calibrate design` does.
 
     Args:
         robot: name or path of the robot, whose file states what is known.
-        want: half the requested 95 % interval of each parameter, relative to its value
-            (0.05 is 5 %).
+        want: half width of the requested 95 % interval of each parameter, relative to
+            the value (0.05 is 5 %).
 
     Raises:
         InputError: the robot is not valid, or no parameter is requested.
@@ -303,14 +302,13 @@ def choose_experiments(
     known: Mapping[str, tuple[float, float]],
     targets: Mapping[str, float],
 ) -> ExperimentDesign:
-    """Choose experiments until the requested accuracy is reached (module docstring).
+    """Choose experiments until the requested accuracy is reached.
 
     Args:
-        spec: robot with its current values.
-        known: value and standard deviation of each uncertain parameter, from the robot
-            file.
-        targets: half the requested 95 % interval of each parameter, relative to its
-            value.
+        spec: robot with the current values.
+        known: value and standard deviation of each uncertain parameter.
+        targets: half width of the requested 95 % interval of each parameter, relative
+            to the value.
 
     Raises:
         InputError: no parameter is requested.
@@ -371,7 +369,7 @@ def _information(
     values: Mapping[str, float],
     scale: Array,
 ) -> Array:
-    """Return the information JᵀR⁻¹J by central differences, one-sided at 0."""
+    """Return the information JᵀR⁻¹J from central differences (one-sided at 0)."""
     predicted = experiment.predict(spec)
     columns = []
     for name, size in zip(names, scale, strict=True):

@@ -1,25 +1,24 @@
-r"""Result of a fit: parameter values with verdicts, and residuals.
+r"""Result of a fit, with a verdict on each parameter.
 
-The verdicts of `identifiability` assume that the model is right. No parameter is
-identified if the weighted residuals exceed the noise by more than `MAX_RESIDUAL_SCALE`.
-This applies to all residuals together and to each kind of signal. The verdict is then
-"cannot tell", since an interval only shows the scatter about the best value under a
-wrong model.
+The verdicts of `identifiability` assume that the model is correct. If the RMS of the
+weighted residuals exceeds `MAX_RESIDUAL_SCALE`, in total or for one kind of signal, the
+model does not explain the data. The verdict is then "cannot tell", because a confidence
+interval has no meaning under a wrong model.
 
-**Independent samples.** Residuals of neighbouring samples are correlated, because
-cameras and filters smooth the noise and because the model has errors. With the
-autocorrelation ρ_k of the residuals, n samples determine a mean as well as n/τ
-independent samples, where
+**Independent samples.** Residuals of successive samples are correlated, because cameras
+and filters smooth the noise and because the model has errors. With the autocorrelation
+ρ_k of the residuals, n samples are equivalent to n/τ independent samples, where
 
 $$ \tau = 1 + 2 \sum_{k \ge 1} \rho_k . $$
 
-The sum ends where the pairs ρ_{2m} + ρ_{2m+1} cease to be positive (initial positive
+The sum ends at the first pair ρ_{2m} + ρ_{2m+1} that is not positive (initial positive
 sequence; Geyer 1992, Statistical Science 7). A fit of p parameters removes slow noise
-from the residuals, about a fraction c = p τ/n of their power at all short lags. This is
-corrected by ρ_k → (ρ_k + c)/(1 + c), which is iterated because c depends on τ.
+from the residuals, about a fraction c = p τ/n of their power at all short lags. The
+autocorrelation is therefore corrected by ρ_k → (ρ_k + c)/(1 + c), iteratively because c
+depends on τ.
 
-All series are pooled, weighted by their power. The values of a series that is too
-short, such as pulls or averages of runs, count as independent samples.
+The autocorrelations of all series are averaged with their power as weight. The values
+of a short series, such as pulls or averages of runs, count as independent samples.
 """
 
 from __future__ import annotations
@@ -60,9 +59,9 @@ class Residual:
         name: names of data set and signal, such as ``"step_1 bend_2"``.
         unit: unit of the values.
         values: residuals, shape (samples,), in the order of time for a time series.
-        scale: standard deviation of the expected noise, in `unit`; the inverse weight
-            in the fit.
-        role: "fit", or "validation" for data that the fit does not use.
+        scale: standard deviation of the expected noise, in `unit`, by which residuals
+            are divided in the fit.
+        role: role of the data, "fit" or "validation".
     """
 
     name: str
@@ -73,7 +72,7 @@ class Residual:
 
     @property
     def rms(self) -> float:
-        """Root mean square, in the unit."""
+        """Root mean square of the residuals."""
         if len(self.values):
             return float(np.sqrt(np.mean(self.values**2)))
         return 0.0
@@ -81,17 +80,17 @@ class Residual:
 
 @dataclass(frozen=True)
 class Parameter:
-    """Estimated value of one parameter.
+    """Estimated value of one parameter, with a verdict.
 
-    A parameter is "identified" if its standard error is at most a tenth of its value or
-    scale. It is "weakly identified" if the standard error is at most the value or
-    scale. The verdict is "cannot tell" if the model does not explain the data. A
-    parameter that these data do not determine is "not identifiable" and has no value.
+    - "identified": the standard error is at most a tenth of the value or scale.
+    - "weakly identified": the standard error is at most the value or scale.
+    - "cannot tell": the model does not explain the data.
+    - "not identifiable": the data do not determine the parameter, which has no value.
 
     Attributes:
-        name: name, see `parameters`.
-        unit: unit of all values here.
-        verdict: verdict on the parameter, see above.
+        name: name of the parameter as in `parameters`.
+        unit: unit of value, standard error and interval.
+        verdict: verdict on the parameter.
         value: estimate.
         standard_error: standard error of the estimate.
         low: lower end of the 95 % confidence interval.
@@ -124,13 +123,13 @@ def half_width(error: float, freedom: float) -> float:
         error: standard error of an estimate.
         freedom: degrees of freedom of the standard error.
     """
-    from scipy import stats  # the import takes long, so only fits pay for it
+    from scipy import stats  # imported here because the import takes long
 
     return float(stats.t.ppf(0.5 + LEVEL / 2, freedom)) * error
 
 
 def verdict_on(error: float, scale: float) -> Verdict:
-    """Return the verdict on a standard error; `scale` is a significant difference."""
+    """Return the verdict on a standard error in units of a significant difference."""
     if error <= IDENTIFIED_ERROR * scale:
         return "identified"
     return "weakly identified"
@@ -155,14 +154,14 @@ def correlation_matrix(
     """Return the correlation matrix, with NaN for parameters that have no value.
 
     Args:
-        covariance: covariance of the parameters, shape (parameters, parameters);
-            entries of parameters without a value are ignored.
-        parameters: parameters.
+        covariance: covariance of the parameters, shape (parameters, parameters).
+            Entries of parameters without a value are ignored.
+        parameters: estimated parameters.
     """
     matrix = np.full(covariance.shape, np.nan)
     rows = with_value(parameters)
     known = covariance[np.ix_(rows, rows)]
-    # Without noise all errors are 0, so a lower limit avoids 0/0.
+    # Without noise all standard errors are 0, so a lower limit avoids 0/0.
     errors = np.maximum(np.sqrt(np.diag(known)), 1e-150)
     matrix[np.ix_(rows, rows)] = np.clip(known / np.outer(errors, errors), -1.0, 1.0)
     matrix[rows, rows] = 1.0
@@ -175,17 +174,17 @@ class FitEstimate(HtmlResult):
 
     Attributes:
         parameters: estimated parameters, in the requested order.
-        correlation: correlation of the estimates, shape (parameters, parameters); NaN
-            for a parameter without a value.
+        correlation: correlation matrix of the estimates, shape (parameters,
+            parameters). Entries of a parameter without a value are NaN.
         residuals: residuals of all data, fit and validation.
-        cancels: unidentifiable directions, each a mapping of names to components in the
-            coordinates of `parameters`. With {mass: 0.71, stiffness: 0.71}, only the
+        cancels: unidentifiable directions, each with components by parameter name in
+            the coordinates z. In the direction {mass: 0.71, stiffness: 0.71}, only the
             ratio of mass and stiffness has an effect.
         samples: number of fitted samples.
-        independent: equivalent number of independent samples, see `correlation_time`.
-        residual_scale: standard deviation of the weighted residuals; 1 if they are as
-            large as expected.
-        held: values by name that were fixed in the fit and affect the estimates.
+        independent: equivalent number of independent samples (`correlation_time`).
+        residual_scale: standard deviation of the weighted residuals, which is 1 if the
+            residuals are as large as expected.
+        held: values that were fixed in the fit and affect the estimates, by name.
         converged: whether the search converged.
         derived: quantities that follow from the parameters, such as a frequency.
     """
@@ -211,7 +210,7 @@ class FitEstimate(HtmlResult):
 
     @property
     def values(self) -> dict[str, float]:
-        """Estimated values, by name."""
+        """Estimated values by parameter name."""
         return {
             parameter.name: parameter.value
             for parameter in self.parameters
@@ -271,14 +270,11 @@ _MIN_SERIES = 20
 """Minimum number of values of a signal that is treated as a time series."""
 
 _GROWTH = 1.5
-"""Ratio of RMS values above which residuals count as growing.
-
-It compares the second half of a series with the first half.
-"""
+"""Ratio of the RMS in the second to the first half that indicates growing residuals."""
 
 
 def residuals_by_kind(residuals: Sequence[Residual]) -> dict[str, list[Residual]]:
-    """Return the fit's residuals per kind of signal, sorted by weighted RMS."""
+    """Return the residuals per kind of signal, sorted by weighted RMS."""
     kinds: dict[str, list[Residual]] = {}
     for residual in residuals:
         if residual.role == "fit" and len(residual.values):
@@ -293,7 +289,7 @@ def _weighted_rms(residuals: Sequence[Residual]) -> float:
 
 
 def explains_data(residuals: Sequence[Residual], scale: float) -> bool:
-    """Return whether the model explains the data, all together and each kind of signal.
+    """Return whether the model explains all data and each kind of signal.
 
     Args:
         residuals: all residuals.
@@ -325,14 +321,14 @@ MIN_CORRELATED_SAMPLES = 20
 """Minimum length of a series from which the autocorrelation is estimated."""
 
 _ITERATIONS = 5
-"""Iterations of the correction for fitted parameters; τ converges within three."""
+"""Number of iterations of the correction for fitted parameters (three suffice)."""
 
 _MAX_REMOVED_SHARE = 0.5
-"""Maximum c of the correction, beyond which the residuals no longer show the noise."""
+"""Maximum value of c, above which the residuals no longer represent the noise."""
 
 
 def correlation_time(series: Sequence[np.ndarray], unknowns: int = 0) -> float:
-    """Return the correlation time τ in samples, at least 1 (module docstring).
+    """Return the correlation time τ in samples, which is at least 1.
 
     Args:
         series: residuals over time in comparable units, each of shape (samples,).

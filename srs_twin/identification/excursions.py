@@ -1,7 +1,8 @@
-"""Maximum distance of a follower's body beyond its footprint, over random paths.
+"""Excursions of a path follower, measured on random paths.
 
-The runs use the conditions of a scenario. They follow random paths of length `LENGTH_M`
-without obstacles, after the scenario's straight run-up. The seed of a run draws the
+An excursion is the maximum distance of the body beyond the footprint. The runs have the
+conditions of a scenario. After the straight run-up of the scenario, the robot follows a
+random path of length `LENGTH_M` without obstacles. The seed of a run determines the
 modules, the camera noise and the path.
 """
 
@@ -39,13 +40,13 @@ from srs_twin.scenario.plants import PlantsFile
 from srs_twin.scenario.scenario import Scenario
 
 LENGTH_M = 3.5
-"""Length of a random path."""
+"""Length of a random path, m."""
 
 _ARC_LENGTHS_M = (0.3, 0.8)
-"""Minimum and maximum length of an arc."""
+"""Minimum and maximum length of an arc, m."""
 
 _MIN_ARC_M = 0.05
-"""Remaining length below which no further arc is added."""
+"""Remaining length below which no further arc is added, m."""
 
 _MAX_HEADING = 1.4
 """Maximum heading of a random path relative to its start, rad.
@@ -54,24 +55,22 @@ Beyond this heading a path might cross itself.
 """
 
 _SLOWEST_SHARE = 0.5
-"""Mean speed below which a run counts as not arrived.
+"""Mean speed below which a run counts as failed, relative to the footprint.
 
-It is relative to the lowest speed of the footprint.
+The reference is the minimum speed over all offsets of the footprint.
 """
 
 _DIGITS = 4
-"""Decimals of excursions in a footprint file."""
+"""Number of decimals of excursions in a footprint file."""
 
 
 @dataclass(frozen=True)
 class FollowerRun:
-    """Run of a scenario's follower along a random path.
+    """Run of the path follower of a scenario along a random path.
 
     Attributes:
         document: scenario with a straight path to follow, as plain data.
-        run_up: straight length at the start of the path, m.
-        plant: simulated plant.
-        seed: random seed of modules, noise and path.
+        run_up: length of the straight start of the path, m.
     """
 
     document: dict[str, object]
@@ -80,7 +79,7 @@ class FollowerRun:
     seed: int
 
     def run(self) -> tuple[float, float]:
-        """Return the maximum excursions during the run-up and after it, m."""
+        """Return the maximum excursions during the run-up and afterwards, m."""
         scenario = parse_scenario(self.document | {"seed": self.seed})
         planner = scenario.planner
         follower = scenario.build_controller()
@@ -110,7 +109,7 @@ class FollowerRun:
             replan=lambda pose, share: plan_from(pose),
         )
         longest = (self.run_up + LENGTH_M + 1) / (_SLOWEST_SHARE * min(body.speeds))
-        # Use a multiple of the scenario's duration, which is a whole number of ticks.
+        # A multiple of the duration of the scenario is a whole number of ticks.
         duration = scenario.duration * math.ceil(longest / scenario.duration)
         trajectory = rollout(
             scenario.build_plant(self.plant),
@@ -128,7 +127,7 @@ class FollowerRun:
         during_run_up = 0.0
         if self.run_up:
             during_run_up = float(excess[~is_after].max(initial=0.0))
-        if metadata["ending"] != next(iter(ENDINGS)):  # not arrived
+        if metadata["ending"] != next(iter(ENDINGS)):  # the robot did not arrive
             return during_run_up, LOST_M
         return during_run_up, float(excess[is_after].max())
 
@@ -136,11 +135,7 @@ class FollowerRun:
 def _random_arcs(
     rng: np.random.Generator, low: float, high: float
 ) -> list[tuple[float, float]]:
-    """Return the curvature and length of each arc of a random path.
-
-    As in plans, an arc is straight or has an extreme curvature. The first arc is
-    curved.
-    """
+    """Return curvature and length of arcs, which are straight or curved as in plans."""
     arcs = []
     left = LENGTH_M
     heading = 0.0
@@ -150,8 +145,8 @@ def _random_arcs(
             rng.choice([value for value in (low, 0.0, high) if value != curvature])
         )
         length = min(float(rng.uniform(*_ARC_LENGTHS_M)), left)
-        # The heading is limited, because the nearest point is ambiguous on a path that
-        # crosses itself.
+        # The heading is limited because the nearest point of a path that crosses itself
+        # is ambiguous.
         if curvature and abs(heading + curvature * length) > _MAX_HEADING:
             length = (math.copysign(_MAX_HEADING, curvature) - heading) / curvature
         if length > _MIN_ARC_M:
@@ -162,7 +157,10 @@ def _random_arcs(
 
 
 NO_MARGIN = Override("a margin to be measured", ("planner", "margin_probability"), None)
-"""Override that removes the margin of a scenario, which would hide the excursions."""
+"""Override that removes the margin of a scenario.
+
+A margin would hide the excursions.
+"""
 
 
 @checked
@@ -176,13 +174,14 @@ def calibrate_margin(
     workers: int | None = None,
     progress: Callable[[int, int], object] = max,
 ) -> tuple[ExcursionsFile, ...]:
-    """Measure excursions from random paths, as `srs-twin calibrate margin`.
+    """Measure excursions from random paths, as `srs-twin calibrate margin` does.
 
     Args:
         scenario: name or path of a scenario that follows a plan, or a loaded scenario.
-        out: folder of the footprint file that receives the excursions, or None.
-        set: values that override fields of the scenario, see `load_scenario`.
-        runs: runs per plant.
+        out: output folder of the footprint file with the excursions, or None to write
+            no file.
+        set: values that override fields of the scenario, as in `load_scenario`.
+        runs: number of runs per plant.
         plants: plants to run, by default the plants of the scenario.
         workers: number of processes, by default one per processor.
         progress: function called with the numbers of finished and of all runs.
@@ -234,12 +233,12 @@ def measure_excursions(
     workers: int | None,
     progress: Callable[[], None],
 ) -> ExcursionsFile:
-    """Measure the excursions of a scenario's follower on a plant.
+    """Measure the excursions of the path follower of a scenario on a plant.
 
     Args:
         scenario: scenario that follows a plan.
-        plant: "analytical" or "twin".
-        runs: number of runs; their seeds start at 0.
+        plant: simulated plant, "analytical" or "twin".
+        runs: number of runs, whose seeds start at 0.
         workers: number of processes, by default one per processor.
         progress: function called after each run.
 

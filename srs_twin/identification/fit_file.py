@@ -1,7 +1,7 @@
 """Fit files, which store a fit with its data, command line and package versions.
 
-The files are calibration/fits/*.yaml. Each data set is listed with its hash and its
-role, fit or validation. A file that uses the same samples for both is refused.
+The files are calibration/fits/*.yaml. Each data set is listed with its SHA-256 and its
+role, fit or validation. A file in which samples have both roles is refused.
 """
 
 from __future__ import annotations
@@ -39,12 +39,11 @@ class DataSet:
     """Data set of a fit.
 
     Attributes:
-        name: file name, or a label.
+        name: file name or label.
         sha256: SHA-256 of the file, or of the numbers if there is no file.
-        role: "fit", or "validation" for data that the fit does not use.
-        samples: number of samples.
-        from_s: start of the used part, s, or None if everything is used.
-        to_s: end of the used part, s, or None.
+        role: role of the data, "fit" or "validation".
+        from_s: start of the part that is used, s, or None for the start of the data.
+        to_s: end of the part that is used, s, or None for the end of the data.
     """
 
     name: str
@@ -69,7 +68,7 @@ class DataSet:
 
 
 class Data(Protocol):
-    """Measurements of any kind."""
+    """Protocol of measurements of any kind."""
 
     def data_set(self, role: Role) -> DataSet:
         """Return name, hash and size of the data."""
@@ -125,7 +124,7 @@ def check_disjoint(sets: Iterable[DataSet]) -> None:
 
 
 def array_hash(*arrays: np.ndarray) -> str:
-    """Return the SHA-256 of arrays and their shapes, hexadecimal."""
+    """Return the SHA-256 of arrays and their shapes as a hexadecimal text."""
     digest = hashlib.sha256()
     for array in arrays:
         values = np.ascontiguousarray(array, dtype=float)
@@ -174,28 +173,28 @@ _DIGITS = 9
 """Significant digits of numbers in a fit file."""
 
 _NUMBERS = ("value", "standard_error", "low", "high")
-"""Keys of a parameter that are missing if it is not identifiable."""
+"""Keys that are missing if a parameter has no value."""
 
 
 class DataEntry(StrictModel):
     """Data set and its role."""
 
     name: Text
-    """File name, or a label."""
+    """File name or label of the data."""
     sha256: Annotated[
         str, Field(pattern="^[0-9a-f]{64}$", min_length=64, max_length=64)
     ]
-    """SHA-256 of the data, hexadecimal."""
+    """SHA-256 of the data as a hexadecimal text."""
     role: Role
-    """fit: used by the fit; validation: not used by the fit."""
+    """Role of the data: fit, or validation for data that the fit does not use."""
     samples: Count
     """Number of samples, 0 to 1e9."""
     from_s: Number | None = None
-    """Start of the part that is used, s (default: all)."""
+    """Start of the part that is used, s (default: start of the data)."""
     to_s: Number | None = None
-    """End of the part that is used, s (default: all)."""
+    """End of the part that is used, s (default: end of the data)."""
     measured: Averages | None = None
-    """Measured averages, by name with unit."""
+    """Measured averages by name with unit."""
     predicted: Averages | None = None
     """Averages predicted by the plant with the fitted values."""
 
@@ -208,13 +207,13 @@ class ParameterEntry(StrictModel):
     """Fitted parameter."""
 
     name: Text
-    """Name as in robot files, section.key, with a number for an element of a list."""
+    """Name section.key as in robot files, with a number for an element of a list."""
     unit: Annotated[str, Field(min_length=1, max_length=20)]
     """Unit of value, standard_error, low and high."""
     verdict: Verdict
     """Verdict on identifiability."""
     value: Number | None = None
-    """Estimate; missing if not identifiable."""
+    """Estimated value, which is missing if the parameter is not identifiable."""
     standard_error: Size | None = None
     """Standard error of the estimate."""
     low: Number | None = None
@@ -233,7 +232,7 @@ class QualityFile(StrictModel):
     independent_samples: Annotated[float, bounded(0.0, 1e9)]
     """Equivalent number of independent samples."""
     rms: Size | None = None
-    """RMS of the weighted residuals of the fit; 1 if they are as large as expected."""
+    """RMS of the weighted residuals of the fit (1 if they are as large as expected)."""
     validation_rms: Size | None = None
     """RMS of the weighted residuals of the validation."""
     converged: bool
@@ -254,13 +253,13 @@ class FitFile(StrictModel, HtmlResult):
     title: Text
     """Title, one line."""
     robot: Text
-    """Robot that the fit started from, a name or a path."""
+    """Name or path of the robot that the fit started from."""
     method: Method
     """Method of the fit."""
     command: Annotated[str, Field(min_length=1, max_length=_MAX_COMMAND_LENGTH)]
-    """Command that made the fit."""
+    """Command that produced the fit."""
     versions: Annotated[dict[str, Text], Field(max_length=30)]
-    """Package: version."""
+    """Version of each package."""
     data: Annotated[list[DataEntry], Field(min_length=1, max_length=200)]
     """Data sets of fit and validation."""
     held: Annotated[dict[str, Number], Field(max_length=100)]
@@ -270,11 +269,11 @@ class FitFile(StrictModel, HtmlResult):
     correlation: Annotated[
         list[Annotated[list[Share], Field(max_length=100)]], Field(max_length=100)
     ]
-    """Correlation matrix of the parameters with a value, in their order."""
+    """Correlation matrix of the parameters that have a value, in their order."""
     cancels: Annotated[
         list[Annotated[dict[str, Share], Field(max_length=100)]], Field(max_length=100)
     ]
-    """Unidentifiable directions: name and component."""
+    """Unidentifiable directions, each with components by parameter name."""
     derived: Annotated[list[ParameterEntry], Field(max_length=20)] | None = None
     """Quantities that follow from the parameters, such as a frequency (default: none).
     """
@@ -341,15 +340,15 @@ class FitFile(StrictModel, HtmlResult):
 def fit_file(
     estimate: FitEstimate, *, data: Sequence[DataSet], **about: Any
 ) -> FitFile:
-    """Return the fit file of an estimate.
+    """Build the fit file of an estimate.
 
     Args:
-        estimate: fit result.
+        estimate: result of the fit.
         data: all data with their roles.
         **about: name, title, robot, method, command and versions of the `FitFile`.
 
     Raises:
-        InputError: data have both roles.
+        InputError: fit and validation have samples in common.
     """
     check_disjoint(data)
     rows = with_value(estimate.parameters)
@@ -375,7 +374,11 @@ def fit_file(
 
 
 def check_fit_suffix(option: str, path: Path) -> None:
-    """Check that a path names a fit file, given the name of its option.
+    """Check that a path has the suffix of a fit file.
+
+    Args:
+        option: name of the option for the error message.
+        path: path to check.
 
     Raises:
         InputError: the path has another suffix.
@@ -399,7 +402,7 @@ def load_fit(path: StrPath) -> FitFile:
 
     Raises:
         InputError: the file does not exist or cannot be read.
-        InputFileError: the file is invalid; all problems are listed.
+        InputFileError: the file is invalid.
     """
     return load_model(FitFile, require_file(Path(path)), {("robot",): "robot"})
 

@@ -33,7 +33,7 @@ def fit_report(fit: FitFile, estimate: FitEstimate) -> str:
 
     Args:
         fit: fit file.
-        estimate: fit result with the residuals of all data.
+        estimate: result of the fit with the residuals of all data.
     """
     quality = fit.quality
     validated = (
@@ -65,7 +65,7 @@ def fit_report(fit: FitFile, estimate: FitEstimate) -> str:
 
 
 def fit_page(fit: FitEstimate | FitFile) -> str:
-    """Return a fit as HTML for a notebook."""
+    """Return the HTML of a fit for a notebook."""
     return notebook_output(
         getattr(fit, "title", "Fit"),
         parameter_table((*fit.parameters, *(fit.derived or ()))),

@@ -1,7 +1,7 @@
 """Robots with the fitted parameters of one or more fits.
 
-The result is the `robot: {base: …}` block of a scenario, or a robot file. Later fits
-override earlier ones.
+The result is the block `robot: {base: …}` of a scenario, or a robot file. Later fits
+override earlier fits.
 """
 
 from __future__ import annotations
@@ -38,16 +38,16 @@ _STDS_IN_INTERVAL = 3.92
 """Width of a 95 % interval in standard deviations."""
 
 _MIN_CORRELATION = 0.05
-"""Magnitude of a correlation below which it is not written."""
+"""Minimum magnitude of a correlation that is written."""
 
 _MAX_CORRELATION = 0.99
 """Maximum magnitude of a written correlation.
 
-A value of 1 would make the correlation matrix singular.
+With a correlation of 1, the correlation matrix would be singular.
 """
 
 _ROUNDING = 1e-7
-"""Tolerance for equal values, since fit files have nine digits."""
+"""Tolerance for equal values. Numbers in fit files have nine digits."""
 
 
 def robot_override(
@@ -61,8 +61,8 @@ def robot_override(
     Args:
         fit: fit, whose robot becomes the base.
         weak: whether weakly identified parameters are included.
-        over: base with the results of other fits, by default the base alone. It keeps
-            list elements that this fit does not have.
+        over: base robot with the results of other fits, by default the base robot. List
+            elements that this fit does not estimate are kept.
 
     Raises:
         InputError: the base robot does not exist or draws a fitted parameter at random,
@@ -106,10 +106,7 @@ def robot_override(
 def _changes(
     fit: FitFile, used: Sequence[ParameterEntry], changed: Iterable[str]
 ) -> Iterator[tuple[str, str, str]]:
-    """Yield the name, status and source of the values that change.
-
-    If several values change one record, the first determines its status and source.
-    """
+    """Yield the name, status and source of the values that change."""
     for parameter in used:
         record = _record_key(parameter.name)
         same_record = [other for other in used if _record_key(other.name) == record]
@@ -184,12 +181,11 @@ def _record_key(name: str) -> str:
 
 
 def _prior(parameter: ParameterEntry) -> dict[str, object]:
-    """Return the `uncertain` entry of a record, or an empty one for list elements."""
     numbers = (parameter.value, parameter.low, parameter.high)
     if parameter.name.startswith(("modules.", "mass.")) or None in numbers:
         return {}
     value, low, high = (float(number or 0.0) for number in numbers)
-    if low > 0.0:  # positive parameters are fitted as logarithms
+    if low > 0.0:  # logarithms of positive parameters are fitted
         factor = (high / low) ** (1 / _STDS_IN_INTERVAL)
         if factor > 1.0 and value:
             return {"uncertain": {"kind": "lognormal", "factor": min(factor, 100.0)}}
@@ -227,7 +223,7 @@ def merge_overrides(
     """Return the robot block of a scenario with the results of several fits.
 
     Args:
-        fits: paths of fit files; later files override earlier ones.
+        fits: paths of fit files, of which later ones override earlier ones.
         base: robot to change, by default the robot of the fits.
         weak: whether weakly identified parameters are included.
 
@@ -275,7 +271,7 @@ def fitted_robot(fits: Sequence[StrPath], name: str, *, weak: bool = True) -> Ro
         weak: whether weakly identified parameters are included.
 
     Raises:
-        InputError: see `merge_overrides`.
+        InputError: `merge_overrides` fails.
         InputFileError: the result is not a valid robot.
     """
     block = merge_overrides(fits, weak=weak)
@@ -292,13 +288,13 @@ def calibrate_robot(
     weak: bool = True,
     overwrite: bool = False,
 ) -> RobotFile:
-    """Return a robot with the results of fits, as `srs-twin calibrate robot`.
+    """Return a robot with the results of fits, as `srs-twin calibrate robot` does.
 
-    `RobotFile.spec` turns the result into a robot for the plants.
+    `RobotFile.spec` converts the result to a specification for the plants.
 
     Args:
-        fits: fit files of one robot; later files override earlier ones.
-        name: robot name.
+        fits: fit files of one robot, of which later ones override earlier ones.
+        name: name of the robot.
         out: path of the robot file, or None to write nothing.
         weak: whether weakly identified parameters are included.
         overwrite: whether an existing file is replaced.

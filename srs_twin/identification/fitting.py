@@ -72,12 +72,12 @@ class DataOptions:
 
 @dataclass(frozen=True)
 class FitOptions:
-    """Output files of a fit, and how it is reported.
+    """Output files of a fit, and format of the printed result.
 
     Options:
         --name NAME: Name of the fit and its file. [default: ROBOT_WHAT]
-        --out FILE.yaml: Fit file. [default: calibration/fits/NAME.yaml]
-        --overwrite: Replace an existing fit that another command wrote.
+        --out FILE.yaml: Output fit file. [default: calibration/fits/NAME.yaml]
+        --overwrite: Replace an existing fit file that another command wrote.
     """
 
     name: str | None = None
@@ -88,7 +88,7 @@ class FitOptions:
 
 
 class FitProgress(Display):
-    """Progress display of a search: number of model runs and best fit so far."""
+    """Display of the number of model runs and the best weighted RMS of a search."""
 
     def __init__(self, title: str, *, quiet: bool = False) -> None:
         super().__init__(title, quiet=quiet)
@@ -96,7 +96,7 @@ class FitProgress(Display):
         self._smallest_rms = 0.0
 
     def __call__(self, runs: int, smallest_rms: float) -> None:
-        """Show a model run and the best weighted RMS so far."""
+        """Show the number of model runs and the best weighted RMS so far."""
         self._runs = runs
         self._smallest_rms = smallest_rms
         self._show()
@@ -127,14 +127,14 @@ _MAX_SIGNALS = 24
 def print_table(
     headings: Sequence[str], rows: Iterable[Sequence[str]], left: Collection[int] = ()
 ) -> None:
-    """Print a table, whose columns in `left` are left-aligned."""
+    """Print a table. The columns in `left` are left-aligned."""
     table = new_table(*headings, left=left)
     for row in rows:
         table.add_row(*row)
     terminal = console()
     terminal.width = max(
         terminal.width, _TABLE_WIDTH
-    )  # truncated numbers would be wrong numbers
+    )  # a truncated number would look like another number
     terminal.print(table)
 
 
@@ -156,7 +156,7 @@ def print_estimate(estimate: FitEstimate) -> None:
         _residual_lines(estimate),
         *estimate.misfit,
     ):
-        terminal.print(line, soft_wrap=True)  # a wrapped path could not be copied
+        terminal.print(line, soft_wrap=True)  # a path with line breaks cannot be copied
     if not estimate.converged:
         terminal.print("the search did not converge")
 
@@ -209,15 +209,11 @@ NOTHING_WRITTEN = "nothing was written"
 
 @dataclass(frozen=True)
 class FitOutput:
-    """Output files of a fit and how it is reported.
+    """Output files of a fit, and format of the printed result.
 
     Attributes:
-        name: fit name.
-        path: fit file; the report is written to the same folder.
-        robot: initial robot, as given.
-        command: command line.
-        quiet: whether only errors are printed.
-        as_json: whether the fit is printed as JSON.
+        path: path of the fit file. The report is written to the same folder.
+        robot: name or path of the initial robot, as given.
     """
 
     name: str
@@ -312,7 +308,7 @@ def command_line(context: typer.Context) -> str:
     arguments: list[str] = []
     for parameter in context.command.params:
         value: object = context.params.get(parameter.name or "")
-        # Ignore output options, because they do not change the result.
+        # Output options do not change the result.
         is_output = parameter.name in ("quiet", "overwrite", "as_json")
         if is_output or value in (None, (), [], parameter.default):
             continue
@@ -331,7 +327,7 @@ def command_line(context: typer.Context) -> str:
 
 
 def parse_names(text: str | None) -> list[str] | None:
-    """Split a list such as friction.mu_t,friction.mu_n; None stays None.
+    """Split a list such as friction.mu_t,friction.mu_n, or return None for None.
 
     Raises:
         InputError: the list is empty.

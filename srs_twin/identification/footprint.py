@@ -1,9 +1,9 @@
-"""Measurement of footprints: the area that a robot sweeps while it crawls.
+"""Measurement of footprints, that is, of the area that a crawling robot sweeps.
 
-Section 5.3 measured the curvature of the path, the speed and the circles that bound the
-body at seven offsets (Fig. 58, Table 8). Here the measurements are made on a simulated
-plant. Each offset is run with several initial phases of the gait, and each change of
-offset occurs at several phases.
+The dissertation measured curvature, speed and the circles that bound the body at seven
+offsets (Section 5.3, Fig. 58, Table 8). Here the measurements are made on a simulated
+plant. Each offset is simulated with several initial phases of the gait, and each change
+of offset occurs at several phases.
 """
 
 from __future__ import annotations
@@ -41,16 +41,17 @@ from srs_twin.trajectory import Trajectory
 PLANTS = ("twin", "analytical")
 CONTROLLERS = ("gait", "ilc")
 TICK = 0.005
-"""Control tick, s.
+"""Control period, s.
 
-Learning must resolve the peaks of the ripple, and changes of offset must fall on ticks.
+It is short because learning must resolve the peaks of the ripple, and because changes
+of offset must fall on ticks.
 """
 
 RECORD_HZ = 100.0
 """Sampling rate of the runs, Hz."""
 
 FREQUENCY_HZ = {"gait": 2.0, "ilc": 1.5}
-"""Default gait frequency of a footprint, by controller, Hz."""
+"""Default gait frequency for each controller, Hz."""
 
 _MIN_SAMPLES = 25
 """Minimum number of samples per gait period that resolves the edges."""
@@ -61,17 +62,16 @@ class GaitSetup:
     """Robot, gait and plant of a footprint.
 
     Attributes:
-        spec: robot.
+        spec: robot specification.
         frequency: gait frequency, Hz.
         supply_pa: supply pressure, Pa.
         controller: "gait" (Eq. 13) or "ilc" (Eq. 32).
-        target: target bend amplitude of the learning, rad.
+        target: target bend amplitude of the learning controller, rad.
         plant: "twin", "analytical" (model compliant on wheels), or a function that
             creates a plant with the tick `TICK`.
-        steering: steering of the learning, see `ILC`.
-        chambers: "lag" or "orifice", for a plant given by name.
-        contact: contact of the twin, or None for the default of the twin or another
-            plant.
+        steering: steering of the learning controller, as in `ILC`.
+        chambers: pneumatic model of a plant given by name, "lag" or "orifice".
+        contact: contact model of the twin, or None for the default.
     """
 
     spec: RobotSpec
@@ -88,8 +88,8 @@ class GaitSetup:
         """Validate the settings.
 
         Raises:
-            InputError: a number is out of its range, or the pressure exceeds the
-                robot's limit for pulses.
+            InputError: a number is out of range, or the pressure exceeds the limit of
+                the robot for pulses.
             UnknownNameError: the controller, plant or chambers do not exist.
         """
         allowed = {"controller": CONTROLLERS, "plant": PLANTS, "chambers": KINDS}
@@ -125,11 +125,11 @@ class GaitSetup:
                 f"frequency {self.frequency:g} Hz is not allowed; it must be"
                 f" {highest:.3g} Hz or less"
             )
-        self.make_controller(0.0)  # raises for invalid settings
+        self.make_controller(0.0)  # raises an error if a setting is invalid
 
     @property
     def twin_contact(self) -> str | None:
-        """Contact of the twin; None for another plant."""
+        """Contact model of the twin, or None for another plant."""
         if self.plant == "twin":
             return self.contact or ModelSettings.contact.name
         return None
@@ -151,10 +151,7 @@ class GaitSetup:
 
     @property
     def offsets(self) -> tuple[float, ...]:
-        """Default offsets, from Table 8 with learning, otherwise from Fig. 33.
-
-        They reach ±0.3 with learning and ±0.4 otherwise.
-        """
+        """Default offsets: ±0.3 with learning (Table 8), otherwise ±0.4 (Fig. 33)."""
         count = 3 if self.controller == "ilc" else 4
         return tuple(k / 10 for k in range(-count, count + 1))
 
@@ -175,7 +172,7 @@ class GaitSetup:
         return Gait(self.frequency, offset, phase=phase)
 
     def plant_factory(self) -> Callable[[], Plant]:
-        """Return a function that creates the plant, after heavy imports."""
+        """Return a function that creates the plant."""
         if callable(self.plant):
             return self.plant
         return partial(_make_plant, self)
@@ -183,7 +180,7 @@ class GaitSetup:
     def steady_job(
         self, factory: Callable[[], Plant], offset: float, phase: float, periods: int
     ) -> Job:
-        """Return a run at one offset, measured in its last `periods` gait periods."""
+        """Return a run at one offset that is measured in the last gait periods."""
         duration = next_sample((self.settling_periods + periods) * self.period)
         return Job(
             factory,
@@ -203,9 +200,9 @@ class GaitSetup:
         time: float,
         periods: int,
     ) -> Job:
-        """Return a run with a change of offset (before, after) at a time, s.
+        """Return a run with a change of offset (before, after) at a time (s).
 
-        The run ends `periods` gait periods after the longest allowed transient.
+        The run ends `periods` gait periods after the maximum allowed transient.
         """
         before, after = change
 
@@ -244,10 +241,7 @@ class FootprintMeasurement:
     """Measured footprint.
 
     Attributes:
-        setup: robot, gait and plant.
-        offsets: offsets in ascending order.
-        steady: path at each offset.
-        spread: half the range over the repeats, for each value of `steady`.
+        spread: half the range over the repeated runs, for each value of `steady`.
         transients: measured changes of offset.
         repeats: number of runs per offset and per change.
         periods: number of measured gait periods of each steady run.
@@ -263,7 +257,7 @@ class FootprintMeasurement:
 
 
 _OFFSETS = (3, 101)
-"""Minimum and maximum number of offsets; a planner interpolates between them."""
+"""Minimum and maximum number of offsets."""
 
 _LIMITS = {"periods": (3, 200), "phases": (1, 64)}
 """Minimum and maximum number of measured gait periods and of phases of the gait."""
@@ -274,7 +268,6 @@ class FootprintStudy:
     """Runs from which a footprint is measured.
 
     Attributes:
-        setup: robot, gait and plant.
         offsets: three or more offsets on both sides of 0, in ascending order.
         changes: changes of offset to measure, as (before, after).
         periods: number of measured gait periods of each steady run.
@@ -333,12 +326,11 @@ class FootprintStudy:
         """Run the plant and measure the footprint.
 
         Args:
-            threads: number of parallel runs, by default one per processor. It does not
-                affect the result.
+            threads: number of parallel runs, by default one per processor.
             progress: function called with the numbers of finished and of all runs.
 
         Raises:
-            DivergedError: a run diverged; the message names it.
+            DivergedError: a run diverged.
             InputError: the snake does not move forward at an offset.
         """
         setup = self.setup
@@ -449,12 +441,12 @@ def footprint_study(
     changes: Changes | None = None,
     **counts: int,
 ) -> FootprintStudy:
-    """Return the study of a footprint, with defaults filled in.
+    """Return the study of a footprint, in which missing values have defaults.
 
     Args:
         setup: robot, gait and plant.
-        offsets: offsets in ascending order, by default −0.3 to 0.3 with learning,
-            otherwise −0.4 to 0.4, in steps of 0.1.
+        offsets: offsets in ascending order. By default they go from −0.3 to 0.3 with
+            learning, otherwise from −0.4 to 0.4, in steps of 0.1.
         changes: changes of offset, as (before, after), by default `default_changes`.
         **counts: periods and phases of the `FootprintStudy`.
 
@@ -471,7 +463,7 @@ def footprint_study(
 def default_changes(offsets: Sequence[float]) -> tuple[tuple[float, float], ...]:
     """Return the changes of offset that are measured by default.
 
-    They connect 0 and the outermost offsets, as well as 0 and half of the outermost
+    The changes connect 0 with the outermost offsets, and with half of the outermost
     offsets if these are measured. A planner interpolates linearly between measured
     changes.
     """

@@ -1,4 +1,4 @@
-"""`srs-twin calibrate footprint` and `margin`: measured footprints and excursions."""
+"""Commands `srs-twin calibrate footprint` and `srs-twin calibrate margin`."""
 
 from __future__ import annotations
 
@@ -39,16 +39,17 @@ class MeasurementOptions:
 
     Options:
         --controller NAME: Controller: gait (open loop) or ilc (learning).
-        --frequency HZ: Gait frequency. [default: 2, ilc 1.5]
+        --frequency HZ: Gait frequency. [default: 2; ilc: 1.5]
         --target RAD: Target bend amplitude of ilc, rad.
         --plant NAME: Simulated plant: twin or analytical.
-        --contact NAME: Contact of the twin, loaded or preloaded. [default: the twin's]
+        --contact NAME: Contact model of the twin: loaded or preloaded. [default:
+            default of the twin]
         --chambers NAME: Pneumatic model: lag, or orifice for compressible flow.
         --offsets LIST: Offsets, e.g. --offsets=-0.3,0,0.3. [default: -0.4 to 0.4; ilc:
             -0.3 to 0.3]
         --transients/--no-transients: Also measure changes of offset.
-        --periods N: Measured gait periods of each run.
-        --phases N: Runs per offset, with different initial phases.
+        --periods N: Number of measured gait periods of each run.
+        --phases N: Number of runs per offset, with different initial phases.
     """
 
     controller: str = "gait"
@@ -99,7 +100,7 @@ def footprint(
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure the area swept at each offset.
+    """Measure the area that the robot sweeps at each offset.
 
     With --transients, the area swept during changes of offset is also measured.
 
@@ -146,7 +147,7 @@ def margin(
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure excursions from a followed path.
+    """Measure how far a robot leaves the footprint along a path.
 
     The robot follows random paths under the conditions of a scenario. The excursions
     are written to the footprint file, from which planner.margin_probability derives a
@@ -154,8 +155,8 @@ def margin(
 
     Options:
         --runs N: Number of runs on each plant.
-        --plants LIST: Plants: analytical, twin or analytical,twin. [default: the
-            scenario's]
+        --plants LIST: Plants: analytical, twin or analytical,twin. [default: plants of
+            the scenario]
         --out DIR: Output folder of the footprint file.
     """
     from srs_twin.identification.excursions import NO_MARGIN, calibrate_margin
@@ -194,10 +195,6 @@ def margin(
 
 
 def _print_footprint(measured: FootprintMeasurement) -> None:
-    """Print the tables of steady paths and transients.
-
-    Steady values are followed by half the range over the repeats.
-    """
     paths = zip(measured.offsets, measured.steady, measured.spread, strict=True)
     rows = []
     for offset, path, spread in paths:

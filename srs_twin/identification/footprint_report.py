@@ -1,4 +1,4 @@
-"""Footprint files of measurements. A header identifies the study."""
+"""Footprint files with measured values and a header that identifies the study."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from srs_twin.robot.spec import RobotSpec
 from srs_twin.scenario.provenance import versions
 
 _DIGITS = 4
-"""Decimals of values in a footprint file."""
+"""Number of decimals in a footprint file."""
 
 _SPREADS = {
     "curvature_per_m": "curvature",
@@ -45,14 +45,11 @@ _SPREADS = {
     "left_m": "left",
     "right_m": "right",
 }
-"""Attribute of `SteadyPath` for each key of a footprint file's spread."""
+"""Attribute of `SteadyPath` for each key of the spread in a footprint file."""
 
 
 def footprint_file(measured: FootprintMeasurement, name: str) -> FootprintFile:
-    """Return a measurement as the content of a footprint file.
-
-    Each column has a unit, a status and a source.
-    """
+    """Convert a measurement to the content of a footprint file."""
     setup = measured.setup
     paths = measured.steady
     phases = f"{measured.repeats} phases of the gait"
@@ -61,8 +58,8 @@ def footprint_file(measured: FootprintMeasurement, name: str) -> FootprintFile:
         f" {measured.periods} gait periods at each of {phases} at the start"
     )
     edge = "as curvature_per_m; the farthest that any repeat reached"
-    # The straight snake at the start is longer than during the gait, so its length is
-    # an upper bound.
+    # The snake is straight at the start and longest then, so this length is an upper
+    # bound.
     body = setup.spec.geometry
     straight = round((body.body_length + body.width) / 2, _DIGITS)
 
@@ -126,20 +123,20 @@ def calibrate_footprint(
     threads: int | None = None,
     progress: Callable[[int, int], object] = max,
 ) -> FootprintMeasurement:
-    """Measure the area swept at each offset, as `srs-twin calibrate footprint`.
+    """Measure the area swept at each offset, as `srs-twin calibrate footprint` does.
 
     Args:
         robot: name or path of the robot, or a loaded robot.
         out: folder of the footprint file, or None to write nothing.
         name: name of the footprint and its file, by default robot and controller.
         overwrite: whether the file of another measurement is replaced.
-        controller: "gait" (open loop) or "ilc" (learning).
+        controller: controller, "gait" (open loop) or "ilc" (learning).
         frequency_hz: gait frequency, Hz, by default `FREQUENCY_HZ`.
         supply_pa: supply pressure, Pa, by default the nominal pressure of the robot.
-        target_rad: target bend amplitude of the learning, rad.
-        plant: "twin" or "analytical".
-        contact: contact of the twin, or None for its default.
-        chambers: "lag" or "orifice".
+        target_rad: target bend amplitude of the learning controller, rad.
+        plant: simulated plant, "twin" or "analytical".
+        contact: contact model of the twin, or None for the default.
+        chambers: pneumatic model, "lag" or "orifice".
         offsets: offsets, by default as in `footprint_study`.
         transients: whether changes of offset are measured.
         periods: number of measured gait periods of each run.
@@ -186,8 +183,8 @@ def calibrate_command(study: FootprintStudy, robot: str, name: str) -> str:
 
     Args:
         study: footprint study.
-        robot: robot as given, a name or a path.
-        name: footprint name.
+        robot: name or path of the robot, as given.
+        name: name of the footprint.
     """
     setup = study.setup
     words = [
@@ -214,7 +211,7 @@ def calibrate_command(study: FootprintStudy, robot: str, name: str) -> str:
 def header_lines(
     study: FootprintStudy, robot: str, name: str, versions: Mapping[str, str]
 ) -> list[str]:
-    """Return the comment lines of a footprint file; the first two name the study."""
+    """Return the comment lines of a footprint file."""
     with_versions = ", ".join(
         f"{package} {version}" for package, version in versions.items()
     )
@@ -222,9 +219,9 @@ def header_lines(
 
 
 def robot_hash(spec: RobotSpec) -> str:
-    """Return the SHA-256 of the robot's non-default values in SI units.
+    """Return the SHA-256 of the values of a robot that differ from their defaults.
 
-    A new parameter whose default has no effect therefore does not change the hash.
+    A new parameter with a default value therefore does not change the hash.
     """
 
     def non_defaults(section: object) -> object:
@@ -262,7 +259,7 @@ def _identity(study: FootprintStudy, robot: str, name: str) -> list[str]:
 
 
 def _column(paths: Sequence[SteadyPath], key: str) -> list[float]:
-    # Adding 0.0 turns -0.0, to which a straight path may round, into 0.0.
+    # Values of a straight path may round to -0.0, which adding 0.0 turns into 0.0.
     return [round(getattr(path, key), _DIGITS) + 0.0 for path in paths]
 
 

@@ -1,43 +1,42 @@
 r"""Friction coefficients of the wheels from pulls (Eq. 17, Table 2) and coasting tests.
 
 **Pulls.** A spring car pulls the robot along the body with rolling wheels, or across it
-with blocked wheels. Each pull gives one static coefficient from the maximum deformation
-of the spring as motion begins,
+with blocked wheels. Each pull gives one static friction coefficient from the maximum
+deformation of the spring when the motion begins:
 
 $$ \mu = \frac{k\,\Delta L_{max}}{m g}. $$
 
-The kinetic coefficient may be smaller. The estimate is the mean over the pulls. Its
+The kinetic coefficient may be smaller. The estimate is the mean over all pulls, and the
 standard error includes the errors of k and m, which all pulls share.
 
 A table of pulls is a CSV file with one pull per row. ``along_mm`` or ``across_mm`` is
-the maximum deformation of the spring (m without a unit), and an empty cell means that
-there was no pull in this direction. ``spring_n_per_m``, ``mass_kg`` and their optional
-standard errors ``spring_error_n_per_m`` and ``mass_error_kg`` must not change between
-rows.
+the maximum deformation of the spring, and a cell is empty if there was no pull in this
+direction. ``spring_n_per_m``, ``mass_kg`` and the optional standard errors
+``spring_error_n_per_m`` and ``mass_error_kg`` must be equal in all rows.
 
 **Coasting tests.** The robot with vented chambers is pushed and released on the floor.
-A straight robot decelerates by μ_t g/(1 + s) along its wheels and by μ_n g across them.
+A straight robot decelerates by μ_t g/(1 + s) along the wheels and by μ_n g across them.
 In other directions the friction law determines the deceleration (`floor.slide`, which
 also defines s). The initial position and velocity of each run are fitted together with
-μ_t and μ_n. A velocity component is set to 0 if the motion in its direction is within
-the noise.
+μ_t and μ_n. If the motion in a direction is within the noise, this component of the
+velocity is set to 0.
 
 **Bent bodies.** The wheels of a bent body cannot all roll. The body follows the
-circular arc that dissipates the least power, on which the wheels have the mean
+circular arc with the minimum dissipation, on which the wheels have the mean
 misalignment
 
 $$ ε = \min_{a, b} \sum_i \frac{m_i}{M}\,\lvert δ_i - a - b\,i \rvert , $$
 
-where δ_i is the heading of connector i. Slip across the wheels increases the drag
-coefficient to μ_t + ε √(μ_n² − μ_t²) under the law `wheel`. The motion is measured in a
-frame that turns with the body. The angle between the mean heading and the direction of
-rolling is fitted.
+where δ_i is the heading of connector i. Under the law `wheel`, the lateral slip of the
+wheels increases the drag coefficient to μ_t + ε √(μ_n² − μ_t²). The motion is measured
+in a frame that turns with the body, and the angle between the mean heading and the
+rolling direction is fitted.
 
-The fit computes ε from the recorded bends, or from the rest bends of the robot file if
-no bends are recorded. Because ε is a seminorm, errors of the bends (`_BEND_ERROR_RAD`,
-`_UNSEEN_BEND_RAD`) change it by at most the ε of the errors. Two further fits change ε
-by the 95 % quantile of this bound. The interval of a coefficient includes the intervals
-of these fits.
+The misalignment ε is computed from the recorded bends, or else from the rest bends in
+the robot file. Because ε is a seminorm, it changes by at most the ε of the errors of
+the bends (`_BEND_ERROR_RAD`, `_UNSEEN_BEND_RAD`). Two further fits change ε by the 95 %
+quantile of this bound. The interval of a coefficient includes the intervals of these
+fits.
 """
 
 from __future__ import annotations
@@ -102,7 +101,6 @@ class Pulls:
         mass: mass m of the pulled robot, kg.
         stiffness_error: standard error of k, N/m.
         mass_error: standard error of m, kg.
-        name: data name.
         sha256: SHA-256 of the file, or an empty string without a file.
     """
 
@@ -148,7 +146,7 @@ class Pulls:
         return self.stiffness / (self.mass * GRAVITY)
 
     def coefficients(self, direction: str) -> np.ndarray:
-        """Return μ of each pull in a direction, "along" or "across"."""
+        """Return the coefficient μ of each pull "along" or "across" the body."""
         return self.factor * np.asarray(getattr(self, direction), dtype=float)
 
     def data_set(self, role: Role) -> DataSet:
@@ -185,7 +183,7 @@ def fit_pulls(pulls: Pulls, *, validation: Sequence[Pulls] = ()) -> FitEstimate:
             means[k] = value.mean()
             variances[k] = value.var(ddof=1) / len(value)
             scatter[k] = max(value.std(ddof=1), 1e-12)
-    # Errors of k and m affect both coefficients by the same factor, so they correlate.
+    # Errors of k and m change both coefficients by one factor, which correlates them.
     covariance = np.diag(variances) + shared * np.outer(means, means)
     errors = np.sqrt(np.diag(covariance))
     parameters = [
@@ -218,14 +216,14 @@ def fit_pulls(pulls: Pulls, *, validation: Sequence[Pulls] = ()) -> FitEstimate:
 def _parameter(
     k: int, values: np.ndarray, mean: float, variance: float, error: float
 ) -> Parameter:
-    if not len(values):  # one alone is refused
+    if not len(values):  # a single value is refused elsewhere
         why = f"there are no pulls {_DIRECTIONS[k]}"
         return Parameter(_NAMES[k], "1", "not identifiable", why=why)
     if error >= UNIDENTIFIABLE_ERROR * mean:
         why = f"the scatter of the pulls {_DIRECTIONS[k]} is as large as their mean"
         return Parameter(_NAMES[k], "1", "not identifiable", why=why)
-    # The Welch-Satterthwaite formula gives the degrees of freedom. The shared errors of
-    # k and m get many degrees of freedom, as if they were exactly known.
+    # The Welch-Satterthwaite formula gives the degrees of freedom. The standard errors
+    # of k and m count as exactly known, so they have many degrees of freedom.
     freedom = np.inf
     if variance > 0:
         freedom = (len(values) - 1) * (error**2 / variance) ** 2
@@ -242,10 +240,10 @@ def _parameter(
 
 
 _CONSTANTS = ("spring_n_per_m", "mass_kg", "spring_error_n_per_m", "mass_error_kg")
-"""Columns of constants that all pulls of a table share; the errors are optional."""
+"""Columns of constants that all pulls of a table share. The errors are optional."""
 
 _MAX_DEFORMATION_M = 10.0
-"""Maximum plausible deformation. A larger deformation has the wrong unit."""
+"""Maximum plausible deformation, m. A larger deformation is in a wrong unit."""
 
 PULL_COLUMNS = "along_mm,across_mm,spring_n_per_m,mass_kg"
 """First line of a table of pulls."""
@@ -345,37 +343,37 @@ def _constant(table: CsvTable, column: CsvColumn, values: np.ndarray) -> float:
 
 
 _MAX_TURN_RAD = 0.2
-"""Maximum change of heading during coasting.
+"""Maximum change of heading during coasting, rad.
 
-With a larger change the robot does not slide like a point mass.
+With a larger change, the robot cannot be modelled as a point mass.
 """
 
 _MIN_SAMPLES = 8
 """Minimum number of samples of a coasting test."""
 
 _MIN_SPEED_M_S = 0.02
-"""Minimum initial speed of a coasting test."""
+"""Minimum initial speed of a coasting test, m/s."""
 
 _NOISE_M = 1e-3
-"""Standard deviation of the measured position."""
+"""Standard deviation of the measured position, m."""
 
 _MIN_TRAVEL = 3.0
-"""Minimum travel for fitting an initial velocity, in standard deviations."""
+"""Minimum displacement for fitting an initial velocity, in standard deviations."""
 
 _MAX_ROLL_ANGLE_RAD = 0.1
-"""Maximum angle between mean heading and direction of rolling of a bent body."""
+"""Maximum angle between mean heading and rolling direction of a bent body, rad."""
 
 _HEADING_DEGREE = 3
 """Degree of the polynomial in time that smooths the heading."""
 
 _BEND_ERROR_RAD = 0.01
-"""Standard deviation of the mean recorded bend of a segment.
+"""Standard deviation of the mean recorded bend of a segment, rad.
 
-The error arises because markers are not exactly on the centre line.
+Markers are not exactly on the centre line.
 """
 
 _UNSEEN_BEND_RAD = 0.03
-"""Standard deviation of a rest bend in the robot file, used without recorded bends."""
+"""Standard deviation of a rest bend in the robot file, rad."""
 
 _BEND_DRAWS = 1000
 """Number of random draws of the errors of the bends."""
@@ -389,14 +387,13 @@ class CoastingTest:
     """Recorded deceleration of the vented robot after a push.
 
     Attributes:
-        name: data name.
-        sha256: data hash (SHA-256).
         time: time since the first used sample, s, shape (samples,).
         position: displacement of the centre of mass along and across the heading, m,
             shape (samples, 2).
-        velocity: first guess of the initial velocity along and across the heading, m/s.
-        span: first and last used time on the recording's clock, s.
-        bends: mean recorded bends, rad, shape (segments,); None if bends are not
+        velocity: initial guess of the initial velocity along and across the heading,
+            m/s.
+        span: first and last used time on the clock of the recording, s.
+        bends: mean recorded bends, rad, shape (segments,), or None if bends were not
             recorded.
     """
 
@@ -417,7 +414,7 @@ class CoastingTest:
         Args:
             trajectory: recording or simulation.
             name: data name.
-            start: time from which the robot is not touched, s, by default the time of
+            start: time from which on the robot coasts, s, by default the time of the
                 maximum speed.
 
         Raises:
@@ -485,13 +482,12 @@ def fit_coasting(
     Args:
         runs: coasting tests, which must cover both directions to determine both
             coefficients.
-        spec: robot, whose wheels and masses determine the effect of the wheels'
-            rotational inertia.
-        validation: coasting tests for validation; only their initial velocities are
-            fitted.
+        spec: robot whose wheels and masses determine the effect of rotational inertia.
+        validation: coasting tests for validation, of which only the initial velocities
+            are fitted.
         law: friction law, one of `robot.friction.LAWS` except "viscous".
-        wheel_inertia: whether the wheels have rotational inertia, as in the robot and
-            the twin; skids and the wheels of the analytical plant have none.
+        wheel_inertia: whether the wheels have rotational inertia. Skids and the wheels
+            of the analytical plant have none.
         watch: progress callback.
 
     Raises:
@@ -508,7 +504,7 @@ def fit_coasting(
     model = _CoastingModel(spec, law, share)
     estimate = model.fit(runs, 0.0, watch)
     if "friction.mu_n" not in estimate.values:
-        # The drag of a bent body depends on μ_n, which these runs do not identify.
+        # The drag of a bent body depends on μ_n, which these runs do not determine.
         model = replace(model, mu_n=spec.friction.mu_n)
         estimate = model.fit(runs, 0.0, watch)
     ends = [model.fit(runs, side, None) for side in (-1.0, 1.0)]
@@ -529,11 +525,11 @@ _STDS_IN_HALF_WIDTH = 1.96
 
 
 def misalignment(bends: np.ndarray, spec: RobotSpec) -> np.ndarray:
-    """Return the misalignment ε of bent bodies (module docstring), rad.
+    """Return the mean misalignment ε of the wheels of bent bodies, rad.
 
     Args:
         bends: bends, rad, shape (..., segments).
-        spec: robot.
+        spec: robot specification.
     """
     weights = spec.mass.array() / spec.mass.total
     number = np.arange(len(weights))
@@ -541,8 +537,7 @@ def misalignment(bends: np.ndarray, spec: RobotSpec) -> np.ndarray:
         [np.zeros_like(bends[..., :1]), np.cumsum(bends, axis=-1)], axis=-1
     )
     smallest = np.full(bends.shape[:-1], np.inf)
-    # The best line in the sense of absolute deviations passes through two of the
-    # points.
+    # A line with the minimum sum of absolute deviations passes through two points.
     for i, j in itertools.combinations(number, 2):
         slope = (headings[..., j] - headings[..., i]) / (j - i)
         line = headings[..., i, None] + slope[..., None] * (number - i)
@@ -571,8 +566,8 @@ def _widened(parameter: Parameter, ends: Sequence[FitEstimate]) -> Parameter:
 class _CoastingModel:
     """Prediction of coasting tests.
 
-    `share` is the fraction s of `floor.slide`. `mu_n` is the coefficient for slip of a
-    bent body across its wheels, by default the fitted μ_n.
+    `share` is the fraction s of `floor.slide`. `mu_n` is the coefficient for lateral
+    slip of a bent body, by default the fitted μ_n.
     """
 
     spec: RobotSpec
@@ -583,11 +578,7 @@ class _CoastingModel:
     def fit(
         self, runs: Sequence[CoastingTest], side: float, watch: Watch | None
     ) -> FitEstimate:
-        """Fit the coefficients at one value of ε.
-
-        `side` is −1 or 1 for the lower or upper end of the interval of ε, and 0 for the
-        best estimate.
-        """
+        """Fit the coefficients at the lower end (−1), best value or upper end of ε."""
         angles = [self._misalignment(run, side) for run in runs]
 
         def residuals(values: Mapping[str, float]) -> list[Residual]:
@@ -616,10 +607,7 @@ class _CoastingModel:
     def _residuals(
         self, run: CoastingTest, k: int, values: Mapping[str, float], angle: float
     ) -> list[Residual]:
-        """Return the residuals of run k in both directions.
-
-        Subtracting their mean fits the initial position.
-        """
+        """Return the residuals of run k without their means (initial position)."""
         velocity = values.get(f"along_{k}", 0.0), values.get(f"across_{k}", 0.0)
         mu_t, mu_n = (values[name] for name in _NAMES)
         slip_law = getattr(friction, self.law)
@@ -652,14 +640,11 @@ class _CoastingModel:
 
 
 _SHARP_SLIP = 1e-12
-"""Slip speed, relative to a speed of 1, that is negligible and avoids 0/0."""
+"""Negligible slip speed that avoids 0/0, relative to a speed of 1 m/s."""
 
 
 def _motion(run: CoastingTest, k: int) -> list[FreeParameter]:
-    """Return the nuisance parameters of run k: initial velocities and rolling angle.
-
-    A direction in which the body does not move has no initial velocity to fit.
-    """
+    """Return the initial velocities and the rolling angle of run k as parameters."""
     few = len(run.time) // 4
     late = run.position[-few:].mean(axis=0)
     moved = late - run.position[2 * few : 3 * few].mean(axis=0)

@@ -1,26 +1,28 @@
-r"""Motion of a body that hangs on one bent segment, after it is released.
+r"""Free swing of a body that hangs on one bent segment.
 
-One end of the segment is clamped so that the segment hangs straight down. The other end
-carries a body of mass m and moment of inertia J about its centre. Let q be the bend and
-L(q) the chord of `robot.geometry`, which has the angle q/2. Lagrange's equation is
+The upper end of the segment is clamped so that the segment hangs straight down. The
+other end carries a body of mass m and moment of inertia J about the centre of the body.
+With the bend q and the chord L(q) of `robot.geometry`, which has the angle q/2,
+Lagrange's equation is
 
 $$ M \ddot q + \tfrac12 M' \dot q^2 - m g\,\frac{d}{dq}\bigl(L \cos\tfrac q2\bigr)
    = k\,d + k T \dot d + \sum_i e_i, \qquad M = m \Bigl(L'^2 + \frac{L^2}{4}\Bigr) + J, \qquad
    d = b(t) + \varphi(x) - q . $$
 
-The bend law φ(x) of `pneumatics.chambers` turns the pressures into a bend, and b is the
-rest bend without pressure. Because a real material recovers slowly after it was held, b
-contains decaying exponentials.
+The bend law φ(x) of `pneumatics.chambers` converts the pressures to a bend, and b is
+the rest bend without pressure. Because a real material recovers slowly after it was
+held, b contains decaying exponentials.
 
-**Air.** Open chambers have φ = 0. The air of a closed chamber has a constant
-temperature and the absolute pressure P. Its amount n = P V leaks at the rate λ towards
-the ambient pressure p₀:
+**Air.** Open chambers have φ = 0. The air in a closed chamber has a constant
+temperature and the absolute pressure P. The amount of air n = P V leaks at the rate λ
+until the chamber has the ambient pressure p₀:
 
 $$ \dot n = -\lambda\,(n - p_0 V) . $$
 
-**Material.** A material is viscous with the damping time T. It may also have Maxwell
-branches with moments e_i that satisfy ė_i = g_i ḋ − e_i/τ_i. Five branches whose τ are
-spread over two decades about the ringing period have a nearly constant loss factor.
+**Material.** The material is viscous with the damping time T. It may also have Maxwell
+branches with moments e_i that satisfy ė_i = g_i ḋ − e_i/τ_i. Five branches whose
+relaxation times τ_i are spread over two decades about the period of the oscillation
+produce a nearly constant loss factor.
 """
 
 from __future__ import annotations
@@ -45,19 +47,19 @@ _half_angle_terms = kernel_only(half_angle_terms)
 _chord = kernel_only(chord_from_half_angle)
 
 _LARGEST_REST_RAD = 3.0
-"""Bound of the search for the bend at rest."""
+"""Bound of the search for the bend at rest, rad."""
 
 _SMALL_BEND_RAD = 1e-4
-"""Step of derivatives with respect to the bend."""
+"""Step of finite differences with respect to the bend, rad."""
 
 _MAX_ANGLE_STEP = 0.06
-"""Maximum product of the ringing frequency (rad/s) and a time step."""
+"""Maximum product of the angular frequency and a time step, rad."""
 
 _SHORTEST_S = 1e-3
-"""Time far below the period of a swing, at which no branch has relaxed, s."""
+"""Time scale on which no branch has relaxed, far below the period of a swing, s."""
 
 _SLOWEST_RAD_S = 1e-6
-"""Frequency assigned to an overdamped swing, which does not oscillate, rad/s."""
+"""Angular frequency assigned to an overdamped swing, rad/s."""
 
 NO_BRANCHES = np.empty((0, 2))
 """Branches of a viscous material."""
@@ -81,8 +83,9 @@ class HangingSegment(NamedTuple):
         gain_minus: gain of the − chamber, rad/Pa.
         law: parameters of φ.
         dead_volume: dead volume V₀ of a chamber, m³.
-        displacement: increase A of the volume per bend, m³/rad.
-        encloses_air: whether the pressures are computed from enclosed air.
+        displacement: increase A of the chamber volume per bend, m³/rad.
+        encloses_air: whether the chambers are closed, so that the pressures follow from
+            the enclosed air.
     """
 
     length: float
@@ -98,10 +101,10 @@ class HangingSegment(NamedTuple):
 
 
 class Material(NamedTuple):
-    """Material and leak of a segment.
+    """Material and leak rate of a segment.
 
     Attributes:
-        stiffness: stiffness k without the branches, N·m/rad.
+        stiffness: stiffness k without the Maxwell branches, N·m/rad.
         damping_time: damping time T, s.
         leak: leak rate λ, 1/s.
     """
@@ -152,21 +155,21 @@ def _slopes(state, creep, creep_slope, material, segment, branches, result):  # 
 def swing(time, start, rest, frequency, material, segment, branches):  # type: ignore[no-untyped-def]  # noqa: D417
     """Integrate the free swing with the Runge-Kutta method of order 4.
 
+    The state consists of bend (rad), bend rate (rad/s), amounts P V of air in the + and
+    − chamber (J), and moments of the branches (N·m).
+
     Args:
         time: ascending times, s, shape (samples,).
-        start: initial state, shape (4 + branches,). It consists of bend (rad), bend
-            rate (rad/s), amounts P V of air in the + and − chamber (J), and moments of
-            the branches (N·m).
+        start: initial state, shape (4 + branches,).
         rest: rest bend b without pressure at each time, rad, shape (samples,).
-        frequency: approximate ringing frequency, rad/s, which sets the step size.
-        material: a `Material`.
-        segment: a `HangingSegment`.
+        frequency: approximate angular frequency, rad/s, which determines the time step.
+        material: `Material` of the segment.
+        segment: `HangingSegment` with constants of the equation of motion.
         branches: stiffness g_i (N·m/rad) and relaxation time τ_i (s) of each branch,
             shape (branches, 2).
 
     Returns:
-        Bends at the times, rad, shape (samples,), and the final state with the layout
-        of `start`.
+        Bends at the times, rad, shape (samples,), and the final state.
     """
     result = np.empty(len(time))
     state = start.copy()
@@ -201,10 +204,7 @@ def swing(time, start, rest, frequency, material, segment, branches):  # type: i
 
 
 def weight_moment(segment: HangingSegment, bend: float) -> float:
-    """Return the moment due to weight that increases the bend, N·m.
-
-    The moment is negative for a positive bend.
-    """
+    """Return the moment due to weight, which is negative for a positive bend, N·m."""
     chord, slope, _ = chord_derivatives(bend, segment.length, segment.gap)
     change = slope * math.cos(bend / 2) - chord * math.sin(bend / 2) / 2
     return segment.mass * GRAVITY * change
@@ -215,7 +215,7 @@ class Ringing(NamedTuple):
 
     Attributes:
         frequency: damped frequency, Hz.
-        loss_factor: loss factor of material and air at this frequency.
+        loss_factor: loss factor of material and air at the damped frequency.
         air_stiffness: stiffness of the enclosed air, N·m/rad.
     """
 
@@ -238,23 +238,22 @@ def ringing(
     $$ K(s) = k\,(1 + s T)\Bigl(1 + \frac{r s}{s + \lambda}\Bigr), \qquad
        r = \varphi'(x)\,G\,P\,\frac{A}{V}. $$
 
-    The oscillation is the complex root of M s² + K(s) + w = 0, where w is the stiffness
-    due to weight. The loss factor is Im K/Re K at the frequency of this root. Branches
-    add g s τ/(1 + s τ) to the material.
+    The damped frequency follows from the complex root of M s² + K(s) + w = 0, where w
+    is the stiffness due to weight. The loss factor is Im K/Re K at this frequency. Each
+    Maxwell branch adds g s τ/(1 + s τ) to the stiffness of the material.
 
     Args:
         segment: hanging segment.
-        material: material and leak.
+        material: material and leak rate.
         rest: rest bend b, rad.
-        air: amounts of enclosed air in the + and − chamber, J, shape (2,); not used
-            with open valves.
+        air: amounts of enclosed air in the + and − chamber, J, shape (2,), which are
+            not used with open valves.
         branches: Maxwell branches.
     """
     k, damping_time, leak = material
     gains = (segment.gain_plus, -segment.gain_minus)
 
     def air_bend(bend: float) -> tuple[float, float]:
-        """Return φ(x) and r."""
         x = x_slope = 0.0
         for side, gain in enumerate(gains if segment.encloses_air else ()):
             size, growth = volume(segment.dead_volume, segment.displacement, bend, side)
@@ -295,12 +294,13 @@ def ringing(
 
 
 class Branches(NamedTuple):
-    """Material with Maxwell branches, and their state when the swing passes its rest.
+    """Material with Maxwell branches, and the moments of the branches at the start.
 
     Attributes:
-        material: stiffness and viscous part beside the branches.
+        material: stiffness and viscous damping without the branches.
         branches: stiffness and relaxation time of each branch, shape (branches, 2).
-        moments: moments of the branches, N·m, shape (branches,).
+        moments: moments of the branches when the swing passes the rest position, N·m,
+            shape (branches,).
     """
 
     material: Material
@@ -316,7 +316,8 @@ def constant_loss(material: Material, pulsation: float, rate: float) -> Branches
     Args:
         material: viscous material.
         pulsation: angular frequency at which both materials agree, rad/s.
-        rate: bend rate at the start, rad/s, a quarter of a swing after a long hold.
+        rate: bend rate at the start, that is, a quarter of a period after the release,
+            rad/s.
     """
     x = _BRANCH_RATIOS
     storage = x**2 / (1 + x**2)

@@ -1,17 +1,17 @@
 r"""Identifiability of the parameters of a fit, and the accuracy of their values.
 
 Let J be the Jacobian of the weighted residuals with respect to the coordinates z of
-`parameters`, and s_k its singular values with directions v_k. The error of J is
-estimated by the difference E between two Jacobians with steps h and 2h. A direction is
-*unidentifiable* if moving along it has no effect beyond the error of the derivatives:
+`parameters`, with singular values s_k and right singular vectors v_k. The error E of J
+is estimated by the difference of two Jacobians with steps h and 2h. A direction v_k is
+*unidentifiable* if its effect on the residuals is within the error of the derivatives:
 
 $$ s_k \le 2\,\lVert E v_k \rVert \quad\text{or}\quad s_k \le 10^{-6} s_1 . $$
 
 The other directions have the standard error σ/s_k. A parameter is not identifiable if
-its component in the unidentifiable directions exceeds 0.1. A smaller component adds the
-variance within the bounds. A parameter is also not identifiable if its standard error
-in z is 1 or more, because the data then add little to its bounds. It is identified if
-the standard error is at most 0.1, and weakly identified in between.
+its component in the unidentifiable directions exceeds 0.1. For a smaller component, the
+variance within the bounds is added. A parameter is also not identifiable if the
+standard error in z is at least 1, because the data then add little to the bounds. With
+a standard error up to 0.1 it is identified, and weakly identified in between.
 """
 
 from __future__ import annotations
@@ -31,29 +31,28 @@ from srs_twin.identification.estimate import (
 from srs_twin.identification.parameters import FreeParameter
 
 MAX_UNIDENTIFIABLE_SHARE = 0.1
-"""Maximum component of an identifiable parameter in unidentifiable directions."""
+"""Maximum component in unidentifiable directions of an identifiable parameter."""
 
 _DERIVATIVE_ERRORS = 2.0
-"""Factor of the derivative error in the criterion for unidentifiable directions."""
+"""Factor of the error E in the criterion for unidentifiable directions."""
 
 _RELATIVE_CUTOFF = 1e-6
-"""Relative singular value at which a direction is unidentifiable due to rounding."""
+"""Relative singular value below which a direction is unidentifiable."""
 
 _MIN_COMPONENT = 0.05
-"""Minimum component of a parameter that is listed in a unit direction."""
+"""Minimum component of a unit direction that is listed."""
 
 _SPREAD_ONLY = "the spread about the best value under a wrong model"
 
 
 @dataclass(frozen=True)
 class Identifiability:
-    """Covariance and unidentifiable directions of a Jacobian, in coordinates z.
+    """Covariance and unidentifiable directions in the coordinates z.
 
     Attributes:
-        covariance: covariance of the parameters, shape (n, n).
+        covariance: covariance of the n parameters, shape (n, n).
         share: component of each parameter in the unidentifiable directions, shape (n,).
         directions: unidentifiable directions, shape (directions, n).
-        names: parameter names, n.
     """
 
     covariance: np.ndarray
@@ -88,7 +87,7 @@ class Identifiability:
 
     @property
     def cancels(self) -> tuple[dict[str, float], ...]:
-        """Unidentifiable directions as name → component."""
+        """Unidentifiable directions, each with components by parameter name."""
         rows = []
         for row in self.directions:
             positive = row * np.sign(row[np.argmax(np.abs(row))])
@@ -109,7 +108,7 @@ def identifiability(
     widths: np.ndarray,
     names: Iterable[str],
 ) -> Identifiability:
-    """Return the identifiability of parameters from a Jacobian (module docstring).
+    """Determine the identifiability of n parameters from a Jacobian.
 
     Args:
         jacobian: Jacobian J, shape (samples, n).
@@ -117,7 +116,7 @@ def identifiability(
         noise: standard deviation σ of a weighted residual, multiplied by the square
             root of the correlation time.
         widths: distance between the bounds of each parameter in z, shape (n,).
-        names: parameter names, n.
+        names: names of the parameters.
     """
     _, singular, directions = np.linalg.svd(jacobian, full_matrices=False)
     derivative_error = np.linalg.norm(error @ directions.T, axis=0)
@@ -127,8 +126,8 @@ def identifiability(
     determined = directions[~undetermined]
     unidentifiable = directions[undetermined]
     covariance = (determined.T * (noise / singular[~undetermined]) ** 2) @ determined
-    # Without data the prior remains, which is uniform between the bounds and has the
-    # variance width²/12.
+    # Without information from data, a parameter is uniformly distributed between its
+    # bounds, with the variance width²/12.
     prior_std = (np.abs(unidentifiable) @ widths) / np.sqrt(12)
     covariance += (unidentifiable.T * prior_std**2) @ unidentifiable
     share = np.linalg.norm(unidentifiable, axis=0)
@@ -140,15 +139,13 @@ class Accuracy:
     """Accuracy of the result of a search.
 
     Attributes:
-        unknowns: free parameters, n.
+        unknowns: n free parameters.
         z: estimate, shape (n,).
-        converged: whether the search converged.
         inside: indices of the parameters that did not end at a bound.
         known: identifiability of the parameters in `inside`.
         bias: bias due to model error in z, shape (n,).
         spread: maximum distance in z to a minimum that fits equally well, shape (n,).
         quantile: half width of a confidence interval in standard errors.
-        explained: whether the model explains the data.
     """
 
     unknowns: tuple[FreeParameter, ...]
@@ -207,7 +204,7 @@ class Accuracy:
         return "identified", ""
 
     def covariance(self, kept: Sequence[int]) -> np.ndarray:
-        """Return the covariance in z of the parameters `kept`; NaN at bounds."""
+        """Return the covariance in z of the parameters `kept`, with NaN at bounds."""
         matrix = np.full((len(self.unknowns), len(self.unknowns)), np.nan)
         matrix[np.ix_(self.inside, self.inside)] = self.known.covariance
         return matrix[np.ix_(kept, kept)]

@@ -1,40 +1,39 @@
 r"""Weighted nonlinear least squares with confidence intervals and identifiability.
 
 **Search.** SciPy's trust-region method minimises the sum of squared weighted residuals
-within bounds, in the coordinates z of `parameters`. The Jacobian uses central
-differences. For a model with kinks the search is repeated with a coarse step from its
-end point. The search is deterministic, as further starts are drawn with a fixed seed.
+within bounds, in the coordinates z of `parameters`. The Jacobian is computed by central
+differences. If the model has kinks, the search is repeated from its end point with a
+coarse step. Further starts are drawn with a fixed seed, so the search is deterministic.
 
 An optional first stage uses only residuals that are monotonic over a large range of the
-parameters. For a crawling robot these are the bends. Path and heading are informative
-only within a few per cent, because with larger errors the simulated robot turns in
-another direction.
+parameters. For a crawling robot, these are the residuals of the bends. Path and heading
+are monotonic only within a few per cent, because the simulated robot may turn in
+another direction if the parameters are farther from the solution.
 
 **Intervals.** Let S be the sum of squares at the estimate, p the number of parameters,
-and n the number of samples, equivalent to n/τ independent ones (`correlation_time`).
-The covariance is
+and n the number of samples, which are equivalent to n/τ independent samples
+(`correlation_time`). The covariance is
 
 $$ C = s^2\,\tau\,(J^\top J)^{-1}, \qquad s^2 = \frac{S}{n}\,\frac{n/\tau}{n/\tau - p}.
 $$
 
-Intervals use Student's t with n/τ − p degrees of freedom in z, so intervals of
-logarithms are asymmetric. They are exact for parameters whose effect varies slowly
-compared with the correlation of the residuals, and too wide for other parameters.
+Intervals are computed in z with Student's t distribution and n/τ − p degrees of
+freedom, so intervals of positive parameters are asymmetric. They are exact for
+parameters whose effect varies slowly compared with the correlation of the residuals,
+and too wide for other parameters.
 
-**Model error.** Errors of the model bias the estimate even if the residuals look right.
-A better model, the *reference*, reveals the bias by indirect inference (Gouriéroux,
-Monfort and Renault 1993, Journal of Applied Econometrics 8). The reference simulates
-data with values z₀, to which the model is fitted. The result minus z₀ is the bias
-b(z₀).
+**Model error.** Model errors bias the estimate even if the residuals are small. A
+better model, the *reference*, reveals the bias by indirect inference (Gouriéroux,
+Monfort and Renault 1993, Journal of Applied Econometrics 8). The model is fitted to
+data that the reference simulates with values z₀. The result minus z₀ is the bias b(z₀).
 
-The relevant bias is the bias at the unknown true values. The iteration b_{k+1} = b(z −
-b_k) with b₁ = b(z) approaches it, and the covariance becomes
+The bias at the unknown true values is approximated by the iteration
+b_{k+1} = b(z − b_k) with b₁ = b(z), and the covariance becomes
 
 $$ C \to C + b_n b_n^\top + (b_n - b_{n-1})(b_n - b_{n-1})^\top , $$
 
 where the last term is the uncertainty of b. The iteration ends when b changes by less
-than the standard errors, or after five searches. The estimate itself is not corrected,
-so it remains the best fit.
+than the standard errors, or after five searches. The estimate itself is not corrected.
 """
 
 from __future__ import annotations
@@ -67,7 +66,7 @@ Residuals = Callable[[Values], Sequence[Residual]]
 ResidualFilter = Callable[[Residual], bool]
 
 Refit = Callable[[Values], Values]
-"""Function that fits data simulated by a reference with given values."""
+"""Function that fits the model to data simulated by a reference with given values."""
 
 Watch = Callable[[int, float], None]
 """Progress callback that receives the number of runs and the best weighted RMS."""
@@ -76,10 +75,13 @@ _START_RANGE = 1.5
 """Range in z about the first start from which further starts are drawn."""
 
 _MIN_START_DISTANCE = 0.7
-"""Minimum distance in z between two starts, as closer ones reach the same minimum."""
+"""Minimum distance in z between two starts.
+
+Searches from closer starts would reach one minimum.
+"""
 
 _CANDIDATES_PER_START = 12
-"""Number of points drawn for each further start, of which the best is used."""
+"""Number of random points per further start, of which the best one is used."""
 
 _MAX_COARSE_SEARCHES = 4
 """Maximum number of repetitions with the coarse step."""
@@ -96,18 +98,19 @@ class SearchOptions:
     """Settings of a search, chosen for a model.
 
     Attributes:
-        step: step of the differences in z; larger for models that are not smooth.
-        coarse_step: larger step with which a finished search is repeated, for models
-            with kinks; with `first_stage`, the step of this stage.
+        step: step of finite differences in z, which is larger for models that are not
+            smooth.
+        coarse_step: step with which a finished search is repeated for models with
+            kinks, or step of the first stage.
         tolerance: relative change of the sum of squares, or of z, that ends the search,
             by default derived from `step`.
-        first_stage: filter for residuals that are monotonic over a large range of the
-            parameters, which the search uses first.
-        identifiability_step: step for the Jacobian of the identifiability, by default
+        first_stage: filter that selects the residuals of the first stage, which are
+            monotonic over a large range of the parameters.
+        identifiability_step: step of the Jacobian for the identifiability, by default
             `step`. It is used if the data leave a larger uncertainty than `step`.
         target_rms: RMS of the weighted residuals at which the search ends early.
-        max_runs: maximum number of model runs, or None for no limit. After them the
-            search returns its best point as not converged.
+        max_runs: maximum number of model runs, after which the search ends without
+            convergence, or None.
     """
 
     step: float = 1e-4
@@ -120,7 +123,7 @@ class SearchOptions:
 
     @property
     def effective_tolerance(self) -> float:
-        """Tolerance, or its default derived from `step`."""
+        """Tolerance as given, or derived from `step`."""
         if self.tolerance is None:
             return max(1e-12, 1e-3 * self.step**2)
         return self.tolerance
@@ -133,7 +136,6 @@ class SearchResult:
     Attributes:
         z: coordinates, shape (n,).
         cost: half the sum of squared weighted residuals.
-        converged: whether the search converged.
     """
 
     z: Array
@@ -190,7 +192,11 @@ class Search:
         return tuple(self._residuals(self.values(z)))
 
     def weighted(self, z: Array, only: ResidualFilter | None = None) -> Array:
-        """Return the weighted residuals of the fitted data, optionally filtered.
+        """Return the weighted residuals of the fitted data.
+
+        Args:
+            z: coordinates.
+            only: filter that selects residuals, or None for all residuals.
 
         Raises:
             _SearchStoppedError: the runs are used up, or the target RMS is reached.
@@ -257,7 +263,7 @@ class Search:
         return np.array(found) - z
 
     def run(self, start: Array) -> SearchResult:
-        """Search from a start; a stopped search returns its best point."""
+        """Search from a start. A stopped search returns its best point."""
         options = self._options
         self._best = SearchResult(start, np.inf, False)
         self._is_searching = True
@@ -275,11 +281,11 @@ class Search:
             self._is_searching = False
 
     def start_cost(self, z: Array) -> float:
-        """Return the sum of squares by which starts are ranked."""
+        """Return the sum of squares that ranks possible starts."""
         return float(np.sum(self.weighted(z, self._options.first_stage) ** 2))
 
     def _minimize_with_kinks(self, start: Array) -> SearchResult:
-        """Minimise with coarse and fine steps, which leaves local minima at kinks."""
+        """Minimise with coarse and fine steps in turn to escape minima at kinks."""
         fine = self._options.step
         coarse = self._options.coarse_step
         end = self._minimize(start, fine)
@@ -297,10 +303,10 @@ class Search:
     def _minimize(
         self, start: Array, step: float, only: ResidualFilter | None = None
     ) -> SearchResult:
-        from scipy import optimize  # the import takes 0.5 s, so only fits pay for it
+        from scipy import optimize  # imported here because the import takes 0.5 s
 
-        # Add one observation per parameter at its start, so that parameters without
-        # effect on the filtered residuals stay there.
+        # One observation per parameter is added, so that a parameter without effect on
+        # the filtered residuals keeps its initial value.
         count = 0 if only is None else len(start)
         prior = np.eye(count, len(start))
         result = optimize.least_squares(
@@ -317,7 +323,7 @@ class Search:
 
 
 class _SearchStoppedError(Exception):
-    """The search has used up its model runs or reached its target RMS."""
+    """Signal that a search has used up its model runs or reached its target RMS."""
 
 
 def _weighted(residuals: Sequence[Residual]) -> Array:
@@ -328,9 +334,9 @@ def _weighted(residuals: Sequence[Residual]) -> Array:
 
 
 def select_starts(search: Search, count: int) -> list[Array]:
-    """Return the first start and the best of many points drawn about it.
+    """Return the first start and the best of many random points about it.
 
-    The starts have a minimum distance from each other.
+    All starts have a minimum distance from each other.
     """
     size = (_CANDIDATES_PER_START * (count - 1), len(search.start))
     shifts = np.random.default_rng(0).uniform(-_START_RANGE, _START_RANGE, size)
@@ -347,7 +353,7 @@ def select_starts(search: Search, count: int) -> list[Array]:
 
 
 _BOUND_DISTANCE = 1e-3
-"""Distance in z from a bound below which a parameter counts as being at it."""
+"""Distance in z from a bound below which a parameter is at the bound."""
 
 
 def least_squares(
@@ -361,20 +367,20 @@ def least_squares(
     validation: Residuals | None = None,
     refit: Refit | None = None,
 ) -> FitEstimate:
-    """Fit parameters to data (module docstring).
+    """Fit parameters to data, as described in the module docstring.
 
     Args:
-        residuals: function that returns the residuals of all data for given values;
-            their number and lengths must not change. Residuals with another role than
-            "fit" are evaluated only at the end.
+        residuals: function that returns the residuals of all data for given values.
+            Number and lengths of the residuals must be constant.
         unknowns: free parameters.
         options: settings of the search, by default for a smooth model.
-        starts: number of searches; further starts are the best of many random points.
-        held: values that the estimates depend on, to be stored in the result.
+        starts: number of searches.
+        held: fixed values that the estimates depend on, which are stored in the result.
         watch: progress callback.
-        validation: residuals that are evaluated only at the end, for slow models.
-        refit: fit of data from a reference, which measures the model error if the model
-            explains the data.
+        validation: function that returns residuals for validation. It is called only at
+            the end, which saves time with slow models.
+        refit: function that fits the model to data of a reference, which measures the
+            bias due to model errors.
 
     Raises:
         InputError: there is no parameter, there are fewer samples than parameters, or
@@ -442,7 +448,7 @@ def _identify(
     search: Search, z: Array, noise: float
 ) -> tuple[np.ndarray, Identifiability]:
     jacobian, error = search.jacobian_and_error(z, noise)
-    # A parameter without effect may end anywhere, so a bound at its end means nothing.
+    # A parameter without effect may end anywhere, even at a bound.
     has_effect = np.linalg.norm(jacobian, axis=0) > 2 * np.linalg.norm(error, axis=0)
     at_bound = has_effect & (
         (z - search.low < _BOUND_DISTANCE) | (search.high - z < _BOUND_DISTANCE)
@@ -470,10 +476,6 @@ def _count_samples(
 def _iterate_bias(
     search: Search, z: Array, refit: Refit, errors: Array
 ) -> tuple[Array, Array]:
-    """Return the bias of an estimate and its change in the last iteration.
-
-    The iteration ends when the change is below the standard errors in z.
-    """
     bias = search.bias(z, refit)
     change = np.full(len(z), np.inf)
     for _ in range(_MAX_REFITS - 1):
@@ -486,15 +488,12 @@ def _iterate_bias(
 
 
 _MAX_REFITS = 5
-"""Maximum number of fits to data of the reference; gait fits need three to five."""
+"""Maximum number of fits to data of the reference. Gait fits need three to five."""
 
 
 def _spread_of_minima(
     best: SearchResult, ends: Sequence[SearchResult], limit: float
 ) -> Array:
-    """Return each parameter's distance in z to the farthest equivalent minimum.
-
-    Two minima fit equally well if their sums of squares differ by at most `limit`.
-    """
+    """Return the distance of each parameter in z to the farthest equivalent minimum."""
     minima = [end.z for end in ends if 2 * (end.cost - best.cost) <= limit]
     return np.asarray(np.abs(np.array(minima) - best.z).max(axis=0))

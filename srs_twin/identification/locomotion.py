@@ -1,12 +1,12 @@
 """Fits of friction, lengths, masses or stiffness to runs of the crawling robot.
 
-Either plant is driven by the recorded valve states. Its motion is compared with the
-measured motion. The compared signals are the period-averaged speed and yaw rate
-(`averages`), or the path, heading and bends over time (`shapes`), or both.
+The recorded valve states drive a plant, whose motion is compared with the measured
+motion. The compared signals are the period-averaged speed and yaw rate (`averages`),
+the path, heading and bends over time (`shapes`), or both.
 
-Some parameters cannot be identified from these data. Only ratios of masses affect the
-motion, and stiffness and damping have an effect only relative to the masses. With
-prescribed bends (`complete`) the stiffness has no effect.
+Some parameters cannot be identified from these data. The motion depends only on ratios
+of masses, and on stiffness and damping relative to the masses. In the model `complete`,
+whose bends are prescribed, the stiffness has no effect.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def _recorded_pressures(
 
 
 MEASURED_LENGTHS = ("geometry.rigid_gap_m", "geometry.segment_length_m")
-"""Lengths that markers determine. Their sum is the pitch."""
+"""Lengths whose sum, the pitch, is determined by markers."""
 
 FROM_MARKERS = "measured from the markers, not from the walk"
 
@@ -84,21 +84,21 @@ def measured_length(
 ) -> Parameter | None:
     r"""Measure the rigid gap or segment length from markers, if possible.
 
-    The pitch is the sum of rigid gap and segment length of a straight segment. One
-    length follows from the pitch and the other length in the robot file. If the markers
-    give the arc lengths ℓ for the gap g of the file, then
+    The pitch is the sum of rigid gap and length of a straight segment. One of the two
+    lengths is computed from the pitch and the other length in the robot file. The arc
+    lengths ℓ, which the markers determine with the gap g of the file, are fitted by
 
     $$ \ell = a + b\,q^2, \qquad \text{pitch} = a + g . $$
 
     The coefficient b contains the elongation of segments and the effect of a wrong g.
-    The standard error includes the scatter over segments, due to the placement of
+    The standard error includes the scatter over segments due to the placement of
     markers, and the noise of the two outermost markers.
 
     Args:
         recordings: recordings, some or all with markers.
-        spec: robot with which they were read.
-        names: requested parameters; if both lengths are requested, nothing is measured,
-            because markers show only their sum.
+        spec: robot with which the recordings were read.
+        names: requested parameters. If both lengths are requested, nothing is measured,
+            because markers determine only the sum.
     """
     requested = [name for name in names if name in MEASURED_LENGTHS]
     marked = [
@@ -144,13 +144,13 @@ NOISE = {
     "heading": (2e-2, "rad"),
     "bend": (2e-2, "rad"),
 }
-"""Expected standard deviation and unit of a signal.
+"""Expected standard deviation and unit of each signal.
 
-A larger error of a bend, computed from the markers, takes precedence.
+If the error of a bend computed from the markers is larger, this error is used.
 """
 
 _STEP = 3e-2
-"""Step of differences in z for the analytical plants, which have kinks."""
+"""Step of finite differences in z for the analytical plants, which have kinks."""
 
 _COARSE_STEP = 0.1
 """Coarse step in z for the analytical plants."""
@@ -161,23 +161,23 @@ MAX_TWIN_RUNS = 150
 _CLOSE_STEPS = {"tolerance": 2e-5}  # m/s at a time unit of 1 (`robot.scale`)
 """Settings of an analytical plant in a fit.
 
-The friction tolerance is a tenth of the default, because with the default the step size
-control would dominate the differences between runs.
+The friction tolerance is a tenth of the default. With the default, the step size
+control would affect finite differences more than the parameters.
 """
 
 _COMPLIANT_STEPS = _CLOSE_STEPS | {
     "timestep": 0.0005,
     "slip_speed": 0.001,
 }  # s, m/s at a time unit of 1
-"""Settings of `compliant` in a fit, which has a fixed time step.
+"""Settings of the model `compliant` in a fit.
 
-With the defaults (2 ms, 0.25 mm/s) the sum of squares has many local minima a few
-standard errors apart. Its derivatives contain this ripple. The slip speed is equal to
-the twin's.
+With the default time step and slip speed (2 ms, 0.25 mm/s), the sum of squares has many
+local minima a few standard errors apart. The slip speed is equal to the slip speed in
+the twin.
 """
 
 _DIVERGED_RESIDUAL = 1e3
-"""Residual of each sample of a run that diverges, which keeps the search away."""
+"""Residual assigned to each sample of a run that diverges."""
 
 _MAX_RATE_HZ = 50.0
 """Maximum sampling rate at which shapes are compared, Hz."""
@@ -188,12 +188,11 @@ class GaitRun:
     """Measured run of the crawling robot.
 
     Attributes:
-        trajectory: measured motion from rest, with the gait frequency in its metadata.
+        trajectory: measured motion from rest, with the gait frequency in the metadata.
         controller: controller that replays the recorded valve states.
         supply_pa: supply pressure, Pa.
-        name: data name.
-        chambers: pneumatic model that replays recorded pressures; None if valve states
-            were recorded.
+        chambers: pneumatic model that replays recorded pressures, or None if valve
+            states were recorded.
     """
 
     trajectory: Trajectory
@@ -214,9 +213,9 @@ class PlantModel:
     """Plant with which the robot is simulated.
 
     Attributes:
-        plant: "analytical" or "twin".
-        settings: plant settings such as model="compliant", which replace the finer
-            steps that fits use for the analytical plant.
+        plant: name of the plant, "analytical" or "twin".
+        settings: settings of the plant such as model="compliant", which override the
+            settings that fits use by default.
     """
 
     plant: str = "analytical"
@@ -229,11 +228,11 @@ class PlantModel:
     def search_options(self, against: str) -> SearchOptions:
         """Return the settings of a search with this plant.
 
-        The twin's motion is smooth down to 1e-3 in z. Its path and heading are
-        monotonic in the parameters only within 1e-2, but its bends within 1, so the
-        first stage uses only the bends. Identifiability is judged over the few per cent
-        that the data leave undetermined. `compliant` has finer kinks than the twin, and
-        all its signals are monotonic.
+        The motion of the twin is smooth down to steps of 1e-3 in z. Path and heading
+        are monotonic within 1e-2 and bends within 1, so the first stage uses only the
+        bends. The identifiability is computed with a step of the few per cent that the
+        data leave undetermined. The model `compliant` has finer kinks than the twin,
+        and all of its signals are monotonic.
         """
         if self.plant == "twin":
             options = SearchOptions(
@@ -261,7 +260,13 @@ class PlantModel:
     def build(
         self, spec: RobotSpec, supply_pa: float, chambers: Pneumatics | None = None
     ) -> Plant:
-        """Return the plant of a robot, optionally with given chambers."""
+        """Return the plant of a robot.
+
+        Args:
+            spec: robot specification.
+            supply_pa: supply pressure, Pa.
+            chambers: pneumatic model, or None for the default.
+        """
         settings = dict(self.settings)
         if chambers is not None:
             settings["pneumatics"] = chambers
@@ -309,7 +314,6 @@ class _Comparison:
     def simulated(
         self, data: Sequence[_Data], plant: PlantModel, values: Mapping[str, float]
     ) -> list[_Data]:
-        """Return runs of another plant in place of the measured runs."""
         robot = with_values(self.spec, values)
         return [
             self.data(replace(run, trajectory=plant.simulate(run, robot)), role)
@@ -362,22 +366,22 @@ def fit_locomotion(
 
     Args:
         runs: measured runs.
-        spec: robot that gives the start values and the fixed values.
-        names: free parameters, see `parameters`.
-        model: plant with which the robot is simulated, by default the analytical plant.
-        against: compared signals: "averages", "shapes" or "both".
+        spec: robot with the initial values and the fixed values.
+        names: names of the free parameters, as in `parameters`.
+        model: plant that simulates the robot, by default the analytical plant.
+        against: compared signals ("averages", "shapes" or "both").
         validation: runs for validation.
-        starts: number of searches; a single search may end in a local minimum with a
-            large residual, except with shapes and the twin.
+        starts: number of searches. A single search may end in a local minimum, except
+            with shapes of the twin.
         watch: progress callback.
-        reference: better model of the robot, which reveals the bias due to model
-            errors, see `least_squares`. Without it, the intervals assume that the model
-            is right.
+        reference: better model of the robot, which reveals the bias due to model errors
+            (`least_squares`). Without it, the intervals assume a correct model.
         known: measured parameters, which are fixed at their values.
 
     Raises:
-        InputError: there is no run, there are too few for the number of parameters, a
-            run has no complete gait period, or a validation run is also fitted.
+        InputError: there is no run, there are too few runs for the number of
+            parameters, a run has no complete gait period, or a validation run is also
+            fitted.
     """
     if against not in AGAINST:
         raise UnknownNameError("residual", against, AGAINST)
@@ -403,7 +407,7 @@ def fit_locomotion(
         search = Search(
             partial(comparison.residuals, simulated), unknowns, options, None
         )
-        # Start the search where the fit started, so that both end in the same local
+        # The search starts where the fit started, so that both end in one local
         # minimum.
         return search.values(search.run(search.start).z)
 
@@ -425,14 +429,14 @@ def signals(
     """Return the signals by which runs are compared, each of shape (samples,).
 
     Args:
-        trajectory: run.
-        measured: measured run to whose times and pose the run is aligned, or None if
-            the run itself is measured.
-        against: signals to compare, one of `AGAINST`.
-        name: run name.
+        trajectory: measured or simulated run.
+        measured: measured run that the times and the pose of a simulated run are
+            aligned with, or None for a measured run.
+        against: compared signals, one of `AGAINST`.
+        name: name of the run.
 
     Raises:
-        InputError: averages are requested of a run without a complete gait period.
+        InputError: averages are requested, but the run has no complete gait period.
     """
     result: dict[str, np.ndarray] = {}
     if against != "shapes":
@@ -468,8 +472,8 @@ def _shapes(
     path = resample(trajectory, trajectory.com)
     heading = resample(trajectory, trajectory["heading"])[:, 0]
     if is_aligned:
-        # A plant starts at the origin, so the paths are aligned and only their shapes
-        # are compared.
+        # A simulated run starts at the origin, so the paths are aligned and only their
+        # shapes are compared.
         target = resample(measured, measured.com)
         target_heading = resample(measured, measured["heading"])[:, 0]
         turn = float((target_heading - heading).mean())

@@ -1,14 +1,13 @@
-"""Free parameters: robot parameters that a fit estimates, named as in a robot file.
+"""Free parameters, which are robot parameters that a fit estimates.
 
-A name is `section.key` of a robot file. If the file has a list, the number of a
-connector or segment follows: ``mass.connectors_kg_5``, ``modules.gain_plus_2``,
-``modules.bias_rad_1``. Values have the unit that the key names. ``mass.connectors_kg``
-without a number is the mean mass, which scales all masses including the wheels.
-``actuator.bend_rad`` is the bend at the nominal supply pressure.
-``modules.sensor_bias_rad`` is one value for the sensors of all modules.
+A name is `section.key` of a robot file, for example ``actuator.bend_rad``, the bend at
+the nominal supply pressure. An element of a list has the number of the connector or
+segment at the end, as in ``mass.connectors_kg_5`` or ``modules.gain_plus_2``. Without a
+number, ``mass.connectors_kg`` is the mean mass, which scales all masses including the
+wheels. ``modules.sensor_bias_rad`` is one value for the sensors of all modules.
 
 A search uses the coordinate z = ln(value), or z = value/scale if the value may be 0 or
-negative. One unit of z, i.e. a factor e or one scale, is a significant difference.
+negative. One unit of z, that is, a factor e or one scale, is a significant difference.
 """
 
 from __future__ import annotations
@@ -29,15 +28,12 @@ class FreeParameter:
     """Free parameter of a search.
 
     Attributes:
-        name: parameter name (module docstring), or any name of a nuisance parameter.
-        unit: unit of the value.
+        name: name of the robot parameter, or any name of a nuisance parameter.
         start: initial value of the search.
-        low: lower bound.
-        high: upper bound.
-        scale: significant difference, in `unit`, or None if the value is positive and z
-            is its logarithm.
-        nuisance: whether the value is not a result, such as the initial velocity of a
-            coasting test.
+        scale: significant difference in `unit`, or None for a positive value whose
+            logarithm is z.
+        nuisance: whether the value is not a result of interest, such as the initial
+            velocity of a coasting test.
     """
 
     name: str
@@ -78,10 +74,7 @@ class FreeParameter:
 
 @dataclass(frozen=True)
 class _Accessor:
-    """Getter and setter of a parameter in a robot.
-
-    Their argument k is the index of the connector or segment, counted from 0.
-    """
+    """Getter and setter of a parameter of connector or segment k, counted from 0."""
 
     unit: str
     low: float
@@ -99,14 +92,14 @@ def free_parameters(
     """Return free parameters that start from the values of a robot.
 
     Args:
-        spec: robot.
-        names: parameter names.
-        starts: other initial values, by name.
+        spec: robot specification.
+        names: names of the parameters.
+        starts: initial values, by name, that differ from the robot.
 
     Raises:
         UnknownNameError: a parameter does not exist.
-        InputError: this robot does not have a parameter, a name is repeated, or a start
-            is out of bounds.
+        InputError: this robot does not have a parameter, a name is repeated, or an
+            initial value is out of bounds.
     """
     parameters: list[FreeParameter] = []
     for name in names:
@@ -126,10 +119,10 @@ def free_parameters(
 
 
 def with_values(spec: RobotSpec, values: Mapping[str, float]) -> RobotSpec:
-    """Return a robot with other parameter values, ignoring names of other values.
+    """Return a robot with other parameter values.
 
-    The result keeps the scale of `spec`, so that numerical settings do not jump between
-    the candidates of a fit.
+    Values that are not robot parameters are ignored. The result keeps the scale of
+    `spec`, so that numerical settings are equal for all candidates of a fit.
 
     Raises:
         InputError: a robot cannot have these values.
@@ -139,7 +132,7 @@ def with_values(spec: RobotSpec, values: Mapping[str, float]) -> RobotSpec:
         if is_parameter(name):
             accessor, k = _checked_accessor(spec, name)
             spec = accessor.set(spec, value, k)
-    vars(spec)["scale"] = scale  # where `cached_property` stores it
+    vars(spec)["scale"] = scale  # `cached_property` reads the value from here
     return spec
 
 
@@ -160,7 +153,7 @@ def parameter_unit(name: str) -> str:
 
 
 def parameter_names() -> list[str]:
-    """Return the names of all fittable parameters, with N for a number."""
+    """Return the names of all parameters that can be fitted, with N for a number."""
     return list(_ACCESSORS)
 
 
@@ -215,7 +208,6 @@ def _scalar(
 def _module(
     attribute: str, side: int | None, unit: str, low: float, high: float, **more: Any
 ) -> _Accessor:
-    """Return the accessor of a module parameter, where side 0 is the + chamber."""
     place = () if side is None else (side,)
 
     def get(spec: RobotSpec, k: int) -> float:
@@ -253,7 +245,7 @@ def _set_mass(spec: RobotSpec, value: float, k: int) -> RobotSpec:
 
 
 def _lightest(spec: RobotSpec) -> float:
-    """Return the minimum mass of a connector, kg, just above the mass of its wheels."""
+    """Return the minimum mass of a connector, kg, slightly above the wheel mass."""
     return 2.01 * spec.mass.wheel / WHEEL_SHARE
 
 
@@ -273,7 +265,7 @@ def _set_bend(spec: RobotSpec, value: float, k: int) -> RobotSpec:
     )
 
 
-# The bounds lie within those of robot files, so that every fitted robot can be written.
+# The bounds lie within the bounds of robot files, so that every result can be written.
 _ACCESSORS: dict[str, _Accessor] = {
     "geometry.segment_length_m": _scalar("geometry", "segment_length", "m", 0.005, 0.5),
     "geometry.rigid_gap_m": _scalar("geometry", "rigid_gap", "m", 0.0, 0.2, scale=0.02),

@@ -1,7 +1,7 @@
 r"""Period-averaged path of a crawling snake: speed, curvature, edges and transients.
 
-A pose is a point of the path and the direction of the path there. Motion along an arc
-of curvature κ and length L is
+A pose is a point of the path and the direction of the path at this point. The motion
+along an arc of curvature κ and length L is
 
 $$ A_κ(L) = \Bigl(L\,\mathrm{sinc}\tfrac{κL}{2},\; \text{at the angle}\; \tfrac{κL}{2};\;\; κL\Bigr), $$
 
@@ -9,15 +9,15 @@ and P ∘ A is the pose at the end of an arc that starts at P. Arrays of poses h
 leading axis.
 
 `SteadyPath` describes crawling at a constant offset (Fig. 58, Table 8).
-`measure_transient` measures a change of offset at the time t_s, relative to the
-dissertation's assumption of an instant change. The pose P at t_s is extrapolated from
-the steady arc before the change. After an instant change the snake would follow the
-steady arc P ∘ A(v (t − t_s)) of the new offset. The settled path of a real snake is
+`measure_transient` measures a change of offset at the time t_s. The pose P at t_s is
+extrapolated from the steady arc before the change. If the path changed instantly, as
+the dissertation assumes, the snake would follow the steady arc P ∘ A(v (t − t_s)) of
+the new offset. The settled path of a real snake is
 
 $$ P ∘ D ∘ A(v (t − t_s)), $$
 
 as if the snake had jumped by the constant displacement D. The path has settled when the
-turn per period differs from the turn of the new offset by at most 10 % of the change.
+turn per period differs from the turn at the new offset by at most 10 % of the change.
 If learning still varies the turn, twice this variation is allowed.
 """
 
@@ -54,7 +54,7 @@ class Poses:
 
     Attributes:
         place: position x + i y, m, shape (n,) or ().
-        heading: heading, rad, in the shape of `place`.
+        heading: heading, rad, with the shape of `place`.
     """
 
     place: np.ndarray
@@ -67,7 +67,7 @@ class Poses:
         return cls(length * np.sinc(half / np.pi) * np.exp(1j * half), 2 * half)
 
     def compose(self, other: Poses) -> Poses:
-        """Return self ∘ other, the end of the other motion from this pose."""
+        """Return self ∘ other, that is, the end of the other motion from this pose."""
         return Poses(
             self.place + np.exp(1j * self.heading) * other.place,
             self.heading + other.heading,
@@ -87,12 +87,13 @@ class Poses:
         """Return the coordinates of points relative to arcs through these poses.
 
         Args:
-            points: points, m, shape (n, points, 2); with a single pose n is arbitrary.
-            curvature: arc curvature, 1/m.
+            points: points in the plane, m, shape (n, points, 2). With a single pose, n
+                is arbitrary.
+            curvature: curvature of the arcs, 1/m.
 
         Returns:
-            Position along the arc from the pose, and distance to the left of the arc,
-            m, shape (n, points) each.
+            Positions along the arc, and distances to the left of the arc, m, both of
+            shape (n, points).
         """
         relative = points[..., 0] + 1j * points[..., 1] - self.place[..., None]
         relative = relative * np.exp(-1j * self.heading)[..., None]
@@ -113,17 +114,17 @@ def period_averaged_path(
 ) -> tuple[np.ndarray, Poses]:
     """Return the period-averaged path of the centre of mass in a window.
 
-    A pose is placed at the middle of a period and has the direction of the period's
-    chord. The mean over an arc with turn φ per period lies inside the arc by (1 −
-    sinc(φ/2))/κ, which is corrected. Means of poses over whole periods do not contain
-    the sway of the body.
+    A pose lies at the middle of a period and has the direction of the chord of the
+    period. The mean position over an arc with the turn φ per period lies inside the arc
+    by (1 − sinc(φ/2))/κ, which is corrected. The sway of the body vanishes in means
+    over whole periods.
 
     Args:
-        trajectory: run.
-        window: window of K periods, with an approximately constant turning rate.
+        trajectory: motion of the snake.
+        window: window of K periods with an approximately constant turning rate.
 
     Returns:
-        Times, s, and poses over K − 1 periods, shape (instants,) each.
+        Times, s, and poses over K − 1 periods, both of shape (instants,).
     """
     mean, velocity = window.running_mean(trajectory, trajectory.com)
     turn = (
@@ -167,13 +168,13 @@ class SteadyPath:
     ) -> SteadyPath:
         """Measure the steady path over whole periods of a run.
 
-        The body is a band of the robot's width about its centre line, with round ends.
-        The band also includes the bulges between connectors.
+        The body is a band about the centre line with round ends and the width of the
+        robot, including the arcs between connectors.
 
         Args:
-            trajectory: run.
-            geometry: robot geometry.
-            window: three or more periods.
+            trajectory: motion of the snake.
+            geometry: geometry of the robot.
+            window: window of three or more periods.
 
         Raises:
             InputError: the snake does not move forward.
@@ -201,13 +202,13 @@ class SteadyPath:
         along, left = on_arc.coordinates(
             body_sides(trajectory, geometry)[in_window], curvature
         )
-        # Head and tail are discs, as in the twin's collision geometry.
+        # Head and tail are discs, as in the collision geometry of the twin.
         ends, offset = on_arc.coordinates(
             trajectory.position[in_window][:, [0, -1]], curvature
         )
         extent = (
             geometry.width / 2 / (1 - curvature * offset)
-        )  # half widths of the discs, as angles about the arc's centre
+        )  # half widths of the discs as angles about the centre of the arc
         if abs(curvature) > _STRAIGHT_PER_M:
             extent = np.arcsin(curvature * extent) / curvature
         ahead = max(along.max(), (ends + extent).max())
@@ -218,9 +219,9 @@ class SteadyPath:
 
 
 def average_repeats(repeats: Sequence[SteadyPath]) -> tuple[SteadyPath, SteadyPath]:
-    """Combine repeated measurements, and return half their range as well.
+    """Combine repeated measurements, and return half their range.
 
-    Speed and curvature are means; the extents of the body are maxima.
+    Speed and curvature are averaged, and the extents of the body are maxima.
     """
     values = np.array([astuple(repeat) for repeat in repeats])
     names = [field.name for field in fields(SteadyPath)]
@@ -233,7 +234,7 @@ def average_repeats(repeats: Sequence[SteadyPath]) -> tuple[SteadyPath, SteadyPa
 
 BothPaths = tuple[SteadyPath, SteadyPath]
 STEADY_PERIODS = 4
-"""Number of periods of the average before a change and after settling."""
+"""Number of periods that are averaged before a change and after settling."""
 
 SETTLED = 0.1
 """Relative error of the turn per period below which a change is complete."""
@@ -267,12 +268,12 @@ def measure_transient(
     """Measure one change of offset.
 
     The part of the body that is still on the old arc is excluded, because a planner
-    includes it in that arc.
+    assigns it to this arc.
 
     Args:
-        trajectory: run with some periods before the change and some after the path has
-            settled.
-        geometry: robot geometry.
+        trajectory: motion with some periods before the change and some after the path
+            has settled.
+        geometry: geometry of the robot.
         period: gait period, s.
         change: change of offset.
         paths: steady paths of the old and the new offset.
@@ -316,9 +317,8 @@ def _excess(
 ) -> tuple[float, float]:
     """Return how far the body reaches beyond the new arc to the left and right, m.
 
-    The area that the old arc sweeps up to the change, at most one body length before
-    it, is excluded. `begin` is the pose at the change, and `settled` is the end of the
-    transient, s.
+    The area swept along the old arc within one body length before the change is
+    excluded.
     """
     before, after = paths
     during = (trajectory.time >= time - 1e-9) & (trajectory.time <= settled + 1e-9)
@@ -358,7 +358,10 @@ def _settling_time(
 
 
 def combine_transients(repeats: Sequence[Transient]) -> Transient:
-    """Combine transients at several phases: maximum extents, mean displacement."""
+    """Combine transients at several phases.
+
+    Displacements are averaged, and the extents of the body are maxima.
+    """
     first = repeats[0]
     left, right, length = (
         max(getattr(t, name) for t in repeats) for name in ("left", "right", "length")

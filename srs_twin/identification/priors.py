@@ -1,8 +1,7 @@
 r"""Prior distributions of the uncertain parameters of a robot, with correlations.
 
-A robot file gives the distribution of a number in `Uncertain`. The numbers are quantile
-functions of standard normal variables ζ with the correlations R of the file (Gaussian
-copula):
+The entry `uncertain` of a value in a robot file states its distribution F. Correlations
+R between values are represented by standard normal variables ζ (Gaussian copula):
 
 $$ x_i = F_i^{-1}(\Phi(\zeta_i)), \qquad \zeta = L z, \quad L L^T = R, \quad z_i = \Phi^{-1}(u_i), $$
 
@@ -31,10 +30,7 @@ class Prior:
     Attributes:
         path: path of the parameter in a robot file.
         value: value in the robot file.
-        unit: unit of the value.
-        uncertain: distribution.
-        bounds: minimum and maximum in a robot file.
-        source: source of the distribution.
+        bounds: minimum and maximum value that a robot file allows.
     """
 
     path: str
@@ -49,10 +45,7 @@ class Prior:
         return self.uncertain.quantile(self.value, self.bounds, probabilities)
 
     def cdf(self, values: Array) -> Array:
-        """Return the interpolated cumulative probabilities of values.
-
-        They are 0 or 1 outside the distribution.
-        """
+        """Return the cumulative probabilities of values by interpolation."""
         table = np.linspace(0.0, 1.0, 4001)
         return np.interp(values, self.quantile(table), table)
 
@@ -70,7 +63,6 @@ class Priors:
     """Joint prior distribution of the uncertain parameters of a robot.
 
     Attributes:
-        parameters: prior of each parameter.
         correlation: correlation matrix R of the normal variables, shape (d, d).
     """
 
@@ -83,7 +75,7 @@ class Priors:
 
         Args:
             robot: robot file.
-            without: paths of parameters to treat as exact.
+            without: paths of parameters that are treated as exact.
 
         Raises:
             UnknownNameError: a path does not belong to an uncertain parameter.
@@ -136,7 +128,7 @@ class Priors:
         return bool((self.correlation == np.eye(len(self.parameters))).all())
 
     def quantile(self, probabilities: Array) -> Array:
-        """Return the parameters for independent uniform probabilities u."""
+        """Return the parameter values for independent uniform probabilities u."""
         inside = np.clip(probabilities, MIN_PROBABILITY, 1 - MIN_PROBABILITY)
         normal = ndtri(inside) @ np.linalg.cholesky(self.correlation).T
         columns = [

@@ -24,10 +24,10 @@ from srs_twin.scenario.loading import parse_scenario
 from srs_twin.scenario.scenario import Scenario
 
 _MAX_DURATION_S = 3600.0
-"""Longest replay, s: the limit of a scenario."""
+"""Maximum duration of a replay, s (limit of a scenario)."""
 
 _BENCH_RECORD_HZ = 1000
-"""Sampling rate on a bench, where bends follow the valves within milliseconds."""
+"""Sampling rate on a bench, where bends follow the valves within milliseconds, Hz."""
 
 
 @checked
@@ -46,17 +46,17 @@ def replay_scenario(
     law: str | None = None,
     notify: Callable[[str], object] = str,
 ) -> Scenario:
-    """Return the scenario that drives both plants with the valve states of a recording.
+    """Build the scenario that drives both plants with the valve states of a recording.
 
-    `srs-twin replay` runs it with `run_scenario`, whose metrics compare each plant with
-    the recording.
+    `srs-twin replay` runs the scenario with `run_scenario`, whose metrics compare each
+    plant with the recording.
 
     Args:
-        motion: motion capture, or bends on a bench.
+        motion: file of motion capture, or of bends on a bench.
         robot: robot to simulate.
         recording: further keys of the section `recording` of a scenario, such as
             `valves`.
-        set: values that override fields of the scenario, see `load_scenario`.
+        set: values that override fields of the scenario, as in `load_scenario`.
         fits: fit files of this robot.
         expect: file of expectations, as in a scenario.
         bench: whether the robot is clamped at its head on a bench.

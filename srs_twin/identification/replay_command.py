@@ -1,4 +1,4 @@
-"""`srs-twin replay`, which compares a recorded run with both plants."""
+"""Command `srs-twin replay`, which compares a recorded run with both plants."""
 
 from __future__ import annotations
 
@@ -50,18 +50,18 @@ def replay(
 ) -> None:
     """Drive both plants with the valve states of a recording.
 
-    The output compares each plant with the measured motion. In the output folder,
-    scenario.resolved.yaml is the same replay as a scenario, for `srs-twin run`.
+    The output compares each plant with the measured motion. The file
+    scenario.resolved.yaml in the output folder repeats the replay with `srs-twin run`.
 
     Options:
-        motion: Motion capture, or bends on a bench.
+        motion: File of motion capture, or of bends on a bench.
         --robot -r ROBOT: Shipped robot or robot file.
         --valves LOG: Log of valves or pressures. [default: NAME.valves.csv in the same
             folder]
         --fit FIT: Fit file of this robot (repeatable).
         --expect FILE.yaml: File of expectations, as in a scenario: `expect: …`.
-        --bench: Robot (or single module) on a bench, clamped at its head, instead of on
-            the floor.
+        --bench: Simulate a robot or module that is clamped at its head on a bench
+            instead of crawling on the floor.
         --plants LIST: Plants: analytical, twin or analytical,twin.
         --model NAME: Model of the analytical plant.
         --out DIR: Output folder. [default: runs/MOTION]

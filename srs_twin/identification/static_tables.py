@@ -1,25 +1,25 @@
 r"""Gains, rest bends and dead zones of free segments, fitted to static measurements.
 
-**Tables.** A CSV file has constant pressures and the bends at which free segments come
-to rest. Its columns are ``pressure_plus_1,pressure_minus_1,bend_1,…``
-(``pressure_plus_1_kpa``, ``bend_1_deg``; Pa and rad without a unit), and optional
-standard errors ``bend_error_1``. A missing pressure is 0, and an empty bend was not
-measured. Static data do not determine time constants or masses.
+**Tables.** A CSV file contains constant pressures and the bends at which free segments
+come to rest. The columns are ``pressure_plus_1,pressure_minus_1,bend_1,…``, with
+optional standard errors ``bend_error_1``. Units may be stated by the name
+(``pressure_plus_1_kpa``, ``bend_1_deg``). A missing pressure is 0, and an empty bend
+was not measured. Static data do not determine time constants or masses.
 
-**Plateaus** of a recording form such a table. A plateau starts where all pressures
-begin to stay within ±1 kPa (or ±5 standard deviations of their noise). Its first 5 τ,
-where τ is the maximum time constant of the robot, its last 50 ms and outliers of the
-pressures are discarded. Then each segment repeatedly loses the first quarter of its
-frames until its bend has settled. A bend has settled if the drift of a fitted line is
-less than twice its standard error, or less than 0.1 mrad. The mean bend has the
-standard error
+**Plateaus** of a recording form such a table. A plateau starts when all pressures begin
+to stay within ±1 kPa (or ±5 standard deviations of the noise). The first 5 τ of the
+plateau, where τ is the maximum time constant of the robot, the last 50 ms, and outliers
+of the pressures are discarded. The first quarter of the remaining frames is discarded
+repeatedly until the bend of a segment has settled. A bend has settled if the drift of a
+fitted line is less than twice its standard error, or less than 0.1 mrad. The mean bend
+has the standard error
 
 $$ \sigma = \max\bigl(s / \sqrt{n/\tau_c},\; e/10\bigr), $$
 
-where s is the scatter of n frames about the line, τ_c its `correlation_time`, and e the
-standard error of one frame, if recorded (``bend_error_1``). A tenth of e is assumed to
-be common to all frames, for example due to marker offsets, and is not reduced by
-averaging.
+where s is the standard deviation of n frames about the line, τ_c the
+`correlation_time`, and e the recorded standard error of one frame (``bend_error_1``).
+A tenth of e is assumed to be common to all frames, for example due to marker offsets,
+so averaging does not reduce it.
 """
 
 from __future__ import annotations
@@ -62,19 +62,19 @@ from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 
 _PLATEAU_BAND_PA = 1e3
-"""Maximum deviation from the mean of a constant pressure."""
+"""Maximum deviation of a constant pressure from the mean, Pa."""
 
 _OUTLIER_MEDIANS = 7.5
-"""Deviation of a pressure, in median deviations, above which it is an outlier."""
+"""Deviation of an outlier of a pressure, in median absolute deviations."""
 
 _OUTLIER_MARGIN_PA = 100.0
-"""Additional allowed deviation of pressures without noise."""
+"""Additional allowed deviation of pressures without noise, Pa."""
 
 _MAX_PRESSURE_PA = 2e6
-"""Maximum plausible pressure. A larger pressure has the wrong unit."""
+"""Maximum plausible pressure, Pa. A larger pressure is in a wrong unit."""
 
 _MAX_BEND_RAD = 2 * math.pi
-"""Maximum plausible bend. A larger bend has the wrong unit."""
+"""Maximum plausible bend, rad. A larger bend is in a wrong unit."""
 
 _BEND_LIMIT = "actuator.bend_limit_rad"
 _ONSET_SHARE = "actuator.onset_share"
@@ -83,7 +83,8 @@ _ONSET_WIDTH = "actuator.onset_width_rad"
 _DEAD_ZONE = (_ONSET, _ONSET_WIDTH, _ONSET_SHARE)
 
 _SHARP_WIDTH_RAD = 0.02
-"""Width of a dead zone that the data do not determine: the minimum allowed value."""
+"""Width of a dead zone that the data do not determine, rad (minimum of robot files).
+"""
 
 
 @dataclass(frozen=True)
@@ -91,12 +92,10 @@ class StaticTable:
     """Bends at constant pressures.
 
     Attributes:
-        name: file name.
-        sha256: file hash (SHA-256).
         pressure: gauge pressures, Pa, shape (points, segments, 2).
-        bend: bends, rad, shape (points, segments); NaN if not measured.
-        bend_error: standard errors of the bends, rad, shape (points, segments); NaN if
-            unknown.
+        bend: measured bends, NaN if not measured, rad, shape (points, segments).
+        bend_error: standard errors of the bends, NaN if unknown, rad, shape (points,
+            segments).
     """
 
     name: str
@@ -109,11 +108,11 @@ class StaticTable:
     def from_recording(
         cls, recording: Recording, name: str, spec: RobotSpec, supply_pa: float
     ) -> StaticTable:
-        """Return the plateaus of a recording joined with its log (module docstring).
+        """Return the plateaus of a recording with a log.
 
         With a log of valves, a filling chamber is assumed to have the supply pressure
-        after 5 τ, and a venting chamber zero pressure. Times at which a chamber holds
-        its pressure give no plateau, because this pressure is unknown.
+        after 5 τ, and a venting chamber zero pressure. No plateau is possible while a
+        chamber holds its pressure, because this pressure is unknown.
 
         Raises:
             InputError: the recording has no log or no plateau.
@@ -190,21 +189,19 @@ def _settled_frames(
     end: int,
     wait: float,
 ) -> np.ndarray | None:
-    """Return the frames of a plateau to average, or None if it is not usable."""
     span = float(time[end - 1] - time[begin])
     deviation = np.abs(pressure[begin:end] - np.median(pressure[begin:end], axis=0))
     limit = _OUTLIER_MEDIANS * np.median(deviation, axis=0) + _OUTLIER_MARGIN_PA
     is_near = (deviation <= limit).all(axis=(1, 2))
     since = time[begin:end] - time[begin]
-    # The end is discarded, because the next step may already have begun within the
-    # band, and clocks may differ.
+    # The end is discarded because the next step may already have begun within the band,
+    # and because clocks may differ.
     frames = begin + np.flatnonzero(
         is_near & (since >= wait) & (since <= span - CLOCK_ERROR_S)
     )
     if len(frames) < MIN_FRAMES:
         return None
-    # A slow ramp is not a plateau, although it stays within the band while it rises by
-    # the band's width.
+    # A slow ramp stays within the band for some time, although it is not a plateau.
     slope = np.polyfit(
         since[frames - begin], pressure[frames].reshape(len(frames), -1), 1
     )[0]
@@ -231,12 +228,11 @@ def _constant_intervals(
 
 
 def _noise_scale(values: np.ndarray) -> np.ndarray:
-    """Return the noise scale of a log, 1.65 σ for white noise.
+    """Return the noise scale of a log, which is 1.65 σ for white noise.
 
-    The scale is a median magnitude of differences. Steps and slow changes of pressure
-    are not noise, so it is the smaller of two estimates. A step changes only one first
-    difference, and a ramp changes no second difference. First differences of white
-    noise are smaller than second differences by √3.
+    The scale is the smaller median magnitude of first and second differences, because
+    steps change few first differences and ramps change no second differences. For white
+    noise, first differences are smaller than second differences by the factor √3.
     """
     medians = [
         scale * np.median(np.abs(np.diff(values, order, axis=0)), axis=0)
@@ -249,10 +245,7 @@ def _noise_scale(values: np.ndarray) -> np.ndarray:
 def _settled_mean(
     time: np.ndarray, pressure: np.ndarray, bend: np.ndarray, frame_error: np.ndarray
 ) -> list[float]:
-    """Return a segment's mean pressures, settled mean bend and error of this mean.
-
-    The bend is NaN if it does not settle.
-    """
+    """Return mean pressures, mean bend (NaN if not settled) and standard error."""
     kept = np.flatnonzero(np.isfinite(bend))
     while len(kept) >= MIN_FRAMES:
         since = time[kept] - time[kept].mean()
@@ -275,7 +268,7 @@ def _settled_mean(
 
 
 NamedRecordings = Sequence[tuple[str, Recording]]
-"""Names and recordings, which have been joined with their logs."""
+"""Recordings with logs, each with a name."""
 
 
 def plateau_tables(
@@ -284,15 +277,15 @@ def plateau_tables(
     """Return the plateaus of recordings for a fit.
 
     Raises:
-        InputError: see `StaticTable.from_recording`, or a logged and varied pressure
-            has fewer than 3 different levels in all recordings.
+        InputError: `StaticTable.from_recording` fails, or a logged pressure that varies
+            has fewer than 3 levels in all recordings.
     """
     tables = [
         StaticTable.from_recording(recording, name, spec, supply_pa)
         for name, recording in recordings
     ]
     if any(log_of(recording, name).kind == "valve" for name, recording in recordings):
-        return tables  # a log of valves gives only two pressures
+        return tables  # a log of valves has only two pressures
     merged = merge_tables(tables)
     for j, k in np.ndindex(spec.segments, len(SIDES)):
         levels = np.sort(merged.pressure[np.isfinite(merged.bend[:, j]), j, k])
@@ -317,7 +310,7 @@ def merge_tables(tables: Sequence[StaticTable]) -> StaticTable:
 
 
 def write_static_table(table: StaticTable, path: StrPath) -> None:
-    """Write a table as a file for `read_static_table`, at full precision."""
+    """Write a table for `read_static_table` with full precision."""
     points, segments = table.bend.shape
     header = [f"pressure_{side}_{j + 1}_pa" for j in range(segments) for side in SIDES]
     header += [
@@ -332,7 +325,7 @@ def write_static_table(table: StaticTable, path: StrPath) -> None:
 
 
 def is_static_table(path: StrPath) -> bool:
-    """Return whether the first line of a file names bends but no time.
+    """Return whether the first line of a file names bends, but no time.
 
     Raises:
         InputError: the file cannot be read.
@@ -391,13 +384,12 @@ def fit_static(
 ) -> FitEstimate:
     """Estimate gains, rest bends and the bend limit from static tables.
 
-    A dead zone is included if it improves the fit significantly (F-test, 1 %). The
-    first fit has an onset, a width and no response in the zone. A second fit also
-    estimates the response in the zone.
+    A dead zone is included if it improves the fit significantly (F-test, 1 %). The dead
+    zone is first fitted without a response inside the zone, and then with a response.
 
     Args:
-        tables: measured tables; the residual of each point is in the estimate.
-        spec: robot whose values are the start of the search; `actuator.bend_rad` is
+        tables: measured tables.
+        spec: robot whose values are the start of the search. `actuator.bend_rad` is
             fixed as in `fit_actuator`.
         names: names of the free parameters, by default gains, rest bends, bend limit
             and a dead zone.
@@ -433,8 +425,8 @@ def fit_static(
         is_reached = _BEND_LIMIT not in searched or _BEND_LIMIT in estimate.values
         if names is not None or not unlimited or is_reached:
             return estimate
-        # The data do not reach the bend limit. At its upper bound it would still reduce
-        # the bends, so fit without it.
+        # The data do not reach the bend limit. Even at its upper bound it would reduce
+        # the bends, so the fit is repeated without a bend limit.
         without = search([name for name in searched if name != _BEND_LIMIT], fixed, {})
         return without.with_fixed([estimate[_BEND_LIMIT]])
 
@@ -455,7 +447,7 @@ def fit_static(
 _StaticSearch = Callable[
     [Sequence[str], Mapping[str, float], Mapping[str, float]], FitEstimate
 ]
-"""Search of a static fit, given the free parameters, fixed values and start values."""
+"""Search of a static fit, given free parameters, fixed values and initial values."""
 
 
 def _fit_dead_zone(

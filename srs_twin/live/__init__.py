@@ -1,1 +1,1 @@
-"""Live twin of a robot: messages over MQTT and NatNet, estimation, fault detection, steering, an emulator."""
+"""Live twin of a robot: messages, estimation, fault detection, steering, emulator."""

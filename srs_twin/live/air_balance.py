@@ -1,27 +1,26 @@
-r"""SupplyFilter and LeakDetector: estimates from the air that filling chambers take in.
+r"""Supply pressure and leaks, estimated from the air that filling chambers take in.
 
-While the valve of a chamber is open, the chamber pressure P and the bend q of the segment
-satisfy the balance of air
+While the valve of a chamber is open, the chamber pressure P and the bend q of the
+segment satisfy the balance of air
 
 $$ \Delta (P\,V(q)) = c \int \dot n_{in}\,dt - (\lambda_0 + \lambda)\,K \int (P - P_a)\,dt, $$
 
 where V is the chamber volume, ṅ_in the flow through an orifice (`pneumatics/flow.py`),
-P_a the ambient pressure and K the capacity of a nominal chamber. A stroke is the time in
-which the valve stays open. Linear regression with forgetting estimates the flow factor c
-and the apparent loss λ₀ of an intact chamber over many strokes. The scatter between
-strokes is estimated as well. A leak λ is then visible within one stroke. First-order
-chambers satisfy the balance with other values of c and λ₀.
+P_a the ambient pressure and K the capacity of a nominal chamber. A stroke is the time
+in which the valve stays open. Linear regression with forgetting estimates the flow
+factor c and the apparent loss λ₀ of an intact chamber over many strokes, and the
+scatter between strokes. A leak λ is then visible within one stroke.
 
-All chambers share one supply, whose gauge pressure S is modelled as a random walk. Since
-its valve opened, chamber i has taken in r_i more air than expected. With the derivative
+All chambers share one supply, whose gauge pressure S is modelled as a random walk.
+During its stroke, chamber i takes in r_i more air than expected. With the derivative
 h_i of the amount with respect to S and an error v_i, the excess is
 r_i = h_i (S − Ŝ) + v_i. A Kalman filter combines the chambers:
 
 $$ \hat S' = \hat S + \frac{\sum_i w_i h_i r_i / \sigma_i^2}{1/P + \sum_i w_i h_i^2 / \sigma_i^2}. $$
 
-Here σ_i is the standard deviation of v_i, and P is the variance of Ŝ. The weights w_i of
-Student's t distribution limit the effect of a chamber that leaks or is stuck. If most
-filling chambers agree on a large change, the estimate follows the change at once.
+Here σ_i is the standard deviation of v_i, and P is the variance of Ŝ. The weights w_i
+of Student's t distribution limit the effect of a chamber that leaks or is stuck. If
+most filling chambers agree on a large change, the estimate follows the change at once.
 """
 
 from __future__ import annotations
@@ -133,7 +132,8 @@ class SupplyFilter(Stateful):
             chance = np.pi / 2 / len(residual) * scatter
             if change**2 > _SURPRISE**2 * (self.variance + chance):
                 self.variance += change**2
-                # Earlier messages of the strokes did not contain the change.
+                # Earlier messages did not contain the change, so they are not
+                # correlated with this one.
                 repeats = 1.0
         expected = variance + response**2 * self.variance
         square = (residual - response * change) ** 2 / expected
@@ -173,7 +173,7 @@ class SupplyFilter(Stateful):
         self._set(self.pressure + gain * (pressure - self.pressure))
 
     def jump(self, share: float) -> None:
-        """Set the pressure to a fraction of the estimate and raise the variance."""
+        """Multiply the estimate by a fraction and increase the variance."""
         self._set(share * self.pressure)
         self.variance = (LARGEST_SD * self.pressure) ** 2
 
@@ -189,13 +189,13 @@ to leak before the first strokes are learnt."""
 LOSS_SD = 0.3
 """Prior standard deviation of the apparent loss λ₀, 1/s."""
 FORGETTING = 0.95
-"""Weight of a stroke relative to the next one."""
+"""Weight of a stroke relative to the weight of the next stroke."""
 MOST_STROKES = 40
 """Maximum number of strokes over which the scatter is averaged."""
 SCATTER = 0.05
-"""Prior scatter between strokes, fraction of the inflow."""
+"""Prior standard deviation between strokes, fraction of the inflow."""
 SCATTER_STROKES = 3
-"""Number of first strokes that do not change the prior scatter."""
+"""Number of initial strokes during which the prior scatter is kept."""
 LEAST_SCATTER = 0.02
 """Lower limit of the scatter, fraction of the inflow."""
 MESSAGES_PER_INDEPENDENT = 16
@@ -209,9 +209,9 @@ WEAK_INFLOW_SD = 0.7
 LEAST_INFLOW = 0.1
 """Minimum inflow of a used stroke, fraction of K times the supply pressure."""
 LONGEST_GAP_S = 0.1
-"""Interval between messages that ends a stroke, s."""
+"""Time without a message after which a stroke ends, s."""
 SOUND = 0.98
-"""Probability of no fault above which the strokes of a chamber are learnt."""
+"""Strokes are learnt if the probability of no fault exceeds this value."""
 LIMIT = 3.0
 """Maximum residual from which the scatter is learnt, in standard deviations."""
 TAILS = 12.0
@@ -222,9 +222,9 @@ _volume = np.vectorize(volume, otypes=[float, float])
 _flow = np.vectorize(
     lambda first, second: flow(first, second, CRITICAL_RATIO)[0], otypes=[float]
 )
-# Columns of the integrals over a stroke: the gauge pressure, the inflow of each variant,
-# and the derivative of the inflow with respect to the supply pressure. The first variant
-# has no fault.
+# Columns of the integrals over a stroke: the gauge pressure, the inflow of each
+# variant, and the derivative of the inflow with respect to the supply pressure. The
+# first variant has no fault.
 _OUTFLOW = 0
 _SOUND_INFLOW = 1
 _INFLOWS = slice(1, -1)
@@ -251,12 +251,12 @@ class SupplyResidual(NamedTuple):
 
 
 class _Residual(NamedTuple):
-    """Residuals of the air balances; each array has shape (segments, 2, variants).
+    """Residuals of the air balances, shape (segments, 2, variants).
 
     Attributes:
         value: residual of each balance.
         variance: variance of each residual.
-        fit_variance: part of the variance that is due to the fit.
+        fit_variance: part of the variance that is due to uncertain c and λ₀.
     """
 
     value: np.ndarray
@@ -264,15 +264,11 @@ class _Residual(NamedTuple):
     fit_variance: np.ndarray
 
     def sound(self) -> _Residual:
-        """Return the residuals of the variant without a fault, shape (segments, 2)."""
         return _Residual(*(values[..., 0] for values in self))
 
 
 class _Message(IntEnum):
-    """Column of `LeakDetector._pending`, the most informative message of a stroke.
-
-    The last column contains the contribution of the stroke to the scatter.
-    """
+    """Column of `LeakDetector._pending`, the most informative message of a stroke."""
 
     INFLOW = 0
     OUTFLOW = 1
@@ -341,7 +337,8 @@ class LeakDetector(Stateful):
         self._pending = np.zeros((*shape, len(_Message)))
         # Time of the last pressure of the stroke, or NaN outside a stroke.
         self._time = np.full(shape, np.nan)
-        # The last axis holds the amount of air and the standard deviation of the amount.
+        # The last axis holds the amount of air and the standard deviation of the
+        # amount.
         self._begun = np.zeros((*shape, 2))
         self._reached = np.zeros((*shape, 2))
         # The last axis runs from `_OUTFLOW` to `_SLOPE`.
@@ -437,7 +434,6 @@ class LeakDetector(Stateful):
     def _continues(
         self, time: float, pressure: np.ndarray, filled: np.ndarray
     ) -> np.ndarray:
-        """Return whether the valve of a chamber has been open since the last pressure."""
         since = time - self._time
         opened: np.ndarray = (
             ~np.isnan(pressure) & (since < LONGEST_GAP_S) & (filled > since - 1e-6)
@@ -457,6 +453,8 @@ class LeakDetector(Stateful):
         size, growth = _volume(
             chamber.dead_volume, chamber.displacement, bend.value[:, None], [0, 1]
         )
+        # The amount of air is the pressure times the volume, in units of K times the
+        # nominal supply pressure.
         held = inside / self._unit
         held_sd = held * np.abs(growth) * bend.sd[:, None]
         reached = np.stack([held * size, held_sd], axis=-1)
@@ -466,12 +464,15 @@ class LeakDetector(Stateful):
         lines = np.append(self._shares * line, [line + sd, line - sd])
         flows = self._conductance * _flow(lines + AMBIENT_PA, inside[..., None])
         flows[..., :-2] *= self._shares > 0.0
-        # A difference quotient is used because the derivative diverges at equal pressures.
+        # A difference quotient is used because the derivative diverges at equal
+        # pressures.
         slope = (flows[..., -2:-1] - flows[..., -1:]) / (2 * sd)
         gauge = np.nan_to_num(pressure)[..., None] / self._nominal
         rates = np.concatenate([gauge, flows[..., :-2], slope], axis=-1)
         begins = np.isnan(self._time)
         since = np.where(filling & ~begins, time - self._time, 0.0)
+        # The trapezoidal rule integrates all rates over the time since the last
+        # message.
         self._sums += since[..., None] * (self._rates + rates) / 2
         self._rates[filling] = rates[filling]
         begins &= filling
@@ -482,6 +483,8 @@ class LeakDetector(Stateful):
     def _residual(self) -> _Residual:
         inflow = self._sums[..., _INFLOWS]
         outflow = self._sums[..., [_OUTFLOW]]
+        # The balance is linear in the fit: the gain of air is c inflow − λ₀ outflow,
+        # and a leak λ reduces it by λ outflow.
         row = np.stack([inflow, np.broadcast_to(-outflow, inflow.shape)], axis=-1)
         gain = (self._reached - self._begun)[..., :1]
         residual = gain - (row @ self.fit[..., None])[..., 0] + self._leaks * outflow
@@ -506,18 +509,17 @@ class LeakDetector(Stateful):
         )
 
     def _accumulate(self, used: np.ndarray) -> None:
-        """Keep the most informative message of each stroke, from which `_learn` learns."""
         inflow = self._sums[..., _SOUND_INFLOW]
         pending = self._pending
         residual, variance, fit_variance = self._residual().sound()
-        # All messages of a stroke have common errors, so only one message counts.
+        # The messages of one stroke share their errors, so only one of them is used.
         weight = 1 / (variance - fit_variance)
         known = pending[..., _Message.WEIGHT] * pending[..., _Message.INFLOW] ** 2
         better = used & (weight * inflow**2 > known)
         message = [inflow, -self._sums[..., _OUTFLOW], residual, weight]
         pending[better, : _Message.EXCESS] = np.stack(message, axis=-1)[better]
-        # A single outlier must not increase the scatter by more than a residual at the
-        # limit.
+        # A residual beyond the limit counts as a residual at the limit, so that a
+        # single outlier cannot dominate the scatter.
         excess = np.minimum(residual**2, LIMIT**2 * variance) - variance
         pending[used, _Message.EXCESS] = excess[used] / inflow[used] ** 2
 

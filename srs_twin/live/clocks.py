@@ -1,9 +1,10 @@
-r"""SenderClock and ReorderBuffer: clocks of the senders, and messages in the order of their times.
+r"""Clock offsets of the senders, and a buffer that sorts messages by sending time.
 
-For a message sent at time s of the sender's clock and received at time a of ours, a − s
-is the offset of the clocks plus the transport delay, which is not negative. The minimum
-over the last seconds is the estimated offset; the excess of a message over it is its
-jitter. Quartz clocks drift by about 5·10⁻⁵, half a millisecond in ten seconds.
+A message is sent at time s of the sender's clock and received at time a of the local
+clock. The difference a − s is the offset of the two clocks plus the transport delay,
+which is not negative. The offset is estimated as the minimum of a − s over the last
+seconds, and the excess of a message over the offset is its jitter. Quartz clocks drift
+by about 5·10⁻⁵, that is, by half a millisecond in ten seconds.
 """
 
 from __future__ import annotations
@@ -19,49 +20,54 @@ import numpy as np
 from srs_twin.live.messages import BENDS, COMMAND, VALVES, Message
 
 WINDOW_S = 10.0
-"""Interval over which the offset is estimated."""
+"""Interval over which the offset is estimated, s."""
 STEP_S = 1.0
-"""Difference from the offset above which the time of a message cannot be used before it is confirmed, s."""
+"""Maximum difference from the offset up to which a time stamp is used, s.
+
+Time stamps with a larger difference are not used before other messages confirm them.
+"""
 AGREEMENT_S = 0.05
-"""Difference from the offset up to which a message confirms it, s."""
+"""Difference from the offset up to which a message confirms the offset, s."""
 CONFIRMING = 3
-"""Number of messages that confirm another offset."""
+"""Number of successive messages that confirm a new offset."""
 CONFIRMING_S = 0.4
 """Time without an agreeing message after which a higher offset is confirmed, s."""
 MOST_DELAY_S = 15.0
-"""Step of the offset that cannot be a longer transport, s."""
+"""Maximum increase of the offset that a slower transport can explain, s."""
 KEPT = 5000
-"""Largest number of messages in the window."""
+"""Maximum number of messages in the window."""
 MOST_HOLD_S = 0.1
-"""Longest time for which messages are held, s."""
+"""Maximum time for which messages are held, s."""
 _IN_TIME = 0.97
-"""Share of the messages that must arrive within the holding time."""
+"""Fraction of the messages that must arrive within the holding time."""
 _HOLD_UPDATES = 25
 """Number of calls after which the holding time is adapted."""
 _RANKS = {COMMAND: 0, VALVES: 0, BENDS: 1}
-"""Processing order of messages with equal times: commands, bends, then measurements that depend on bends."""
+"""Processing order of messages with equal times. All other kinds come last.
+
+Measurements that depend on bends must be processed after the bends.
+"""
 
 
 class _Arrival(NamedTuple):
-    """Arrival of a message on our clock, and the difference from its sending time, s."""
-
     time: float
     delay: float
 
 
 class SenderClock:
-    """The clock of one sender.
+    """Estimate of the clock offset of one sender.
 
-    Messages whose delays agree with the offset within `AGREEMENT_S` confirm it. Others
-    may be single wrong stamps. The offset follows a lower delay after `CONFIRMING`
-    successive messages, and a higher one after `CONFIRMING_S` without any message that
-    agrees. A sender whose clock was set back and a transport that became slower look
-    the same, so the age of its messages is then uncertain by the difference.
+    A message confirms the offset if its delay agrees with it within `AGREEMENT_S`. A
+    single message that disagrees may have a wrong time stamp. The offset decreases
+    after `CONFIRMING` successive messages with lower delays. It increases after
+    `CONFIRMING_S` without any message that agrees. An increase can be due to a sender's
+    clock that was set back or to a slower transport. These two causes cannot be
+    distinguished, so the age of the messages is then uncertain by the difference.
 
     Attributes:
-        offset: our clock minus the sender's clock, including the minimum delay, s.
+        offset: local clock minus the sender's clock, including the minimum delay, s.
         jumps: number of times that the offset changed by more than `AGREEMENT_S`.
-        uncertainty: uncertainty of the age of messages, due to steps of the offset, s.
+        uncertainty: uncertainty of the age of messages due to steps of the offset, s.
     """
 
     def __init__(self) -> None:
@@ -71,17 +77,21 @@ class SenderClock:
         self.uncertainty = 0.0
         self._agreed = -math.inf
         self._seen: deque[_Arrival] = deque(maxlen=KEPT)
-        # Candidates for the minimum in the window, the smallest first.
+        # Candidates for the minimum delay in the window, sorted by increasing delay.
         self._least: deque[_Arrival] = deque()
-        # Successive messages that are earlier, or later, than the offset allows.
+        # Successive messages whose delay is too low, or too high, for the offset.
         self._early: deque[_Arrival] = deque(maxlen=CONFIRMING)
         self._late: deque[_Arrival] = deque(maxlen=KEPT)
 
     def update(self, sent: float, arrived: float) -> float | None:
-        """Add the times of a message (s).
+        """Update the offset with the time stamps of a message.
+
+        Args:
+            sent: sending time on the sender's clock, s.
+            arrived: time of arrival on the local clock, s.
 
         Returns:
-            Its sending time on our clock, s; None if its time is off by more than
+            Sending time on the local clock, s, or None if it differs by more than
             `STEP_S` and no other messages confirm it.
         """
         delay = arrived - sent
@@ -107,11 +117,10 @@ class SenderClock:
                 self._accept(arrival)
         if abs(delay - self.offset) > STEP_S:
             return None
-        # A stamp ahead of its clock cannot make the message newer than its arrival.
+        # A wrong time stamp must not place the sending time after the arrival.
         return min(sent + self.offset, arrived)
 
     def _follow(self, arrivals: deque[_Arrival], *, confirmed: bool) -> None:
-        """Restart with the offset that successive messages agree on, if they confirm it."""
         delays = [arrival.delay for arrival in arrivals]
         lowest = min(delays)
         agreeing = [delay for delay in delays if delay - lowest <= STEP_S]
@@ -138,8 +147,8 @@ class SenderClock:
         self._least.append(arrival)
         while self._least[0].time < self._seen[0].time:
             self._least.popleft()
-        # The smallest delay in the window is closest to the true offset, as transport
-        # only adds delay.
+        # Transport only adds delay, so the minimum delay in the window is closest to
+        # the true offset.
         self.offset = self._least[0].delay
 
     def delay_quantile(self, share: float) -> float:
@@ -150,7 +159,7 @@ class SenderClock:
 
     @property
     def jitter(self) -> float:
-        """RMS of the excess delay, s."""
+        """RMS jitter of the messages, s."""
         if self._seen:
             return float(np.sqrt(np.mean(self._excess() ** 2)))
         return math.nan
@@ -160,14 +169,14 @@ class SenderClock:
 
 
 class TimedMessage(NamedTuple):
-    """Message with its sending time on our clock, s."""
+    """Message with its sending time on the local clock, s."""
 
     time: float
     message: Message
 
 
 class _Held(NamedTuple):
-    """Message that is held, in processing order: time, s; rank of its kind; and number."""
+    """Held message, which sorts by sending time, then by rank, then by number."""
 
     time: float
     rank: int
@@ -176,20 +185,20 @@ class _Held(NamedTuple):
 
 
 class ReorderBuffer:
-    """Buffer that sorts the messages of all senders by their sending times on our clock.
+    """Buffer that sorts messages of all senders by sending time on the local clock.
 
     Attributes:
-        clocks: clocks by sender; the sender of commands and the robot have different
-            clocks.
-        hold: time for which messages are held, s; it grows with the jitter up to
+        clocks: clock estimate of each sender. The robot and the sender of its commands
+            have different clocks.
+        hold: time for which messages are held, s. The time grows with the jitter up to
             `MOST_HOLD_S`.
-        counts: number of messages by source, kind and result: "taken", "duplicate",
-            "late" after a newer one was used, or "off its clock", with a time that
-            differs from the clock by more than `STEP_S`.
+        counts: number of messages per source, kind and result. Results are "taken",
+            "duplicate", "late" (after a newer message was used) and "off its clock"
+            (the time stamp differs by more than `STEP_S`).
     """
 
     def __init__(self, hold_s: float = 0.03) -> None:
-        """Create a buffer that holds messages for a time (s)."""
+        """Create a buffer with an initial holding time (s)."""
         self.clocks: dict[str, SenderClock] = {}
         self.counts: Counter[tuple[str, str, str]] = Counter()
         self.hold = hold_s
@@ -209,7 +218,8 @@ class ReorderBuffer:
         jumps = clock.jumps
         time = clock.update(message.sent, message.arrived)
         if clock.jumps > jumps:
-            # The stamps of a clock that was set back repeat.
+            # After a clock was set back, its time stamps occur a second time and are
+            # not duplicates.
             self._known = {
                 key: sent
                 for key, sent in self._known.items()
@@ -233,11 +243,11 @@ class ReorderBuffer:
 
     @property
     def waits(self) -> bool:
-        """Whether messages are held."""
+        """Whether the buffer holds any message."""
         return bool(self._waiting)
 
     def waiting(self, kind: str) -> list[TimedMessage]:
-        """Return the held messages of a kind, unordered."""
+        """Return the held messages of one kind in no particular order."""
         return [
             TimedMessage(held.time, held.message)
             for held in self._waiting
@@ -245,7 +255,7 @@ class ReorderBuffer:
         ]
 
     def pop_until(self, now: float) -> list[TimedMessage]:
-        """Return the messages that are due at `now` (our clock, s)."""
+        """Return the messages that are due at `now` (local clock, s)."""
         self._calls += 1
         if self._calls % _HOLD_UPDATES == 0 and self.clocks:
             longest = max(

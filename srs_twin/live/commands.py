@@ -1,4 +1,4 @@
-"""CommandHistory and CommandPeriod: valve duties over time and their period."""
+"""Duty cycles of the valves over time, and their period."""
 
 from __future__ import annotations
 
@@ -13,17 +13,16 @@ import numpy as np
 from srs_twin.live.messages import COMMAND, Message
 
 DELAY_S = 0.01
-"""Delay from sending a command to its effect, s. It is half a tick of the robot."""
+"""Delay from sending a command to its effect, s (half a tick of the robot)."""
 REPORTED_S = 0.02
-"""Time before a report during which the valves had the reported states, s.
-
-It is one tick of the robot."""
+"""Time before a report during which the valves had the reported states, s (one tick).
+"""
 SILENT_S = 0.2
 """Age of a command above which the robot vents all chambers, s."""
 KEPT_S = 1.0
 """Time for which commands are kept, s."""
 _LEAST_INTERVAL_S = 1e-3
-"""Interval below which reports belong to one transmission, s."""
+"""Reports at shorter intervals belong to one transmission, s."""
 _GAP_FACTOR = 1.5
 """Ratio of an interval to the usual interval that indicates lost commands."""
 
@@ -80,11 +79,11 @@ class CommandHistory:
             self._carrier = not are_states(message.values)
             start = time + DELAY_S
         elif self._carrier:
-            # The states at one time do not determine the duty of a carrier.
+            # A single state of a pulse-width-modulated valve does not tell its duty.
             return None
         else:
-            # The shortest interval between reports is the robot's tick. Longer intervals
-            # are due to lost reports.
+            # The shortest interval between reports is the robot's tick. Longer
+            # intervals are due to lost reports.
             if _LEAST_INTERVAL_S < message.sent - self._reported < self._report_s:
                 self._report_s = message.sent - self._reported
             self._reported = message.sent
@@ -155,16 +154,16 @@ class CommandPeriod:
             duty: duty of each valve, shape (segments, 2).
         """
         slot = math.floor(time / SLOT_S)
-        if slot > self._slot + 1:  # after a gap, earlier commands have another lag
+        if slot > self._slot + 1:  # a gap would change the lags of earlier commands
             self._duties.clear()
         if slot > self._slot:
             self._duties.append(duty)
             self._slot = slot
 
     def commands(self, slots: int) -> np.ndarray:
-        """Return predicted duties of the next slots, shape (slots, segments, 2).
+        """Predict the duties of the next slots, shape (slots, segments, 2).
 
-        Periodic commands are repeated. Other commands are held constant.
+        Periodic commands are repeated, and other commands are held constant.
         """
         past = np.array(self._duties)
         lag = self.period()

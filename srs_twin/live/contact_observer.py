@@ -1,32 +1,33 @@
-r"""Contact force from valve commands, pressures and sensed bends: a disturbance observer on the actuator law.
+r"""Disturbance observer that estimates a contact force from pressures and bends.
 
-A segment bends by the free bend of its pressures and by the external moment M_j on it,
+The bend q_j of a segment is the sum of its rest bend b_j, the free bend φ_j due to its
+pressures, and the deflection due to the external moment M_j:
 
 $$ q_j = b_j + \varphi_j(p) + M_j/k . $$
 
 In a steady gait all terms repeat with the period of the commands. The observer learns
-the mean of q_j and φ_j in each phase of the period, so that module spread, sensor
-offsets and the moments of the floor cancel. The deviation
+the mean of q_j and φ_j in each phase of the period, so that differences between
+modules, sensor offsets and the moments exerted by the floor cancel. The deviation
 
 $$ e_j = (q_j - \bar q_j) - (\varphi_j - \bar\varphi_j) $$
 
-is the moment of a contact over k. The pressures are measured, so a drift of the supply
-and the air that a contact compresses in closed chambers are not mistaken for a contact.
+is the contact moment divided by the stiffness k. Because the pressures are measured, a
+drift of the supply is not mistaken for a contact, nor is air that a contact compresses.
 
-**Detection.** At the beginning of a contact its moments are proportional to the force
-F. For each place on a grid, F is the weighted least-squares fit over a window; the
-score of a place is F over its standard deviation. A contact is detected if the largest
-score exceeds a threshold.
+**Detection.** At the beginning of a contact, its moments are proportional to the force
+F. For each possible place on a grid, F is fitted to a time window by weighted least
+squares. The score of a place is the ratio of F to its standard deviation. A contact is
+detected if the maximum score exceeds a threshold.
 
 **Estimate.** A force comparable to the friction of the floor pushes the snake aside and
 turns it, which changes the friction and adds inertia. `PushedBody` predicts this motion
 for hypotheses about place, force and time of the first touch. The estimate is the
-posterior mean of the force at the most probable place. The variance is that of the
-noise, multiplied by the mean square of the residuals of the best hypothesis, which
-contain the errors of the model. Learning stops while the score is high.
+posterior mean of the force at the most probable place. The noise variance is multiplied
+by the mean squared residual of the best hypothesis, which accounts for model errors.
+Learning stops while the score is high.
 
-A force along the body is not observable, two simultaneous contacts appear as one, and
-the force is assumed constant during a contact.
+**Limits.** A force along the body is not observable, two simultaneous contacts appear
+as one, and the force is assumed constant during a contact.
 """
 
 from __future__ import annotations
@@ -44,46 +45,49 @@ from srs_twin.live.pushed_body import PushedBody
 from srs_twin.pneumatics.chambers import air_bend
 from srs_twin.robot.spec import GRAVITY, RobotSpec
 
-# All times are for a robot with a time unit of 1 (`robot.scale`), and multiplied by
-# that of the robot.
+# All times hold for a robot with a time unit of 1 s (`robot.scale`). They are
+# multiplied by the time unit of the robot.
 WINDOW_S = 0.3
-"""Duration of the window of the score; contacts of at least this duration must be detected, s."""
+"""Duration of the score's time window, s, and of the shortest detectable contact."""
 SETTLING_S = 2.0
 """Duration of the transient after the start of a gait, which is not learnt, s."""
 LEARNING_S = 10.0
 """Duration of free crawling before estimates begin, s."""
 THRESHOLD = 6.0
-"""Score above which a contact is detected; benchmarks/contact_estimate.py, robots with seeds from 1000."""
+"""Score above which a contact is detected.
+
+The value was chosen in benchmarks/contact_estimate.py on robots with seeds from 1000.
+"""
 COVERAGE = 0.9
-"""Nominal probability of the intervals of force and place."""
+"""Nominal coverage probability of the intervals of force and place."""
 _LEARNING_SCORE = 4.0
-"""Score above which the means are kept and hypotheses are compared."""
+"""Score above which learning stops and hypotheses are compared."""
 _MEMORY = 20
 """Number of periods over which the means are taken."""
 _RESOLUTION = 1e-12
-"""Smallest variance of a deviation, for readings without noise, rad²."""
+"""Lower limit of the variance of a deviation, rad². Simulated readings may be exact."""
 _SAME_COMMAND = 0.1
-"""Largest change of a duty within the same gait."""
+"""Maximum change of a duty that counts as the same gait."""
 _STATIONS_PER_SEGMENT = 8
 _FILTER_S = 0.09
-"""Time constant that removes the oscillation of the segments from deviations and predictions."""
+"""Time constant of the low-pass filter that removes oscillations of the segments, s."""
 _ONSET_S = 0.3
-"""Longest time from the first touch to the start of the comparison."""
+"""Maximum time from the first touch to the start of the comparison, s."""
 _ONSET_STEP_S = 0.06
-"""Time between neighbouring hypotheses."""
+"""Time between the first touches of neighbouring hypotheses, s."""
 _LEAST_FORCE = 0.25
-"""Smallest force of a hypothesis as a multiple of the largest floor friction."""
+"""Minimum force of a hypothesis as a multiple of the maximum floor friction."""
 _FORCE_RATIO = 1.3
-"""Ratio of neighbouring forces."""
+"""Ratio of the forces of neighbouring hypotheses."""
 _POWERS = np.arange(12)
 _PRUNED = 25.0
-"""Cost over the smallest one, in variances, above which a hypothesis is dropped."""
+"""Excess over the minimum cost, in variances, above which a hypothesis is dropped."""
 _CORRELATION = 2.0
-"""Factor on the variance of the model error for its correlation in time."""
+"""Factor on the variance of the model error that accounts for correlation in time."""
 
 
 class Interval(NamedTuple):
-    """Interval with the probability `COVERAGE`; NaN without a contact."""
+    """Interval with the probability `COVERAGE`. Its ends are NaN without a contact."""
 
     low: float = math.nan
     high: float = math.nan
@@ -91,16 +95,18 @@ class Interval(NamedTuple):
 
 @dataclass(frozen=True)
 class ContactEstimate:
-    """Estimated contact.
+    """Estimated contact of the snake with an obstacle.
+
+    Force and place are NaN if no contact is detected.
 
     Attributes:
         touched: whether a contact is detected.
-        score: largest force of a window over its standard deviation by sensor noise.
-        force: normal force, positive to the left of the body, N; NaN without a contact.
-        force_interval: interval of the force, N.
-        place: distance behind the first connector along the body, m; NaN without a
-            contact.
-        place_interval: interval of the place, m.
+        score: maximum ratio of a fitted force to its standard deviation due to sensor
+            noise, dimensionless.
+        force: normal force, positive to the left of the body, N.
+        force_interval: confidence interval of the force, N.
+        place: distance of the contact behind the first connector along the body, m.
+        place_interval: confidence interval of the place, m.
     """
 
     touched: bool
@@ -116,13 +122,13 @@ class Hypotheses:
     """Possible contacts, their predictions and costs.
 
     Attributes:
-        station: index of the place, shape (hypotheses,).
-        force: N, shape (hypotheses,).
+        station: index of the possible place, shape (hypotheses,).
+        force: contact force, shape (hypotheses,), N.
         velocity: velocities of `PushedBody`, shape (hypotheses, 3).
         bend: filtered prediction of the deviation, shape (hypotheses, segments), rad.
-        cost: sum of squared residuals over the variance of the noise, shape
+        cost: sum of squared residuals divided by the noise variance, shape
             (hypotheses,).
-        compared: number of samples in the cost.
+        compared: number of samples that contribute to the cost.
     """
 
     station: np.ndarray
@@ -144,7 +150,7 @@ class Hypotheses:
         )
 
     def joined(self, other: Hypotheses) -> Hypotheses:
-        """Return these hypotheses and other ones."""
+        """Concatenate two sets of hypotheses."""
         arrays = {
             name: np.concatenate([getattr(self, name), getattr(other, name)])
             for name in _OF_EACH
@@ -152,7 +158,10 @@ class Hypotheses:
         return Hypotheses(**arrays, compared=self.compared)
 
     def inflation(self, independent: float) -> float:
-        """Return the mean square of the residuals of the best hypothesis over that of the noise, at least 1.
+        """Return the factor by which model errors inflate the noise variance.
+
+        The factor is the mean square of the normalised residuals of the best
+        hypothesis, and at least 1.
 
         Args:
             independent: number of independent values per sample.
@@ -160,7 +169,7 @@ class Hypotheses:
         return max(float(self.cost.min()) / max(self.compared * independent, 1.0), 1.0)
 
     def pruned(self, limit: float) -> Hypotheses:
-        """Return the hypotheses whose cost exceeds the smallest one by at most `limit`."""
+        """Return the hypotheses whose cost exceeds the minimum by at most `limit`."""
         kept = self.cost <= self.cost.min() + limit
         arrays = {name: getattr(self, name)[kept] for name in _OF_EACH}
         return Hypotheses(**arrays, compared=self.compared)
@@ -169,23 +178,23 @@ class Hypotheses:
 _OF_EACH = ("station", "force", "velocity", "bend", "cost")
 """Attributes of `Hypotheses` with one row per hypothesis."""
 
-# Rows of a sample and of its learnt means.
+# Row indices of a sample and of the learnt means.
 _BEND = 0
 _FREE = 1
 _COMMANDS = slice(2, None)
 
 
 def _deviation(sample: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    """Return e of the module docstring, rad."""
+    """Return the deviation e defined in the module docstring, rad."""
     return np.asarray(sample[_BEND] - mean[_BEND] - sample[_FREE] + mean[_FREE])
 
 
 class _Fit(NamedTuple):
-    """Terms of the fit of F to one sample, for each station.
+    """Terms of the least-squares fit of F to one sample, for each station.
 
     Attributes:
-        moment: product of the deviation and the bends per force, over the variance.
-        information: square of the bends per force over the variance.
+        moment: product of deviation and bends per force, divided by the variance.
+        information: squared bends per force, divided by the variance.
     """
 
     moment: np.ndarray
@@ -197,7 +206,7 @@ class _Gait(NamedTuple):
 
     Attributes:
         shape: mean bends at the samples of the period, rad.
-        body: motion of the body.
+        body: model of the body motion in this gait.
         patterns: bends per force, shape (period, stations, segments), rad/N.
     """
 
@@ -207,10 +216,10 @@ class _Gait(NamedTuple):
 
 
 class ContactObserver(Stateful):
-    """Observer of the contact force of a snake in a periodic gait (module docstring).
+    """Observer of the contact force on a snake in a periodic gait.
 
     Attributes:
-        period: period of the commands in samples; 0 without one.
+        period: period of the commands in samples, or 0 if they are not periodic.
     """
 
     state_attributes = (
@@ -229,12 +238,12 @@ class ContactObserver(Stateful):
     )
 
     def __init__(self, spec: RobotSpec, sample_s: float, period: int = 0) -> None:
-        """Create the observer, without learnt means.
+        """Create an observer without learnt means.
 
         Args:
-            spec: the robot.
+            spec: robot specification.
             sample_s: time between samples, s.
-            period: period of the commands in samples; may be set later by `set_period`.
+            period: period of the commands in samples, or 0 if it is set later.
 
         Raises:
             InputError: the robot has fewer than two segments.
@@ -254,29 +263,29 @@ class ContactObserver(Stateful):
         self._past = max(round(_ONSET_S * in_samples), 1)
         self._onset_step = max(round(_ONSET_STEP_S * in_samples), 1)
         self._gain = 1 - math.exp(-1 / (_FILTER_S * in_samples))
-        # The filter divides the variance of white noise, and the number of independent
-        # values, by (2 - g)/g.
+        # A first-order filter with gain g divides the variance of white noise by
+        # (2 - g)/g, and the number of independent values too.
         self._independent = spec.segments * self._gain / (2 - self._gain)
-        # Largest friction of the floor on the whole robot, N.
+        # Maximum friction force of the floor on the whole robot, N.
         self._friction = spec.friction.mu_n * spec.mass.total * GRAVITY
         self.set_period(period)
 
     def set_period(self, period: int) -> None:
-        """Set the period of the commands in samples, and discard the means of another period."""
+        """Set the period of the commands in samples, and discard the learnt means."""
         n = self._spec.segments
         self.period = period
         self._samples = 0
         self._count = 0
         self._changed = 0
         self._bins = np.zeros(max(period, 1), dtype=int)
-        # Means of bend, free bend and both commands.
+        # Means of the bend, the free bend and the two commands in each phase.
         self._sums = np.zeros((max(period, 1), 4, n))
         self._variance = np.zeros(n)
         self._filtered = np.zeros(n)
         self._window: deque[_Fit] = deque(maxlen=self._length)
-        # Filtered deviations.
+        # Filtered deviations of the last samples, in which a contact may have begun.
         self._recent: deque[np.ndarray | None] = deque(maxlen=self._past + 1)
-        self._shape = np.zeros((0, n))  # mean bends when learning ended
+        self._shape = np.zeros((0, n))  # mean bends at the end of learning
         self._gait: _Gait | None = None
         self._hypotheses: Hypotheses | None = None
 
@@ -290,12 +299,15 @@ class ContactObserver(Stateful):
     def update(
         self, command: np.ndarray, pressure: np.ndarray, sensed: np.ndarray
     ) -> ContactEstimate | None:
-        """Add one sample; return the estimate, or None while the observer learns.
+        """Process one sample.
 
         Args:
             command: mean valve states since the last sample, shape (segments, 2).
             pressure: measured gauge pressures, shape (segments, 2), Pa.
-            sensed: bend readings, shape (segments,), rad; NaN where they are missing.
+            sensed: bend readings, shape (segments,), rad. Missing readings are NaN.
+
+        Returns:
+            Contact estimate, or None while the observer learns.
         """
         if not self.period:
             return None
@@ -310,7 +322,7 @@ class ContactObserver(Stateful):
         if known and change > _SAME_COMMAND:
             self._changed += 1
             if self._changed > self.period // 2:
-                self.set_period(self.period)  # another gait, not a lost command
+                self.set_period(self.period)  # so many changes mean a new gait
             self._compare(None)
             return None
         self._changed = 0
@@ -318,7 +330,7 @@ class ContactObserver(Stateful):
             self._compare(None)
             return None
         sample = np.stack([sensed, free, *np.asarray(command, dtype=float).T])
-        # Samples may be missing, but the scatter of those that are there must be known.
+        # Some samples may be missing, but enough are needed to estimate the variance.
         learnt = self._bins.all() and self._count >= (self._learnt - self._settled) / 2
         estimate = None
         if learnt and self._samples >= self._learnt:
@@ -330,11 +342,11 @@ class ContactObserver(Stateful):
         return None
 
     def _learn(self, sample: np.ndarray, k: int) -> None:
-        """Add a sample to the means and to the variance of the deviation from them."""
         mean = self._sums[k]
         known = self._bins[k]
         if known:
-            # The mean of few samples is uncertain, too.
+            # The mean of few samples is uncertain itself, which increases the
+            # deviation.
             error = _deviation(sample, mean) * math.sqrt(known / (known + 1))
             self._count += 1
             weight = 1 / min(self._count, self._learnt - self._settled)
@@ -352,7 +364,6 @@ class ContactObserver(Stateful):
         return self._gait
 
     def _patterns(self, body: PushedBody) -> np.ndarray:
-        """Return the bends per force, means of a force from either side."""
         count = len(self.stations)
         station = np.tile(np.arange(count), 2)
         force = np.repeat([self._friction, -self._friction], count)
@@ -367,6 +378,8 @@ class ContactObserver(Stateful):
 
     def _estimate(self, sample: np.ndarray, k: int) -> ContactEstimate:
         mean = self._sums[k]
+        # The mean of n samples is uncertain itself, so the variance of the deviation is
+        # larger by the factor 1 + 1/n.
         share = math.sqrt(self._bins[k] / (self._bins[k] + 1))
         error = _deviation(sample, mean)
         pattern = self._learnt_gait().patterns[k]
@@ -374,6 +387,7 @@ class ContactObserver(Stateful):
         self._window.append(_Fit(weighted @ error, (weighted * pattern).sum(axis=1)))
         moment = np.sum([fit.moment for fit in self._window], axis=0)
         information = np.sum([fit.information for fit in self._window], axis=0)
+        # The fitted force is moment/information, and its variance is 1/information.
         score = float(np.abs(moment / np.sqrt(information)).max())
         self._filtered = self._filtered + self._gain * (error - self._filtered)
         suspect = score >= _LEARNING_SCORE
@@ -387,14 +401,12 @@ class ContactObserver(Stateful):
         return ContactEstimate(touched=False, score=score)
 
     def _compare(self, filtered: np.ndarray | None) -> None:
-        """Compare the hypotheses with the filtered deviation of a sample, None if it is missing."""
         self._recent.append(filtered)
         if self._hypotheses is not None:
             last = self._samples - 1
             self._hypotheses = self._compared(self._hypotheses, last, filtered)
 
     def _start(self) -> None:
-        """Compare hypotheses with contact from each possible onset on with the recent samples."""
         first = self._samples - len(self._recent)
         size = self._friction * _LEAST_FORCE * _FORCE_RATIO**_POWERS
         sizes = np.concatenate([size, -size])
@@ -432,12 +444,14 @@ class ContactObserver(Stateful):
         return later.pruned(_PRUNED * later.inflation(self._independent))
 
     def _contact(self, score: float, now: Hypotheses) -> ContactEstimate:
+        # The weights are likelihoods of the hypotheses. The intervals use wider
+        # likelihoods, because model errors are correlated in time.
         variance = 2 * now.inflation(self._independent)
         weight = np.exp((now.cost.min() - now.cost) / variance)
         best = int(now.cost.argmin())
         same = (now.station == now.station[best]) & (now.force * now.force[best] > 0)
         wide = np.exp((now.cost.min() - now.cost) / (_CORRELATION * variance))
-        # The hypotheses have a resolution.
+        # The intervals include the grid spacing of the hypotheses.
         step = self._spec.geometry.pitch / _STATIONS_PER_SEGMENT
         places = _interval(self.stations[now.station], wide)
         ratio = math.sqrt(_FORCE_RATIO)
@@ -455,7 +469,6 @@ class ContactObserver(Stateful):
 
 
 def _interval(values: np.ndarray, weight: np.ndarray) -> Interval:
-    """Return the central interval of weighted values with the probability `COVERAGE`."""
     order = np.argsort(values)
     share = np.cumsum(weight[order]) / weight.sum()
     low, high = np.searchsorted(share, [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2])

@@ -1,4 +1,4 @@
-"""`srs-twin emulate`: emulated robot."""
+"""Command `srs-twin emulate`, which runs an emulated robot."""
 
 from __future__ import annotations
 
@@ -41,15 +41,15 @@ def broker_link(
     ca: Path | None,
     **settings: Any,
 ) -> MqttLink:
-    """Return the connection to a robot's topics at the broker that the options select.
+    """Connect to the topics of a robot at an MQTT broker.
 
     Args:
         robot: name of the robot.
-        segments: number of segments of the robot.
-        address: HOST or HOST:PORT of the broker.
-        user: user name; None: without.
-        ca: CA certificate of the broker.
-        **settings: further settings of `MqttLink`.
+        segments: number of segments.
+        address: address of the broker, HOST or HOST:PORT.
+        user: user name, or None for an anonymous login.
+        ca: CA certificate file of the broker, or None for a connection without TLS.
+        **settings: keyword arguments passed on to `MqttLink`.
 
     Raises:
         InputError: the name cannot be part of a topic, or the broker does not answer.
@@ -67,7 +67,7 @@ def broker_link(
 
 
 def interruption() -> threading.Event:
-    """Return an event that Ctrl-C and signals that end the process set from now on."""
+    """Return an event that is set by Ctrl-C and by SIGTERM and SIGHUP."""
     over = threading.Event()
     handle_signals(lambda *_: over.set(), signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     return over
@@ -78,10 +78,10 @@ class RobotOptions:
     """Options of the simulated robot.
 
     Options:
-        seed: Random seed of modules, noise, and loss and delay of messages.
+        seed: Random seed of module properties, sensor noise, message loss and delay.
         fault: Fault and its time, e.g. stuck_valve:2+@5, dead_sensor:1@8,
             leak:3-=fast@2; repeatable.
-        spread: Standard deviation of the modules' gains.
+        spread: Relative standard deviation of the bending gains of the modules.
         noise: Standard deviation of bend readings, rad.
         chambers: orifice (compressible flow) or lag (first order). [default: orifice;
             spatial robots: lag]
@@ -97,7 +97,10 @@ class RobotOptions:
     start: Annotated[str, option("--start X,Y,HEADING")] = "0,0,0"
 
     def emulated(self, robot: str) -> EmulatedRobot:
-        """Return the simulation of a robot, given its name or the path of its file.
+        """Create the emulated robot with these options.
+
+        Args:
+            robot: name of a shipped robot, or path of a robot file.
 
         Raises:
             InputError: the robot does not exist, or an option is invalid.
@@ -124,11 +127,11 @@ class MessageOptions:
 
     Options:
         loss: Fraction of messages that are lost.
-        jitter: Largest delay of a message, s.
+        jitter: Maximum delay of a message, s.
         tell_supply: Publish the supply pressure.
         duration: Stop after S seconds. [default: run until Ctrl-C]
         user: MQTT user name.
-        ca: CA certificate file (PEM); enables TLS.
+        ca: CA certificate file (PEM), which enables TLS.
     """
 
     loss: Annotated[float, option("--loss SHARE", min=0.0, max=0.99)] = 0.0
@@ -151,16 +154,16 @@ def emulate(
 ) -> None:
     """Emulate a robot over MQTT and NatNet.
 
-    A twin with varying modules, compressible flow in the chambers, sensor noise and
-    faults obeys commands and publishes bends, pressures, valve states and poses in real
-    time. docs/live.md describes the messages. The environment variable
+    The emulated robot obeys commands and publishes bends, pressures, valve states and
+    poses in real time. It has random module properties, sensor noise and faults.
+    docs/live.md describes the messages. The environment variable
     SRS_TWIN_MQTT_PASSWORD contains the password of --user.
 
     Options:
         mqtt: MQTT broker.
         natnet: Local address on which NatNet frames are served. [default: no motion
             capture]
-        name: Robot's name in topics. [default: ROBOT]
+        name: Name of the robot in topics. [default: ROBOT]
     """
     from srs_twin.live.emulator import Transport, emulate as run
     from srs_twin.live.messages import COMMAND
@@ -206,11 +209,6 @@ def emulate(
 
 
 def _motion_capture(given: str, connectors: int) -> NatNetServer:
-    """Return the server of the motion capture at an address, HOST or HOST:PORT.
-
-    Raises:
-        InputError: the address is malformed or in use.
-    """
     from srs_twin.live import natnet
     from srs_twin.live.links import address
     from srs_twin.live.optitrack import NatNetServer
@@ -222,11 +220,6 @@ def _motion_capture(given: str, connectors: int) -> NatNetServer:
 
 
 def _pose(text: str) -> tuple[float, float, float]:
-    """Parse x, y (m) and heading (rad).
-
-    Raises:
-        InputError: the text is not three finite numbers.
-    """
     try:
         x, y, heading = (float(number) for number in text.split(","))
     except ValueError:

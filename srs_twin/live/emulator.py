@@ -1,10 +1,10 @@
-"""Emulator: a simulated robot with the interfaces of a real one.
+"""Emulated robot: a simulation with the interfaces of a real robot.
 
-The simulated robot is a twin with momentary loads, compressible flow in the chambers,
-random modules and faults at given times. It receives commands from a broker and
-publishes bends, pressures and valve states in real time. A NatNet server sends the
-poses of the connectors. Like the firmware of a robot, it vents all chambers 0.2 s after
-the last command.
+The simulation is a twin with instantaneous loads, compressible flow in the chambers,
+random module properties and faults at given times. It receives commands from a broker
+and publishes bends, pressures and valve states in real time. A NatNet server sends the
+poses of the connectors. Like the firmware of a real robot, the emulated robot vents all
+chambers 0.2 s after the last command.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ from srs_twin.scenario.loading import parse_scenario
 from srs_twin.scenario.scenario import Scenario
 
 CARRIER_HZ = 60.0
-"""Carrier frequency of duties, Hz."""
+"""Carrier frequency of the pulse-width modulation of valves, Hz."""
 _LATE_S = 1.0
-"""Delay above which missed ticks are skipped, s."""
+"""Delay behind real time above which missed ticks are skipped, s."""
 _SIDES = {"+": 0, "-": 1}
 _FAULT = re.compile(r"(\w+)(?::(\d+)([+-])?)?(?:=(\w+))?@([\d.]+)")
 _FORM = "KIND[:NUMBER[+|-]][=HOW]@SECONDS, such as stuck_valve:2+=closed@5"
@@ -49,8 +49,9 @@ class FaultKind(NamedTuple):
     """Kind of fault.
 
     Attributes:
-        part: affected part; empty for the whole robot.
-        variants: name → value of each variant, the first by default; leaks in 1/s.
+        part: kind of the affected part, or an empty string for the whole robot.
+        variants: value of each variant by name. The first variant is the default.
+            Values of leaks are rates in 1/s.
     """
 
     part: str
@@ -66,12 +67,12 @@ KINDS = {
     "lost_marker": FaultKind("connector", {"gone": 1}),
 }
 _EXAMPLES = {"chamber": ":2+@5", "segment": ":2@5", "connector": ":2@5", "": "@5"}
-"""Affected part → text of a fault after its kind."""
+"""Example of the text that follows the kind of a fault, for each affected part."""
 
 _DRIFT_RAD_PER_S = 0.1
 """Rate of a drifting sensor, rad/s."""
 _CAMERA_NOISE_M = 0.0003
-"""Standard deviation of a marker's coordinates, m."""
+"""Standard deviation of the measured coordinates of a marker, m."""
 _MARKER_DISTANCE_M = 0.02
 """Distance of the markers from the centre of their connector, m."""
 _HEIGHT_M = 0.02
@@ -80,14 +81,14 @@ _HEIGHT_M = 0.02
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault and its time.
+    """Fault that begins at a given time.
 
     Attributes:
-        kind: one of `KINDS`.
-        number: segment or connector, from 1; 0 without one.
+        number: number of the segment or connector, counted from 1 at the head, or 0 for
+            the whole robot.
         side: side of the chamber, 0 for + and 1 for −.
-        how: value of the variant, as in `KINDS`.
-        since: time of the fault from the start, s.
+        how: value of the variant, as listed in `KINDS`.
+        since: time from the start of the emulation to the fault, s.
     """
 
     kind: str
@@ -98,7 +99,11 @@ class Fault:
 
     @classmethod
     def parse(cls, text: str, segments: int) -> Fault:
-        """Return the fault of a text such as ``stuck_valve:2+@5``.
+        """Parse a fault such as ``stuck_valve:2+@5``.
+
+        Args:
+            text: kind, part, optional variant and time (s) of the fault.
+            segments: number of segments of the robot.
 
         Raises:
             InputError: the text is malformed, or the robot does not have the part.
@@ -139,12 +144,13 @@ class Simulation:
     """Settings of the simulation of a robot.
 
     Attributes:
-        gain_spread: standard deviation of the modules' gains.
-        tick: s.
-        pneumatics: model of the chambers, "orifice" or "lag"; None: "orifice", or "lag"
-            for a spatial robot, which has no other.
-        supply_kpa: supply pressure, gauge; None: the nominal one.
-        changes: changed fields of the robot file, as in `robot` of a scenario.
+        gain_spread: relative standard deviation of the bending gains of the modules.
+        tick: control period of the robot, s.
+        pneumatics: model of the chambers, "orifice" or "lag". None selects "orifice"
+            for planar robots and "lag", the only model, for spatial robots.
+        supply_kpa: gauge supply pressure, kPa, or None for the nominal pressure.
+        changes: changed fields of the robot file, as in the section `robot` of a
+            scenario.
     """
 
     gain_spread: float = 0.1
@@ -154,11 +160,11 @@ class Simulation:
     changes: Mapping[str, Any] = field(default_factory=dict)
 
     def scenario(self, robot: str, seed: int) -> Scenario:
-        """Return a scenario whose twin simulates a robot.
+        """Build the scenario that simulates a robot with these settings.
 
         Args:
-            robot: name or path of its file.
-            seed: random seed of its modules.
+            robot: name of a shipped robot, or path of a robot file.
+            seed: random seed of the module properties.
 
         Raises:
             InputError: the robot does not exist, or a setting is invalid.
@@ -182,17 +188,15 @@ class Simulation:
 
 
 class EmulatedRobot:
-    """Simulated robot in ticks, independent of clocks and links.
+    """Simulated robot that advances in ticks, independent of clocks and links.
 
     Attributes:
         twin: simulation of the robot.
-        state: true state.
-        faults: faults and their times.
-        supply_pa: nominal supply pressure, gauge, Pa.
-        supply_now_pa: current supply pressure, gauge, Pa.
-        valves: valve states of the last tick; a stuck valve keeps its state.
-        spatial_chambers: number of chambers per segment of a spatial robot, 0 for a
-            planar one.
+        supply_pa: nominal gauge supply pressure, Pa.
+        supply_now_pa: current gauge supply pressure, Pa.
+        valves: valve states in the last tick, including the states of stuck valves.
+        spatial_chambers: number of chambers per segment of a spatial robot, or 0 for a
+            planar robot.
     """
 
     def __init__(
@@ -208,10 +212,10 @@ class EmulatedRobot:
         """Build the simulation.
 
         Args:
-            robot: name or path of its file.
+            robot: name of a shipped robot, or path of a robot file.
             simulation: settings of the simulation.
-            seed: random seed of modules and noise.
-            faults: texts in the format of `Fault.parse`.
+            seed: random seed of module properties and noise.
+            faults: faults in the format of `Fault.parse`.
             noise_rad: standard deviation of bend readings, rad.
             start: initial pose: x, y (m), heading (rad).
 
@@ -265,7 +269,11 @@ class EmulatedRobot:
         self._pending = [*leaks, *starved]
 
     def step(self, command: np.ndarray | None) -> SnakeState:
-        """Advance by one tick under a command, valve states or duties; None vents all chambers."""
+        """Advance by one tick.
+
+        Args:
+            command: valve states or duties, or None to vent all chambers.
+        """
         now = float(self.state.time)
         for fault in [fault for fault in self._pending if fault.since <= now + 1e-9]:
             self._pending.remove(fault)
@@ -277,7 +285,8 @@ class EmulatedRobot:
         wanted = np.full(self.valves.shape, -1.0)
         if command is not None:
             wanted = np.asarray(command, dtype=float)
-        # The carrier also runs while the command is valve states.
+        # The carrier also runs under commands of valve states, so that its phase does
+        # not depend on the kind of command.
         obeyed = self._pulses.step(duty(wanted))
         if are_states(wanted):
             obeyed = wanted.astype(np.int8)
@@ -286,13 +295,16 @@ class EmulatedRobot:
         return self.state
 
     def regulate(self, share: float) -> None:
-        """Set a supply that is not starved to a fraction (0 to 1) of the nominal pressure."""
+        """Set the supply pressure to a fraction of the nominal pressure.
+
+        A fault of the supply lowers the pressure further.
+        """
         self._share = share
         self.supply_now_pa = share * self._left * self.supply_pa
         self._air.set_supply_pressure(self.supply_now_pa)
 
     def bends(self) -> np.ndarray:
-        """Return the bend readings, rad; NaN without a reading."""
+        """Return the bend readings, rad. A sensor without a reading returns NaN."""
         time = float(self.state.time)
         readings = self.state.bend + self._noise * self._rng.normal(
             size=self.state.bend.shape
@@ -311,7 +323,10 @@ class EmulatedRobot:
         return np.asarray(readings)
 
     def bodies(self) -> dict[int, RigidBody]:
-        """Return the rigid bodies of motion capture by connector, from 1 at the head, y up."""
+        """Return the rigid bodies that motion capture sees, with the y axis upwards.
+
+        The keys are connector numbers, counted from 1 at the head.
+        """
         time = float(self.state.time)
         bodies = {}
         lost = {
@@ -322,7 +337,7 @@ class EmulatedRobot:
         noise = _CAMERA_NOISE_M * self._rng.normal(size=(len(self.state.position), 3))
         for i, (x, y) in enumerate(self.state.position):
             dx, dy, dz = noise[i].tolist()
-            # Motive's y axis points up, so our y axis is its −z axis.
+            # In Motive the y axis points up, so the y axis of the twin is the −z axis.
             if isinstance(self.state, SpatialState):
                 height = float(self.state.height[i]) + dz
                 w, a, b, c = map(float, self.state.orientation[i])
@@ -337,16 +352,18 @@ class EmulatedRobot:
 
 
 _GOODBYE_S = 1.0
-"""Longest wait until the broker accepts the last status, s."""
+"""Maximum wait until the broker accepts the last status, s."""
 _LETS_GO_S = 0.001
-"""Pause before the next tick, s, in which the broker's thread can run; compiled kernels hold the interpreter
-lock."""
+"""Pause before each tick in which the thread of the broker can run, s.
+
+Compiled kernels hold the interpreter lock, so the thread cannot run during a tick.
+"""
 _POLL_S = 0.002
-"""Longest pause while messages wait, s."""
+"""Maximum pause while messages wait, s."""
 
 
 class _DelayedCall(NamedTuple):
-    """Call that is due at a time of our clock (s), with a number that keeps the order."""
+    """Call that is due at a time of the local clock (s)."""
 
     due: float
     number: int
@@ -357,11 +374,11 @@ class Transport:
     """Queue of messages that are lost or delayed before they are sent."""
 
     def __init__(self, loss: float = 0.0, jitter: float = 0.0, seed: int = 0) -> None:
-        """Begin without messages.
+        """Create an empty queue.
 
         Args:
-            loss: share of messages that are lost.
-            jitter: largest delay, uniformly distributed, s.
+            loss: fraction of messages that are lost.
+            jitter: maximum delay, s. Delays are uniformly distributed.
             seed: random seed.
         """
         self._loss = loss
@@ -373,7 +390,15 @@ class Transport:
     def add(
         self, due: float, send: Callable[..., None], *values: object, **named: object
     ) -> None:
-        """Add a call of `send` at a time of our clock (s)."""
+        """Add a message that `send` will send, unless the message is lost.
+
+        Args:
+            due: time on the local clock at which the message is sent, s. A random delay
+                is added.
+            send: function that sends the message.
+            *values: positional arguments of `send`.
+            **named: keyword arguments of `send`.
+        """
         if self._rng.random() >= self._loss:
             delayed = due + self._rng.random() * self._jitter
             call = partial(send, *values, **named)
@@ -381,7 +406,7 @@ class Transport:
             heapq.heappush(self._waiting, entry)
 
     def send_until(self, due: float) -> None:
-        """Send the messages that are due, and wait until a time of our clock (s)."""
+        """Wait until a time of the local clock (s), and send messages due by then."""
         while True:
             while self._waiting and self._waiting[0].due <= clock():
                 heapq.heappop(self._waiting).call()
@@ -403,20 +428,21 @@ def emulate(
     stop: Callable[[], bool] = lambda: False,
     tells_supply: bool = False,
 ) -> dict[str, float]:
-    """Run a robot in real time.
+    """Run an emulated robot in real time.
 
     Args:
-        robot: the simulated robot.
-        link: connection to its topics, which also delivers commands.
-        capture: server of motion capture; None: no motion capture.
-        transport: loss and delay of messages; None: messages are neither lost nor
-            delayed.
-        duration: s.
-        stop: called in every tick; returns whether the run ends.
+        robot: emulated robot.
+        link: link to the topics of the robot, which also delivers commands.
+        capture: motion capture server, or None to emulate no motion capture.
+        transport: queue that loses and delays messages, or None to send all messages at
+            once.
+        duration: duration of the run, s.
+        stop: function called in every tick, which returns whether the run ends.
         tells_supply: whether the supply pressure is published.
 
     Returns:
-        ``ticks``, and ``late``: number of ticks that began more than a tick late.
+        Number of ticks (``ticks``) and number of ticks that began more than one tick
+        late (``late``).
     """
     transport = transport or Transport()
     begun = clock()
@@ -434,7 +460,8 @@ def emulate(
                     heard = message.arrived
             state = robot.step(command if clock() - heard <= SILENT_S else None)
             done += 1
-            # The state is that at the end of the tick, so it is published then.
+            # The simulated state refers to the end of the tick, so it is published
+            # then.
             due = begun + done * tick
             messages = {
                 BENDS: robot.bends(),
@@ -449,7 +476,7 @@ def emulate(
                 transport.add(due, capture.send, due, robot.bodies())
             late += clock() > due + tick
             if clock() - due > _LATE_S:
-                begun = clock() - done * tick  # missed ticks are skipped
+                begun = clock() - done * tick  # skips the missed ticks
             transport.send_until(due)
             time.sleep(_LETS_GO_S)
     finally:

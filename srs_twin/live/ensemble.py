@@ -1,20 +1,20 @@
-"""EnsembleFilter: ensemble Kalman filter for pose, bends and pressures.
+"""Ensemble Kalman filter for the pose, bends and pressures of a robot.
 
-Each member has a pose, velocities, bends and chamber pressures, gains and biases of its
-modules, and a disturbance of each bend: the error of the model, a first-order
+Each member has a pose, velocities, bends, chamber pressures, and gains and biases of
+the modules. A disturbance of each bend represents the model error as a first-order
 Gauss–Markov process. Chambers and bodies follow the `compliant` model
 (`member_dynamics`), and the pose follows the bends (`odometry`). Gains and biases are
 drawn from the estimate of the fault detector, because a small ensemble contains
 spurious correlations.
 
-Measurements correct all members, one measurement after another, by the ensemble square
-root filter (Whitaker and Hamill 2002):
+Measurements are processed one after another by the ensemble square root filter
+(Whitaker and Hamill 2002):
 
-- Localisation: a bend or pressure sensor corrects its own segment; motion capture
-  corrects all states.
-- Outliers: a measurement with an innovation above four standard deviations gets a
-  larger noise.
-- The noise of frames of motion capture is estimated (Desroziers and others 2005).
+- Localisation: a bend or pressure sensor corrects only the states of one segment, and
+  motion capture corrects all states.
+- Outliers: the noise variance is increased for a measurement whose innovation exceeds
+  four standard deviations.
+- Motion capture: the noise of frames is estimated (Desroziers and others 2005).
 """
 
 from __future__ import annotations
@@ -37,20 +37,21 @@ from srs_twin.robot.geometry import body_shape, measured_bend, relative_headings
 from srs_twin.robot.spec import RobotSpec
 
 _OUTLIER = 4.0
-"""Innovation, in standard deviations, above which a measurement gets a larger noise."""
+"""Innovation, in standard deviations, above which a measurement is an outlier."""
 _NOISE_FRAMES = 10
-"""Number of frames over which their noise is averaged."""
+"""Number of frames over which the estimated noise is averaged."""
 _LEAST_NOISE = {"place": 0.4, "heading": 1.0}
 """Lower limit of the estimated noise of frames, as a fraction of the assumed noise.
 
-The errors of the arcs that the model assumes are nearly constant in time, so
+The model assumes circular arcs. The resulting errors are nearly constant in time, so
 innovations underestimate the noise of headings."""
 _LARGEST_NOISE = 10.0
 """Upper limit of the estimated noise of frames, as a multiple of the assumed noise."""
 _MOVED_SD = 6.0
-"""Median innovation of a frame, in standard deviations, above which someone may have moved the robot."""
+"""Median innovation of a frame, in standard deviations, that suggests a moved robot."""
 _MOVED_FRAMES = 5
-"""Number of successive such frames after which the members are initialised at the measured pose."""
+"""Number of such frames in a row after which the measured pose replaces the estimate.
+"""
 _PLACE_FACTOR = 5.0
 """Initial standard deviation of the position, as a multiple of the noise of a frame."""
 _HEADING_FACTOR = 2.0
@@ -60,15 +61,15 @@ _POSE = slice(0, 3)
 
 @dataclass(frozen=True)
 class ModelError:
-    """Standard deviations of the model's errors.
+    """Standard deviations of the model errors.
 
     Attributes:
-        disturbance: standard deviation of the bends, rad.
+        disturbance: standard deviation of the disturbance of each bend, rad.
         disturbance_s: time constant of the disturbance, s.
-        pressure: initial random walk of the pressures, share of the supply pressure per
-            square root of a second.
-        position: random walk of the position, m per square root of a second; that of
-            the heading is this value divided by half of the robot's length.
+        pressure: initial random walk of the pressures, as a fraction of the supply
+            pressure per square root of a second.
+        position: random walk of the position, m per square root of a second. The random
+            walk of the heading is this value divided by half the length of the robot.
     """
 
     disturbance: float = 0.05
@@ -85,7 +86,7 @@ class MeasurementNoise:
         bend: standard deviation of a bend sensor, rad.
         pressure: standard deviation of a pressure sensor, Pa.
         place: standard deviation of the position of a connector, m, including the
-            model's arc errors.
+            error due to the arcs that the model assumes.
         heading: standard deviation of the heading of a connector, rad.
     """
 
@@ -96,16 +97,15 @@ class MeasurementNoise:
 
 
 class EnsembleFilter:
-    """Ensemble Kalman filter (module docstring).
+    """Ensemble Kalman filter described in the module docstring.
 
     Attributes:
-        spec: the robot, from its file.
-        members: states, one row per member.
-        columns: columns by name: x, y, heading, motion (forward, lateral, yaw rate,
-            bend rates), bend, pressure, lagged (pressures that the free bends have
-            followed), disturbance, gain, bias.
+        members: states of the members, one row per member.
+        columns: columns of `members` by name. Names are x, y, heading, motion (forward
+            and lateral velocity, yaw rate, bend rates), bend, pressure, lagged
+            (pressure after the lag of the free bend), disturbance, gain and bias.
         rates: learnt corrections of the pressure rates.
-        odometry: motion of the body due to the change of its bends.
+        odometry: model of the body motion due to changes of the bends.
         placed: whether motion capture has determined the position.
     """
 
@@ -119,13 +119,13 @@ class EnsembleFilter:
         seed: int = 0,
         error: ModelError = ModelError(),
     ) -> None:
-        """Create members at rest, with empty chambers, at an unknown position.
+        """Create members at rest with empty chambers and an unknown position.
 
         Args:
-            spec: the robot.
-            members: ensemble size.
+            spec: robot specification.
+            members: number of members.
             seed: random seed.
-            error: standard deviations of the model's errors.
+            error: standard deviations of the model errors.
         """
         self.spec = spec
         self.error = error
@@ -165,14 +165,17 @@ class EnsembleFilter:
 
     @property
     def heading_noise_scale(self) -> float:
-        """Ratio of the estimated heading noise of motion capture to the assumed one."""
+        """Ratio of the estimated to the assumed heading noise of motion capture."""
         return self._frame_noise["heading"] / self.noise.heading
 
     def set_modules(self, modules: Uncertain) -> None:
-        """Set gains and biases from an estimate; each member keeps its normalised deviations.
+        """Set the gains and biases of the members according to an estimate.
+
+        Each member keeps its deviations from the mean in standard deviations.
 
         Args:
-            modules: g⁺, g⁻ and bias (rad), shape (segments, 3).
+            modules: estimated gains g⁺ and g⁻ and bias (rad) of each module, shape
+                (segments, 3).
         """
         self._modules = modules
         mean, sd = modules
@@ -181,12 +184,12 @@ class EnsembleFilter:
         self._of("bias")[:] = mean[:, 2] + sd[:, 2] * self._draws["bias"]
 
     def predict(self, valves: ValveInput, dt: float, step: float = STEP_S) -> None:
-        """Advance the members.
+        """Advance the members in time.
 
         Args:
             valves: input of the chambers.
             dt: duration, s.
-            step: longest time step, s.
+            step: maximum time step, s.
         """
         error = self.error
         disturbance = self._of("disturbance")
@@ -197,39 +200,54 @@ class EnsembleFilter:
         self._run(valves, dt, step)
         self.odometry.advance(dt)
         half = self.spec.geometry.body_length / 2
-        # The heading varies so that the ends of the body move as much as its centre.
+        # The random walk of the heading displaces the ends of the body as much as the
+        # random walk of the position displaces the centre.
         walk = self._rng.normal(size=(len(self.members), 3)) * [1.0, 1.0, 1 / half]
         self.members[:, _POSE] += error.position * math.sqrt(dt) * walk
 
     def update_bends(self, readings: np.ndarray) -> np.ndarray:
-        """Correct the members by bend readings, shape (segments,), rad, NaN where they are missing.
+        """Correct the members with bend readings.
+
+        Args:
+            readings: bend readings, shape (segments,), rad. Missing readings are NaN.
 
         Returns:
-            Innovations over their standard deviations, NaN where readings are missing.
+            Innovations in standard deviations, which are NaN for missing readings.
         """
         variances = np.full(self._segments, self.noise.bend**2)
         predicted = self._of("bend").copy()
         return self._correct(predicted, readings, variances, self._masks["bend"])
 
     def update_pressures(self, pressure: np.ndarray) -> np.ndarray:
-        """Correct by gauge pressures, shape (segments, 2), Pa; return innovations like `update_bends`."""
+        """Correct the members with measured pressures.
+
+        Args:
+            pressure: gauge pressures, shape (segments, 2), Pa. Missing pressures are
+                NaN.
+
+        Returns:
+            Innovations in standard deviations, which are NaN for missing pressures.
+        """
         predicted = self._of("pressure").copy()
         innovation = pressure - predicted.mean(axis=0).reshape(-1, 2)
-        # Learn before the correction, which would hide the error of the predicted
-        # rates.
+        # The rates are learnt before the correction, which would hide their errors.
         self.rates.update(innovation, self.noise.pressure)
         variances = np.full(pressure.size, self.noise.pressure**2)
         measured = pressure.ravel()
         return self._correct(predicted, measured, variances, self._masks["pressure"])
 
     def update_poses(self, poses: np.ndarray) -> np.ndarray:
-        """Correct by poses of connectors: x, y (m), heading (rad), shape (connectors, 3), NaN if unseen.
+        """Correct the members with a frame of motion capture.
 
-        The first frame, and the first one after someone moved the robot, initialise the
-        poses of the members.
+        The first frame initialises the poses of the members. Frames that show that
+        someone moved the robot initialise them again.
+
+        Args:
+            poses: position x, y (m) and heading (rad) of each connector, shape
+                (connectors, 3). The pose of an unseen connector is NaN.
 
         Returns:
-            Innovations over their standard deviations, shape (3 connectors,).
+            Innovations in standard deviations, shape (3 connectors,).
         """
         self.apply_odometry()
         if not self.placed:
@@ -239,7 +257,7 @@ class EnsembleFilter:
         bend = self.mean("bend")
         predicted = self.poses()
         turn = poses[:, 2] - predicted[:, :, 2].mean(axis=0)
-        # Measured headings may differ from the estimate by whole turns.
+        # Measured headings may differ from estimated headings by multiples of 2π.
         poses = poses.copy()
         poses[:, 2] -= 2 * np.pi * np.round(turn / (2 * np.pi))
         before = poses - predicted.mean(axis=0)
@@ -262,18 +280,21 @@ class EnsembleFilter:
             self.odometry.interrupt()
         self.odometry.learn(pose, bend, self.members[:, _POSE], self._of("bend"))
         self._moved_frames = self._moved_frames + 1 if moved else 0
-        # A single frame with large residuals may be a tracking error.
+        # Fewer frames with large residuals may be due to a tracking error.
         if self._moved_frames >= _MOVED_FRAMES:
             self.placed = False
             self._moved_frames = 0
         return innovation
 
     def apply_odometry(self) -> None:
-        """Move the members by the change of their bends since the last call."""
+        """Move the members according to their changes of bend since the last call."""
         self.odometry.apply(self.members[:, _POSE], self._of("bend"))
 
     def poses(self) -> np.ndarray:
-        """Return x, y (m), heading (rad) of the connectors, shape (members, connectors, 3)."""
+        """Return the poses of the connectors, shape (members, connectors, 3).
+
+        A pose consists of x, y (m) and heading (rad).
+        """
         bend = self._of("bend")
         g = self.spec.geometry
         x, y, heading = self.members[:, _POSE].T[..., None]
@@ -298,11 +319,16 @@ class EnsembleFilter:
         return np.asarray(self._of(name).std(axis=0, ddof=1))
 
     def copy(self, members: int | None = None) -> EnsembleFilter:
-        """Return a filter with the first or all members, for predictions on any thread."""
+        """Return a copy of the filter for predictions in another thread.
+
+        Args:
+            members: number of members of the copy, or None to copy all members.
+        """
         kept = self.members[:members]
         copied = kept.copy()
         if len(kept) < len(self.members):
-            # The mean and standard deviation of a small sample are those of all.
+            # Rescale the sample, so that its mean and standard deviation agree with the
+            # mean and standard deviation of all members.
             scale = self.members.std(axis=0) / np.maximum(kept.std(axis=0), 1e-300)
             deviation = kept - kept.mean(axis=0)
             copied = self.members.mean(axis=0) + scale * deviation
@@ -318,15 +344,15 @@ class EnsembleFilter:
         return other
 
     def forecast(self, inputs: Iterable[ValveInput], dt: float) -> np.ndarray:
-        """Advance the members, and return their poses.
+        """Advance the members in time, and return their poses.
 
         Args:
-            inputs: inputs of successive intervals.
-            dt: duration of each, s.
+            inputs: inputs of the chambers in successive intervals.
+            dt: duration of an interval, s.
 
         Returns:
-            x, y (m) and heading (rad) at the end of each interval, shape (intervals,
-            members, 3).
+            Position x, y (m) and heading (rad) at the end of each interval, shape
+            (intervals, members, 3).
         """
         poses = []
         for valves in inputs:
@@ -339,12 +365,12 @@ class EnsembleFilter:
         return self.members[:, self.columns[name]]
 
     def _random(self, name: str) -> np.ndarray:
-        """Return standard normal numbers for the columns `name`, with mean 0 over the members."""
+        """Draw normal numbers whose mean is 0, so as not to shift the ensemble mean."""
         numbers = self._rng.normal(size=self._of(name).shape)
         return np.asarray(numbers - numbers.mean(axis=0))
 
     def _localisation(self) -> dict[str, np.ndarray]:
-        """Return the columns that each measurement corrects, shape (measurements, columns)."""
+        """Return masks of the corrected columns, shape (measurements, columns)."""
         n = self._segments
         width = self.members.shape[1]
         bend = np.zeros((n, width))
@@ -352,8 +378,8 @@ class EnsembleFilter:
         first = {name: columns.start for name, columns in self.columns.items()}
         for k in range(2 * n):
             j = k // 2
-            # A pressure error since the last message has also changed the bend, so both
-            # are corrected.
+            # An error of the pressure has changed the bend since the last message, so a
+            # pressure sensor corrects the bend as well.
             own = [first["bend"] + j, first["disturbance"] + j, first["motion"] + 3 + j]
             own += [first["pressure"] + k, first["lagged"] + k]
             bend[j, own] = 1.0
@@ -379,20 +405,19 @@ class EnsembleFilter:
         normalised = correct(
             self.members, predicted, measured, variances, masks, correlated
         )
-        # A swinging body can enlarge a chamber, so its pressure may be below ambient,
-        # but not below vacuum.
+        # A moving body can enlarge a closed chamber, so gauge pressures may be
+        # negative. The absolute pressure cannot be negative.
         pressure = self._of("pressure")
         np.maximum(pressure, -AMBIENT_PA, out=pressure)
         return np.asarray(normalised)
 
     def _estimate_noise(self, name: str, before: np.ndarray, after: np.ndarray) -> None:
-        """Estimate the noise of frames from residuals before and after the correction."""
         if np.isnan(before * after).all():
             return
         usual = getattr(self.noise, name)
         variance = self._frame_noise[name] ** 2
-        # The expected product of the residuals is the noise variance if the filter is
-        # consistent. The limits keep a single frame from changing the estimate by much.
+        # In a consistent filter, the expected product of the residuals equals the noise
+        # variance. The limits bound the effect of a single frame.
         product = min(max(float(np.nanmean(before * after)), 0.0), 4 * variance)
         estimate = math.sqrt(variance + (product - variance) / _NOISE_FRAMES)
         self._frame_noise[name] = min(
@@ -400,14 +425,14 @@ class EnsembleFilter:
         )
 
     def _place(self, poses: np.ndarray) -> None:
-        """Initialise the poses of the members from the visible connectors, with random deviations."""
         seen = ~np.isnan(poses).any(axis=1)
         if not seen.any():
             return
         heading = self._of("heading")[:, 0]
         noise = self.noise
         turn = measured_bend(poses[seen, 2], self.poses()[:, seen, 2])
-        # All members turn to the same side, even if the angles are close to ±π.
+        # The mean is taken of differences from the first angle, so that it is correct
+        # even if the angles are close to ±π.
         heading += turn[0, 0] + measured_bend(turn, turn[0, 0]).mean(axis=1)
         shift = poses[seen, :2] - self.poses()[:, seen, :2]
         self.members[:, :2] += shift.mean(axis=1)
@@ -439,12 +464,11 @@ class EnsembleFilter:
             self._restart()
             self.odometry.restart(self._of("bend"))
         elif not valid.all():
-            # Replace members that diverged by copies of valid ones.
+            # Replace diverged members by copies of valid members.
             others = self._rng.choice(np.flatnonzero(valid), size=int((~valid).sum()))
             self.members[~valid] = self.members[others]
 
     def _restart(self) -> None:
-        """Set the members to rest, at an unknown position."""
         self.members[:] = 0.0
         self._of("disturbance")[:] = self.error.disturbance * self._random(
             "disturbance"
@@ -458,12 +482,12 @@ class _Innovation(NamedTuple):
     """Innovation of one measurement.
 
     Attributes:
-        value: measurement less the mean of the predictions.
+        value: difference between the measurement and the mean of the predictions.
         mean: mean of the predictions.
         spread: variance of the predictions.
-        total: variance of the predictions and of the noise.
-        reduction: share of the gain that reduces the deviations of the members (square
-            root filter).
+        total: sum of the variance of the predictions and the noise variance.
+        reduction: fraction of the Kalman gain that is applied to the deviations from
+            the mean (square root filter).
     """
 
     value: float
@@ -475,16 +499,20 @@ class _Innovation(NamedTuple):
 
 @allocating
 def correct(members, predicted, measured, variances, masks, correlated):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Correct the members by measurements, one after another; return normalised innovations.
+    """Correct the members in place with one measurement after another.
 
     Args:
-        members: in place, shape (members, columns).
-        predicted: measurements predicted by each member, in place, shape (members,
-            measurements).
-        measured: measurements, NaN where they are missing.
-        variances: of their noise.
-        masks: localisation of each measurement, 0 to 1, shape (measurements, columns).
-        correlated: whether a measurement also corrects the predictions of later ones.
+        members: states of the members, shape (members, columns).
+        predicted: predicted measurements of each member, shape (members, measurements),
+            which are corrected in place.
+        measured: measurements, shape (measurements,). Missing measurements are NaN.
+        variances: noise variance of each measurement, shape (measurements,).
+        masks: localisation weights from 0 to 1, shape (measurements, columns).
+        correlated: whether each measurement also corrects the predictions of the
+            measurements after it.
+
+    Returns:
+        Innovations in standard deviations, shape (measurements,).
     """
     normalised = np.full(measured.shape[0], np.nan)
     for k in range(measured.shape[0]):
@@ -504,8 +532,12 @@ def _innovation(predicted, measured, variance):  # type: ignore[no-untyped-def]
     mean = _mean(predicted)
     spread = _covariance(predicted, mean, predicted, mean)
     value = measured - mean
+    # The noise of an outlier is increased until its innovation equals `_OUTLIER`
+    # standard deviations.
     noise = max(variance, (value / _OUTLIER) ** 2 - spread)
     total = spread + noise
+    # The square root filter reduces the gain for deviations from the mean, so that the
+    # ensemble keeps the correct variance without perturbed measurements.
     reduction = 1 / (1 + math.sqrt(noise / total))
     return _Innovation(value, mean, spread, total, reduction)
 
@@ -548,7 +580,7 @@ def _covariance(first, first_mean, second, second_mean):  # type: ignore[no-unty
 
 @compiled
 def _significant_covariance(values, predicted, innovation):  # type: ignore[no-untyped-def]
-    """Return the covariance of values and predictions of the members, less the part due to chance."""
+    """Return the covariance of values and predictions, shrunk for sampling errors."""
     middle = _mean(values)
     covariance = 0.0
     own = 0.0
@@ -557,7 +589,7 @@ def _significant_covariance(values, predicted, innovation):  # type: ignore[no-u
         deviation = values[m] - middle
         covariance += (predicted[m] - innovation.mean) * deviation / (count - 1)
         own += deviation**2 / (count - 1)
-    # Squared sample correlations are too large on average.
+    # In a small sample, the squared correlation is too large on average.
     square = covariance**2 / max(own * innovation.spread, 1e-300)
     significant = max(1 - (1 - square) / ((count - 2) * max(square, 1e-12)), 0.0)
     return significant * covariance

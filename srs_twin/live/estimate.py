@@ -1,4 +1,4 @@
-"""State, prediction and contact estimates of a live twin, with interval calibration."""
+"""State, prediction and contact estimates of a live twin, and calibrated intervals."""
 
 from __future__ import annotations
 
@@ -47,9 +47,8 @@ class Estimate:
             rad/s.
         connectors: position x, y (m) and heading (rad) of each connector, shape
             (connectors, 3).
-        parameters: values and standard deviations of "gain" and "bias_rad". The gain of
-            each chamber is a multiple of the gain in the robot file. The bias is the
-            bend of each module without pressure.
+        parameters: values and standard deviations of "gain" (of each chamber, relative
+            to the robot file) and "bias_rad" (bend of each module without pressure).
         faults: faults that are detected at this time.
         off: RMS innovation of the last measurements of each kind, in standard
             deviations.
@@ -151,15 +150,15 @@ class Prediction:
 
 
 class PredictionCalibration:
-    """Calibration that widens intervals by the errors of earlier predictions."""
+    """Calibration that widens intervals according to errors of earlier predictions."""
 
     def __init__(self) -> None:
         """Start without predictions."""
-        # Mean squares of the errors and of the stated standard deviations.
+        # Mean squared errors, and mean variances stated by the predictions.
         self._error = self._stated = np.zeros(3)
         self._count = 0
         self._open: deque[Prediction] = deque(maxlen=20)
-        # Time, x, y and heading of each pose.
+        # Each entry contains time, x, y and heading.
         self._path: deque[np.ndarray] = deque(maxlen=200)
 
     def observe(self, time: float, pose: np.ndarray) -> None:
@@ -184,11 +183,12 @@ class PredictionCalibration:
         self._stated = self._stated + weight * (past.pose_sd**2 - self._stated)
 
     def widened(self, raw: Prediction) -> Prediction:
-        """Return a prediction with widened intervals and store it for `observe`."""
+        """Return the prediction with widened intervals, and store it for `observe`."""
         self._open.append(raw)
         if not self._count:
             return raw
-        # A mean square of few errors is uncertain, so the interval is widened further.
+        # The mean square of few errors is uncertain, so the interval is widened
+        # further.
         count = min(self._count, _MEMORY)
         factor = (count + 1) / max(count - 1, 1)
         excess = np.maximum(factor * self._error - self._stated, 0.0)
@@ -196,8 +196,6 @@ class PredictionCalibration:
 
 
 class _PredictedState(NamedTuple):
-    """State predicted for a time of the local clock (s), with standard deviation."""
-
     time: float
     value: np.ndarray
     sd: np.ndarray
@@ -206,17 +204,17 @@ class _PredictedState(NamedTuple):
 class IntervalCalibration:
     r"""Calibration of the standard deviations of states predicted to the current time.
 
-    Each prediction is compared with the later estimate that uses the measurements made at
-    the predicted time. The scale s of each group of values adapts until 95 % of the later
-    estimates lie inside the interval:
+    Each prediction is compared with a later estimate, which uses the measurements made
+    at the predicted time. The scale s of each group of values adapts until 95 % of the
+    later estimates lie inside the interval:
 
     $$ \frac{d \ln s^2}{dt} = r \left(\mathrm{share}\left[
     (\hat x - x)^2 + \sigma_x^2 > 1.96^2 s^2 \hat\sigma^2\right] - 0.05\right) . $$
 
     Here r is the adaptation rate, x̂ the prediction with standard deviation σ̂, and x the
     later estimate with standard deviation σ_x. The errors have heavy tails because
-    predictions do not include lost commands. A scale fitted to the mean squared error
-    would be too large or too small, depending on the message rate.
+    predictions do not include lost commands, so a scale based on the mean squared error
+    would depend on the message rate.
     """
 
     def __init__(self, groups: Sequence[int]) -> None:
@@ -270,10 +268,10 @@ class IntervalCalibration:
 
 
 _NEEDED = {BENDS, PRESSURES, VALVES}
-"""Kinds of messages of one sample.
+"""Kinds of messages that one sample needs.
 
-A robot that does not report its valves gets no estimate, because lost commands would
-look like contacts."""
+Valve states are among them, because lost commands would otherwise look like contacts.
+"""
 
 _STEADY_S = 0.5
 """Time for which a period must be constant before it is used, s."""
@@ -283,8 +281,8 @@ class LiveContact:
     """Contact estimator for a robot with periodic commands.
 
     Attributes:
-        estimate: latest contact estimate. It is None while the observer learns, or if
-            needed messages are missing.
+        estimate: latest contact estimate, or None while the observer learns or needed
+            messages are missing.
     """
 
     def __init__(self, spec: RobotSpec) -> None:
@@ -308,8 +306,8 @@ class LiveContact:
         if found.keys() != _NEEDED:
             return
         self._update_period(commands.period())
-        # The robot's clock numbers the samples, so that lost messages do not shift the
-        # phase.
+        # Samples are numbered by sending time, so that lost messages do not shift the
+        # phase of the gait.
         sample = round(found[BENDS].sent / SLOT_S)
         if self._sample is not None and sample > self._sample:
             self._observer.skip(sample - self._sample - 1)
@@ -319,10 +317,9 @@ class LiveContact:
         )
 
     def _update_period(self, period: int) -> None:
-        """Use the period of the commands after it was constant for half a second.
+        """Adopt a period of the commands after it was constant for half a second.
 
-        A period of 0 is unknown. While too few commands are known for the true period,
-        a shorter period with similar commands is found.
+        As long as few commands are known, too short a period may be found.
         """
         if not period:
             return

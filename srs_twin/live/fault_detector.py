@@ -1,9 +1,9 @@
-r"""FaultDetector: interacting multiple model filter for the faults of each segment.
+r"""Interacting multiple model filter that detects the faults of each segment.
 
 A hypothesis m states how the valves, chambers and sensor of a segment behave
-(`fault_hypotheses`). The chamber pressures under a hypothesis follow the first-order law
-of `pneumatics.lag`. They determine the drives $A^\pm = G a^\pm$ (rad). The bend and its
-measurements are
+(`fault_hypotheses`). Under each hypothesis, the chamber pressures follow the
+first-order law of `pneumatics.lag` and determine the drives $A^\pm = G a^\pm$ (rad).
+The bend and the measurements of the bend are
 
 $$ q = b + g^+ A_m^+ - g^- A_m^- + d, \qquad y = (1 + e)\,q + s + n, \qquad y_{markers} = q + n'. $$
 
@@ -23,17 +23,18 @@ Symbols:
 - n, n': measurement noise, rad
 
 Each hypothesis has a Kalman filter for the state (b, g⁺, g⁻, d, s, e), linearised in
-e q. Under one hypothesis the offset s drifts quickly. The filters are mixed as in Blom
-and Bar-Shalom (1988). Faults are rare and permanent.
+e q. Under the hypothesis of a drifting sensor, the offset s changes quickly. The
+filters are mixed as in Blom and Bar-Shalom (1988). Faults are rare and permanent.
 
 While a segment has no fault, the detector learns how its pressures deviate from the
 first-order law (`pressure_table`). Leaks are detected from balances of air
 (`air_balance`).
 
-All pressures are relative to the estimated supply pressure (`air_balance`), so a
-drooping supply is not reported as a fault of a segment. After a sudden loss of supply
-pressure, all segments seem weak or leaking at once, and the detector corrects the supply
-estimate. It reports `starved` below the fraction `STARVED_BELOW` of the nominal pressure.
+All pressures are relative to the estimated supply pressure (`air_balance`), so a slowly
+decreasing supply pressure is not reported as a fault of a segment. After a sudden loss
+of supply pressure, all segments seem weak or leaking at once, and the detector corrects
+the supply estimate. It reports the fault `starved` if the supply pressure is below the
+fraction `STARVED_BELOW` of the nominal pressure.
 """
 
 from __future__ import annotations
@@ -80,13 +81,13 @@ _MARKER_NOISE_RAD = 0.025
 _LOSS = 0.05
 """Fraction of lost readings."""
 _GAIN_SD = 0.15
-"""Standard deviation of the modules' gains."""
+"""Prior standard deviation of the gains g, dimensionless."""
 _BIAS_SD_RAD = 0.05
-"""Standard deviation of the modules' rest bends, rad."""
+"""Prior standard deviation of the biases b, rad."""
 _OFFSET_SD_RAD = 0.06
-"""Standard deviation of the sensors' offsets, rad."""
+"""Prior standard deviation of the sensor offsets s, rad."""
 _SCALE_SD = 0.05
-"""Standard deviation of the sensors' scale errors."""
+"""Prior standard deviation of the sensor scale errors e, dimensionless."""
 _PRESSURE_SD = 0.12
 """Initial standard deviation of pressures, fraction of the supply pressure."""
 _LEAST_PRESSURE_SD = 0.02
@@ -98,7 +99,7 @@ _LOAD_TIME_S = 0.15
 _PRESSURE_TIME_S = 0.08
 """Correlation time of pressure residuals, s."""
 _BIAS_WALK = 0.0014
-"""Random walk of the rest bends, rad per square root of a second."""
+"""Random walk of the biases, rad per square root of a second."""
 _GAIN_WALK = 0.0035
 """Random walk of the gains, per square root of a second."""
 _OFFSET_WALK = 0.002
@@ -106,11 +107,11 @@ _OFFSET_WALK = 0.002
 _DRIFT_WALK = 0.03
 """Random walk of the offset of a drifting sensor, rad per square root of a second."""
 _FAILED_BELOW = 0.85
-"""Ratio of measured to expected pressure below which the supply is assumed to have failed.
+"""Ratio of measured to expected pressure below which the supply may have failed.
 
 Several suspected leaks are then attributed to the supply."""
 _SETTLED_S = 0.1
-"""Time after which the pressure of a filling chamber shows the supply pressure."""
+"""Time after which the pressure of a filling chamber shows the supply pressure, s."""
 _BALANCED_STROKES = 3
 """Number of strokes after which leaks of a chamber are judged by its balance of air."""
 _TAILS = 4.0
@@ -118,13 +119,11 @@ _TAILS = 4.0
 _AT_REST_RAD = 1e-6
 _LEAST_PROBABILITY = 1e-12
 _FROZEN_NOISE = 0.1
-"""Standard deviation of changes of a frozen reading, fraction of the sensor noise."""
+"""Standard deviation of changes of a frozen reading, relative to the sensor noise."""
 _SUPPLY_EXPLAINS = (SUPPLY_SHARES < 1.0) | np.isin(
     CHAMBERS, (Chamber.LEAKS, Chamber.VENTS)
 ).any(axis=1)
-"""Hypotheses under which filling chambers reach a lower pressure than expected.
-
-A lower supply pressure has this effect, too."""
+"""Hypotheses that look like a low supply pressure while chambers fill."""
 
 
 class _State(IntEnum):
@@ -179,8 +178,8 @@ class FaultDetector(Stateful):
         kinds = len(HYPOTHESES)
         self.supply = SupplyFilter(supply_pa)
         self._gain = chamber_gains(spec)
-        # The pressures of a robot that already moves, or that restarted, are unknown at
-        # first.
+        # A robot that already moves or that restarted has unknown pressures. They are
+        # known only after several time constants.
         self._settling_s = 4 * (max(self._fill, self._vent) + self._tau)
         self._pressure = np.zeros((count, kinds, 2))
         self._delayed = np.zeros((count, kinds, 2))
@@ -198,7 +197,7 @@ class FaultDetector(Stateful):
         self._covariance = np.tile(np.diag(np.square(sd)), (count, kinds, 1, 1))
         self.probability = np.zeros((count, kinds))
         self.probability[:, 0] = 1.0
-        # Median ratio of measured to expected pressures of filling chambers; NaN
+        # Median ratio of measured to expected pressures of filling chambers, NaN
         # without measured pressures.
         self._level = math.nan
         self._last = np.full(count, np.nan)
@@ -224,13 +223,13 @@ class FaultDetector(Stateful):
             self.probability[number - 1, 0] = 1.0
 
     def restart(self) -> None:
-        """Treat the pressures as unknown after a restart, but keep learnt parameters."""
+        """Treat the pressures as unknown after a restart, but keep learnt values."""
         self.time = 0.0
         self._level = math.nan
         self.leaks.drop_all()
 
     def inflate(self, switched: np.ndarray, dt: float) -> None:
-        """Increase the variance of the disturbance for unknown switching times of valves.
+        """Increase the variance of the disturbance after valves switched unobserved.
 
         Args:
             switched: change of each valve's duty, shape (segments, 2).
@@ -242,11 +241,11 @@ class FaultDetector(Stateful):
         self._covariance[..., _State.LOAD, _State.LOAD] += change[:, None] ** 2
 
     def most_likely(self) -> np.ndarray:
-        """Return each segment's most likely hypothesis that agrees with its detected fault."""
+        """Return the most likely hypothesis of each segment, given detected faults."""
         return self.naming.most_likely(self.probability)
 
     def modules(self) -> Uncertain:
-        """Return estimates of g⁺, g⁻ and b (rad) of each module, shape (segments, 3)."""
+        """Return estimates of g⁺, g⁻ and b (rad) per module, shape (segments, 3)."""
         values = self.mean[..., _MODULE]
         variances = np.einsum("smii->smi", self._covariance)[..., _MODULE]
         mean = np.einsum("sm,smi->si", self.probability, values)
@@ -255,7 +254,7 @@ class FaultDetector(Stateful):
         return Uncertain(mean, np.sqrt(variance))
 
     def corrected(self, readings: np.ndarray) -> Uncertain:
-        """Correct readings (rad) for the estimated offsets and scale errors of sensors."""
+        """Correct bend readings (rad) for estimated offsets and scale errors."""
         mean = np.einsum("sm,smk->sk", self.probability, self.mean)
         bends = (readings - mean[:, _State.OFFSET]) / (1 + mean[:, _State.SCALE])
         rows = np.zeros_like(mean)
@@ -356,8 +355,8 @@ class FaultDetector(Stateful):
         """Return the Jacobian of the bends, shape (segments, hypotheses, 6)."""
         drive = self._gain[:, None] * self._delayed
         linear = drive[..., 0] - drive[..., 1]
-        # At rest the ratio of the free bend to its linear part is 0/0. With a small
-        # linear part the ratio approximates the derivative of the free bend.
+        # At rest the ratio of the free bend to the linear bend is 0/0. The ratio at a
+        # small linear bend approximates the derivative.
         linear = np.where(np.abs(linear) < _AT_REST_RAD, _AT_REST_RAD, linear)
         drive = drive * (free_bends(self._spec, linear) / linear)[..., None]
         rows = np.ones((*self.probability.shape, 6))
@@ -367,7 +366,6 @@ class FaultDetector(Stateful):
         return rows
 
     def _mix(self, dt: float) -> None:
-        """Mix the Kalman filters by transition probabilities and predict their states."""
         # Faults do not heal. Transitions between faults remain possible, because a
         # fault may first look like another one.
         transition = np.full((len(HYPOTHESES),) * 2, _FAULT_RATE * dt)
@@ -384,6 +382,8 @@ class FaultDetector(Stateful):
         noise = np.tile(sound, (len(HYPOTHESES), 1, 1))
         drifts = SENSORS == Sensor.DRIFTS
         noise[drifts, _State.OFFSET, _State.OFFSET] = (_DRIFT_WALK * root) ** 2
+        # `joint` is the probability that hypothesis i was true before and j is true
+        # now. `share` is the probability of i, given that j is true now.
         joint = self.probability[:, :, None] * transition
         predicted = joint.sum(axis=1)
         share = joint / np.maximum(predicted[:, None, :], 1e-300)
@@ -401,6 +401,8 @@ class FaultDetector(Stateful):
         self, rows: np.ndarray, readings: np.ndarray
     ) -> np.ndarray:
         sensed = rows.copy()
+        # The reading (1 + e) q + s has the derivative 1 with respect to s, and q with
+        # respect to e.
         sensed[..., _State.OFFSET] = 1.0
         sensed[..., _State.SCALE] = np.einsum("smk,smk->sm", rows, self.mean)
         self._last = np.where(np.isnan(readings), self._last, readings)
@@ -426,6 +428,7 @@ class FaultDetector(Stateful):
             Log-likelihood of each hypothesis, which is 0 without a measurement.
         """
         available = ~np.isnan(measured)[:, None] & used
+        # `gain` is the cross covariance P Hᵀ, and `weight` is the Kalman gain.
         gain = np.einsum("smkl,sml->smk", self._covariance, rows)
         variance = np.einsum("smk,smk->sm", rows, gain) + noise**2
         predicted = np.einsum("smk,smk->sm", rows, self.mean)
@@ -441,10 +444,7 @@ class FaultDetector(Stateful):
         return np.where(available, log, 0.0)
 
     def _sensor_log_likelihood(self, readings: np.ndarray) -> np.ndarray:
-        """Return the evidence for silent and frozen sensors as log-likelihoods.
-
-        Missing readings indicate a silent sensor, and equal readings a frozen sensor.
-        """
+        """Return log-likelihoods of missing (silent) and equal (frozen) readings."""
         log_likelihood = np.zeros(self.probability.shape)
         lost = np.isnan(readings)[:, None]
         silent = SENSORS == Sensor.SILENT
@@ -467,7 +467,8 @@ class FaultDetector(Stateful):
         self._update_supply(pressures, Uncertain(usual, sd + _LEAST_PRESSURE_SD))
         residual = pressures[:, None] - self._pressure
         residual = np.nan_to_num(residual / self.supply.pressure)
-        # Residuals are learnt only from valves that obey commands.
+        # Usual residuals were learnt from valves that obey commands, so they apply only
+        # to hypotheses with such valves.
         residual = residual - np.where(self._obeys, usual[:, None], 0.0)
         spread = np.where(self._obeys, sd[:, None] + _LEAST_PRESSURE_SD, _PRESSURE_SD)
         log = _log_student((residual / spread) ** 2) - np.log(spread)
@@ -481,13 +482,6 @@ class FaultDetector(Stateful):
         return np.asarray(log.sum(axis=-1) * min(dt / _PRESSURE_TIME_S, 1.0))
 
     def _update_supply(self, pressures: np.ndarray, usual: Uncertain) -> None:
-        """Correct the supply estimate with chambers that fill as commanded.
-
-        Args:
-            pressures: gauge pressures of the chambers, shape (segments, 2), Pa.
-            usual: learnt pressure residuals, fraction of the supply pressure, shape
-                (segments, 2).
-        """
         before = self.supply.pressure
         response = self._pressure[:, 0] / before + usual.value
         sd = before * usual.sd
@@ -505,8 +499,8 @@ class FaultDetector(Stateful):
             self.leaks.drop_all()
             self._adopt_supply(before)
             return
-        # At first the balances are unknown, and the pressures of filled chambers are
-        # used instead.
+        # Before the first stroke no balance is learnt, so the pressures of filled
+        # chambers are used instead.
         balanced = self.leaks.learnt >= 1
         balance = self.leaks.residuals(self.time, pressures, filled)
         self.supply.update(
@@ -519,11 +513,10 @@ class FaultDetector(Stateful):
         self._adopt_supply(before)
 
     def _adopt_supply(self, before: float) -> None:
-        """Rescale all hypotheses after the supply estimate changed from `before` (Pa)."""
         self._rescale(before)
         if before - self.supply.pressure > SUDDEN * self.supply.nominal:
-            # Until the loss was noticed, chambers with a low pressure seemed to leak or
-            # not to fill.
+            # Before the loss of supply pressure was noticed, chambers with a low
+            # pressure seemed to leak or not to fill.
             likely = np.where(_SUPPLY_EXPLAINS, self.probability, 0.0).argmax(axis=1)
             self._attribute_to_supply(_SUPPLY_EXPLAINS, likely)
 
@@ -533,7 +526,7 @@ class FaultDetector(Stateful):
         self._delayed *= share
 
     def _judge_supply(self) -> None:
-        """Correct the supply estimate if most segments seem weak, and update `starved`."""
+        """Correct the supply estimate if most segments seem weak; update `starved`."""
         weak = SUPPLY_SHARES < 1.0
         weak_or_leaks = weak | (LEAK_RATES > 0.0)
         kind = np.flatnonzero(weak)[self.probability[:, weak].sum(axis=0).argmax()]
@@ -541,8 +534,8 @@ class FaultDetector(Stateful):
             share = SUPPLY_SHARES[kind]
             common = weak
         else:
-            # If the pressures are low as well, a failed supply is more likely than
-            # several leaks at once.
+            # With low pressures, a failed supply is more likely than several
+            # simultaneous leaks.
             share = self._level
             common = weak_or_leaks
         suspect = self.probability[:, common].sum(axis=1) > 0.5
@@ -555,12 +548,12 @@ class FaultDetector(Stateful):
         if self.time < START_S:
             return
         if self.naming.starved:
-            # A segment with a low supply seems to leak; without this correction the
-            # fault would remain after recovery.
+            # A segment with a low supply pressure seems to leak. Without this
+            # correction, the false leak would remain after the supply has recovered.
             likely = np.where(weak_or_leaks, self.probability, 0.0).argmax(axis=1)
             self._attribute_to_supply(weak_or_leaks, likely)
-        # Without chamber pressures, only hypotheses of a weak supply change the estimate.
-        # The standard deviation then never falls, so the thresholds ignore it.
+        # Without measured pressures the standard deviation of the supply never
+        # decreases, so the thresholds ignore it.
         sd = 0.0 if math.isnan(self._level) else self.supply.sd
         if self.supply.pressure + sd < STARVED_BELOW * self.supply.nominal:
             self.naming.pairs[0, 0] = WEAK
@@ -568,12 +561,9 @@ class FaultDetector(Stateful):
             self.naming.clear(0)
 
     def _attribute_to_supply(self, common: np.ndarray, kind: np.ndarray) -> None:
-        """Move the probability of faults that the supply explains to "no fault".
+        """Move the probability of the hypotheses `common` to "no fault".
 
-        Args:
-            common: whether the supply explains a hypothesis, shape (hypotheses,).
-            kind: index of the hypothesis from which each segment takes its state, shape
-                (segments,).
+        The state of each segment is taken from the hypothesis `kind`.
         """
         moved = self.probability[:, common].sum(axis=1)
         segments = np.flatnonzero(moved > 0.5)
@@ -602,5 +592,4 @@ class FaultDetector(Stateful):
 
 
 def _log_student(square: np.ndarray) -> np.ndarray:
-    """Return the log-density of Student's t distribution up to a constant."""
     return np.asarray(-np.log1p(square / _TAILS) * (_TAILS + 1) / 2)

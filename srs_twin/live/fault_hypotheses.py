@@ -1,4 +1,8 @@
-"""Fault hypotheses of a segment, and FaultNaming: detected faults from their probabilities over time."""
+"""Fault hypotheses of a segment, and the decision which faults are detected.
+
+`FaultNaming` detects a fault when the probability of its hypotheses stays above a
+threshold for long enough.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +14,7 @@ import numpy as np
 from srs_twin.io.saved_state import Stateful
 
 STARVED = "starved"
-"""Name of the fault of the supply."""
+"""Name of the fault "supply pressure too low"."""
 
 
 class Chamber(IntEnum):
@@ -32,11 +36,12 @@ class Sensor(IntEnum):
 
 
 class Inflow(NamedTuple):
-    """Inflow of a chamber that fills.
+    """Inflow and leak of a chamber whose valve fills it.
 
     Attributes:
-        leak: pressure that it loses, share per second.
-        share: share of the supply pressure, 0 without any inflow.
+        leak: relative rate at which the chamber loses pressure, 1/s.
+        share: supply pressure of the chamber as a fraction of the robot's supply
+            pressure, or 0 if no air flows in.
     """
 
     leak: float
@@ -47,12 +52,10 @@ class Hypothesis(NamedTuple):
     """Behaviour of the chambers and the sensor of a segment.
 
     Attributes:
-        name: name of the fault; empty without a fault.
-        plus: behaviour of the + chamber.
-        minus: behaviour of the − chamber.
-        sensor: behaviour of the sensor.
-        leak: pressure that a leaking chamber loses, share per second.
-        weak: supply pressure of a weak segment, share of that of the robot.
+        name: name of the fault, or an empty string for a segment without a fault.
+        leak: relative rate at which a leaking chamber loses pressure, 1/s.
+        weak: supply pressure of the segment as a fraction of the robot's supply
+            pressure.
     """
 
     name: str
@@ -68,7 +71,7 @@ class Hypothesis(NamedTuple):
         return self.plus, self.minus
 
     def inflow(self, chamber: Chamber) -> Inflow:
-        """Return the inflow of a chamber, given its behaviour."""
+        """Return the inflow of a chamber that behaves as given."""
         leak = self.leak if chamber == Chamber.LEAKS else 0.0
         share = 0.0 if chamber == Chamber.VENTS else self.weak
         return Inflow(leak, share)
@@ -89,16 +92,19 @@ HYPOTHESES = (
 )
 
 NAMES = tuple(dict.fromkeys(hypothesis.name for hypothesis in HYPOTHESES))
-"""Names of the hypotheses; several severities of a fault have the same name."""
+"""Names of the faults. Several severities of one fault share a name."""
 HAS_NAME = np.array(
     [[hypothesis.name == name for name in NAMES] for hypothesis in HYPOTHESES],
     dtype=float,
 )
-"""1 where a hypothesis (row) has a name (column)."""
+"""Matrix that is 1 where a hypothesis (row) has a name (column), and 0 elsewhere."""
 WEAK = NAMES.index("weak")
 LEAK = np.array([name.startswith("leak") for name in NAMES])
 INDISTINGUISHABLE = ((1, 4), (2, 3))
-"""Pairs of names with the same effect on bends, if the two chambers of the segment alternate."""
+"""Pairs of indices into `NAMES` whose faults have equal effects on the bend.
+
+The effects are equal only while the two chambers of the segment fill alternately.
+"""
 
 CHAMBERS = np.array([hypothesis.chambers for hypothesis in HYPOTHESES])
 SENSORS = np.array([hypothesis.sensor for hypothesis in HYPOTHESES])
@@ -107,7 +113,10 @@ SUPPLY_SHARES = np.array([hypothesis.weak for hypothesis in HYPOTHESES])
 
 
 def valve_duty(duty: np.ndarray, chambers: np.ndarray) -> np.ndarray:
-    """Return the duty of the valves (share of time in which they fill), given the chambers' behaviour."""
+    """Return the duty cycles of the valves, given the behaviour of the chambers.
+
+    A duty cycle is the fraction of time in which a valve fills its chamber.
+    """
     duty = np.where(chambers == Chamber.VENTS, 0.0, duty)
     return np.where(chambers == Chamber.FILLS, 1.0, duty)
 
@@ -115,31 +124,35 @@ def valve_duty(duty: np.ndarray, chambers: np.ndarray) -> np.ndarray:
 _THRESHOLD = 0.97
 """Probability above which a fault is detected."""
 _PATIENCE_S = 0.16
-"""Time for which the probability must stay above the threshold, s."""
+"""Time for which the probability of a fault must stay above the threshold, s."""
 _LEAK_THRESHOLD = 0.99
-"""Threshold for leaks."""
+"""Probability above which a leak is detected."""
 _LEAK_PATIENCE_S = 0.08
-"""Required time for leaks, s; it may be short, because one message can decide."""
+"""Time for which the probability of a leak must stay above its threshold, s.
+
+The time can be short because a single pressure reading can reveal a leak.
+"""
 START_S = 2.0
-"""Time after a start of the robot in which no fault is detected, s."""
+"""Time after the robot has started during which no fault is detected, s."""
 _DOUBT = 0.5
-"""Probability of no fault below which a segment is suspect."""
+"""A segment is suspect if its probability of having no fault is below this value."""
 _PATIENCE_FACTOR = 3.0
-"""Factor on the required time while another segment is suspect."""
+"""Factor by which the required time grows while another segment is suspect."""
 
 
 class FaultNaming(Stateful):
     """Detected faults of the segments and the supply.
 
     Attributes:
-        pairs: indices into `NAMES` of one or two faults, −1 for none, shape (segments +
-            1, 2); row 0 is the supply.
+        pairs: indices into `NAMES` of the detected fault, or of two faults that cannot
+            be told apart, shape (segments + 1, 2). Row 0 is the supply, and −1 stands
+            for no fault.
     """
 
     state_attributes = ("pairs", "_since", "_either_since")
 
     def __init__(self, segments: int) -> None:
-        """Begin without a fault."""
+        """Create the decision without any detected fault."""
         self.pairs = np.full((segments + 1, 2), -1, dtype=int)
         # Times since which each fault, and each indistinguishable pair of faults, has
         # been above its threshold.
@@ -148,7 +161,7 @@ class FaultNaming(Stateful):
 
     @property
     def named(self) -> dict[int, str]:
-        """Names of the faults by segment, from 1; 0 is the supply."""
+        """Names of the detected faults by segment number, where 0 is the supply."""
         named = {0: STARVED} if self.starved else {}
         for j in np.flatnonzero(self.faulty) + 1:
             names = [NAMES[m] for m in self.pairs[j] if m >= 0]
@@ -157,20 +170,23 @@ class FaultNaming(Stateful):
 
     @property
     def starved(self) -> bool:
-        """Whether the supply is starved."""
+        """Whether a low supply pressure is detected."""
         return bool(self.pairs[0, 0] >= 0)
 
     @property
     def faulty(self) -> np.ndarray:
-        """Whether a fault is detected, shape (segments,)."""
+        """Whether each segment has a detected fault, shape (segments,)."""
         return np.asarray(self.pairs[1:, 0] >= 0)
 
     def clear(self, number: int) -> None:
-        """Remove the fault of a segment (from 1), or of the supply (0)."""
+        """Remove the detected fault of a segment, or of the supply if `number` is 0."""
         self.pairs[number] = -1
 
     def most_likely(self, probability: np.ndarray) -> np.ndarray:
-        """Return, for each segment, the most likely hypothesis with a detected name; 0 without a fault."""
+        """Return the most likely hypothesis of each segment among its detected faults.
+
+        The hypothesis of a segment without a detected fault is 0.
+        """
         likely = np.zeros(len(probability), dtype=int)
         for j in np.flatnonzero(self.faulty):
             among = HAS_NAME[:, [m for m in self.pairs[j + 1] if m >= 0]].sum(axis=1)
@@ -178,10 +194,10 @@ class FaultNaming(Stateful):
         return likely
 
     def update(self, time: float, probability: np.ndarray) -> None:
-        """Detect and clear faults.
+        """Detect and clear faults from the current probabilities.
 
         Args:
-            time: s.
+            time: current time, s.
             probability: probabilities of the hypotheses, shape (segments, hypotheses).
         """
         pairs = self.pairs
@@ -190,8 +206,8 @@ class FaultNaming(Stateful):
             self._either_since[:] = np.inf
             return
         likely = probability @ HAS_NAME
-        # Segments seldom fail together: if several are suspect, they may have a common
-        # cause.
+        # Segments rarely fail together. If several are suspect, the cause may be common
+        # to all of them, for example the supply.
         doubted = likely[:, 0] < _DOUBT
         factor = np.where(doubted.sum() - doubted > 0, _PATIENCE_FACTOR, 1.0)[:, None]
         threshold = np.where(LEAK, _LEAK_THRESHOLD, _THRESHOLD)

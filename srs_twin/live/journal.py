@@ -1,4 +1,4 @@
-"""Journal: all received and sent messages as MCAP; `McapLink` plays a journal at any speed."""
+"""Journals in the MCAP format, and a link that plays them back."""
 
 from __future__ import annotations
 
@@ -34,23 +34,23 @@ from srs_twin.live.natnet import is_place
 from srs_twin.recordings.formats.bags import MCAP_MAGIC, stream_messages
 
 LONGEST_GAP_S = 60.0
-"""Longest pause of a journal that playback reproduces, s; longer ones are skipped."""
+"""Maximum pause that playback reproduces, s. Longer pauses are skipped."""
 _NOT_IN_ORDER = "a record whose time does not follow that of the one before"
 _FULL_S = 0.01
-"""Interval at which a full queue is checked again, s."""
+"""Interval at which playback checks whether a full queue has space again, s."""
 _MOST_HEAD = 100_000
-"""Number of motion capture frames that are buffered before the robot's first message.
-"""
+"""Maximum number of frames buffered before the robot's first message."""
 
 
 class Journal:
-    """Record of all received and sent messages as MCAP with JSON, readable even if the process was killed.
+    """MCAP file of all received and sent messages, encoded as JSON.
 
-    If the journal cannot be written, it ends with a reason, and the session continues.
+    The file stays readable if the process is killed. A write error ends the journal,
+    but not the session.
 
     Attributes:
-        trouble: path and reason of the error that ended the journal; empty without an
-            error.
+        trouble: path and reason of the error that ended the journal, or an empty string
+            if none occurred.
     """
 
     def __init__(self, path: Path) -> None:
@@ -72,8 +72,8 @@ class Journal:
             raise InputError(
                 f"{display_path(path)}: cannot be written: {error.strerror}"
             ) from error
-        # Without chunks, so that a killed process loses only what came after the last
-        # `flush`.
+        # MCAP chunks are off, so that a killed process loses only the messages after
+        # the last `flush`.
         self._writer = Writer(
             self._file, use_chunking=False, compression=CompressionType.NONE
         )
@@ -99,7 +99,6 @@ class Journal:
         self._attempt(self._file.close)
 
     def _attempt(self, step: Callable[[], object]) -> None:
-        """Call a function of the writer; the first error ends the journal and is not raised."""
         if self.trouble:
             return
         try:
@@ -144,7 +143,6 @@ class Journal:
 
 
 def _nanoseconds(time: float) -> int:
-    """Return a time (s) in ns, as MCAP stores it; the JSON of a message contains the exact time."""
     return round(min(max(time, 0.0), LATEST_S) * 1e9)
 
 
@@ -161,14 +159,16 @@ def journal_messages(
     refuse: Callable[[BadMessageError], None] | None = None,
     others: set[str] | None = None,
 ) -> Iterator[Message]:
-    """Yield the messages of a robot and of motion capture in the order of arrival, up to a damaged record.
+    """Yield the messages of a robot and of motion capture in the order of arrival.
+
+    Reading stops at the first damaged record.
 
     Args:
         path: path of the journal.
         robot: name of the robot.
         segments: number of segments of the robot.
-        refuse: called with the error of each record that is not a valid message; None:
-            such records are skipped.
+        refuse: function called with the error of each record that is not a valid
+            message, or None to skip such records silently.
         others: set to which the names of other robots in the journal are added.
 
     Raises:
@@ -176,7 +176,7 @@ def journal_messages(
     """
     skip = refuse or (lambda _: None)
     with opened_journal(path) as file:
-        # Journals of hours may be larger than the memory.
+        # The file is mapped because a journal of hours may be larger than the memory.
         whole = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
         for topic, log_time, data in _records(whole, skip):
             try:
@@ -193,7 +193,6 @@ def journal_messages(
 def _records(
     whole: memoryview, skip: Callable[[BadMessageError], None]
 ) -> Iterator[Any]:
-    """Yield the records of a file up to its end or to the first damaged record."""
     try:
         yield from stream_messages(whole)
     except Exception as error:  # a damaged file raises errors of many kinds
@@ -226,11 +225,6 @@ def opened_journal(path: Path) -> IO[bytes]:
 def _message(
     topic: str, log_time: int, data: bytes, robot: str, segments: int
 ) -> Message | None:
-    """Return the message of a record; None for a message of another robot.
-
-    Raises:
-        BadMessageError: the record is not a valid message.
-    """
     arrived = log_time / 1e9
     try:
         prefix, source, kind = topic.split("/", 2)
@@ -255,13 +249,17 @@ def _message(
 def in_order(
     messages: Iterable[Message], refuse: Callable[[BadMessageError], None]
 ) -> Iterator[Message]:
-    """Yield messages with increasing times of arrival; refuse all other messages.
+    """Yield the messages whose times of arrival increase, and refuse all others.
 
-    A jump in time by more than `LONGEST_GAP_S` is accepted as a pause only if the next
-    message confirms it.
+    A jump by more than `LONGEST_GAP_S` counts as a pause only if the time of the next
+    message confirms the jump. Otherwise the message with the jump is refused.
+
+    Args:
+        messages: messages in the order of the journal.
+        refuse: function called with an error for each refused message.
     """
     last = -math.inf
-    # A message with a jump in time, which waits for its confirmation.
+    # Message after a jump in time, held back until the next message confirms the jump.
     odd: Message | None = None
     for message in messages:
         if odd is not None:
@@ -284,7 +282,7 @@ def in_order(
 
 
 class McapLink(Link):
-    """Link that plays a journal at any speed as if its messages arrived now."""
+    """Link that plays a journal as if its messages arrived now, at a chosen speed."""
 
     def __init__(
         self, path: Path, robot: str, segments: int, *, speed: float = 1.0
@@ -295,7 +293,8 @@ class McapLink(Link):
             path: file written by `Journal`.
             robot: name of the robot.
             segments: number of segments of the robot.
-            speed: playback speed as a multiple of real time; infinite: without waiting.
+            speed: playback speed as a multiple of real time. With an infinite speed the
+                messages follow each other without any wait.
 
         Raises:
             InputError: the file does not exist, is not MCAP, or has no message of the
@@ -311,19 +310,14 @@ class McapLink(Link):
         self._thread.start()
 
     def clock(self) -> float:
-        """Return the current time in the recording, s; NaN before the first message.
+        """Return the current time in the recording, s, or NaN before the first message.
 
-        The time is never later than that of the next message, even if the playback is
-        too slow.
+        If playback falls behind, the time waits at the next message.
         """
         return min(self._first + (clock() - self._begun) * self._speed, self._next)
 
     def _of_the_robot(self, path: Path, robot: str, segments: int) -> Iterator[Message]:
-        """Return a journal's messages; find the robot's first one now, as errors cannot be raised later.
-
-        Raises:
-            InputError: the journal has no message of the robot.
-        """
+        """Read up to the first message of the robot, or raise an error without one."""
         others: set[str] = set()
         messages = in_order(
             journal_messages(path, robot, segments, self._refuse, others), self._refuse
@@ -355,12 +349,12 @@ class McapLink(Link):
                 self._next = message.arrived
                 played = (clock() - self._begun) * self._speed
                 ahead = message.arrived - self._first - played
-                if not ahead <= LONGEST_GAP_S:  # also NaN, at first
+                if not ahead <= LONGEST_GAP_S:  # true for the NaN of the first message
                     self._first = message.arrived
                     self._begun = clock()
                 elif ahead > 0 and self._over.wait(ahead / self._speed):
                     return
-                # Messages may be used more slowly than they are played.
+                # The receiver may process messages more slowly than they are played.
                 while self._queue.full():
                     if self._over.wait(_FULL_S):
                         return

@@ -1,8 +1,7 @@
-"""Links: connections to brokers, motion capture and journals; MqttLink; keys of the terminal.
+"""Links to message sources: the abstract base, MQTT, and keys of the terminal.
 
-Each link receives in its own thread, which records the time of arrival; `received`
-returns the messages since its last call. A link connects to the given address only,
-reconnects after a loss, and counts the messages that it could not read.
+Each link receives messages in a thread of its own, which records their times of
+arrival. A link reconnects after a loss and counts the messages that it could not read.
 """
 
 from __future__ import annotations
@@ -53,11 +52,14 @@ if TYPE_CHECKING:
 LOOPBACK = "127.0.0.1"
 _MOST_WAITING = 100_000
 _MOST_REASONS = 200
-"""Number of distinct reasons that are counted; a limit, so that hostile messages cannot fill the memory."""
+"""Maximum number of distinct reasons that are counted.
+
+Without a limit, hostile messages could fill the memory with reasons.
+"""
 
 
 def clock() -> float:
-    """Return our monotonic clock, s."""
+    """Return the time of the local monotonic clock, s."""
     return time.monotonic()
 
 
@@ -65,7 +67,8 @@ class Link(ABC):
     """Source of messages.
 
     Attributes:
-        counts: number of messages by kind; refused ones are counted as "bad: REASON".
+        counts: number of messages per kind. Refused messages are counted as
+            "bad: REASON".
     """
 
     def __init__(self) -> None:
@@ -74,7 +77,7 @@ class Link(ABC):
         self._queue: queue.Queue[Message] = queue.Queue(_MOST_WAITING)
 
     def received(self) -> list[Message]:
-        """Return the messages since the last call."""
+        """Return the messages that arrived since the last call."""
         messages = []
         with suppress(queue.Empty):
             while True:
@@ -83,11 +86,11 @@ class Link(ABC):
 
     @property
     def over(self) -> bool:
-        """Whether a journal has ended, and all of its messages were received."""
+        """Whether the source has ended and all messages were received."""
         return self.counts["over"] > 0 and self._queue.empty()
 
     def clock(self) -> float:
-        """Return the time on the clock of the arrival times, s."""
+        """Return the current time of the clock that stamps arriving messages, s."""
         return clock()
 
     def _take(self, message: Message) -> None:
@@ -98,7 +101,7 @@ class Link(ABC):
             self.counts["nobody asked"] += 1
 
     def _refuse(self, error: Exception) -> None:
-        """Count a refused message by its reason; for unexpected errors the reason is the error's name."""
+        """Count a refused message under its reason, or under the class of the error."""
         reason = type(error).__name__
         if isinstance(error, BadMessageError):
             reason = str(error)[:80]
@@ -123,7 +126,11 @@ _LABEL = re.compile(r"[^\W_]([\w-]{0,61}[^\W_])?")
 
 
 def address(given: str, port: int) -> tuple[str, int]:
-    """Return host and port of ``HOST`` or ``HOST:PORT``; HOST is a name or an IPv4 address.
+    """Parse a network address.
+
+    Args:
+        given: text ``HOST`` or ``HOST:PORT``, where HOST is a name or an IPv4 address.
+        port: port number used if the text has none.
 
     Raises:
         InputError: the text has another form.
@@ -140,9 +147,8 @@ def address(given: str, port: int) -> tuple[str, int]:
 
 
 def _is_host(name: str) -> bool:
-    """Return whether a text is a valid host name: labels of letters, digits and hyphens with dots between."""
     try:
-        encoded = name.encode("idna")  # as sockets do
+        encoded = name.encode("idna")  # the encoding that sockets apply
     except UnicodeError:
         return False
     labels = name.removesuffix(".").split(".")
@@ -164,23 +170,24 @@ def resolved(host: str) -> str:
 
 
 PORT = 1883
-"""Usual port of a broker."""
+"""Standard port of MQTT."""
 _ANSWER_S = 5.0
-"""Longest wait for the first answer of the broker, s."""
+"""Maximum wait for the first answer of the broker, s."""
 LOST = "lost"
-"""Status that the broker publishes when a connection breaks."""
+"""Status that the broker publishes after a connection broke (MQTT last will)."""
 
 
 @dataclass(frozen=True)
 class BrokerAccess:
-    """Access to an MQTT broker: its address and a login.
+    """Address and login of an MQTT broker.
 
     Attributes:
-        host: name or IPv4 address.
-        port: port.
-        user: user name; None: without.
-        password: password of that user.
-        ca: file with the CA certificate of the broker; it enables TLS.
+        host: host name or IPv4 address.
+        port: port number.
+        user: user name, or None for an anonymous login.
+        password: password of the user, or None for a login without a password.
+        ca: file with the CA certificate of the broker, or None for a connection without
+            TLS.
     """
 
     host: str = LOOPBACK
@@ -191,10 +198,10 @@ class BrokerAccess:
 
 
 class MqttLink(Link):
-    """One robot's topics at a broker.
+    """Link to the topics of one robot at an MQTT broker.
 
     Attributes:
-        connected: whether the broker answers now.
+        connected: whether the connection to the broker is established.
     """
 
     def __init__(
@@ -210,14 +217,14 @@ class MqttLink(Link):
         """Connect and subscribe.
 
         Args:
-            robot: whose topics.
-            segments: of the robot.
-            broker: address and login.
-            kinds: of messages to receive.
-            speaks: robot whose `status` becomes `LOST` if this connection breaks; None:
-                no status.
-            chambers: number of chambers per segment of a spatial robot; 0: the robot is
-                planar.
+            robot: name of the robot, which is part of its topics.
+            segments: number of segments of the robot.
+            broker: address and login of the broker.
+            kinds: kinds of messages to receive.
+            speaks: name of the robot whose `status` becomes `LOST` if this connection
+                breaks, or None to publish no status.
+            chambers: number of chambers per segment of a spatial robot, or 0 for a
+                planar robot.
 
         Raises:
             InputError: paho-mqtt is not installed, or no broker answers or admits us.
@@ -252,7 +259,7 @@ class MqttLink(Link):
         place = f"{broker.host}:{broker.port}"
         try:
             client.connect(broker.host, broker.port, keepalive=5)
-        except (OSError, ValueError) as error:  # ValueError: no host can have the name
+        except (OSError, ValueError) as error:  # ValueError: the host name is invalid
             raise InputError(f"no broker answers at {place}: {error}") from error
         client.loop_start()
         if not self._answered.wait(_ANSWER_S) or not self.connected:
@@ -269,13 +276,13 @@ class MqttLink(Link):
         at: float | None = None,
         wait_s: float = 0.0,
     ) -> None:
-        """Send a message; nothing is kept for a broker that is away.
+        """Send a message. It is dropped if the broker is not connected.
 
         Args:
-            kind: one of `KINDS`.
-            values: as `encode` takes them.
-            at: of our clock, s; default now.
-            wait_s: longest time to wait until it has left, s.
+            kind: kind of the message, one of `KINDS`.
+            values: content of the message, as `encode` accepts it.
+            at: time stamp on the local clock, s; by default the current time.
+            wait_s: maximum time to wait until the message was sent, s.
         """
         time = clock() if at is None else at
         sent = self._client.publish(
@@ -287,7 +294,7 @@ class MqttLink(Link):
                 sent.wait_for_publish(wait_s)
 
     def send_contact(self, contact: ContactEstimate) -> None:
-        """Send a contact estimate."""
+        """Send a contact estimate with the current time."""
         self._client.publish(
             topic(self._robot, CONTACT), encode_contact(clock(), contact)
         )
@@ -309,9 +316,11 @@ class MqttLink(Link):
         self._why = str(reason)
         if self.connected:
             self.counts["connected"] += 1
-            # Else small messages wait for the acknowledgement of the one before, up to
-            # 40 ms.
-            with suppress(OSError, AttributeError):  # a connection that is gone again
+            # Without TCP_NODELAY, a small message waits up to 40 ms for the
+            # acknowledgement of its predecessor.
+            with suppress(
+                OSError, AttributeError
+            ):  # the connection may be closed again
                 client.socket().setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             if self._topics:
                 client.subscribe([(name, 0) for name in self._topics])
@@ -327,17 +336,12 @@ class MqttLink(Link):
             if message.retain and kind != STATUS:
                 raise BadMessageError("retained by the broker from earlier")
             self._take(self._decode(kind, message.payload, arrived=arrived))
-        except Exception as error:  # no message may end the client's thread
+        except Exception as error:  # an exception would end the thread of the client
             self._refuse(error)
 
 
 def _trust(client: mqtt.Client, ca: Path) -> None:
-    """Encrypt a client's connection; trust a broker whose certificate this authority has signed.
-
-    Raises:
-        InputError: the file is no certificate in PEM form.
-    """
-    place = require_file(ca, suffix=".pem")  # else a pipe would be waited for
+    place = require_file(ca, suffix=".pem")  # opening a pipe would block
     try:
         client.tls_set(str(place))
     except (OSError, ValueError) as error:
@@ -352,13 +356,13 @@ KEYS = {"p": PAUSE, "g": GO, "v": VENT, "s": STOP}
 
 @contextmanager
 def typed_words(terminal: TextIO | None = None) -> Iterator[Callable[[], list[str]]]:
-    """Yield a function that returns the control words typed since its last call, of `WORDS`.
+    """Yield a function that returns the control words typed since its last call.
 
-    Lines need no Enter meanwhile, and the terminal is restored afterwards. Without a
-    terminal, and in the background, no key is read.
+    Keys act without Enter until the context ends, which restores the terminal. In the
+    background or without a terminal no key is read.
 
     Args:
-        terminal: default standard input.
+        terminal: terminal to read from, by default the standard input.
     """
     stream = sys.stdin if terminal is None else terminal
     if stream is None or stream.closed or not stream.isatty():
@@ -388,8 +392,8 @@ def typed_words(terminal: TextIO | None = None) -> Iterator[Callable[[], list[st
 
 
 def _in_foreground(handle: int) -> bool:
-    """Return whether the process may read from its terminal; in the background reading would stop it."""
+    """Return whether the process may read from its terminal without being stopped."""
     try:
         return os.tcgetpgrp(handle) == os.getpgrp()
-    except OSError:  # not the controlling terminal
+    except OSError:  # `handle` is not the controlling terminal
         return True

@@ -1,4 +1,4 @@
-"""MemberDynamics: chambers and bodies of the ensemble members, as in the `compliant` model."""
+"""Dynamics of the ensemble members: chambers and bodies of the `compliant` model."""
 
 from __future__ import annotations
 
@@ -18,13 +18,14 @@ from srs_twin.pneumatics.lag import followed, relaxation_of, relaxed
 from srs_twin.robot.spec import RobotSpec
 
 STEP_S = 0.0025
-"""Longest time step of the members."""
+"""Maximum time step of the members, s."""
 _SLIP_SPEED = 0.001
-"""Speed below which friction is viscous, at a time unit of 1 (`robot.scale`), m/s."""
+"""Speed below which friction is viscous, m/s at a time unit of 1 s (`robot.scale`)."""
 _LARGEST_VELOCITY = 20.0, 20.0, 1000.0
-"""Forward and lateral velocity (m/s) and yaw rate (rad/s) above which a member has diverged.
+"""Forward and lateral velocity (m/s) and yaw rate (rad/s) of a diverged member.
 
-Generation 2 turns with 50 rad/s while its bends ring after a valve has switched.
+The yaw rate of generation 2 reaches 50 rad/s while its bends oscillate after a valve
+has switched, so the limit of the yaw rate lies far above.
 """
 
 
@@ -32,9 +33,9 @@ class ValveInput(NamedTuple):
     """Input of the chambers, including detected faults.
 
     Attributes:
-        duty: fraction of time in which each valve fills, in slots of equal duration,
-            shape (slots, segments, 2).
-        supply: supply pressure of each segment, gauge, Pa.
+        duty: duty cycle of each valve, that is, the fraction of time in which it fills
+            its chamber, in slots of equal duration, shape (slots, segments, 2).
+        supply: gauge supply pressure of each segment, Pa.
         leak: relative rate at which each chamber loses pressure, 1/s, shape (segments,
             2).
     """
@@ -45,13 +46,15 @@ class ValveInput(NamedTuple):
 
 
 class Air(NamedTuple):
-    """Chambers of the members.
+    """State of the chambers of the members.
+
+    All arrays have the shape (members, segments, 2).
 
     Attributes:
-        pressure: gauge pressures p, shape (members, segments, 2), Pa.
-        lagged: pressures p̂ that the free bends have followed, same shape.
-        gain: gains g, same shape.
-        noise: standard normal numbers for the random walk of the pressures, same shape.
+        pressure: gauge pressures p, Pa.
+        lagged: pressures p̂ after the lag between pressure and free bend, Pa.
+        gain: bending gains g relative to the nominal gain, dimensionless.
+        noise: standard normal numbers for the random walk of the pressures.
     """
 
     pressure: np.ndarray
@@ -61,11 +64,11 @@ class Air(NamedTuple):
 
 
 class Drive(NamedTuple):
-    """Linear bends due to the pressures, at the start and at the two stages of each step.
+    """Linear bends due to the pressures, at the start and at both stages of each step.
 
     Attributes:
-        bend: bends, shape (1 + 2 steps, members, segments), rad.
-        rate: their rates, same shape, rad/s.
+        bend: linear bends, shape (1 + 2 steps, members, segments), rad.
+        rate: time derivatives of the linear bends, shape of `bend`, rad/s.
         step: time step, s.
     """
 
@@ -75,18 +78,18 @@ class Drive(NamedTuple):
 
 
 class MemberDynamics:
-    r"""Chambers and bodies of members.
+    r"""Model of the chambers and bodies of all members.
 
     The free bend of segment j is
 
     $$ q_{f,j} = b_j + \varphi(G\,(g_j^+ \hat p_j^+ - g_j^- \hat p_j^-)) + d_j , $$
 
-    where p̂ follows the pressures with the time constant τ₂. The pressures obey the
-    first-order law of `pneumatics.lag`, corrected by the learnt rates of
-    `pressure_table`.
+    where p̂ follows the pressure with the time constant τ₂, g is the gain of a chamber,
+    b the rest bend and d a disturbance. The pressures obey the first-order law of
+    `pneumatics.lag`, corrected by the learnt rates of `pressure_table`.
 
     Attributes:
-        mass: mass of each connector with its share of the segments, kg.
+        mass: lumped mass of each connector, including its part of the segments, kg.
     """
 
     def __init__(self, spec: RobotSpec) -> None:
@@ -119,13 +122,13 @@ class MemberDynamics:
         air: Air,
         rates: PressureRates,
     ) -> Drive:
-        """Advance the pressures.
+        """Advance the pressures, and return the bends that they cause.
 
         Args:
             valves: input of the chambers.
             dt: duration, s.
-            step: longest time step, s.
-            air: state of the chambers, advanced in place.
+            step: maximum time step, s.
+            air: state of the chambers, which is advanced in place.
             rates: learnt rates of the pressures.
         """
         actuator = self._spec.actuator
@@ -134,8 +137,8 @@ class MemberDynamics:
         h = dt / slots / steps
         stages = (np.arange(steps)[:, None] + [kernels.GAMMA, 1.0]).ravel() * h
         after = stages[:, None, None, None]
-        # Interpolate the random walk of the pressures over the steps, so that it also
-        # acts on the bends.
+        # The random walk is spread over the steps. If it were added at the end, it
+        # would not act on the bends of this period.
         noise = air.noise / math.sqrt(dt)
         pressures = [air.pressure[None].copy()]
         lags = [air.lagged[None].copy()]
@@ -170,13 +173,14 @@ class MemberDynamics:
         drive: Drive,
         bias: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Advance the bodies.
+        """Advance the poses and velocities of the bodies in place.
 
         Args:
-            pose: x, y (m), heading (rad), shape (members, 3).
-            bend: shape (members, segments), rad.
-            velocity: forward, lateral (m/s), yaw rate and bend rates (rad/s), in place.
-            drive: linear bends, from the pressures.
+            pose: poses x, y (m) and heading (rad), shape (members, 3).
+            bend: bends at the start, shape (members, segments), rad.
+            velocity: forward and lateral velocity (m/s), yaw rate and bend rates
+                (rad/s), shape (members, 3 + segments).
+            drive: linear bends due to the pressures.
             bias: rest bends including disturbances, shape (members, segments), rad.
 
         Returns:
@@ -197,21 +201,17 @@ class MemberDynamics:
         )
         steps = np.full(len(drive.bend) // 2, drive.step)
         complete = _advance(states, velocity, steps, free, self._model, work)
-        # A diverged member would also distort the ensemble mean, so it is reported as
-        # invalid.
+        # A diverged member would distort the ensemble mean, so it is reported as
+        # invalid although the integrator has finished.
         slow = (np.abs(velocity[:, :3]) <= _LARGEST_VELOCITY).all(axis=1)
         return bends, complete & slow & np.isfinite(states).all(axis=1)
 
 
 @allocating
 def _free_bends(linear, speed, bias, law):  # type: ignore[no-untyped-def]
-    """Return free bends (rad) and their rates (rad/s), shapes (members, times, segments).
+    """Return free bends (rad) and rates (rad/s), shape (members, times, segments).
 
-    Args:
-        linear: linear bends, shape (times, members, segments), rad.
-        speed: their rates, same shape, rad/s.
-        bias: rest bends, shape (members, segments), rad.
-        law: a `BendLaw`.
+    The linear bends and their rates `speed` have the shape (times, members, segments).
     """
     times, members, segments = linear.shape
     bends = np.empty((members, times, segments))
@@ -227,7 +227,6 @@ def _free_bends(linear, speed, bias, law):  # type: ignore[no-untyped-def]
 
 @allocating
 def _advance(states, velocities, steps, free, model, work):  # type: ignore[no-untyped-def]
-    """Advance bodies in place; return whether each made all steps."""
     complete = np.empty(states.shape[0], dtype=np.bool_)
     marks = np.empty(0, dtype=np.int64)
     seen = kernels.Samples(
@@ -243,11 +242,11 @@ def _advance(states, velocities, steps, free, model, work):  # type: ignore[no-u
 
 @compiled
 def _set_momenta(states, velocities, model, work):  # type: ignore[no-untyped-def]
-    """Fill velocities and momenta of bodies from their velocities in the frames of their mean headings."""
+    """Fill velocities and momenta from velocities in the frame of the mean heading."""
     segments = work.bend.shape[0]
     ahead = compliant_kernels.BENDS
     momentum = work.momentum
-    moment = work.bend  # any numbers: the moments of the air do not change the momenta
+    moment = work.bend  # arbitrary: moments due to air do not enter the momenta
     for m in range(states.shape[0]):
         state = states[m]
         u = velocities[m]

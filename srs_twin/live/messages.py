@@ -1,10 +1,8 @@
-"""Messages of a robot and its controller as JSON over MQTT, and poses from motion capture.
+"""Messages of a robot and its controller, encoded as JSON for MQTT.
 
-Topics and keys are fixed (docs/live.md): ``srs/NAME/command``, ``valves``,
-``pressures``, ``bends``, ``status``, ``control``, ``supply``, ``contact``. Lists start
-at the head, ``t`` is the sender's clock. Messages of a spatial robot have one list per
-chamber (``chamber_1``…) and also the bends upwards. Invalid messages are refused with a
-reason and counted; only decoding raises an error.
+Topics and keys are described in docs/live.md. Lists are ordered from the head, and
+``t`` is the time on the sender's clock. Messages of a spatial robot contain one list
+per chamber (``chamber_1``…) and the bends upwards.
 """
 
 from __future__ import annotations
@@ -37,16 +35,16 @@ GO = "go"
 STOP = "stop"
 VENT = "vent"
 WORDS = (PAUSE, GO, STOP, VENT)
-"""Texts of a `control` message."""
+"""Control words, which are the texts of `control` messages."""
 PREFIX = "srs"
 """Prefix of all topics."""
 LATEST_S = 9e9
-"""Largest accepted time of a sender's clock, s: the year 2255 in Unix time.
+"""Maximum accepted time of a sender's clock, s (the year 2255 in Unix time).
 
-Journals store ns in 64 bits.
+The limit ensures that the time in ns fits into the 64 bits of a journal.
 """
 _SI = {PRESSURES: 1000.0, SUPPLY: 1000.0}
-"""Kind of message → SI value per number in the message, Pa/kPa."""
+"""Conversion factor to SI units for each kind of message that needs one, Pa/kPa."""
 _BOUNDS = {
     COMMAND: (-1.0, 1.0),
     VALVES: (-1.0, 1.0),
@@ -54,7 +52,7 @@ _BOUNDS = {
     SUPPLY: (0.0, 1000.0),
     BENDS: (-2 * math.pi, 2 * math.pi),
 }
-"""Kind of message → smallest and largest number in the message."""
+"""Minimum and maximum number in each kind of message."""
 _SIDES = ("plus", "minus")
 _BEND_KEYS = ("rad", "pitch_rad")
 _PLAIN_WORDS = tuple(word.encode() for word in WORDS)
@@ -62,24 +60,32 @@ _LONGEST_TEXT = 1000
 
 
 class BadMessageError(ValueError):
-    """An invalid message, with the reason."""
+    """Error for an invalid message, with the reason."""
 
 
 @dataclass(frozen=True, eq=False)
 class Message:
-    """One message.
+    """Message of a robot, of its controller or of motion capture.
+
+    The values depend on the kind of the message:
+
+    - Commands and valve states have the shape (segments, 2), or (segments, chambers)
+      for a spatial robot. Pressures (Pa) have the shape of the commands.
+    - The supply pressure (Pa) is a scalar.
+    - Bends (rad, NaN where missing) have the shape (segments,). For a spatial robot the
+      shape is (segments, 2), with bends to the left and upwards.
+    - Poses have the shape (bodies, 4): x, y, z (m, z up) and heading (rad, NaN where
+      unknown).
+    - Other kinds have no values.
 
     Attributes:
-        kind: one of `KINDS`, or `POSES`.
-        source: sender whose clock `sent` is on: the robot of the topic, or a motion
-            capture system.
+        kind: kind of the message, one of `KINDS` or `POSES`.
+        source: name of the robot or of the motion capture system, whose clock defines
+            `sent`.
         sent: sending time on the sender's clock, s.
-        arrived: arrival time on our monotonic clock, s.
-        values: commands and valves (segments, 2), or (segments, chambers) of a spatial
-            robot; pressures the same, Pa; of the supply (), Pa; bends (segments,), or
-            (segments, 2) to the left and upwards, rad, NaN where none; poses (bodies,
-            4): x, y, z (m, z up) and heading (rad, NaN where unknown); else empty.
-        names: names of the bodies; for `status` and `control` the text.
+        arrived: time of arrival on the local monotonic clock, s.
+        values: numbers in the message.
+        names: names of the bodies of poses, or the text of `status` and `control`.
     """
 
     kind: str
@@ -91,17 +97,17 @@ class Message:
 
 
 def topic(robot: str, kind: str) -> str:
-    """Return the topic of a kind of message."""
+    """Return the MQTT topic of a kind of message."""
     return f"{PREFIX}/{robot}/{kind}"
 
 
 def encode(kind: str, time: float, values: np.ndarray | str) -> bytes:
-    """Return the JSON of a message.
+    """Encode a message as JSON.
 
     Args:
-        kind: one of `KINDS`.
-        time: time on our clock, s.
-        values: as in `Message`; for `status` and `control` the text.
+        kind: kind of the message, one of `KINDS`.
+        time: time on the local clock, s.
+        values: values as in `Message`, or the text of `status` and `control`.
     """
     content: dict[str, object]
     if isinstance(values, str):
@@ -121,7 +127,7 @@ def encode(kind: str, time: float, values: np.ndarray | str) -> bytes:
 
 
 def strict_json(document: Mapping[str, object]) -> bytes:
-    """Return a document as JSON, which has null for every number that is not finite."""
+    """Encode a document as JSON. Numbers that are not finite become null."""
     return to_json(document, inf_nan_mode="null")
 
 
@@ -130,7 +136,12 @@ def _chamber_keys(chambers: int) -> tuple[str, ...]:
 
 
 def encode_contact(time: float, contact: ContactEstimate) -> bytes:
-    """Return the JSON of a contact estimate at a time on our clock, s; null: no contact."""
+    """Encode a contact estimate as JSON.
+
+    Args:
+        time: time of the estimate on the local clock, s.
+        contact: contact estimate. Without a contact, its numbers become null.
+    """
     keys: dict[str, object] = {
         "t": time,
         "touched": contact.touched,
@@ -163,23 +174,23 @@ def decode(
     segments: int,
     chambers: int = 0,
 ) -> Message:
-    """Return the message in a payload.
+    """Decode a received message.
 
     Args:
-        kind: kind, from the topic.
+        kind: kind of the message, known from its topic.
         payload: received bytes.
-        source: sender.
-        arrived: arrival time on our clock, s.
+        source: name of the sender.
+        arrived: time of arrival on the local clock, s.
         segments: number of segments of the robot.
-        chambers: number of chambers per segment of a spatial robot; 0: the robot is
-            planar.
+        chambers: number of chambers per segment of a spatial robot, or 0 for a planar
+            robot.
 
     Raises:
         BadMessageError: the payload is invalid, or has another number of segments.
     """
     if kind not in KINDS:
         raise BadMessageError(f"no kind of message is called {kind!r}")
-    if kind == CONTROL and payload in _PLAIN_WORDS:  # by hand, in a hurry
+    if kind == CONTROL and payload in _PLAIN_WORDS:  # typed by hand in an emergency
         return Message(kind, source, arrived, arrived, names=(payload.decode(),))
     document = _document(payload)
     sent = _number(document.get("t"), "t", -LATEST_S, LATEST_S)
@@ -204,8 +215,8 @@ def _document(payload: bytes) -> Mapping[str, Any]:
     try:
         document = json.loads(payload)
     except (ValueError, RecursionError) as error:
-        # Omit the position in the text: reasons are counted, so there must be few
-        # different ones.
+        # The position of the error is omitted, because messages are counted per reason
+        # and the number of distinct reasons is limited.
         reason = getattr(error, "msg", type(error).__name__)
         raise BadMessageError(f"no JSON: {reason}") from None
     if not isinstance(document, Mapping):
@@ -232,7 +243,6 @@ def _number(given: object, key: str, low: float, high: float) -> float:
 def _numbers(
     document: Mapping[str, Any], key: str, count: int, kind: str
 ) -> list[float]:
-    """Return a list with a number for each segment; NaN for a bend that is null."""
     given = document.get(key)
     if not isinstance(given, list) or len(given) != count:
         raise BadMessageError(

@@ -1,8 +1,8 @@
-"""NatNet packets of motion capture, as Motive sends them over UDP: reading, and writing for the emulator.
+"""Reader and writer of NatNet packets, which motion capture sends over UDP.
 
-Versions 2.6 to 4.2 are read, 4.1 is written. Rigid bodies are read; other lists are
-skipped, from version 4.1 on by their stated length. Lengths are in m. The axes are
-those of Motive; `turned` rotates them to z up.
+The reader supports versions 2.6 to 4.2, and the writer, which serves the emulator,
+version 4.1. Only rigid bodies are read. Lengths are in m, and coordinates have the axes
+of Motive until `turned` rotates them to z up.
 """
 
 from __future__ import annotations
@@ -32,18 +32,21 @@ VERSIONS = (
     (4, 1),
     (4, 2),
 )
-"""Versions that are read, and tested."""
-_MOST = 10_000  # of anything in a frame
+"""Versions that the reader supports and the tests cover."""
+_MOST = 10_000  # maximum number of entries of any list in a frame
 _TRACKED = 0x01
 _NAME = 256
 _FURTHEST_M = 1000.0
-"""Largest plausible coordinate, m; no motion capture volume is larger."""
+"""Maximum plausible coordinate, m. No motion capture volume is larger."""
 _LENGTH_TOLERANCE = 0.1
-"""Largest deviation of a quaternion's length from 1 that rounding and averaging explain."""
+"""Maximum deviation of the norm of a quaternion from 1.
+
+Rounding and averaging by the sender explain smaller deviations.
+"""
 
 Version = tuple[int, int]
 _WRITTEN: Version = (4, 1)
-"""Version of the packets that are written."""
+"""Version of the packets that the writer produces."""
 
 
 class Packet(IntEnum):
@@ -62,13 +65,14 @@ class Packet(IntEnum):
 
 @dataclass(frozen=True)
 class RigidBody:
-    """Rigid body in a frame.
+    """Pose of a rigid body in a frame.
 
     Attributes:
-        place: position in Motive's axes, m.
-        turn: rotation as a quaternion x, y, z, w.
-        error: mean error of its markers, m.
-        tracked: whether it was visible, with a usable position and rotation.
+        place: position in the axes of Motive, m.
+        turn: orientation as a quaternion x, y, z, w.
+        error: mean residual of the markers of the body, m.
+        tracked: whether the body was visible and its position and orientation are
+            valid.
     """
 
     place: tuple[float, ...]
@@ -82,9 +86,8 @@ class Frame:
     """Frame of motion capture.
 
     Attributes:
-        number: counted by the sender.
-        time: of the sender's clock, s.
-        bodies: by their id.
+        number: frame number, counted by the sender.
+        time: time stamp on the clock of the sender, s.
     """
 
     number: int
@@ -100,21 +103,18 @@ class Group(NamedTuple):
 
 
 class Server(NamedTuple):
-    """NatNet version of a server, and its multicast group, if any."""
+    """NatNet version of a server, and its multicast group if it has one."""
 
     version: Version
     group: Group | None = None
 
 
 class _Reader:
-    """Cursor that reads values from a packet."""
-
     def __init__(self, data: bytes) -> None:
         self._data = memoryview(data)
         self.at = 0
 
     def read(self, form: str) -> tuple[Any, ...]:
-        """Read little-endian numbers in a format of `struct`."""
         try:
             values = struct.unpack_from("<" + form, self._data, self.at)
         except struct.error:
@@ -123,7 +123,6 @@ class _Reader:
         return values
 
     def count(self) -> int:
-        """Read the number of entries."""
         (count,) = self.read("i")
         if not 0 <= count <= _MOST:
             raise BadMessageError(
@@ -132,22 +131,21 @@ class _Reader:
         return int(count)
 
     def listed(self, version: Version) -> tuple[int, int | None]:
-        """Read the number of entries of a list and, from version 4.1 on, the position of its end."""
+        """Read the number of entries and, from version 4.1 on, the end of a list."""
         count = self.count()
         if version < (4, 1):
             return count, None
         return count, self.end()
 
     def end(self) -> int:
-        """Read a size in bytes; return the position of the end."""
+        """Read the size of a list in bytes, and return the position of its end."""
         (size,) = self.read("i")
         if not 0 <= size <= len(self._data) - self.at:
             raise BadMessageError("a list is longer than its packet")
         return self.at + int(size)
 
     def text(self) -> str:
-        """Read a zero-terminated text."""
-        # A limited length, so that a damaged packet cannot pass as one long name.
+        # The length is limited, so that a damaged packet is not read as one long name.
         rest = bytes(self._data[self.at : self.at + _NAME + 1])
         end = rest.find(b"\0")
         if end < 0:
@@ -157,7 +155,7 @@ class _Reader:
 
 
 def opened(packet: bytes) -> tuple[int, bytes]:
-    """Return kind and content of a packet.
+    """Split a packet into its kind and content.
 
     Raises:
         BadMessageError: the packet is invalid or incomplete.
@@ -171,12 +169,12 @@ def opened(packet: bytes) -> tuple[int, bytes]:
 
 
 def closed(kind: int, content: bytes = b"") -> bytes:
-    """Return a packet."""
+    """Build a packet from its kind and content."""
     return struct.pack("<HH", kind, len(content)) + content
 
 
 def read_server(content: bytes) -> Server:
-    """Return what a server tells of itself.
+    """Read version and multicast group from the answer of a server.
 
     Raises:
         BadMessageError: the content is invalid.
@@ -199,7 +197,7 @@ def read_server(content: bytes) -> Server:
 
 
 def write_server() -> bytes:
-    """Return a server's answer to `Packet.CONNECT`: its name and version, without a multicast group."""
+    """Build the answer of a server without a multicast group to `Packet.CONNECT`."""
     name = b"srs_twin".ljust(_NAME, b"\0")
     versions = bytes([1, 0, 0, 0, *_WRITTEN, 0, 0])
     connection = struct.pack("<QH?4B", 10**9, _DATA_PORT, False, 0, 0, 0, 0)
@@ -211,7 +209,10 @@ _RIGID_BODY = 1
 
 
 def read_models(content: bytes, version: Version) -> dict[int, str]:
-    """Return the names of rigid bodies by id, up to the first description of an unknown type.
+    """Read the names of rigid bodies by id.
+
+    Before version 4.1, reading ends at the first description of an unknown type,
+    because its length is unknown.
 
     Raises:
         BadMessageError: the content is invalid.
@@ -228,7 +229,7 @@ def read_models(content: bytes, version: Version) -> dict[int, str]:
         elif kind == _RIGID_BODY:
             number, name = _model(packet, version)
             names[number] = name
-        # Without a stated length, what follows an unknown description cannot be found.
+        # Without its length, the end of an unknown description cannot be found.
         elif end is None:
             break
         if end is not None:
@@ -237,7 +238,6 @@ def read_models(content: bytes, version: Version) -> dict[int, str]:
 
 
 def _model(packet: _Reader, version: Version) -> tuple[int, str]:
-    """Read the description of a rigid body; return its number and name."""
     name = packet.text()
     number, *_ = packet.read("ii3f4f" if version >= (4, 2) else "ii3f")
     if version >= (3, 0):
@@ -250,7 +250,7 @@ def _model(packet: _Reader, version: Version) -> tuple[int, str]:
 
 
 def write_models(names: Mapping[int, str]) -> bytes:
-    """Return the descriptions of rigid bodies without markers."""
+    """Build the packet that describes rigid bodies without markers."""
     content = struct.pack("<i", len(names))
     for number, name in names.items():
         body = name.encode() + b"\0" + struct.pack("<ii3fi", number, -1, 0, 0, 0, 0)
@@ -259,7 +259,7 @@ def write_models(names: Mapping[int, str]) -> bytes:
 
 
 def read_frame(content: bytes, version: Version) -> Frame:
-    """Return the frame in a packet's content.
+    """Read a frame from the content of a packet.
 
     Raises:
         BadMessageError: the content is invalid.
@@ -275,7 +275,7 @@ def read_frame(content: bytes, version: Version) -> Frame:
     for read_one, since in _AFTER_BODIES:
         if version >= since:
             _skip(packet, version, read_one)
-    # Time code, which is not used.
+    # The time code is skipped, because the time stamp follows.
     packet.read("II")
     (time,) = packet.read("d" if version >= (2, 7) else "f")
     if not abs(time) <= LATEST_S:
@@ -286,7 +286,6 @@ def read_frame(content: bytes, version: Version) -> Frame:
 def _skip(
     packet: _Reader, version: Version, read_one: Callable[[_Reader, Version], object]
 ) -> None:
-    """Skip a list: to its stated end, or entry by entry."""
     count, end = packet.listed(version)
     if end is None:
         for _ in range(count):
@@ -313,7 +312,7 @@ def _body(packet: _Reader, version: Version) -> tuple[int, RigidBody]:
     error, params = packet.read("fH")
     place = tuple(rest[:3])
     turn = tuple(rest[3:])
-    # The flag alone does not suffice: some senders send zeros for an unknown rotation.
+    # The flag does not suffice: some senders set it with an orientation of zeros.
     has_pose = is_place(place) and unit_quaternion(turn) is not None
     tracked = has_pose and bool(params & _TRACKED)
     return number, RigidBody(place, turn, error, tracked)
@@ -326,7 +325,7 @@ def _skeleton(packet: _Reader, version: Version) -> None:
 
 
 def _asset(packet: _Reader, version: Version) -> None:
-    # Lists of assets exist from version 4.1 on, and have their length.
+    # Lists of assets exist from version 4.1 on, and are skipped there by their length.
     raise BadMessageError("an asset without its length")
 
 
@@ -347,11 +346,11 @@ _AFTER_BODIES: Sequence[tuple[Callable[[_Reader, Version], object], Version]] = 
     (_channels, (2, 9)),  # force plates
     (_channels, (2, 11)),  # devices
 )
-"""Lists that follow the rigid bodies: reader of an entry, and first version with the list."""
+"""Readers of the lists after the rigid bodies, with the first version of each list."""
 
 
 def write_frame(frame: Frame) -> bytes:
-    """Return the packet of a frame."""
+    """Build the packet of a frame."""
 
     def listed(*entries: bytes) -> bytes:
         content = b"".join(entries)
@@ -363,23 +362,22 @@ def write_frame(frame: Frame) -> bytes:
         )
         for key, body in frame.bodies.items()
     )
-    # Marker sets, unlabelled markers, bodies; then skeletons, assets, labelled markers,
-    # plates and devices.
+    # Two empty lists (marker sets, unlabelled markers) precede the bodies. Five follow:
+    # skeletons, assets, labelled markers, force plates and devices.
     lists = 2 * listed() + listed(*bodies) + 5 * listed()
     end = struct.pack("<IId3QIIHi", 0, 0, frame.time, *7 * [0])
     return closed(Packet.FRAME, struct.pack("<i", frame.number) + lists + end)
 
 
 def is_place(place: Sequence[float]) -> bool:
-    """Return whether coordinates (m) are finite and within the largest volume of motion capture."""
+    """Return whether coordinates (m) are finite and plausible in motion capture."""
     return all(abs(coordinate) <= _FURTHEST_M for coordinate in place)
 
 
 def unit_quaternion(turn: Sequence[float]) -> tuple[float, ...] | None:
-    """Return a quaternion scaled to length 1; None if its length differs from 1 by more than a tenth.
+    """Normalise a quaternion, or return None if its norm differs from 1 by over 0.1.
 
-    None is also returned for NaN, and for the zeros that some senders use for an
-    unknown rotation.
+    NaN and zeros, which some senders use for an unknown orientation, also give None.
     """
     length = math.hypot(*turn)
     if not abs(length - 1) <= _LENGTH_TOLERANCE:
@@ -388,12 +386,13 @@ def unit_quaternion(turn: Sequence[float]) -> tuple[float, ...] | None:
 
 
 def turned(body: RigidBody, up: str) -> np.ndarray:
-    """Return x, y, z (m, z up) and heading (rad) of a body, whose own x axis points forwards.
+    """Return x, y, z (m, z up) and heading (rad) of a body.
 
-    All are NaN if the rotation is unknown (`unit_quaternion`).
+    The x axis of the body points forwards. All values are NaN if the orientation is
+    unknown.
 
     Args:
-        body: rigid body in Motive's axes.
+        body: rigid body in the axes of Motive.
         up: upward axis of the stream, "y" or "z".
     """
     turn = unit_quaternion(body.turn)
@@ -401,7 +400,7 @@ def turned(body: RigidBody, up: str) -> np.ndarray:
         return np.full(4, math.nan)
     x, y, z = body.place
     i, j, k, w = turn
-    # Components of the body's x axis.
+    # Component of the x axis of the body along the x axis of the frame.
     ahead = 1 - 2 * (j * j + k * k)
     if up == "y":
         return np.array([x, -z, y, math.atan2(-2 * (i * k - j * w), ahead)])

@@ -1,4 +1,4 @@
-r"""LocalConnection and Odometry: motion of a wheeled body due to changes of its bends.
+r"""Motion of a wheeled body due to changes of its bends.
 
 If inertia is negligible, the motion of a body depends only on the change of its shape,
 not on the pace of the change (Kelly and Murray 1995):
@@ -6,11 +6,11 @@ not on the pace of the change (Kelly and Murray 1995):
 $$ ξ = A(q) \, \dot q , \qquad A = A_w(q) + \sum_k W_k \, φ_k(\tanh(q / q_0)) , \quad
 φ(x) = (1, x_i, x_i x_j, x_i x_j x_k) , $$
 
-where q contains the bends and ξ the forward velocity, lateral velocity and yaw rate. A_w
-minimises the dissipation of wheels whose friction is proportional to speed. The weights W
-describe how the robot differs from this model. Cubic features φ are needed because, for
-example, a turning gait is slower than a straight gait to either side. Regularised least
-squares fits W to successive frames of motion capture.
+where q contains the bends and ξ the forward velocity, lateral velocity and yaw rate.
+The matrix A_w minimises the dissipation of wheels whose friction is proportional to
+speed. The weights W describe how the robot differs from this model. They are fitted to
+successive frames of motion capture by regularised least squares. Cubic features φ are
+needed because, for example, a turning gait is slower than a straight gait.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ _FORGETTING_FRAMES = 3000
 _NOISE_RAD = 0.02
 """Prior standard deviation of the heading of a frame, rad."""
 _SCATTER = 0.001, 0.001, 0.02
-"""Prior standard deviation of the forward, lateral (m) and yaw (rad) motion per frame."""
+"""Prior standard deviation of forward, lateral (m) and yaw (rad) motion per frame."""
 _ERROR_INFLATION = 1.3
 """Factor by which the standard deviation of W is increased.
 
@@ -57,7 +57,7 @@ _DIFFERENCE_RAD = 1e-4
 
 
 class LocalConnection(Stateful):
-    """Local connection of one robot. See the module docstring.
+    """Local connection of one robot, defined in the module docstring.
 
     Attributes:
         weights: weights W, with one row per product of a feature and the change of a
@@ -99,7 +99,7 @@ class LocalConnection(Stateful):
         self._root: Array = np.eye(count) * PRIOR / _NOISE_RAD
 
     def snapshot(self) -> LocalConnection:
-        """Return a copy for another thread; the copy cannot learn."""
+        """Return a copy for another thread. The copy cannot learn."""
         made = object.__new__(LocalConnection)
         # `learn` and `recall` replace these arrays and never change them.
         for name in ("_spec", "_mass", "_powers", "weights", "_root", "_scatter"):
@@ -111,7 +111,7 @@ class LocalConnection(Stateful):
         return np.outer(self._features((before + after) / 2), after - before).ravel()
 
     def matrix(self, bends: Array) -> Array:
-        """Return the matrix A, shape (3, segments).
+        """Return the matrix A at given bends (rad), shape (3, segments).
 
         The rows are forward motion (m/rad), lateral motion (m/rad) and yaw (rad/rad).
         """
@@ -192,7 +192,6 @@ class LocalConnection(Stateful):
             self._normal()
 
     def _normal(self) -> Array:
-        """Return the normal matrix with the prior and store the root of the inverse."""
         gram: Array = self._gram + self._noise / PRIOR**2 * np.eye(len(self._gram))
         self._root = np.asarray(np.linalg.inv(np.linalg.cholesky(gram)).T)
         return gram
@@ -205,19 +204,17 @@ class LocalConnection(Stateful):
 
 
 _LONGEST_FRAME_INTERVAL_S = 0.2
-"""Interval between frames above which the connection is not fitted."""
+"""Maximum interval between frames from which the connection is fitted, s."""
 
 
 class Odometry:
     """Motion of an ensemble computed from the local connection of the robot.
 
-    All members move due to the change of the mean bends. A random displacement represents
-    the uncertainty of the connection. The bends of single members fluctuate, and models
-    err between two corrections. Both would turn the bodies at random. Therefore the
-    motion is integrated along a straight line between corrected mean bends.
+    The motion of all members is integrated along a straight line between corrected mean
+    bends, because fluctuations of the bends of single members would turn the bodies at
+    random. A random displacement represents the uncertainty of the connection.
 
     Attributes:
-        connection: local connection of the robot.
         twist: forward and lateral velocity (m/s) and yaw rate (rad/s) of the last step.
     """
 
@@ -293,8 +290,8 @@ class Odometry:
             c = math.cos(pose[2])
             s = math.sin(pose[2])
             residual = np.array([c * x + s * y, c * y - s * x, turn])
-            # The pose before the correction already contains the learnt part. The part
-            # is added again because W is fitted to the whole motion.
+            # The predicted pose already contains the learnt part of the motion. The
+            # part is added again because W is fitted to the whole motion.
             residual += self._features @ connection.weights
             residual -= connection.kinematic_matrix((bend + now) / 2) @ (now - bend)
             connection.learn(self._features + connection.features(bend, now), residual)
@@ -312,9 +309,7 @@ class Odometry:
         self.interrupt()
 
     def forecaster(self, before: Array, bends: Array) -> Odometry:
-        """Return an odometry for a prediction with the first members.
-
-        In the prediction each member moves due to its own bends.
+        """Return an odometry for a prediction in which members move independently.
 
         Args:
             before: bends of the predicted members in the filter, rad.

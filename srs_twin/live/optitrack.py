@@ -1,4 +1,4 @@
-"""Motion capture over UDP: `NatNetLink` receives OptiTrack frames, `NatNetServer` emulates a server."""
+"""Link to an OptiTrack motion capture system over UDP, and an emulated server."""
 
 from __future__ import annotations
 
@@ -19,9 +19,13 @@ from srs_twin.live.messages import POSES, BadMessageError, Message
 
 _ASKS_EVERY_S = 1.0
 _ASKS_NAMES_EVERY_S = 10.0
-"""Interval of requests for the names of bodies, s; the server does not announce a changed name."""
+"""Interval of requests for the names of bodies, s.
+
+The server does not announce a changed name, so the names are requested repeatedly.
+"""
 _WINDOW = 1000
-"""Largest difference of successive frame numbers; a larger one means that the server restarted."""
+"""Difference of successive frame numbers from which on the server must have restarted.
+"""
 _LISTENS_S = 0.1
 
 
@@ -53,7 +57,7 @@ class _UdpLink(Link):
                 continue
             except OSError:
                 if own not in self._sockets:
-                    return  # a group that was left
+                    return  # the link has left this multicast group
                 self.counts["unreachable"] += 1
                 time.sleep(_LISTENS_S)
                 continue
@@ -64,17 +68,17 @@ class _UdpLink(Link):
         try:
             kind, content = natnet.opened(packet)
             self._packet(kind, content, sender, arrived)
-        except Exception as error:  # the edge of the thread: no packet may end it
+        except Exception as error:  # an exception would end the thread
             self._refuse(error)
 
     def _idle(self) -> None:
-        """Send requests that are due; called before each wait for a packet."""
+        """Send the requests that are due before each wait for a packet."""
 
     @abstractmethod
     def _packet(
         self, kind: int, content: bytes, sender: tuple[str, int], arrived: float
     ) -> None:
-        """Process a packet."""
+        """Process a packet, given the time of arrival (s, local clock)."""
 
     def close(self) -> None:
         """See `Link.close`."""
@@ -86,15 +90,15 @@ class _UdpLink(Link):
 
 
 class FrameNumbers:
-    """Numbers of the frames that have arrived, which show lost, late and repeated ones."""
+    """Count of lost, late and repeated frames, based on the frame numbers."""
 
     def __init__(self) -> None:
-        """Begin before the first frame."""
+        """Start before the first frame."""
         self._newest: int | None = None
         self._missing: set[int] = set()
 
     def count(self, number: int, counts: Counter[str]) -> None:
-        """Count a frame by its number; a late frame is no longer lost."""
+        """Count a frame in `counts`. A late frame no longer counts as lost."""
         newest = self._newest
         if newest is None or not -_WINDOW < number - newest < _WINDOW:
             self._newest = number
@@ -116,11 +120,12 @@ class FrameNumbers:
 
 
 class NatNetLink(_UdpLink):
-    """Link to a motion capture system, which delivers the tracked bodies as messages of kind `POSES`.
+    """Link to a motion capture system.
+
+    The poses of the tracked bodies arrive as messages of kind `POSES`.
 
     Attributes:
-        version: NatNet version of the server; None before its first answer.
-        names: names of the bodies by id.
+        version: NatNet version of the server, or None before its first answer.
     """
 
     def __init__(
@@ -131,19 +136,19 @@ class NatNetLink(_UdpLink):
         local: str = LOOPBACK,
         up: str = "y",
     ) -> None:
-        """Request frames from a server, repeatedly until it answers.
+        """Request frames from a server, and repeat the request until it answers.
 
         Args:
-            host: host of the server.
+            host: name or address of the server.
             port: command port of the server.
             local: address of this machine on which frames arrive.
             up: upward axis of the frames, "y" or "z".
 
         Raises:
-            InputError: the server's name is unknown, or this machine does not have the
-                address.
+            InputError: the name of the server is unknown, or `local` is not an address
+                of this machine.
         """
-        # Packets carry the sender's numeric address.
+        # Senders are compared with this address, and packets carry numeric addresses.
         host = resolved(host)
         local = resolved(local)
         own = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -211,9 +216,8 @@ class NatNetLink(_UdpLink):
             raise BadMessageError("a packet of a kind that is not used here")
 
     def _meet(self, server: natnet.Server) -> None:
-        """Note the version of the server, and join its multicast group."""
         if self.version is None:
-            self._asked = 0.0  # ask for the names at once
+            self._asked = 0.0  # request the names of the bodies at once
         self.version = server.version
         if server.group is not None and server.group != self._group:
             try:
@@ -224,7 +228,7 @@ class NatNetLink(_UdpLink):
                 ) from error
 
     def _message(self, frame: natnet.Frame, arrived: float) -> Message:
-        # The pose of a lost body is not a measurement.
+        # A body that the cameras have lost has no measured pose in this frame.
         seen = {key: body for key, body in frame.bodies.items() if body.tracked}
         poses = [natnet.turned(body, self._up) for body in seen.values()]
         values = np.array(poses).reshape(-1, 4)
@@ -232,7 +236,6 @@ class NatNetLink(_UdpLink):
         return Message(POSES, "natnet", frame.time, arrived, values, names)
 
     def _count(self, frame: natnet.Frame) -> None:
-        """Count a frame and its unusable bodies; note whether a body has no name."""
         self._unknown |= (
             bool(self.names) and not frame.bodies.keys() <= self.names.keys()
         )
@@ -245,12 +248,6 @@ class NatNetLink(_UdpLink):
             self.counts["bodies without a usable pose"] += useless
 
     def _join(self, group: natnet.Group) -> None:
-        """Join a multicast group, and leave the previous one.
-
-        Raises:
-            OSError: the group does not exist.
-            OverflowError: the port does not exist.
-        """
         own = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             # Other programs on this machine may listen to the same group.
@@ -274,21 +271,17 @@ class NatNetLink(_UdpLink):
 
 
 class NatNetServer(_UdpLink):
-    """Emulated motion capture system, which sends frames to each client.
-
-    Attributes:
-        port: its command port.
-    """
+    """Emulated motion capture server that sends frames to each client."""
 
     def __init__(
         self, names: Mapping[int, str], *, host: str = LOOPBACK, port: int = 0
     ) -> None:
-        """Start to listen.
+        """Open the command port and wait for clients.
 
         Args:
             names: names of the bodies by id.
-            host: address of this machine.
-            port: command port; 0: any free port.
+            host: address of this machine on which the server listens.
+            port: command port, or 0 for any free port.
 
         Raises:
             InputError: the address is in use, or does not belong to this machine.
@@ -307,7 +300,12 @@ class NatNetServer(_UdpLink):
         self._start()
 
     def send(self, time: float, bodies: Mapping[int, natnet.RigidBody]) -> None:
-        """Send a frame (time of our clock, s)."""
+        """Send a frame to all clients.
+
+        Args:
+            time: time stamp of the frame on the local clock, s.
+            bodies: rigid bodies by id.
+        """
         packet = natnet.write_frame(natnet.Frame(self._number, time, bodies))
         now = clock()
         self._number += 1

@@ -1,7 +1,7 @@
 """Tables of pressure residuals of a first-order chamber model.
 
-A chamber with compressible flow deviates from the first-order model in the same way in
-each stroke. The tables are indexed by chamber, valve state and time since switching.
+In each stroke, a chamber with compressible flow deviates similarly from the first-order
+model. The tables are indexed by chamber, valve state and time since switching.
 """
 
 from __future__ import annotations
@@ -67,7 +67,8 @@ class ValveAges(Stateful):
             dt: time step, s.
         """
         filling = (duty > 0.5).astype(int)
-        # The age refers to the start of the step, so it grows by the previous time step.
+        # The age refers to the start of the step, so it grows by the previous time
+        # step.
         self.age = np.where(filling == self.filling, self.age + self._dt, 0.0)
         self.filling = filling
         self._dt = dt
@@ -79,21 +80,19 @@ class PressureRates:
     Attributes:
         rate: measured minus modelled pressure rate, shape (segments, 2, states, bins),
             Pa/s.
-        wander: additional variance of the pressures per time, shape (segments, 2,
-            states, bins), Pa²/s.
+        wander: variance of the random walk of the pressures per time, shape (segments,
+            2, states, bins), Pa²/s.
     """
 
     _BINS = 50
     _WIDTH_S = 0.01
-    """Width of a bin, s.
-
-    Pressures arrive once per tick of the robot, and a bin is half a tick wide."""
+    """Width of a bin, s (half a tick of the robot)."""
     _GAIN = 0.2
     """Fraction of an innovation that is added to the rates of its bins."""
     _MEMORY = 8.0
     """Number of innovations over which the variance is averaged."""
     _LEAST_WANDER = 0.03
-    """Lower limit of the wander, fraction of the nominal supply pressure per √s."""
+    """Lower limit of the random walk, fraction of the nominal pressure per √s."""
     _LONGEST_S = 0.1
     """Maximum interval between pressures from which a rate is learnt, s."""
 
@@ -103,7 +102,7 @@ class PressureRates:
         Args:
             segments: number of segments.
             supply: nominal supply pressure, gauge, Pa.
-            wander: initial wander, fraction of the supply pressure per √s.
+            wander: initial random walk, fraction of the supply pressure per √s.
         """
         self.ages = ValveAges(segments, self._BINS, self._WIDTH_S)
         self.rate = np.zeros(self.ages.shape)
@@ -155,11 +154,7 @@ class PressureRates:
 
 
 class PressureLevels(Stateful):
-    """Means and variances of pressure residuals relative to the supply pressure.
-
-    Attributes:
-        ages: times since the valves switched.
-    """
+    """Means and variances of pressure residuals relative to the supply pressure."""
 
     state_attributes = ("ages", "_count", "_mean", "_variance")
     _BINS = 25
@@ -168,14 +163,19 @@ class PressureLevels(Stateful):
     """Number of pressures over which a mean is taken."""
 
     def __init__(self, segments: int, sd: float) -> None:
-        """Start with means of 0 and an initial standard deviation (dimensionless)."""
+        """Start with means of 0.
+
+        Args:
+            segments: number of segments.
+            sd: initial standard deviation, fraction of the supply pressure.
+        """
         self.ages = ValveAges(segments, self._BINS, self._WIDTH_S)
         self._count = np.ones(self.ages.shape)
         self._mean = np.zeros(self.ages.shape)
         self._variance = np.full(self.ages.shape, sd**2)
 
     def read(self) -> Uncertain:
-        """Return means and standard deviations in the current bins, shape (segments, 2)."""
+        """Return mean and standard deviation per current bin, shape (segments, 2)."""
         index = self.ages.index()
         return Uncertain(self._mean[index], np.sqrt(self._variance[index]))
 

@@ -1,21 +1,22 @@
-r"""Rigid-body motion of a crawling snake that a force pushes, and the moments of the force on the segments.
+r"""Motion of a crawling snake under a lateral contact force, and its segment moments.
 
-The bends q(t) are periodic and known. Then the body has three velocities u: that of the
-centre of mass in the frame of the mean heading, and the yaw rate. With the Jacobians
-J_c(q) of the two wheels of each connector and the friction f of the floor
-(`robot.friction`),
+The bends q(t) are periodic and known, so the body has three velocities u: two
+components of the velocity of the centre of mass in the frame of the mean heading, and
+the yaw rate. The equations of motion contain the Jacobians J_c(q) of the two wheels of
+each connector and the friction f of the floor (`robot.friction`):
 
 $$ M \dot v = \sum f_c + F n, \qquad \frac{d}{dt}(I(q)\,\omega + h(q, \dot q)) = \sum r_c \times f_c +
    r_s \times F n, \qquad v_c = J_c u + b_c . $$
 
-I and h are those of `plants.analytical.kernels`. F acts at the distance s behind the
-first connector, along the normal n of the body. A step is linearly implicit in the
-friction, which is stiff.
+The inertia I and the angular momentum h due to the bend rates are defined in
+`plants.analytical.kernels`. The contact force F acts at the distance s behind the first
+connector, along the normal n of the body. Because friction is stiff, a time step is
+linearly implicit in it.
 
-**Moments.** The moment on segment j is that of all loads in front of it about the
-middle of its chord: friction, inertia of the connectors, and F itself. A segment that F
-touches carries the moment of F averaged over its arc. The inertia of the bends
-themselves is not included; it cancels in the difference from the free motion.
+**Moments.** All loads in front of segment j exert a moment about the middle of its
+chord: friction, inertia of the connectors, and F itself. If F acts on the segment, its
+moment is averaged over the arc of the segment. The inertia of the bends is not
+included, because it cancels in the difference from the free motion.
 """
 
 from __future__ import annotations
@@ -30,25 +31,28 @@ from srs_twin.robot.geometry import body_shape, relative_headings
 from srs_twin.robot.spec import GRAVITY, RobotSpec
 
 SUBSTEP_S = 0.01
-"""Longest time step, s at a time unit of 1.
+"""Maximum time step, s at a time unit of 1 s.
 
-Steps of 4 ms change the median error of an estimated force by less than 1 %
+With steps of 4 ms, the median error of an estimated force changes by less than 1 %
 (docs/contact-forces.md)."""
 SLIP_SPEED_M_S = 0.005
-"""Slip speed of the friction law, m/s at a time unit of 1."""
+"""Speed below which friction is viscous, m/s at a time unit of 1 s."""
 _SETTLING_S = 3.0
-"""Time from rest after which the free motion is periodic, s at a time unit of 1."""
+"""Simulated time from rest until the free motion is periodic, s at a time unit of 1 s.
+"""
 
 
 class _Motion(NamedTuple):
-    """Motion of the connectors relative to the centre of mass, at each time step of a period.
+    """Motion of the N connectors relative to the centre of mass over one period.
+
+    Vectors refer to the frame of the mean heading and have the shape (steps, N, 2).
 
     Attributes:
-        place: positions in the frame of the mean heading, shape (steps, N, 2), m.
-        ahead: directions along the connectors, same shape.
-        aside: directions to their left, same shape.
-        rate: derivatives of the positions, m/s.
-        spin: derivatives of the headings, shape (steps, N), rad/s.
+        place: positions of the connectors, m.
+        ahead: unit vectors along the connectors.
+        aside: unit vectors to the left of the connectors.
+        rate: time derivatives of the positions, m/s.
+        spin: time derivatives of the headings, shape (steps, N), rad/s.
     """
 
     place: np.ndarray
@@ -58,12 +62,11 @@ class _Motion(NamedTuple):
     spin: np.ndarray
 
     def every(self, steps: int) -> _Motion:
-        """Return the motion at every n-th time step."""
         return _Motion(*(values[::steps] for values in self))
 
     @property
     def middle(self) -> np.ndarray:
-        """Middles of the chords of the segments, m."""
+        """Midpoints of the chords of the segments, m."""
         return np.asarray((self.place[:, :-1] + self.place[:, 1:]) / 2)
 
 
@@ -72,25 +75,25 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 class PushedBody:
-    """Body with periodic bends under a force at one of several stations (module docstring).
+    """Body with periodic bends under a force at one of several stations.
 
     Attributes:
-        free_velocity: u without a force at each sample of the period, shape (period,
-            3), m/s and rad/s.
-        free_moment: moments of friction and inertia without a force, shape (period,
-            segments), N·m.
+        free_velocity: velocities u of the motion without a contact force, shape
+            (period, 3), m/s and rad/s.
+        free_moment: moments of friction and inertia on the segments in the motion
+            without a contact force, shape (period, segments), N·m.
     """
 
     def __init__(
         self, spec: RobotSpec, bends: np.ndarray, sample_s: float, stations: np.ndarray
     ) -> None:
-        """Prepare the tables of one period and its free motion.
+        """Tabulate the Jacobians of one period, and simulate the free motion.
 
         Args:
-            spec: the robot.
+            spec: robot specification.
             bends: bends at the samples of a period, shape (period, segments), rad.
             sample_s: time between samples, s.
-            stations: distances behind the first connector, m.
+            stations: distances of the possible contacts behind the first connector, m.
         """
         self._spec = spec
         g = spec.geometry
@@ -134,7 +137,10 @@ class PushedBody:
         )
 
     def _tabulate_wheels(self, motion: _Motion) -> None:
-        """Fill the Jacobian (steps, 4N, 3) of the velocities of the wheels along, then across."""
+        """Fill the Jacobian of the longitudinal and lateral wheel velocities.
+
+        The Jacobian has the shape (steps, 4N, 3), with 2N longitudinal rows first.
+        """
         arm = self._spec.geometry.half_track
         jacobian = []
         drift = []
@@ -157,7 +163,6 @@ class PushedBody:
         self._products = np.concatenate(products, axis=1)
 
     def _tabulate_moments(self, motion: _Motion) -> None:
-        """Fill the moments per friction and acceleration, at the samples only."""
         place = motion.place[:, None]
         n = self._spec.segments
         front = np.arange(n + 1) <= np.arange(n)[:, None]
@@ -172,14 +177,14 @@ class PushedBody:
         self._on_square = (self._mass * _cross(arms, place)).sum(-1)
         speeds = (arms * motion.rate[:, None]).sum(-1)
         self._on_rate = 2 * (self._mass * speeds).sum(-1)
-        # A wheel's force has the moment of its Jacobian, moved from the centre of mass
-        # to the chord.
+        # The Jacobian gives the moment of a wheel force about the centre of mass. It is
+        # shifted here to the midpoint of the chord.
         jacobian = self._jacobian[:: self._steps, :, None]
         moved = jacobian[..., 2] - _cross(motion.middle[:, None], jacobian[..., :2])
         self._on_friction = np.tile(front.T, (4, 1)) * moved
 
     def _tabulate_push(self, motion: _Motion, stations: np.ndarray) -> None:
-        """Fill the generalised force of F at each station, and its moments at the samples."""
+        """Fill generalised force and moments of a unit force at each station."""
         g = self._spec.geometry
         n = self._spec.segments
         j = np.minimum((stations / g.pitch).astype(int), n - 1)
@@ -193,7 +198,7 @@ class PushedBody:
         )
         moments = _cross(arms, normal[:: self._steps, :, None])
         self._on_push = np.where(j[:, None] < np.arange(n), moments, 0.0)
-        # Mean of max(c - s, 0) over the cuts c of the arc.
+        # Mean lever arm max(c - s, 0) over the cross-sections c of the arc.
         begin = g.rigid_gap / 2
         end = g.rigid_gap / 2 + g.segment_length
         behind = share[:, 0] * g.pitch
@@ -205,22 +210,27 @@ class PushedBody:
     def step(
         self, k: int, u: np.ndarray, force: np.ndarray, station: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return velocities and moments of several bodies, one sample after given velocities.
+        """Advance several bodies by one sample.
 
         Args:
-            k: number of the sample.
+            k: number of the sample at the end of the step.
             u: velocities at sample k − 1, shape (bodies, 3).
-            force: F, positive to the left, shape (bodies,), N.
-            station: index of the station, shape (bodies,).
+            force: contact force F on each body, positive to the left, shape (bodies,),
+                N.
+            station: index of the station at which the force acts, shape (bodies,).
 
         Returns:
-            Velocities (bodies, 3) and moments (bodies, segments), N·m.
+            Velocities at sample k, shape (bodies, 3), and moments on the segments,
+            shape (bodies, segments), N·m.
         """
         total = self._mass.sum()
         inertia = self._inertia
         h = self._h
         for i in range(self._steps):
             g = ((k - 1) * self._steps + i + 1) % len(inertia)
+            # Without forces, the velocity is constant in the world frame and the
+            # angular momentum is constant. The frame of the mean heading turns by
+            # `turned`.
             forward, lateral, yaw = u.T
             spin = inertia[g - 1] * yaw + self._relative[g - 1] - self._relative[g]
             turned = h * yaw
@@ -234,10 +244,13 @@ class PushedBody:
             )
             push = force[:, None] * self._push[g, station]
             wheels, slope = self._friction(g, u)
+            # This is a linearly implicit Euler step: (M - h df/du) Δu = h f.
             matrix = np.diag([total, total, inertia[g]]) - h * slope
             impulse = h * (wheels @ self._jacobian[g] + push)
             u = u + np.linalg.solve(matrix, impulse[..., None])[..., 0]
         wheels, _ = self._friction(g, u)
+        # The moments at the sample are due to the wheel forces, the contact force, the
+        # yaw rate w (centrifugal and Coriolis terms) and the acceleration of the body.
         load = wheels @ self._jacobian[g] + push
         load[:, 2] -= self._growth[g] * u[:, 2]
         s = g // self._steps
@@ -249,7 +262,10 @@ class PushedBody:
         return u, moment
 
     def _friction(self, g: int, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the forces of the wheels (bodies, 4N) and the slopes of their sum (bodies, 3, 3)."""
+        """Return the wheel forces (bodies, 4N) and the Jacobian of their resultant.
+
+        The Jacobian with respect to the velocities u has the shape (bodies, 3, 3).
+        """
         spec = self._spec
         mu = spec.friction
         law = getattr(friction, spec.skin.law if spec.skin else "wheel")

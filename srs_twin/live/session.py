@@ -1,4 +1,7 @@
-"""Session: a live twin of a robot in real time, from messages to estimates, commands, journal and results."""
+"""Session of a live twin in real time.
+
+A session passes messages to the twin, sends commands, and writes journal and results.
+"""
 
 from __future__ import annotations
 
@@ -44,12 +47,15 @@ from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 
 TICK_S = 0.02
-"""Interval between updates of the live twin."""
+"""Interval between updates of the live twin, s."""
 STATE = "state.npz"
 SUMMARY = "shadow.json"
 ESTIMATE = "estimate.parquet"
 KEPT = (SUMMARY, ESTIMATE, STATE)
-"""Files in the session's folder that the next session replaces; journals and recordings are numbered."""
+"""Files in the output folder that the next session replaces.
+
+Journals and recordings are numbered and therefore kept.
+"""
 _MOST_ROWS = 1_000_000
 
 
@@ -57,7 +63,7 @@ class EstimateTable:
     """Estimates and their standard deviations over time."""
 
     def __init__(self, spec: RobotSpec) -> None:
-        """Begin without rows."""
+        """Create an empty table."""
         self._spec = spec
         self._rows = list[np.ndarray]()
 
@@ -66,7 +72,7 @@ class EstimateTable:
         return len(self._rows)
 
     def add(self, time: float, e: Estimate) -> None:
-        """Add an estimate, at a time from the start of the session (s)."""
+        """Add an estimate made at a time since the start of the session (s)."""
         self._rows.append(
             np.concatenate(
                 [[time], e.pose, e.pose_sd, e.bend, e.bend_sd, [bool(e.lost)]]
@@ -98,7 +104,7 @@ class EstimateTable:
 def summary(
     shadow: Shadow, links: Sequence[Link], e: Estimate | None
 ) -> dict[str, object]:
-    """Return message counts, clocks and the last estimate as JSON values."""
+    """Return message counts, clock offsets and the last estimate as JSON values."""
     counts: Counter[str] = Counter()
     for link in links:
         counts.update(dict(link.counts))  # a copy, because a thread still counts
@@ -140,7 +146,7 @@ def summary(
 def write_results(
     folder: Path, found: Mapping[str, object], table: EstimateTable
 ) -> None:
-    """Write summary and estimates to a folder."""
+    """Write the summary and the table of estimates to a folder."""
     with replace_files(folder, (SUMMARY, ESTIMATE)) as fresh:
         if len(table):
             table.trajectory().to_parquet(fresh / ESTIMATE)
@@ -150,7 +156,6 @@ def write_results(
 
 
 def _quantiles_ms(durations: Collection[float]) -> dict[str, float | None]:
-    """Return quantiles of durations (s), in ms; null without durations."""
     if not durations:
         return {"median": None, "p99": None}
     median, p99 = np.quantile(np.array(durations) * 1e3, [0.5, 0.99]).tolist()
@@ -158,38 +163,47 @@ def _quantiles_ms(durations: Collection[float]) -> dict[str, float | None]:
 
 
 INTERVALS_S = {"predict": 0.5, "view": 0.12, "flush": 0.5, "save": 5.0, "watch": 1.0}
-"""Intervals of the periodic work, s: predictions, views, writing the journal to the disk, saving the state,
-and warnings."""
+"""Intervals of periodic work, s.
+
+The work consists of predictions, updates of views, writing the journal to the disk,
+saving the state, and checks whether the machine is fast enough.
+"""
 _MOST_OVERRUNS = 0.5
 """Fraction of slow ticks above which the session warns."""
 _WATCHED_TICKS = 50
-"""Number of ticks of which slow ones are counted."""
+"""Number of last ticks among which slow ticks are counted."""
 _WORK_S = 0.05
-"""Time per tick after which messages wait for the next one, so that a slow machine still obeys, s."""
+"""Time per tick after which the remaining messages wait for the next tick, s.
+
+With this limit a slow machine still sends commands and obeys control words.
+"""
 STALE_S = 0.2
-"""Age of an estimate above which the chambers are vented."""
+"""Age of an estimate above which the chambers are vented, s."""
 TOO_SLOW_S = 1.0
-"""Age of an estimate above which the steering ends."""
+"""Age of an estimate above which the steering ends, s."""
 JOURNALS = "journal-{}.mcap"
 RECORDINGS = "recording-{}.rrd"
 _RESTART_S = 1.0
-"""Delay above which missed ticks are skipped, s."""
+"""Delay behind real time above which missed ticks are skipped, s."""
 _KEPT = 1_000_000
 """Number of ticks whose durations are kept."""
 _MOST_PROBLEMS = 100
 _GOODBYE_S = 1.0
-"""Longest wait for the broker to accept the last message."""
+"""Maximum wait until the broker accepts the last message, s."""
 _WARM_UP_S = 0.6
 """Duration of `warm_up` in simulated time, s."""
 _STROKE_S = 0.16
-"""Half period of its commands, s."""
+"""Half the period of the commands in `warm_up`, s."""
 
 View = Callable[[Estimate, Prediction | None], None]
 Keys = Callable[[], Iterable[str]]
 
 
 def warm_up(spec: RobotSpec) -> None:
-    """Load and compile all code that a live twin needs, before the robot sends messages."""
+    """Load and compile all code that a live twin needs.
+
+    Without a warm-up, the first messages of the robot would wait for the compiler.
+    """
     shadow = Shadow(spec, members=8)
     n = spec.segments
     rows = np.outer(-spec.geometry.pitch * np.arange(n + 1), [1.0, 0.0, 0.0, 0.0])
@@ -215,12 +229,12 @@ class Interval:
     """Interval between two runs of periodic work."""
 
     def __init__(self, seconds: float) -> None:
-        """Begin the first interval at the first call of `is_over`."""
+        """Create an interval that begins at the first call of `is_over`."""
         self._seconds = seconds
         self._next = math.inf
 
     def is_over(self, now: float) -> bool:
-        """Return whether the work is due at a time (s), and begin the next interval if it is."""
+        """Return whether the work is due at a time (s); if so, restart the interval."""
         over = now >= self._next
         if over or math.isinf(self._next):
             self._next = now + self._seconds
@@ -228,11 +242,6 @@ class Interval:
 
 
 def _restore(shadow: Shadow, path: Path) -> bool:
-    """Restore the state of an earlier session, if there is one; return whether there is.
-
-    Raises:
-        InputError: it is the state of another robot.
-    """
     if not path.exists():
         return False
     try:
@@ -245,17 +254,16 @@ def _restore(shadow: Shadow, path: Path) -> bool:
 
 
 class Session:
-    """A live twin with its links, views and files.
+    """Session of a live twin with links, views and files.
 
     Attributes:
-        shadow: live twin of the robot.
-        estimate: the latest one; None before the robot's first message.
-        faults: time of the first detection, s from the start, by part and fault.
+        estimate: latest estimate, or None before the first message of the robot.
+        faults: time of the first detection since the start, s, by part and fault.
         problems: errors that did not end the session, such as a file that cannot be
             written.
-        ticks: durations, s.
-        lag: largest age of an estimate at the end of its tick, s.
-        latency: times from the arrival of a reading to an estimate with it, s.
+        ticks: durations of the ticks, s.
+        lag: maximum age of an estimate at the end of its tick, s.
+        latency: times from the arrival of a reading to the estimate that uses it, s.
         resumed: whether an earlier session in the folder was restored.
     """
 
@@ -270,19 +278,20 @@ class Session:
         views: Iterable[View] = (),
         keys: Keys = tuple,
     ) -> None:
-        """Restore the state of an earlier session in the folder.
+        """Prepare a session, and restore the state of an earlier session in the folder.
 
         Args:
-            shadow: a new live twin.
+            shadow: new live twin.
             links: sources of messages.
-            out: folder of journal and results; None: no files.
-            steering: steering of the robot; None: the session only listens.
+            out: folder of journal and results, or None to write no files.
+            steering: steering of the robot, or None for a session that only listens.
             commands: link for commands and control messages.
-            views: get estimates and predictions about eight times per second.
-            keys: returns the control words typed since the last call, of `WORDS`.
+            views: views that show estimates and predictions about eight times per
+                second.
+            keys: function that returns the control words typed since its last call.
 
         Raises:
-            InputError: the folder cannot be written, or holds the state of another
+            InputError: the folder cannot be written, or it holds the state of another
                 robot.
         """
         self.shadow = shadow
@@ -315,7 +324,8 @@ class Session:
         self._skipped = 0.0
         self._behind = 0.0
         self._uncertain: set[str] = set()
-        # Two threads, so that a slow task, such as a new plan, delays no prediction.
+        # A second thread is needed because a slow task, such as a new plan, must not
+        # delay predictions.
         self._pool = ThreadPoolExecutor(2)
         self._predicting: Future[Prediction] | None = None
         self._saving: Future[None] | None = None
@@ -324,9 +334,15 @@ class Session:
     def run(
         self, duration: float = math.inf, stop: Callable[[], bool] = lambda: False
     ) -> dict[str, object]:
-        """Run until the session is stopped, a journal ends, or the steering ends; return the summary.
+        """Run the session and return its summary.
 
-        However the run ends, a steered robot is vented and the files are written.
+        The session ends when it is stopped, when a journal ends, or when the steering
+        ends. A steered robot is then vented, and the files are written, even after an
+        error.
+
+        Args:
+            duration: maximum duration, s.
+            stop: function called in every tick, which returns whether the session ends.
         """
         self._start = time.monotonic()
         try:
@@ -360,13 +376,14 @@ class Session:
             if left > 0:
                 time.sleep(left)
             elif left < -_RESTART_S:
-                # After a long pause, such as a suspended machine, missed ticks are not
-                # made up for.
+                # After a long pause, for example of a suspended machine, the missed
+                # ticks are skipped.
                 start = time.monotonic() - done * TICK_S
 
     def _submit(self, now: float) -> None:
         intervals = self._intervals
-        # While messages are skipped, the processor time is needed for the others.
+        # While the twin falls behind its messages, predictions would cost processor
+        # time that the messages need.
         can_predict = (
             self.estimate is not None and self._predicting is None and not self._behind
         )
@@ -378,12 +395,13 @@ class Session:
             return
         is_first = not self.ticks
         if intervals["save"].is_over(now) or is_first:
-            # The state is collected here; only the file is written on the other thread.
+            # The state is collected in this thread, and only the file is written in
+            # another thread.
             save = self.shadow.save().write
             self._saving = self._pool.submit(save, self._out / STATE)
 
     def _watch(self) -> None:
-        """Warn if the machine is too slow, and end the steering if it stays so."""
+        """Warn if the machine is too slow, and finally end the steering."""
         skipped = self.shadow.skipped - self._skipped
         self._skipped = self.shadow.skipped
         self._behind = self._behind + skipped if skipped else 0.0
@@ -393,7 +411,7 @@ class Session:
                 " skipped, and the position is unknown until the next frame of motion"
                 " capture"
             )
-        # A copy of all ticks would take longer in each hour of a session.
+        # Copying all ticks would take longer and longer during a session.
         durations = list(itertools.islice(reversed(self.ticks), _WATCHED_TICKS))
         slow = float(np.mean(np.array(durations) > TICK_S)) > _MOST_OVERRUNS
         if slow and self._commands is not None and not self._slow:
@@ -411,7 +429,6 @@ class Session:
             self._steering.give_up(TOO_SLOW)
 
     def _report_senders(self) -> None:
-        """Warn of interruptions, and of messages whose age cannot be known any more."""
         if self.shadow.interruptions:
             self._report(
                 f"interruption {self.shadow.interruptions}: the robot restarted, or was"
@@ -438,7 +455,6 @@ class Session:
         return self._stopped or steered or played
 
     def _collect(self) -> None:
-        """Use the results of other threads, and report their errors and those of the journal."""
         predicting = self._predicting
         if predicting is not None and predicting.done():
             self._predicting = None
@@ -468,29 +484,28 @@ class Session:
             warnings.warn(problem, SessionWarning, stacklevel=2)
 
     def _tick(self, now: float, since: float) -> None:
-        """Use the messages that arrived, and send a command.
+        """Process the messages that arrived, and send a command.
 
         Args:
-            now: time on the clock of the links, s; NaN while a journal waits.
-            since: time from the start of the session, s.
+            now: time on the clock of the links, s, or NaN while a journal waits.
+            since: time since the start of the session, s.
         """
         if math.isnan(now):
             return
         messages = self._receive()
-        if self._commands is not None:  # a journal's control messages are history
+        if self._commands is not None:  # control words in a journal are not obeyed
             sent = [message.names[0] for message in messages if message.kind == CONTROL]
             for word in [*self._keys(), *sent]:
                 self._obey(word)
         self._record(messages)
         if self._stopped:
             return
-        # A journal may be played faster than its messages can be used; none of them is
-        # skipped.
+        # All messages of a journal are processed, even if it is played too fast.
         work_s = math.inf if self._commands is None else _WORK_S
         estimate = self.shadow.update(now, messages, work_s=work_s)
         self.estimate = estimate
         hold = self.shadow.buffer.hold
-        # The estimate uses a message only after the buffer has held it.
+        # The latency includes the time for which the buffer holds a message.
         self.latency.extend(
             now - message.arrived + hold
             for message in messages
@@ -525,11 +540,10 @@ class Session:
             return
         if lag > TOO_SLOW_S and steering.begun:
             steering.give_up(TOO_SLOW)
-        # A command from an old estimate could steer the robot into an obstacle.
+        # A command based on an old estimate could steer the robot into an obstacle.
         link.send(COMMAND, steering.vented() if lag > STALE_S else command)
 
     def _obey(self, word: str) -> None:
-        """Obey a control word, of `WORDS`."""
         if word == STOP:
             self._stopped = True
             self._vent()
@@ -541,14 +555,14 @@ class Session:
             self._commands.send(COMMAND, self._steering.vented())
 
     def _end(self) -> None:
-        """Vent the robot, send the last status and write the files; each step runs even if another fails."""
+        """Run all final steps, even if one of them fails."""
         seconds = time.monotonic() - self._start
         error = sys.exception()
-        with ExitStack() as steps:  # callbacks run in reverse order
+        with ExitStack() as steps:  # runs the callbacks in reverse order
             steps.callback(self._write)
             steps.callback(self._close_journal)
-            # Before the journal closes, so that it has every message that the summary
-            # counts.
+            # The summary is made before the journal is closed, so that the journal
+            # contains every message that the summary counts.
             steps.callback(self._summarise, seconds, error)
             steps.callback(self._pool.shutdown, cancel_futures=True)
             steps.callback(self._say_goodbye, error)
@@ -563,7 +577,7 @@ class Session:
 
     def _close_journal(self) -> None:
         if self._journal is not None:
-            # Messages that arrived after the last tick belong to the journal, too.
+            # Messages that arrived after the last tick are still recorded.
             self._record(self._receive())
             self._journal.close()
 

@@ -1,7 +1,7 @@
-"""Set-up file of a lab (`srs-twin shadow --setup lab.yaml`): robot, broker, motion capture and limits.
+"""Set-up file of a lab, read by `srs-twin shadow --setup lab.yaml`.
 
-Each key sets an option of `srs-twin shadow`; options on the command line override the
-file. Paths are relative to the folder of the file, or else to the current folder.
+Each key sets an option of `srs-twin shadow`. Options on the command line override the
+file. A path is looked up in the folder of the file first, then in the current folder.
 """
 
 from __future__ import annotations
@@ -24,8 +24,6 @@ Connector = Annotated[int, Field(ge=1, le=999)]
 
 
 def _address_with(port: int) -> AfterValidator:
-    """Return a validator of addresses with a default port."""
-
     def check(given: str) -> str:
         try:
             links.address(given, port)
@@ -37,52 +35,57 @@ def _address_with(port: int) -> AfterValidator:
 
 
 class BrokerFile(Section):
-    """MQTT broker; the password is in the environment variable SRS_TWIN_MQTT_PASSWORD."""
+    """MQTT broker.
+
+    The environment variable SRS_TWIN_MQTT_PASSWORD contains the password.
+    """
 
     address: Annotated[Line, _address_with(links.PORT)]
-    """HOST or HOST:PORT."""
+    """Address of the broker, HOST or HOST:PORT."""
     user: Line | None = None
-    """User name."""
+    """User name (default: anonymous login)."""
     ca: FilePath | None = None
-    """CA certificate file (PEM); enables TLS."""
+    """CA certificate file (PEM), which enables TLS (default: no TLS)."""
 
 
 class MotionCaptureFile(Section):
     """NatNet server, such as Motive."""
 
     address: Annotated[Line, _address_with(natnet.COMMAND_PORT)]
-    """HOST or HOST:PORT of the server's command port."""
+    """Address of the command port of the server, HOST or HOST:PORT."""
     local: Line = "127.0.0.1"
     """Address of this machine on which frames arrive."""
     up: Literal["y", "z"] = "y"
-    """Axis that points up in the frames."""
+    """Axis of the motion capture that points upwards."""
     bodies: dict[Line, Connector] = {}
-    """Rigid body → connector, 1 at the head (default: connector_1 → 1 and so on)."""
+    """Connector number of each rigid body, counted from 1 at the head (default: the
+    number at the end of a name such as connector_1)."""
 
 
 class LimitsFile(Section):
     """Limits at which a session ends."""
 
     duration_s: float | None = quantity(0.02, 1e7, None)
-    """Longest session; none: until it is stopped."""
+    """Maximum duration of a session (default: until it is stopped)."""
     press_on: bool = False
-    """Steer on without any margin to obstacles instead of stopping."""
+    """Whether the robot continues without any margin to obstacles instead of stopping.
+    """
 
 
 class SetupFile(Section):
-    """Set-up of a lab."""
+    """Robot and equipment of a lab, and limits of its sessions."""
 
     robot: PathOrName
-    """Shipped robot or robot file."""
+    """Name of a shipped robot, or path of a robot file."""
     name: Annotated[str, Field(min_length=1, max_length=200)] | None = None
-    """Robot's name in topics, srs/NAME/KIND (default: the robot's or its file's name).
+    """Name of the robot in topics srs/NAME/KIND (default: name of the robot or file).
     """
     supply_kpa: float | None = quantity(0.0, 1000.0, None)
-    """Gauge pressure of the supply (default: the robot's nominal one)."""
+    """Gauge pressure of the supply (default: nominal pressure of the robot)."""
     broker: BrokerFile | None = None
     """MQTT broker (default: 127.0.0.1:1883)."""
     motion_capture: MotionCaptureFile | None = None
-    """Motion capture (default: none)."""
+    """Motion capture server (default: no motion capture)."""
     limits: LimitsFile = LimitsFile()
     """Limits of a session."""
 
@@ -94,7 +97,7 @@ class SetupFile(Section):
         return given
 
     def options(self) -> dict[str, Any]:
-        """Return the file's values by the names of the options of `srs-twin shadow`; without absent ones."""
+        """Return the values in the file, keyed by option of `srs-twin shadow`."""
         broker = self.broker
         capture = self.motion_capture
         values = {
@@ -118,7 +121,7 @@ class SetupFile(Section):
 
 
 _PATHS: dict[Loc, str] = {("robot",): "robot", ("broker", "ca"): ""}
-"""Keys that name files; see `Document.locate`."""
+"""Keys whose values are paths of files, for `Document.locate`."""
 
 
 def load_setup(path: Path, overridden: Container[str] = ()) -> SetupFile:
@@ -126,19 +129,19 @@ def load_setup(path: Path, overridden: Container[str] = ()) -> SetupFile:
 
     Args:
         path: path of the file.
-        overridden: keys with other values on the command line, whose files need not
-            exist.
+        overridden: keys that the command line overrides. Files named by these keys need
+            not exist.
 
     Raises:
         InputError: the file cannot be read.
-        InputFileError: everything that is wrong with it, with line and column.
+        InputFileError: the file has errors, which are all listed with line and column.
     """
     used = {loc: kind for loc, kind in _PATHS.items() if loc[-1] not in overridden}
     return load_model(SetupFile, require_file(path), used)
 
 
 def setup_json_schema() -> dict[str, object]:
-    """Return a schema (draft 2020-12) that knows every key with its title, description, unit and range."""
+    """Return the JSON schema (draft 2020-12) of set-up files."""
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema"
     } | SetupFile.model_json_schema()

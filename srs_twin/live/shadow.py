@@ -1,10 +1,10 @@
-"""Shadow: live twin of one robot.
+"""Live twin of one robot.
 
-Messages in the order of their times (`clocks.ReorderBuffer`) update an ensemble filter
-(`ensemble`) and a fault detector (`fault_detector`). The ensemble uses the detected
-faults: a stuck valve also fills or vents in the model, and readings of a faulty sensor
-are ignored. The class is independent of the links and of the time of day: `update` gets
-both messages and time.
+Messages are sorted by sending time (`clocks.ReorderBuffer`) and update an ensemble
+filter (`ensemble`) and a fault detector (`fault_detector`). The ensemble takes detected
+faults into account: a stuck valve also fills or vents in the model, and readings of a
+faulty sensor are ignored. The live twin reads neither links nor clocks, because the
+caller of `update` passes messages and time.
 """
 
 from __future__ import annotations
@@ -54,50 +54,50 @@ from srs_twin.robot.geometry import measured_bend
 from srs_twin.robot.spec import RobotSpec
 
 TRANSPORT_DELAY_S = 0.002
-"""Assumed transport delay of the bends, because the minimum delay cannot be observed.
-"""
+"""Assumed minimum transport delay of messages, s, which cannot be observed."""
 LOST_AFTER_S = 1.0
-"""Time without a message after which the state is unknown."""
+"""Time without a message after which the state is unknown, s."""
 LARGEST_SD_M = 0.05
-"""Standard deviation of the position above which it is lost."""
+"""Standard deviation of the position above which the position is unknown, m."""
 MISSING_FRAMES = 8
 """Number of successive frames after which a missing body is lost."""
 HORIZON_S = 1.0
-"""Horizon of predictions."""
+"""Horizon of predictions, s."""
 MOST_BEHIND_S = 0.3
-"""Age above which messages are skipped that could not be processed in time."""
+"""Age above which messages that could not be processed in time are skipped, s."""
 _PREDICTION_STEP_S = 0.1
-"""Interval between the predicted poses."""
+"""Interval between the predicted poses, s."""
 _PREDICTION_MEMBERS = 16
-"""Number of members that predict."""
+"""Number of ensemble members that are used for a prediction."""
 _SUBSLOTS = 2
-"""Steps of a prediction per command slot."""
+"""Number of time steps of a prediction per command slot."""
 _EXTRAPOLATE_AFTER_S = 0.05
-"""Time without a message after which the filter advances without one."""
+"""Time without a message after which the filters advance to the current time, s."""
 _LEAST_STEP_S = 5e-4
-"""Shortest step of the filters, s; shorter ones are skipped."""
+"""Minimum time step of the filters, s. Shorter steps are skipped."""
 _LEAST_INTERVAL_S = 0.018
-"""Shortest interval between used measurements of one sender; rates above 50 Hz add little."""
+"""Minimum interval between used measurements of one sender, s.
+
+Measurement rates above 50 Hz add little information.
+"""
 _PRESENT_STEP_S = 0.005
-"""Step of the prediction from the last message to the present."""
+"""Time step of the prediction from the last message to the current time, s."""
 _KINDS = (COMMAND, VALVES, BENDS, PRESSURES, POSES, SUPPLY)
 _MEASURED = (BENDS, PRESSURES, POSES, SUPPLY)
 
 
 class Shadow:
-    """Live twin of one robot (module docstring).
+    """Live twin of one robot, described in the module docstring.
 
     Attributes:
-        spec: the robot, from its file.
         ensemble: filter for pose, bends and pressures.
-        faults: fault detector.
         command_period: period of the commands.
-        contact: estimate of the contact force.
-        prediction_calibration: errors of earlier predictions.
-        buffer: messages that wait for earlier ones.
-        time: time of the filter, our clock, s; NaN before the first message.
-        skipped: duration of the messages that were skipped because the machine was too
-            slow, s.
+        contact: estimator of the contact force.
+        prediction_calibration: calibration of predictions based on earlier errors.
+        buffer: buffer that sorts messages by sending time.
+        time: time of the filters on the local clock, s, or NaN before the first
+            message.
+        skipped: time for which messages were skipped on a slow machine, s.
         interruptions: number of times that the robot restarted, or was silent for more
             than `LOST_AFTER_S`.
     """
@@ -111,15 +111,15 @@ class Shadow:
         seed: int = 0,
         frames: Mapping[str, int] | None = None,
     ) -> None:
-        """Begin with the values of the robot file.
+        """Start with the values of the robot file.
 
         Args:
-            spec: the robot.
-            supply_pa: nominal supply pressure, gauge, Pa; default that of the robot.
-            members: ensemble size.
+            spec: robot specification.
+            supply_pa: nominal gauge supply pressure, Pa, by default from `spec`.
+            members: number of ensemble members.
             seed: random seed.
-            frames: connector (from 1) of each body of the motion capture; default
-                "connector_1" and so on.
+            frames: connector number, counted from 1 at the head, for each body of the
+                motion capture. By default the bodies are named "connector_1" and so on.
         """
         spec.require_planar("the live twin")
         n = spec.segments
@@ -149,16 +149,16 @@ class Shadow:
     def update(
         self, now: float, messages: Iterable[Message], *, work_s: float = math.inf
     ) -> Estimate | None:
-        """Update with the messages that arrived until now (our clock, s).
+        """Process new messages, and estimate the current state.
 
         Args:
-            now: time on our clock, s.
-            messages: new messages.
-            work_s: time of the call after which messages wait for the next call. If
-                they would wait for more than `MOST_BEHIND_S`, they are skipped, s.
+            now: current time on the local clock, s.
+            messages: messages that arrived since the last call.
+            work_s: maximum computing time, s. The remaining messages wait for the next
+                call, or are skipped if they are older than `MOST_BEHIND_S`.
 
         Returns:
-            Estimate for now; None before the first message of the robot.
+            Estimate for the time `now`, or None before the first message of the robot.
         """
         if not self.receive(now, messages, work_s=work_s):
             return None
@@ -169,7 +169,12 @@ class Shadow:
     def receive(
         self, now: float, messages: Iterable[Message], *, work_s: float = math.inf
     ) -> bool:
-        """Advance the filters like `update`, without an estimate for now.
+        """Advance the filters like `update`, but without an estimate.
+
+        Args:
+            now: current time on the local clock, s.
+            messages: messages that arrived since the last call.
+            work_s: maximum computing time as in `update`, s.
 
         Returns:
             Whether the robot has sent a message.
@@ -181,8 +186,8 @@ class Shadow:
         self._due.extend(timed for timed in due if self._needed(timed.message))
         deadline = monotonic() + work_s
         while self._due and monotonic() < deadline:
-            # Messages of one time are used together, because the order of their
-            # corrections matters.
+            # Messages with equal times are processed together, because the order of
+            # their corrections matters.
             at = self._due[0].time
             simultaneous = []
             while self._due and self._due[0].time == at:
@@ -190,24 +195,25 @@ class Shadow:
             self._use(at, simultaneous)
         if self._due and now - self._due[0].time > MOST_BEHIND_S:
             self._skip_due()
-        # Sooner, a message for this time is expected. Comparisons with NaN are false.
+        # Before this delay, a message for the time may still arrive. The comparison is
+        # false if the time is NaN.
         elif now - self.buffer.hold - self.time > _EXTRAPOLATE_AFTER_S:
             self._advance(now - self.buffer.hold)
         return not math.isnan(self.time)
 
     @property
     def waits(self) -> bool:
-        """Whether messages have been received that are not used yet."""
+        """Whether received messages have not been processed yet."""
         return self.buffer.waits or bool(self._due)
 
     def predict(self) -> Prediction:
-        """Return the predicted path of the next second, assuming that the commands repeat."""
+        """Predict the path during the next second with repeated commands."""
         return self.prediction_calibration.widened(self.prediction_task()())
 
     def prediction_task(self) -> Callable[[], Prediction]:
-        """Return a function that computes a prediction on any thread, for `prediction_calibration`."""
-        # All inputs are collected here, because the filter changes while another thread
-        # predicts.
+        """Return a function that computes a prediction in another thread."""
+        # All inputs are copied here, because the filter continues to change while the
+        # other thread predicts.
         per_step = round(_PREDICTION_STEP_S / SLOT_S)
         slots = round(HORIZON_S / SLOT_S)
         commands = self.command_period.commands(slots)
@@ -226,8 +232,8 @@ class Shadow:
         return run
 
     def save(self) -> SavedState:
-        """Return the learnt values and detected faults for `restore`; the pose is not saved."""
-        # The robot may be moved between two sessions, so a saved pose would mislead.
+        """Return the learnt values and detected faults, which `restore` reads."""
+        # The pose is not saved, because the robot may be moved between two sessions.
         parts = {name: part.state_dict() for name, part in self._saved_parts().items()}
         return SavedState(self._identity(), {"gone": self._lost_markers} | parts)
 
@@ -257,7 +263,7 @@ class Shadow:
         }
 
     def _skip_due(self) -> None:
-        """Give up the measurements that wait, and continue at the time of the last one."""
+        """Skip all waiting measurements, and continue at the time of the last one."""
         newest = self._due[-1].time
         for at, message in self._due:
             if message.kind in (COMMAND, VALVES) and at > newest - KEPT_S:
@@ -267,13 +273,12 @@ class Shadow:
             return
         gap = min(newest - self.time, LOST_AFTER_S)
         self.skipped += newest - self.time
-        # The valves may have switched, and the robot moved, in any way.
+        # The valves may have switched during the skipped time.
         self.faults.inflate(np.ones((self.spec.segments, 2)), gap)
         self.ensemble.placed = False
         self.time = newest
 
     def _needed(self, message: Message) -> bool:
-        """Return whether a message is used; measurements at a shorter interval are skipped."""
         if message.kind not in _MEASURED:
             return True
         interval = message.sent - self._used.get(message.source, -math.inf)
@@ -281,14 +286,13 @@ class Shadow:
             return False
         self._used[message.source] = message.sent
         if message.kind != POSES and abs(interval) > LOST_AFTER_S:
-            # The stamps of a robot that restarts begin anew, and its chambers are
-            # empty.
+            # Time stamps that go back show that the robot has restarted, which empties
+            # the chambers.
             self.faults.restart()
             self.interruptions += math.isfinite(interval)
         return True
 
     def _use(self, time: float, messages: Sequence[Message]) -> None:
-        """Use the messages of one time on our clock."""
         for message in messages:
             if message.kind in (COMMAND, VALVES):
                 lost = self._commands.add(time, message)
@@ -305,20 +309,19 @@ class Shadow:
         for message in measured:
             self._update_faults(time, message)
         self.ensemble.set_modules(self.faults.modules())
-        # The fault detector needs bends before pressures; the ensemble is best
-        # corrected by bends last.
+        # The fault detector needs bends before pressures. The ensemble is most accurate
+        # if bends correct it last.
         for message in reversed(measured):
             self._correct_ensemble(message)
         self.ensemble.apply_odometry()
         kinds = {message.kind for message in measured}
-        # A frame corrects position and heading; other messages carry no information
-        # about them.
+        # Only frames of motion capture contain information about position and heading.
         bends_corrected = not kinds.isdisjoint((BENDS, PRESSURES))
         corrected = [bends_corrected, POSES in kinds, POSES in kinds]
         self._intervals.update(time, _state(self.ensemble), corrected)
 
     def _update_faults(self, time: float, message: Message) -> None:
-        """Update the fault detector with a measurement; a frame also corrects the ensemble."""
+        """Update the fault detector. A frame also corrects the ensemble."""
         if message.kind == POSES:
             self._use_frame(message)
         elif message.kind == BENDS:
@@ -345,7 +348,7 @@ class Shadow:
         poses = np.full((self.spec.segments + 1, 3), np.nan)
         for name, row in zip(message.names, message.values, strict=True):
             if name in self._frames:
-                # The robot moves on a plane, so the height is not used.
+                # The robot moves on a plane, so the height z is ignored.
                 poses[self._frames[name] - 1] = row[[0, 1, 3]]
         seen = ~np.isnan(poses[:, :2]).any(axis=1)
         if not seen.any():
@@ -368,8 +371,8 @@ class Shadow:
         if time - self.time < _LEAST_STEP_S:
             return
         if time - self.time > LOST_AFTER_S:
-            # Nobody knows how the robot moved in a long pause; the next frame
-            # determines its position again.
+            # The motion during a long pause is unknown, so the next frame determines
+            # the position again.
             self.ensemble.placed = False
             self.time = time - LOST_AFTER_S
         slots = math.ceil((time - self.time) / SLOT_S - 1e-6)
@@ -380,7 +383,7 @@ class Shadow:
             duties = self._commands.at(
                 self.time + (np.arange(steps) + 0.5) * dt / steps
             )
-            # The period finder needs equidistant samples; one per slot suffices.
+            # One sample per slot suffices, because periods are whole numbers of slots.
             self.command_period.add(self.time + dt / 2, duties[0])
             self.faults.predict(duties.mean(axis=0), dt)
             self.ensemble.predict(self._valve_input(duties), dt)
@@ -388,21 +391,19 @@ class Shadow:
         self._commands.forget(self.time - KEPT_S)
 
     def _present(self, now: float) -> EnsembleFilter:
-        """Return the ensemble predicted to the present with all commands that arrived."""
         dt = min(now - self.time, LOST_AFTER_S)
         if dt < _LEAST_STEP_S:
             return self.ensemble
         steps = math.ceil(dt / _PRESENT_STEP_S - 1e-6)
         times = now - dt + (np.arange(steps) + 0.5) * dt / steps
         duties = self._commands.at(times, self.buffer.waiting(COMMAND))
-        # Predict a copy, because messages for this time may still arrive.
+        # A copy is predicted, because messages for this time may still arrive.
         present = self.ensemble.copy(_PREDICTION_MEMBERS)
         present.predict(self._valve_input(duties), dt, _PRESENT_STEP_S)
         present.apply_odometry()
         return present
 
     def _valve_input(self, duties: np.ndarray) -> ValveInput:
-        """Return the input of the chambers, given commanded duties and the detected faults."""
         likely = self.faults.most_likely()
         chambers = CHAMBERS[likely]
         leak = np.where(chambers == Chamber.LEAKS, LEAK_RATES[likely][:, None], 0.0)
@@ -442,8 +443,8 @@ class Shadow:
         pose = state.value[n:]
         sd = state.sd * self._intervals.scale
         pose_sd = sd[n:]
-        # Errors of sensors and transport delays are constant, so they do not average
-        # out in the ensemble.
+        # Constant errors of sensors and transport delays are not represented by the
+        # spread of the ensemble, so they are added.
         sensor_sd = self.faults.corrected(bend).sd
         delay_sd = TRANSPORT_DELAY_S * ensemble.mean("motion")[3:]
         x, y, turn = ensemble.odometry.twist
@@ -473,7 +474,11 @@ def _state(ensemble: EnsembleFilter) -> Uncertain:
 
 
 def frames_of(pairs: Sequence[str], connectors: int) -> dict[str, int]:
-    """Return the connector of each body, from ``BODY=CONNECTOR`` pairs.
+    """Parse ``BODY=CONNECTOR`` pairs into the connector number of each body.
+
+    Args:
+        pairs: pairs such as ``head=1``.
+        connectors: number of connectors of the robot.
 
     Raises:
         InputError: a pair is malformed, or a connector is unknown.

@@ -1,4 +1,4 @@
-"""`srs-twin shadow`: live twin of a running robot."""
+"""Command `srs-twin shadow`, which runs the live twin of a robot."""
 
 from __future__ import annotations
 
@@ -35,22 +35,22 @@ BROKER = "127.0.0.1:1883"
 
 @dataclass(frozen=True)
 class LabOptions:
-    """Options of `srs-twin shadow` that a set-up file may have, too (`setup_file`).
+    """Options of `srs-twin shadow` that a set-up file may also contain.
 
     Options:
-        robot: Shipped robot or robot file. [default: that of --setup]
+        robot: Shipped robot or robot file. [default: robot of the set-up file]
         mqtt: MQTT broker. [default: 127.0.0.1:1883, or none with --mcap]
         natnet: NatNet server of the motion capture. [default: none]
-        name: Robot's name in topics. [default: ROBOT]
-        body: Body of the motion capture and its connector, repeatable. [default:
-            connector_1=1 …]
+        name: Name of the robot in topics. [default: ROBOT]
+        body: Rigid body of the motion capture and number of its connector; repeatable.
+            [default: connector_1=1 …]
         local: Address of this machine on which frames arrive.
         up: Upward axis of the frames, y or z.
         press_on: Continue without any margin to obstacles instead of stopping
             (docs/live.md#steering).
         duration: Stop after S seconds. [default: run until Ctrl-C]
         user: MQTT user name.
-        ca: CA certificate file (PEM); enables TLS.
+        ca: CA certificate file (PEM), which enables TLS.
     """
 
     robot: Annotated[str | None, argument("ROBOT", shipped=["robot"])] = None
@@ -67,10 +67,14 @@ class LabOptions:
     ca: Annotated[Path | None, option("--ca FILE")] = None
 
     def with_setup(self, path: Path, context: typer.Context) -> LabOptions:
-        """Return the options with those of a set-up file that the command line does not give.
+        """Fill options that the command line does not give from a set-up file.
+
+        Args:
+            path: path of the set-up file.
+            context: context of the running command.
 
         Raises:
-            InputError: the file cannot be read or has mistakes.
+            InputError: the file cannot be read or has errors.
         """
         from srs_twin.live.setup_file import load_setup
 
@@ -82,7 +86,7 @@ class LabOptions:
 
     @property
     def topic_name(self) -> str:
-        """Robot's name in topics."""
+        """Name of the robot in topics."""
         return self.name or Path(str(self.robot)).stem
 
 
@@ -91,16 +95,16 @@ class SessionOptions:
     """Options of a session of `srs-twin shadow`.
 
     Options:
-        setup: Set-up file of the lab (`srs-twin schema setup`); other options override
-            it. [default: none]
+        setup: Set-up file of the lab (`srs-twin schema setup`), which other options
+            override. [default: none]
         mcap: Journal of an earlier session, processed instead of live messages.
-        speed: Playback speed of a journal; 2: twice as fast.
-        out: Output folder; the learnt state of an earlier session in it is restored.
-        follow: Scenario with the path to steer along.
-        members: Ensemble size.
+        speed: Playback speed of a journal as a multiple of real time.
+        out: Output folder. The learnt state of an earlier session in it is restored.
+        follow: Scenario with the path that the robot is steered along.
+        members: Number of ensemble members.
         seed: Random seed.
-        window: Show the live view in Rerun's window.
-        web: Show the live view on a page of this machine.
+        window: Show the live view in a Rerun window.
+        web: Serve the live view as a web page on this machine.
     """
 
     setup: Annotated[Path | None, option("--setup FILE.yaml")] = None
@@ -115,7 +119,7 @@ class SessionOptions:
 
     @property
     def keys(self) -> str:
-        """Keys that control the session, for its first line."""
+        """Keys that control the session, as printed at its start."""
         if self.mcap is not None:
             return ""
         if self.follow is not None:
@@ -132,11 +136,12 @@ def shadow(
 ) -> None:
     """Run a live twin: estimate, predict and detect faults.
 
-    Receives commands, bends and pressures over MQTT and frames of motion capture over
-    NatNet, or reads all of them from a journal. With --follow it steers the robot by
-    its estimate; the keys p, g, v and s, or the words pause, go, vent and stop on the
-    topic srs/NAME/control, control it. docs/live.md describes the messages. The
-    environment variable SRS_TWIN_MQTT_PASSWORD contains the password of --user.
+    The live twin receives commands, bends and pressures over MQTT and frames of motion
+    capture over NatNet, or reads all of them from a journal. With --follow it steers
+    the robot along a path. The keys p, g, v and s control the steering, and so do the
+    words pause, go, vent and stop on the topic srs/NAME/control. docs/live.md describes
+    the messages. The environment variable SRS_TWIN_MQTT_PASSWORD contains the password
+    of --user.
     """
     from threadpoolctl import threadpool_limits
 
@@ -144,7 +149,7 @@ def shadow(
     from srs_twin.robot.file import load_robot
 
     lab = _checked(lab, options, context)
-    # Several threads would wait for each other on a busy machine.
+    # The matrices are small, and several threads would wait for each other.
     threadpool_limits(limits=1, user_api="blas")
     twin, steering = _twin(load_robot(str(lab.robot)), lab, options)
     over = interruption()
@@ -171,12 +176,7 @@ def shadow(
 def _checked(
     lab: LabOptions, options: SessionOptions, context: typer.Context
 ) -> LabOptions:
-    """Return the options of the lab with those of its set-up file, after all checks before compiling.
-
-    Raises:
-        InputError: options exclude each other, no robot is given, or a file cannot be
-            read or written.
-    """
+    """Return the checked options of the lab, including those of the set-up file."""
     from srs_twin.io.files import check_output_folder, require_file
     from srs_twin.live.session import KEPT
 
@@ -198,7 +198,6 @@ def _checked(
 
 
 def _is_given(context: typer.Context, name: str) -> bool:
-    """Return whether an option of the running command was given, instead of its default."""
     source = context.get_parameter_source(name)
     return source is not None and source.name == "COMMANDLINE"
 
@@ -206,7 +205,7 @@ def _is_given(context: typer.Context, name: str) -> bool:
 def _twin(
     spec: RobotSpec, lab: LabOptions, options: SessionOptions
 ) -> tuple[Shadow, EstimateSteering | None]:
-    """Return the live twin of the robot and its steering, if any, both with compiled kernels."""
+    """Return the live twin and its steering with compiled kernels."""
     from srs_twin.live.session import TICK_S, warm_up
     from srs_twin.live.shadow import Shadow, frames_of
     from srs_twin.live.steering import EstimateSteering
@@ -235,7 +234,7 @@ def _session(
     twin: Shadow,
     steering: EstimateSteering | None,
 ) -> tuple[Session, str]:
-    """Return a session and the address of the live view's page; the stack closes what is opened here."""
+    """Return a session, and the address of the live view or an empty string."""
     from srs_twin.live.journal import McapLink
     from srs_twin.live.links import typed_words
     from srs_twin.live.session import Session
@@ -286,7 +285,6 @@ def _motion_capture(natnet: str, lab: LabOptions) -> NatNetLink:
 def _live_views(
     stack: ExitStack, options: SessionOptions, spec: RobotSpec
 ) -> tuple[list[View], str]:
-    """Return the views of a session, and the address of their page; empty without a page."""
     if not (options.window or options.web or options.out):
         return [], ""
     from srs_twin.io.files import create_numbered_file

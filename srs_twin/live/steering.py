@@ -1,4 +1,4 @@
-"""EstimateSteering: steering of a robot by the estimate of its live twin."""
+"""Steering of a robot based on the estimate of its live twin."""
 
 from __future__ import annotations
 
@@ -20,49 +20,58 @@ from srs_twin.robot.world import Pose
 from srs_twin.scenario.scenario import Scenario
 
 PATIENCE_S = 3.0
-"""Time without an estimate or a supply after which the steering ends."""
+"""Time without an estimate or supply pressure after which the steering ends, s."""
 PAUSE_LIMIT_S = 30.0
-"""Longest pause; afterwards the chambers are vented, so a forgotten robot loses its pressure."""
-# Endings in addition to those of the follower.
+"""Maximum duration of a pause, s.
+
+Afterwards the chambers are vented, so that a forgotten robot does not stay under
+pressure.
+"""
+# Reasons for the end of the steering, in addition to the reasons of the follower.
 LOST = "estimate_lost"
 EMPTY = "supply_empty"
-STOPPED = "stopped"  # the session ended first
+STOPPED = "stopped"  # the session ended before the path
 TOO_SLOW = "estimate_too_old"
 LEAST_MARGIN = 0.25
-"""Share of the plan's margin that a new plan needs at least; without such a plan the robot is stopped.
+"""Minimum margin of a new plan, as a fraction of the margin of the scenario.
 
-Of the runs that the shipped footprints' margins were measured with
-(`planning/margins.py`; 100 of each kind, 3.5 m each), 98 to 100 % left a plan without
-any margin, so contact is almost certain there. 1 to 19 % left half of a margin of 80
-mm, 52 to 93 % a quarter of it at some time.
+Without such a plan the robot is stopped. The margins of the shipped footprints were
+measured with 100 runs of each kind, 3.5 m each (`planning/margins.py`). Of these runs,
+98 to 100 % left a plan without any margin, so contact is almost certain there. Half of
+a margin of 80 mm was left by 1 to 19 % of the runs, and a quarter by 52 to 93 %.
 """
 _LARGEST_SD_M = 0.0125
-"""Largest position uncertainty at which steering is allowed: half of the usual margin to obstacles."""
-_UNCERTAIN_S = 0.2
-"""Time above `_LARGEST_SD_M` after which the robot is vented.
+"""Maximum standard deviation of the position at which steering is allowed, m.
 
-A late frame of motion capture raises the uncertainty for some ticks. Generation 2
+The value is half of the usual margin to obstacles.
+"""
+_UNCERTAIN_S = 0.2
+"""Time above `_LARGEST_SD_M` after which the robot is vented, s.
+
+A late frame of motion capture increases the uncertainty for some ticks. Generation 2
 crawls 45 mm in this time.
 """
 _SETTLING_S = 1.0
-"""Time at the start in which the robot stands and its pose is estimated."""
+"""Time at the start in which the robot stands still and its pose is estimated, s."""
 _NEAR_M = 0.03
-"""Distance from the scenario's initial pose above which a new plan is made, m."""
+"""Distance from the initial position of the scenario above which a new plan is made, m.
+"""
 _NEAR_RAD = 0.05
-"""Difference from its heading above which a new plan is made, rad."""
+"""Deviation from the initial heading above which a new plan is made, rad."""
 _EMPTY_BELOW = 0.3
-"""Fraction of the nominal supply pressure below which steering is impossible; half of the pressure still
-suffices."""
+"""Fraction of the nominal supply pressure below which steering is impossible.
+
+Half of the nominal pressure still suffices.
+"""
 _MODEL_FIELDS = {("actuator", "bend_limit"), ("supply", "limit_source")}
-"""Fields in which a scenario's robot and the real one may differ: model settings and texts."""
+"""Model settings and texts that may differ between scenario and real robot."""
 
 
 def differences(one: RobotSpec, other: RobotSpec) -> list[str]:
     """Return the fields in which two robots differ, with both values.
 
-    Names, titles and the values of single modules do not count, because the live twin
-    estimates the latter. The bend limit does not count either, because scenarios set it
-    for the models.
+    Names, titles and model settings such as the bend limit do not count. Properties of
+    single modules do not count either, because the live twin estimates them.
     """
     texts = []
     for field in fields(RobotSpec):
@@ -73,8 +82,7 @@ def differences(one: RobotSpec, other: RobotSpec) -> list[str]:
         if not (is_dataclass(first) and type(first) is type(second)):
             texts.append(f"{field.name} ({_short(first)} and {_short(second)})")
             continue
-        # Parameters are compared one by one, so that the message can name the one that
-        # differs.
+        # Parameters are compared one by one, so that the message can name them.
         for inner in fields(first):
             name = inner.name
             a = getattr(first, name)
@@ -91,14 +99,11 @@ def _short(value: object) -> str:
 
 
 class EstimateSteering:
-    """The follower of a scenario, with the estimate of a live twin as its state.
+    """Path follower of a scenario that uses the estimate of a live twin as its state.
 
-    A segment with a stuck valve is kept straight, with both chambers filled or both
-    vented, and a new plan is made. The chambers are vented while the estimate is lost,
-    and at the end after a loss of the supply.
-
-    Attributes:
-        follower: follower of the scenario.
+    A segment with a stuck valve is kept straight by filling or venting both chambers,
+    and a new plan is made. All chambers are vented while the estimate is lost, and at
+    the end after a loss of supply pressure.
     """
 
     def __init__(
@@ -107,13 +112,14 @@ class EstimateSteering:
         """Prepare the follower.
 
         Args:
-            scenario: with a controller that follows a plan.
+            scenario: scenario whose controller follows a plan.
             shadow: live twin of the robot.
-            tick: s.
-            press_on: continue without any margin, instead of stopping (`LEAST_MARGIN`).
+            tick: control period of the robot, s.
+            press_on: whether the robot continues without any margin to obstacles
+                instead of stopping (`LEAST_MARGIN`).
 
         Raises:
-            InputError: the scenario has no plan, or is for another robot.
+            InputError: the scenario has no plan, or its robot is another one.
         """
         controller = scenario.build_controller()
         if not isinstance(controller, Follower):
@@ -154,7 +160,7 @@ class EstimateSteering:
 
     @property
     def begun(self) -> bool:
-        """Whether the robot has been steered."""
+        """Whether the steering has begun."""
         return self._steps > 0
 
     def vented(self) -> np.ndarray:
@@ -162,25 +168,31 @@ class EstimateSteering:
         return np.full(self._pressure.shape, -1.0)
 
     def control(self, word: str) -> None:
-        """Obey a control word: `PAUSE` keeps the valves as they are, `VENT` vents all, `GO` continues."""
+        """Obey a control word.
+
+        `PAUSE` keeps the valve states, `VENT` vents all chambers, and `GO` continues.
+        """
         if word != self._control:
             self._control = word
             self._paused_s = 0.0
             self._log(f"control: {word}")
 
     def step(self, estimate: Estimate | None, shadow: Shadow) -> np.ndarray:
-        """Return the command of a tick: states of valves, or duties, shape (segments, 2)."""
+        """Return the command of one tick, shape (segments, 2).
+
+        The command contains valve states or duties.
+        """
         self._last = self._command(estimate, shadow)
         return self._last
 
     def give_up(self, ending: str) -> None:
-        """End the steering, with a name for the ending."""
+        """End the steering, and record the reason."""
         if not self._given_up:
             self._given_up = ending
             self._log(ending)
 
     def summary(self) -> dict[str, object]:
-        """Return ending, duration and events as JSON values."""
+        """Return the reason of the end, duration and events as JSON values."""
         return {
             "ending": self._given_up or self.follower.ending or STOPPED,
             "seconds": self._steps * self._tick,
@@ -193,7 +205,7 @@ class EstimateSteering:
     def _command(self, estimate: Estimate | None, shadow: Shadow) -> np.ndarray:
         if estimate is None or estimate.lost or self._is_uncertain(estimate):
             self._lost_s += self._tick
-            # Before the first step the robot may wait for motion capture without limit.
+            # Before the first step the robot may wait for motion capture indefinitely.
             if self._steps and self._lost_s > PATIENCE_S:
                 self.give_up(LOST)
             return self.vented()
@@ -226,7 +238,7 @@ class EstimateSteering:
         if self._empty_s > PATIENCE_S:
             self.give_up(EMPTY)
             return self.vented()
-        # Segments with a leak still bend, so they take part in the gait as before.
+        # Segments with a leak still bend, so only stuck valves change the gait.
         chambers = CHAMBERS[shadow.faults.most_likely()]
         stuck = np.where((chambers == Chamber.FILLS).any(axis=1), Chamber.FILLS, 0)
         stuck = np.where((chambers == Chamber.VENTS).any(axis=1), Chamber.VENTS, stuck)
@@ -238,13 +250,12 @@ class EstimateSteering:
         self._steps += 1
         for event in self.follower.events():
             self._events.append((event.time, f"{event.kind}: {event.text}"))
-        # The robot has its own carrier, so it gets duties instead of the states within
-        # a tick.
+        # The robot modulates duties itself, so it receives duties instead of the states
+        # within a tick.
         if valves.ndim == 3:
             valves = valves.mean(axis=0)
         duty = valves / 2 + 0.5
-        # With equal pressures on both sides, a segment with a stuck valve remains
-        # straight.
+        # Equal pressures on both sides keep a segment with a stuck valve straight.
         duty[stuck == Chamber.FILLS] = 1.0
         duty[stuck == Chamber.VENTS] = 0.0
         if np.isin(duty, (0.0, 1.0)).all():
@@ -252,9 +263,9 @@ class EstimateSteering:
         return duty
 
     def _begin(self, estimate: Estimate, shadow: Shadow) -> None:
-        """Prepare the follower; make a new plan if the robot is not at the scenario's initial pose."""
-        # The robot itself adds noise and delays, so the follower must not simulate
-        # them. Commands take effect one tick after the estimate.
+        """Prepare the follower, with a new plan if the robot starts at another pose."""
+        # The real robot has noise and delays, so the follower must not simulate them.
+        # Commands take effect one tick after the estimate.
         follower = self.follower
         follower.conditions = replace(
             follower.conditions,

@@ -1,4 +1,4 @@
-"""Convert recordings of robots to trajectories: formats, markers, logs and clocks."""
+"""Conversion of recorded files of robots to trajectories."""
 
 from typing import TYPE_CHECKING
 

@@ -55,12 +55,12 @@ FrequencyOption = Annotated[
 
 @dataclass(frozen=True)
 class TableOptions:
-    """Options on information that a file lacks or that cannot be detected.
+    """Options for information that a file lacks or that cannot be detected.
 
     Options:
         map: Recording map: quantities of markers and columns (docs/logs.md).
-        units: Unit of lengths if the file states none: m, cm, mm, in, ft.
-        rate: Frames per second if the file has no time.
+        units: Unit of length of a file that does not state it: m, cm, mm, in or ft.
+        rate: Frame rate of a file without times, Hz.
         columns: Column names of a plain file without a header, e.g. time,x_1,y_1.
         separator: Cell separator of a plain file: , ; | tab or space. [default:
             detected]
@@ -101,7 +101,7 @@ class ReadingOptions(TableOptions):
         layout: Markers: auto, single, head, pair, middles or head_middles.
         head: Name of the marker at the head. [default: the end in the direction of
             motion]
-        longest_gap: Longest gap that is interpolated, s. [default: 0.2]
+        longest_gap: Maximum duration of a gap that is interpolated, s. [default: 0.2]
         marker: Position of a marker, e.g. "tip=connector 3" or "m1=middle 1"
             (repeatable).
     """
@@ -152,14 +152,14 @@ def inspect(
 ) -> None:
     """Describe recordings and propose a map.
 
-    A robot or a log is not needed. With a robot, the output also states whether the
-    files can be read as its recording.
+    With --robot, the output also states whether the files can be read as recordings of
+    the robot.
 
     Options:
-        robot: Shipped robot or robot file with which the recording is checked.
-        picture: Output picture of the markers from above; with several files, the name
-            of each is put in front.
-        write_map: File for the proposed map.
+        robot: Shipped robot or robot file that the recording is checked against.
+        picture: Output picture of the markers from above. With several files, one
+            picture per file is written.
+        write_map: Output file for the proposed map.
     """
     from srs_twin.io.files import escape_unprintable, write_text
     from srs_twin.recordings.facts import in_words, proposed_map
@@ -245,7 +245,7 @@ class FormatOptions:
     npz: Annotated[bool, option("--npz")] = False
 
     def chosen(self, out: str | None) -> str:
-        """Return the chosen format; without one, the suffix of the file decides.
+        """Return the chosen format, or the format that the suffix of the file names.
 
         Raises:
             InputError: no format or more than one format is given.
@@ -272,14 +272,15 @@ def export(
 ) -> None:
     """Write a run as MCAP (ROS 2), CSV or NumPy archive.
 
-    MCAP holds all plants. A recording map, with which `inspect` and `replay` read the
-    file, and a Foxglove layout are written next to it.
+    An MCAP file contains all plants. Next to it, the command writes a recording map,
+    which `inspect` and `replay` need to read the file, and a Foxglove layout.
 
     Options:
         run: Folder of a run, or its name in ./runs.
-        file: File to write, as with --out; its suffix selects the format.
-        plant: analytical, twin or measured. [default: all in MCAP, else the twin]
-        out: File to write. [default: RUN/twin.csv, RUN/run.mcap]
+        file: Output file as with --out, whose suffix selects the format.
+        plant: Plant to export: analytical, twin or measured. [default: all in MCAP,
+            else the twin]
+        out: Output file. [default: RUN/twin.csv or RUN/run.mcap]
     """
     from srs_twin.experiment import load_run
     from srs_twin.io.files import check_output_folder, display_path
@@ -311,10 +312,6 @@ def export(
 
 
 def _write(path: Path, runs: Mapping[str, Trajectory], first: str) -> None:
-    """Write the runs in the format of the suffix.
-
-    CSV files and NumPy archives hold one plant only, so they contain the run `first`.
-    """
     from srs_twin.io.documents import dump_yaml
     from srs_twin.io.files import write_text
     from srs_twin.recordings import export as exporting

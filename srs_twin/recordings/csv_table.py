@@ -1,7 +1,7 @@
-"""Columns of plain tables: names with units, meanings from a map, and values in SI.
+"""Plain tables, whose columns are converted to SI units.
 
-The first line of a plain table names its columns: ``x_1``, ``x_1_mm``,
-``pressure_plus_2 (kPa)``, ``time_ms``. Columns without a unit are in SI.
+The first line of a plain table names its columns, for example ``x_1``, ``x_1_mm``,
+``pressure_plus_2 (kPa)`` or ``time_ms``. Columns without a unit are in SI units.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from srs_twin.recordings.signals.units import (
 )
 
 CLOCK = {"time": TIMES}
-"""Base name of the time column; `is_clock` accepts its synonyms."""
+"""Base name and units of the time column."""
 
 _LISTED = 5
 """Maximum number of columns listed in a message."""
@@ -47,9 +47,9 @@ class TimedRows(NamedTuple):
     """Rows of a table with their times.
 
     Attributes:
-        time: times of the rows, shape (rows,), s.
-        values: numbers in SI, shape (rows, columns).
-        epoch_ns: offset subtracted from times since 1970, ns; None for other times.
+        values: numbers in SI units, shape (rows, columns).
+        epoch_ns: offset that was subtracted from times since 1970, ns, or None for
+            other times.
     """
 
     time: np.ndarray
@@ -59,7 +59,7 @@ class TimedRows(NamedTuple):
 
 
 def first_line_names(path: StrPath, dialect: Dialect = AS_FOUND) -> list[str]:
-    """Return the column names of a table in lower case, or no names without a header.
+    """Return the column names of a table in lower case, or nothing without a header.
 
     Raises:
         InputError: the file cannot be read.
@@ -87,7 +87,7 @@ class CsvColumn:
 
 @dataclass(frozen=True)
 class CsvTable:
-    """Plain table with its columns; `unused` names the unrecognised columns."""
+    """Plain table with its recognised columns and the names of unused columns."""
 
     file: RecordedFile
     columns: tuple[CsvColumn, ...]
@@ -107,8 +107,11 @@ class CsvTable:
     def clock(self, missing: str) -> CsvColumn:
         """Return the time column.
 
+        Args:
+            missing: message of the error if there is no time column.
+
         Raises:
-            InputError: the table has no time column; `missing` is the message.
+            InputError: the table has no time column.
         """
         column = next((column for column in self.columns if column.name in CLOCK), None)
         if column is None:
@@ -144,7 +147,7 @@ class CsvTable:
         return [by_key[key] for key in required]
 
     def read(self, columns: Sequence[CsvColumn]) -> tuple[np.ndarray, list[str]]:
-        """Return the numbers of columns in SI, shape (rows, columns), and notes.
+        """Read columns in SI units, shape (rows, columns), and return notes.
 
         Raises:
             InputError: `RecordedFile.rows` cannot read the rows.
@@ -152,7 +155,7 @@ class CsvTable:
         places = [column.place for column in columns]
         file = self.file
         values, notes = file.rows(file.header_lines, places, len(file.names))
-        with np.errstate(over="ignore"):  # overflow to inf: callers reject such values
+        with np.errstate(over="ignore"):  # callers reject the inf of an overflow
             values = values * [column.factor for column in columns]
         return values, [*file.notes, *self.notes, *notes]
 
@@ -162,9 +165,9 @@ class CsvTable:
         columns: Sequence[CsvColumn],
         rate_hz: float | None = None,
     ) -> TimedRows:
-        """Read columns in SI with their times.
+        """Read columns in SI units with their times.
 
-        Without a time column, the times are counted from the row numbers and `rate_hz`.
+        Without a time column, times are computed from row numbers and frame rate.
 
         Raises:
             InputError: `RecordedFile.times` cannot read the times.
@@ -197,9 +200,9 @@ def read_table(
 
     Args:
         file: plain table.
-        known: base name → accepted units (name → factor to SI); empty for a quantity
-            without a unit.
-        meanings: column name → meaning, from a recording map.
+        known: accepted units of each base name, with their factors to SI units. A
+            dimensionless quantity has no units.
+        meanings: meaning of each column that a recording map mentions.
 
     Raises:
         UnknownNameError: `meanings` names a column that does not exist.
@@ -259,7 +262,7 @@ def _own_column(
         return None
     name, number, trailing = match[1].lower(), match[2], match[3]
     if name not in known and trailing and number is None:
-        # The name ends in a word, not in a unit.
+        # The last word belongs to the name and is not a unit.
         name = f"{name}_{trailing.lower()}"
         trailing = None
     if name not in known or name == "time":

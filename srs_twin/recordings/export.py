@@ -1,17 +1,16 @@
 """Export of runs as MCAP with ROS 2 messages, as CSV, or as NumPy archives.
 
-Topics of a plant, for example ``twin``:
+The topics of a plant, for example ``twin``, are:
 
-- ``/twin/connector_1/pose`` (geometry_msgs/PoseStamped): pose of each connector;
-  ``/twin/com/pose`` is the pose of the centre of mass, and ``/tf`` repeats the poses
-  as transforms from ``world`` to ``twin/connector_1`` etc.
+- ``/twin/connector_1/pose`` (geometry_msgs/PoseStamped): pose of each connector.
+- ``/twin/com/pose`` (geometry_msgs/PoseStamped): pose of the centre of mass.
+- ``/tf``: transforms from ``world`` to ``twin/connector_1`` etc.
 - ``/twin/bends`` (sensor_msgs/JointState): bends, rad, positive to the left.
-- ``/twin/pressure_plus_1`` (sensor_msgs/FluidPressure): absolute chamber pressure, Pa,
-  as ROS defines it.
+- ``/twin/pressure_plus_1`` (sensor_msgs/FluidPressure): absolute chamber pressure, Pa.
 - ``/twin/valves`` (std_msgs/Int8MultiArray): valve states of the + and − chamber of
   each segment.
 
-Stamps and log times are equal: the simulated time since the start, s.
+Time stamps and log times are the simulated time since the start.
 """
 
 from __future__ import annotations
@@ -34,16 +33,14 @@ if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
 WORLD = "world"
-"""Frame of all poses."""
+"""Reference frame of all poses."""
 
 _NS = 1_000_000_000
 _SIDES = ("plus", "minus")
 
 
 def write_csv(path: Path, run: Trajectory) -> None:
-    """Write the columns of a trajectory as CSV, in SI units.
-
-    The names are the column names of the Parquet file.
+    """Write the columns of a trajectory as CSV in SI units.
 
     Raises:
         InputError: the file cannot be written.
@@ -80,8 +77,8 @@ def write_mcap(path: Path, runs: Mapping[str, Trajectory]) -> None:
     """Write trajectories as ROS 2 messages in an MCAP file.
 
     Args:
-        path: file to write; an existing file is replaced.
-        runs: plant name → trajectory.
+        path: output file. An existing file is replaced.
+        runs: trajectory of each plant.
 
     Raises:
         InputError: the extra `recordings` is not installed, or the file cannot be

@@ -39,44 +39,44 @@ class _Facts(StrictModel):
 
 
 class MarkerFacts(_Facts):
-    """Detected marker or rigid body, on the robot or not."""
+    """Detected marker or rigid body, which may or may not belong to the robot."""
 
     name: str
     """Name of the column."""
     rigid_body: bool
-    """Whether it is a rigid body with a rotation, whose position is then given."""
+    """Whether the column is a rigid body with a rotation instead of a marker."""
     coverage: Ratio
-    """Fraction of the frames on which it was detected."""
+    """Fraction of the frames on which the marker was detected."""
     gaps: Count
-    """Number of gaps between its first and its last detection."""
+    """Number of gaps between the first and the last detection."""
     longest_gap_s: Seconds
     """Duration of the longest gap."""
     noise_mm: Millimetres | None
-    """Standard deviation of the noise of a coordinate; null if never detected."""
+    """Standard deviation of a coordinate due to noise (null without detections)."""
     noise_m: Metres | None
-    """Standard deviation of the noise of a coordinate in m."""
+    """Standard deviation of a coordinate due to noise, in m."""
     height_mm: Millimetres | None
     """Median height above the origin of the file."""
 
 
 class DistanceFacts(_Facts):
-    """Distance of two neighbours along the body."""
+    """Distance of two adjacent markers along the body."""
 
     markers: Pair
     """Names of the markers."""
     median_mm: Millimetres
     """Median distance."""
     spread_mm: Millimetres
-    """Standard deviation of the distance, from its quartiles."""
+    """Standard deviation of the distance, computed from quartiles."""
 
 
 class HeadFacts(_Facts):
-    """An end of the body that may be the head."""
+    """End of the body that may be the head."""
 
     marker: str
     """Name of the marker."""
     why: str
-    """Reason."""
+    """Reason why this end may be the head."""
 
 
 class SignalFacts(_Facts):
@@ -85,9 +85,9 @@ class SignalFacts(_Facts):
     name: str
     """Name of the column or topic."""
     looks_like: str
-    """Quantity that its name, its unit or the map states, or "unknown"."""
+    """Quantity according to the name, the unit or the map, or "unknown"."""
     understood: bool
-    """Whether its name is known without a map."""
+    """Whether the signal can be read without a map."""
     low: Annotated[float, _unit("of the file")] | None = None
     """Lowest value."""
     high: Annotated[float, _unit("of the file")] | None = None
@@ -95,7 +95,7 @@ class SignalFacts(_Facts):
     distinct: Count | None = None
     """Number of different values."""
     openings_per_s: Hertz | None = None
-    """Rate at which a signal with two or three values reaches its highest one."""
+    """Rate at which a signal with two or three values reaches its maximum."""
 
 
 class RobotFacts(_Facts):
@@ -104,7 +104,7 @@ class RobotFacts(_Facts):
     name: str
     """Name of the robot."""
     reads: bool
-    """Whether it is a recording of this robot."""
+    """Whether the file can be read as a recording of this robot."""
     says: str
     """Summary of the recording, or the reason why it cannot be read."""
     layout: str | None = None
@@ -112,11 +112,11 @@ class RobotFacts(_Facts):
     bend_error_rad: Radians | None = None
     """Root mean square of the standard errors of the bends."""
     length_mm: list[Millimetres] | None = None
-    """Median arc length of each segment, head first."""
+    """Median arc length of each segment, ordered from the head."""
     stretch: list[Ratio] | None = None
-    """Range of each length (98 % minus 2 % quantile) relative to the robot's length.
+    """Range of the arc length of each segment, relative to the nominal length.
 
-    The lengths are ordered from the head.
+    A range is the difference of the 98 % and the 2 % quantile.
     """
 
 
@@ -126,64 +126,62 @@ class RecordingFacts(_Facts):
     file: str
     """Path as given."""
     format: str
-    """File format, with its version where it has one."""
+    """Name of the file format, with the version if the format has versions."""
     content: Literal["markers", "log"]
-    """Whether the file has positions or other numbers over time."""
+    """Whether the file contains marker positions or a log of other signals."""
     sha256: str
     """Checksum of the file."""
     rate_hz: Hertz | None = None
-    """Frames per second from the median step, or average rows of a log per second.
+    """Frame rate computed from the median step, or mean number of log rows per second.
 
     The value is null if the time does not increase.
     """
     duration_s: Seconds | None = None
-    """Time from the first frame or row to the last."""
+    """Time from the first to the last frame or row."""
     starts_s: Seconds | None = None
-    """Time of a log's first row."""
+    """Time of the first row of a log."""
     rows: Count | None = None
-    """Rows of a log."""
+    """Number of rows of a log."""
     steps_back: Count | None = None
-    """Number of rows of a log with an earlier time than the previous row."""
+    """Number of rows of a log whose time is earlier than in the previous row."""
     repeated_times: Count | None = None
-    """Number of rows of a log with the same time as the previous row."""
+    """Number of rows of a log whose time equals the time of the previous row."""
     frames: Count | None = None
-    """Frames in the file."""
+    """Number of frames in the file."""
     frames_missing: Count | None = None
-    """Frames that the file skips."""
+    """Number of frames that the file skips."""
     announced_frames: Count | None = None
-    """Number of frames that the header states; null if it states none."""
+    """Number of frames that the header states (null if the header states none)."""
     units: str | None = None
-    """Unit of length of the file, as stated, given or assumed.
-
-    The lengths below are in the units of their keys."""
+    """Unit of length of the file, as stated, given or assumed."""
     up: Up | None = None
     """Axis of the file that points up."""
     markers: list[MarkerFacts] | None = None
-    """All columns of positions."""
+    """Markers and rigid bodies in the file."""
     bodies: list[str] | None = None
     """Names of the rigid bodies with a rotation."""
     tracks: Count | None = None
-    """Number of possible robot markers detected on at least 20 % of the frames."""
+    """Number of possible robot markers that are detected on at least 20 % of frames."""
     positions_of_nothing: Count | None = None
     """Number of positions that do not belong to a tracked marker."""
     noise_mm: Millimetres | None = None
     """Standard deviation of the noise of a coordinate over all tracked markers."""
     rigid_pairs: list[Pair] | None = None
-    """Pairs of markers on one rigid part."""
+    """Pairs of markers whose distance is constant."""
     order: list[str] | None = None
-    """Markers from one end of the body to the other; empty unless they form a line."""
+    """Markers in their order along the body, or empty if they do not form a line."""
     distances: list[DistanceFacts] | None = None
-    """Distances of neighbouring markers, in the order along the body."""
+    """Distances of adjacent markers in their order along the body."""
     layouts: dict[str, Count] | None = None
-    """Marker layout → number of connectors of a robot with this number of markers."""
+    """Number of connectors for each layout that has this number of markers."""
     head: list[HeadFacts] | None = None
     """Ends that may be the head, in order of likelihood."""
     signals: list[SignalFacts] | None = None
-    """Signals of a log, or those in a file with positions."""
+    """Signals in the file that are not positions."""
     robot: RobotFacts | None = None
     """Result of reading the file as a recording of the robot in `--robot`."""
     proposals: list[str]
-    """Lines of a proposed map (YAML), to be checked."""
+    """Lines of a proposed map (YAML), which the user should check."""
     notes: list[str]
     """Notes on results, conversions, assumptions and data that were left out."""
 
@@ -199,10 +197,7 @@ def facts_json_schema() -> dict[str, object]:
 
 
 def proposed_map(facts: Sequence[RecordingFacts]) -> str:
-    """Return a proposed map (YAML) for the files of one recording.
-
-    The comments of the map give the reasons.
-    """
+    """Return a proposed map (YAML) for the files of one recording, with comments."""
     lines = ["# Proposed by srs-twin inspect: check it, then use it as --map."]
     for file in (file for file in facts if file.content == "markers"):
         lines.append(f"# {file.file}: {file.format}, {file.rate_hz:.4g} Hz")

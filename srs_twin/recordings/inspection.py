@@ -1,8 +1,7 @@
 """Inspection of a recording without a robot.
 
-It finds format, clock, axes, markers, their order, the head, and a proposed map.
-`srs-twin inspect --json` prints the results (`facts.py`). `Scene` is drawn as a
-picture.
+The inspection finds the format, clock, axes, markers and possible heads, and proposes a
+recording map. `srs-twin inspect --json` prints the results (`facts.py`).
 """
 
 from __future__ import annotations
@@ -85,11 +84,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _RIGID_NOISE_RATIO = 1.3
-"""Maximum ratio of a distance's variation to its noise for markers on a rigid part."""
+"""Maximum ratio of variation to noise of a distance that counts as constant."""
 _DISTANCE_FRAMES = 2000
 """Number of frames from which distances are computed."""
 _MIN_CRAWLED = 0.3
-"""Minimum travel that reveals the head, divided by the distance of adjacent markers."""
+"""Minimum displacement that reveals the head, in distances of adjacent markers."""
 _MAX_SIGNALS = 200
 """Maximum number of signals that are described."""
 _QUANTITY_TEXTS = {
@@ -100,9 +99,9 @@ _QUANTITY_TEXTS = {
     "setpoint": "pressure, without a unit",
     "bend": "angle, without a unit",
 }
-"""Quantity of a signal whose unit is not stated → its description."""
+"""Description of each quantity of a signal whose unit is not stated."""
 _MAX_NEIGHBOUR_M = 2.0
-"""Distance of neighbours above which the unit of length is probably wrong, m."""
+"""Distance of adjacent markers above which the unit of length is probably wrong, m."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +110,7 @@ class Scene:
 
     Attributes:
         places: marker positions, shape (frames, markers, 2 or 3), m.
-        order: markers in their order along the body; empty if it is unknown.
+        order: markers in their order along the body, or empty if the order is unknown.
     """
 
     places: np.ndarray
@@ -132,10 +131,10 @@ def inspect(
     Args:
         path: recording or log.
         map: known entries of a recording map, or the path of a map.
-        robot: robot whose recording the file may be; None skips this check.
+        robot: robot that the file is checked against, or None to skip the check.
 
     Raises:
-        InputError: the file cannot be read; the message gives the reason.
+        InputError: the file cannot be read.
     """
     data = map if isinstance(map, Mapping) else given_map(os.fspath(map), {}, ())
     return inspect_file(
@@ -151,10 +150,10 @@ def inspect_file(
     Args:
         path: recording or log.
         recording_map: known units, frame rate and marker places.
-        spec: robot whose recording the file may be; None skips this check.
+        spec: robot that the file is checked against, or None to skip the check.
 
     Raises:
-        InputError: the file cannot be read; the message gives the reason.
+        InputError: the file cannot be read.
     """
     facts, scene = _file_facts(path, recording_map)
     if spec is not None and facts.content == "markers":
@@ -334,8 +333,8 @@ def _rigid_pairs(
     closest = np.nanmin(median, axis=0)
     constant = spread < _RIGID_NOISE_RATIO * np.sqrt(2) * noise
     rigid = constant & (median <= 1.5 * np.minimum.outer(closest, closest))
-    # On a body that bends little, many distances are nearly constant. Each marker has
-    # only one partner on its rigid part, so only one of these distances can be rigid.
+    # On a body that bends little, many distances are nearly constant. A marker has at
+    # most one partner at a truly constant distance.
     single = rigid.sum(axis=0) == 1
     return tuple(
         (int(a), int(b))

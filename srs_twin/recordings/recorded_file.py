@@ -1,7 +1,7 @@
-"""Recorded files in memory: layout and rows of plain tables, and located errors.
+"""Recorded files in memory, and the rows of plain tables.
 
-Arrow parses the numbers. `laid_out` detects comments, separator and decimal mark,
-unless a `Dialect` states them.
+`laid_out` detects comments, separator and decimal mark unless a `Dialect` states them.
+Errors name the line and the column of a table.
 """
 
 from __future__ import annotations
@@ -27,16 +27,19 @@ if TYPE_CHECKING:
     from pyarrow.csv import InvalidRow
 
 MAX_BYTES = 256 << 20
-"""Maximum file size: twice the size of one hour of ten markers at 120 Hz."""
+"""Maximum file size, bytes (twice the size of one hour of ten markers at 120 Hz)."""
 
 MAX_HEADER_BYTES = 4 << 20
-"""Maximum header size. A header reaches 1 MB if thousands of markers come and go."""
+"""Maximum header size, bytes.
+
+A header reaches 1 MB if a recording has thousands of columns.
+"""
 
 MAX_VALUES = 1 << 26
-"""Maximum number of rows times columns: half a gigabyte of numbers."""
+"""Maximum product of the numbers of rows and columns (half a gigabyte)."""
 
 MAX_COLUMNS = 20_000
-"""Maximum number of columns."""
+"""Maximum number of columns of a table."""
 
 BLANK = ["", "NaN", "nan", "NAN", "-nan", "null", "NULL", "N/A", "n/a"]
 """Contents of a cell without a value."""
@@ -60,7 +63,7 @@ _REPORTED_CELL = re.compile(
 _COMMENT = re.compile(r"\s*#|sep=.$", re.IGNORECASE)  # "sep=" is an Excel directive
 _ZONE = re.compile(r"(?:Z|[+-]\d\d:?\d\d)\s*$")
 _DATE = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:")
-# A decimal comma that cannot separate thousands, as in 0,5 or 1234,5 or 1,25.
+# Matches a decimal comma that cannot separate thousands, as in 0,5 or 1234,5.
 _DECIMAL_COMMA = re.compile(
     rb"(?<![\d,])(?:0|\d{4,}),\d|\d,(?:\d{1,2}|\d{4,})(?![\d,])"
 )
@@ -72,9 +75,9 @@ _SEPARATOR_NAMES = {
     "|": "bars",
 }
 _EPOCH_RANGE = (1e9, 4.2e9)
-"""Range of times that are taken as seconds since 1970: the years 2001 to 2103."""
+"""Range of times that count as seconds since 1970 (the years 2001 to 2103)."""
 _MAX_EPOCH_STEP = 100.0
-"""Maximum step between times since 1970, s; longer steps reveal a wrong unit."""
+"""Maximum step between times since 1970, s. Longer steps indicate a wrong unit."""
 _MAX_COMMENT_LINES = 1000
 """Maximum number of comment lines above the header."""
 
@@ -83,8 +86,9 @@ class Dialect(NamedTuple):
     """Layout of a plain table. Empty attributes are detected from the file.
 
     Attributes:
-        columns: column names, for a file whose first line has none.
-        separator: cell separator; a space stands for runs of spaces and tabs.
+        columns: column names of a file without a header.
+        separator: cell separator, where a space stands for any number of spaces and
+            tabs.
     """
 
     columns: tuple[str, ...] = ()
@@ -93,15 +97,15 @@ class Dialect(NamedTuple):
 
 
 AS_FOUND = Dialect()
-"""Dialect whose every attribute is detected."""
+"""Dialect that leaves every attribute to detection."""
 
 
 class Times(NamedTuple):
     """Times of the rows.
 
     Attributes:
-        time: times of the rows, shape (rows,), s.
-        epoch_ns: offset subtracted from times since 1970, ns; None for other times.
+        epoch_ns: offset that was subtracted from times since 1970, ns, or None for
+            other times.
     """
 
     time: np.ndarray
@@ -114,7 +118,7 @@ class RecordedFile:
     """Recorded file in memory.
 
     Attributes:
-        body: contents with single separators, if runs of spaces separate the cells.
+        body: contents in which single separators have replaced runs of spaces.
         problem: reason why the file is not a table, or an empty string.
     """
 
@@ -144,7 +148,7 @@ class RecordedFile:
         """First line that is not blank."""
         wide = self.data.startswith(
             (b"\xff\xfe", b"\xfe\xff")
-        )  # reading the rows reports UTF-16
+        )  # UTF-16 is reported when the rows are read
         text = self.data.removeprefix(b"\xef\xbb\xbf").decode(
             "utf-16" if wide else "utf-8", "replace"
         )
@@ -170,7 +174,11 @@ class RecordedFile:
         return InputError(f"{self.name}{position}: {problem}")
 
     def head(self, lines: int, after: int = 0) -> list[list[str]]:
-        """Return the stripped cells of some lines after the first `after` lines.
+        """Return the cells of some header lines without surrounding spaces.
+
+        Args:
+            lines: number of lines to read.
+            after: number of lines to skip.
 
         Raises:
             InputError: the lines are not CSV, or are too long for a header.
@@ -211,12 +219,11 @@ class RecordedFile:
     ) -> tuple[np.ndarray, list[str]]:
         """Read the rows below a header.
 
-        A last line without a line end may have been cut inside a number. It is left out
-        with a note.
+        A last line without a line end is left out, because it may end inside a number.
 
         Args:
             header_lines: number of header lines.
-            columns: column indices to read, counted from 0.
+            columns: indices of the columns to read, counted from 0.
             width: number of cells per row.
             section: whether the rows end at an empty line instead of the end of the
                 file.
@@ -263,8 +270,8 @@ class RecordedFile:
         Times since 1970 are shifted to start at 0.
 
         Args:
-            clock: index of the time column, which holds numbers or dates.
-            unit: unit of the numbers; an empty string stands for seconds.
+            clock: index of the time column, which contains numbers or dates.
+            unit: unit of the numbers, where an empty string stands for seconds.
 
         Raises:
             InputError: `rows` cannot read the rows, or a row has no time.
@@ -342,8 +349,8 @@ class RecordedFile:
             try:
                 return read(cut)
             except pa.ArrowInvalid:
-                # Arrow parses a cell of spaces as text. The slow way is taken for the
-                # few files with such cells.
+                # Arrow parses a cell of spaces as text. Such cells are rare, so they
+                # are removed only after an error.
                 return read(_BLANKS.sub(b"", bytes(cut)))
         except (pa.ArrowException, OSError) as error:
             if uneven:
@@ -374,10 +381,10 @@ class RecordedFile:
 
 
 def recording_file(path: StrPath) -> Path:
-    """Return the file of a recording; a ROS 2 bag may be given as a folder.
+    """Return the path of a recording, which may be given as the folder of a ROS 2 bag.
 
     Raises:
-        InputError: the file is missing, or the folder does not contain exactly one.
+        InputError: the file is missing, or the folder does not contain exactly one bag.
     """
     place = Path(path)
     inside = place.glob("*") if (place / "metadata.yaml").is_file() else ()
@@ -452,7 +459,7 @@ def read_file(path: StrPath) -> RecordedFile:
 
 
 def laid_out(file: RecordedFile, dialect: Dialect = AS_FOUND) -> RecordedFile:
-    """Return a file with names, separator and decimal mark, as given or as detected."""
+    """Return a file with the given or detected names, separator and decimal mark."""
     if file.names or file.problem:
         return file
     start = file.raw[:MAX_HEADER_BYTES].split(b"\n", _MAX_COMMENT_LINES)

@@ -1,8 +1,8 @@
-r"""Chamber model that replays recorded pressures, so that they drive a plant.
+r"""Chamber model that drives a plant with recorded pressures.
 
 The pressures are interpolated linearly between the samples of the log and are constant
-before and after it. The linear bend x follows them with the mode time constant τ₂ as in
-`lag`. While the drive u = G (g⁺p⁺ − g⁻p⁻) changes from u₀ at the rate m,
+before and after the log. The linear bend x follows the drive u = G (g⁺p⁺ − g⁻p⁻) with
+the time constant τ₂ as in `lag`. While the drive changes from u₀ at the rate m,
 
 $$ x(t) = u_0 + m (t - \tau_2) + (x_0 - u_0 + m \tau_2)\, e^{-t/\tau_2}. $$
 
@@ -22,7 +22,7 @@ from srs_twin.robot.spec import RobotSpec
 
 
 class RecordedPressures(Pneumatics):
-    """Chamber model that replays recorded pressures. See the module docstring."""
+    """Chamber model that replays recorded pressures."""
 
     kind = "recorded"
     metered = False
@@ -40,14 +40,14 @@ class RecordedPressures(Pneumatics):
 
         Args:
             spec: recorded robot.
-            time: ascending times of the samples since the start of the run, s; they may
-                be negative.
+            time: ascending times of the samples since the start of the run, s. Times
+                before the start are negative.
             pressure: gauge pressures, shape (samples, segments, 2), Pa.
-            supply_pa: gauge supply pressure, Pa; used for `max_pressure_ratio` only.
-            layout: valve layout for the controller's commands.
+            supply_pa: gauge supply pressure, Pa, used for `max_pressure_ratio` only.
+            layout: valve layout of the commands of the controller.
 
         Raises:
-            InputError: the log does not fit the robot, or its times do not increase.
+            InputError: the log does not fit the robot, or the times do not increase.
         """
         if pressure.shape != (len(time), spec.segments, 2):
             raise InputError(
@@ -72,7 +72,7 @@ class RecordedPressures(Pneumatics):
         super().__init__(spec, layout=layout)
 
     def reset(self) -> None:
-        """See `Pneumatics.reset`; the chambers start at the recorded pressures."""
+        """Set the chambers to the recorded initial pressures."""
         super().reset()
         trace = self._at(np.zeros(1))
         self.pressure = trace.pressure[0]
@@ -126,7 +126,7 @@ class RecordedPressures(Pneumatics):
 def _linear_bend_at_samples(
     time: np.ndarray, drive: np.ndarray, slope: np.ndarray, tau: float
 ) -> np.ndarray:
-    """Return the linear bend at the samples of a log, starting from equilibrium."""
+    """Return the linear bend at the samples of a log that starts in equilibrium."""
     linear = np.empty_like(drive)
     linear[0] = drive[0]
     decay = np.exp(-np.diff(time) / tau)

@@ -1,4 +1,4 @@
-"""Recorded motion of a robot as a trajectory (`read_motion`), with its valve log."""
+"""Recorded motion of a robot as a trajectory, together with a valve log."""
 
 from __future__ import annotations
 
@@ -48,21 +48,21 @@ from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 
 LONGEST_GAP = 0.2
-"""Default maximum gap that is filled, s; the trajectory is cut at longer gaps."""
+"""Default maximum gap that is filled, s. Longer gaps end the trajectory."""
 
 _BODY_MARKER_OFFSET = 0.01
 """Distance from the centre of a rigid body to the two markers that replace it, m."""
 _MIN_JUMP = 0.06
-"""Minimum jump of an outlier, relative to the segment length."""
+"""Minimum displacement of an outlier, relative to the segment length."""
 _REACH = 0.8
-"""Maximum distance of a marker from its prediction, relative to the segment length."""
+"""Maximum distance of a marker from its predicted position, in segment lengths."""
 
 _MIN_OPENINGS = 4
 """Minimum number of openings of a chamber for an estimate of the gait frequency."""
 _MAX_UNEVENNESS = 0.05
 """Maximum deviation of an opening time from a periodic one, in periods."""
 _CARRIER_S = 0.07
-"""Minimum interval between two openings of a gait, s; a carrier opens more often."""
+"""Minimum interval between two openings due to a gait instead of a carrier, s."""
 _STILL_S = 1e-9
 """Tolerance of times, s."""
 _MAX_EMPTY_PA = 1e3
@@ -77,11 +77,11 @@ class ValveLog:
         kind: "valve" or "pressure".
         time: ascending times of the rows, shape (rows,), s.
         values: valve states, which hold until the next row, or gauge pressures (Pa),
-            shape (rows, segments, 2); the last axis is (+ chamber, − chamber).
-        epoch_ns: time since 1970 at 0 s, ns; None if the clock of the file has another
-            origin.
-        holds: whether each pressure holds until the next row, as set points do;
-            measured pressures are interpolated instead.
+            shape (rows, segments, 2). The last axis is (+ chamber, − chamber).
+        epoch_ns: time since 1970 at 0 s, ns, or None if the clock of the file has
+            another origin.
+        holds: whether pressures hold until the next row, like set points, instead of
+            being interpolated, like measured pressures.
     """
 
     kind: str
@@ -118,14 +118,15 @@ class ValveLog:
         return np.stack(columns, axis=-1).reshape(len(time), *self.values.shape[1:])
 
     def breakpoints(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return times and pressures whose linear interpolation gives `at`.
+        """Return breakpoints (time and pressures) of a piecewise linear function.
 
-        A step between set points has two breakpoints.
+        The function has the values that `at` returns. A step between set points has two
+        breakpoints.
         """
         if not self.holds:
             return self.time, self.values
         time = np.repeat(self.time, 2)[1:]
-        # The first of the two breakpoints is the last instant before the step.
+        # The first of the two breakpoints lies immediately before the step.
         time[1::2] = np.nextafter(time[1::2], -np.inf)
         return time, np.repeat(self.values, 2, axis=0)[:-1]
 
@@ -133,7 +134,7 @@ class ValveLog:
         """Return the frequency at which all chambers open periodically, Hz, or None.
 
         The first opening is ignored, because a gait may begin within a period. Openings
-        in rapid succession come from a carrier and count as one.
+        in rapid succession are due to a carrier and count as one opening.
         """
         if self.kind != "valve":
             return None
@@ -169,12 +170,12 @@ class Recording:
     """Measured motion of a robot.
 
     Attributes:
-        trajectory: measured motion with the columns of a plant. Markers add
-            ``filled_1…`` (1 where a marker of that connector was interpolated),
-            ``residual``, ``com_velocity_x``, ``com_velocity_y``, ``yaw_rate`` and
-            ``bend_rate_1…``; a bend log adds ``bend_rate_1…`` only.
-        valves: log of valves or pressures on the clock of the trajectory; None before
-            `join`.
+        trajectory: measured motion with the columns of a plant. Bends have the rates
+            ``bend_rate_1…``. A motion from markers also has ``filled_1…`` (1 where a
+            marker of the connector was interpolated), ``residual``,
+            ``com_velocity_x``, ``com_velocity_y`` and ``yaw_rate``.
+        valves: log of valves or pressures on the clock of the trajectory, or None
+            before `join`.
     """
 
     trajectory: Trajectory
@@ -202,13 +203,13 @@ class Recording:
     def commands(self, name: str) -> Schedule:
         """Return the valve states since the first sample.
 
-        If pressures were recorded, all valves vent.
+        If pressures were recorded instead, all valves vent.
 
         Args:
-            name: name for messages.
+            name: name of the recording in error messages.
 
         Raises:
-            InputError: there is no log.
+            InputError: the recording has no log.
         """
         log = self.valves
         time = self.trajectory.time
@@ -224,7 +225,7 @@ class Recording:
         return schedule.slice(begin, schedule.span)
 
     def starts_at_rest(self) -> bool:
-        """Return whether all chambers are empty at the start, as in simulations."""
+        """Return whether all chambers are empty at the start."""
         if self.valves is None:
             return True
         before = self.valves.values[
@@ -237,7 +238,7 @@ class Recording:
         return bool(empty.all())
 
     def start_pose(self) -> Pose:
-        """Return the initial pose of the body: its mean until the first valve opens."""
+        """Return the mean pose of the body until the first valve opens."""
         trajectory = self.trajectory
         log = self.valves
         moves = trajectory.time[0]
@@ -256,7 +257,7 @@ class Recording:
 
 @contextmanager
 def named_in_errors(file: str) -> Iterator[None]:
-    """Add a file name to the messages of errors raised inside the block."""
+    """Add a file name to the messages of errors that the block raises."""
     try:
         yield
     except UnknownNameError as error:
@@ -284,18 +285,18 @@ def read_motion(
         spec: recorded robot.
         up: vertical axis of the file, one of `floor.UPS`.
         layout: marker layout, one of `body.layout.LAYOUTS`.
-        head: column name of the marker at the head; None for the end towards which
-            the robot crawls.
+        head: column name of the marker at the head, or None for the end in the
+            direction of motion.
         map: places of markers and rigid bodies, and information that the file lacks.
-        longest_gap_s: maximum gap that is filled, s, between the samples around it.
-        gait_frequency_hz: gait frequency for the metrics, Hz; None for a motion that is
-            not periodic.
+        longest_gap_s: maximum duration of a gap that is filled, s.
+        gait_frequency_hz: gait frequency for the metrics, Hz, or None for a motion that
+            is not periodic.
 
     Returns:
         Longest interval of the motion in which all markers are known.
 
     Raises:
-        InputError: the file cannot be used; the message names the place and a remedy.
+        InputError: the file cannot be used.
         UnknownNameError: `up`, `layout` or `head` is an unknown name.
     """
     if not 0 <= longest_gap_s <= 10:
@@ -342,8 +343,8 @@ def _captured_markers(
 ) -> tuple[CapturedMarkers, list[str]]:
     geometry = spec.geometry
     slots = in_slots(table, points)
-    # Tracking uses distances from the robot, so a wrong unit of length is reported
-    # first.
+    # Tracking compares distances with the robot, so a wrong unit of length must be
+    # reported before.
     check_scale(slots.points[..., :2], spec)
     tracks, notes = robot_tracks(
         table, slots, longest_gap_s / frames.period, _REACH * geometry.pitch
@@ -371,10 +372,7 @@ def _captured_markers(
 
 
 def _kept_frames(frames: FrameGrid, points: np.ndarray, longest_gap_s: float) -> slice:
-    """Return the longest interval in which all markers are known.
-
-    All markers are visible at both ends, so that no position is extrapolated.
-    """
+    """Return the longest interval in which no marker position is extrapolated."""
     kept = longest_complete(frames.time, points, longest_gap_s)
     if kept.stop - kept.start < MIN_FRAMES:
         complete = 100 * (~np.isnan(points[..., 0])).all(axis=1).mean()
@@ -390,8 +388,8 @@ def _kept_frames(frames: FrameGrid, points: np.ndarray, longest_gap_s: float) ->
 def bodies_as_pairs(table: MarkerTable) -> MarkerTable:
     """Replace each rigid body with a rotation by two markers on one of its axes.
 
-    The axis is the one whose direction varies most, because a vertical axis would not
-    show the heading.
+    The axis whose direction varies most is used, because a vertical axis would not show
+    the heading.
     """
     if table.rotations is None:
         return table
@@ -453,12 +451,12 @@ def _counts(
 
 
 def in_slots(table: MarkerTable, points: np.ndarray) -> Tracks:
-    """Return the markers in slots.
+    """Join the columns of markers that reappear in new columns (`pack_slots`).
 
-    Rigid bodies and columns with a place keep a slot of their own.
+    Rigid bodies and columns whose place on the robot is known are not joined.
 
     Raises:
-        InputError: there are more slots than can be tracked.
+        InputError: too many slots remain for tracking.
     """
     slots = Tracks(
         points, np.where(np.isnan(points[..., 0]), -1, np.arange(len(table.labels))), 0
@@ -477,8 +475,8 @@ def robot_tracks(
 ) -> tuple[Tracks, list[str]]:
     """Return the tracks that may belong to the robot, and notes on other tracks.
 
-    The tracks have no heights. Rigid bodies are identified by name and not tracked.
-    Columns with a place belong to the robot.
+    Rigid bodies are identified by name and not tracked. Columns whose place on the
+    robot is known always belong to the robot. The returned positions have no height.
 
     Args:
         table: marker file.

@@ -1,4 +1,4 @@
-"""Recording map (`--map FILE.yaml`): what columns and markers measure on the robot."""
+"""Recording map (`--map FILE.yaml`), which states what columns and markers measure."""
 
 from __future__ import annotations
 
@@ -40,11 +40,12 @@ class MarkerPlace(StrictModel):
     """Place of a marker or a rigid body on the robot."""
 
     connector: Annotated[int, Field(ge=1, le=999)] | None = None
-    """Number of the connector, 1 at the head."""
+    """Number of the connector, counted from 1 at the head."""
     middle: Annotated[int, Field(ge=1, le=999)] | None = None
-    """Number of the segment at whose middle it is, 1 at the head."""
+    """Number of the segment whose middle carries the marker, counted from the head."""
     side: Literal["ahead", "behind", "left", "right"] | None = None
-    """Side of the connector's centre; two markers without a side lie on both sides."""
+    """Side of the centre of the connector (default: centre, or both sides for a pair).
+    """
 
     @property
     def station(self) -> tuple[int, str]:
@@ -55,45 +56,46 @@ class MarkerPlace(StrictModel):
 
 
 class LogColumn(StrictModel):
-    """Column or signal of a log, with its unit."""
+    """Column or signal of a log, with the unit."""
 
     column: str
     """Name of the column."""
     unit: str = ""
-    """Unit if the name states none: s, ms, kPa, bar, deg, …"""
+    """Unit of the column (s, ms, kPa, bar, deg, …), if the column name states none."""
 
 
 class RecordingMap(StrictModel):
-    """Meanings of columns and markers in a recording (docs/logs.md#recording-map)."""
+    """Meaning of each column and marker in a recording (docs/logs.md#recording-map)."""
 
     units: Literal["m", "cm", "mm", "in", "ft", "px"] | None = None
-    """Unit of length, for files that do not state it."""
+    """Unit of length of a file that does not state it."""
     scale_m: Annotated[float, Field(gt=0, lt=1)] | None = None
-    """Size of a pixel, m (for units px)."""
+    """Size of a pixel, m (for the unit px)."""
     up: Up | None = None
     """Vertical axis of the file (default: determined from the markers)."""
     level: bool | None = None
-    """Whether to remove the tilt of the floor (default: where it is certain)."""
+    """Whether the tilt of the floor is removed (default: if the tilt is certain)."""
     rate_hz: Annotated[float, Field(gt=0, le=1e5)] | None = None
-    """Frames per second, for files without times."""
+    """Frame rate of a file without times, Hz."""
     markers: dict[str, MarkerPlace | Literal["ignore"]] = {}
-    """Marker → {connector: 1}, {middle: 1}, {connector: 1, side: ahead} or ignore; if any marker has a
-    place, all markers without one are ignored."""
+    """Place of each marker: {connector: 1}, {middle: 1}, {connector: 1, side: ahead} or
+    ignore. If any marker has a place, all markers without a place are ignored."""
     bodies: dict[str, MarkerPlace | Literal["ignore"]] = {}
-    """Rigid body → as for markers; its rotation gives a heading."""
+    """Place of each rigid body, in the format of markers."""
     log: dict[str, str | Annotated[float, Field(gt=0, le=1e4)] | LogColumn] = {}
-    """valve_plus_1, duty_plus_1, pressure_kpa_plus_1, setpoint_kpa_plus_1 or bend_1 → column of a log, or
-    {column: P1, unit: bar}; time → its column; carrier_hz → carrier frequency of
-    duties; ambient_kpa → pressure to subtract from absolute pressures."""
+    """Columns of a log, given as a name or as {column: P1, unit: bar}. Keys are time,
+    valve_plus_1, duty_plus_1, pressure_kpa_plus_1, setpoint_kpa_plus_1, bend_1 and so
+    on. The key carrier_hz sets the carrier frequency of duties, and ambient_kpa the
+    pressure that is subtracted from absolute pressures."""
     columns: list[str] = []
-    """Names of the columns, for a plain file whose first line has none."""
+    """Column names of a plain file without a header."""
     separator: Literal[",", ";", "|", "tab", "space"] | None = None
     """Separator of the cells of a plain file (default: detected)."""
     decimal: Literal[".", ","] | None = None
     """Decimal mark of a plain file (default: detected)."""
 
     def contradictions(self) -> Iterator[tuple[tuple[str, str], str]]:
-        """Yield invalid log keys, unknown units, and markers without a unique place."""
+        """Yield errors for invalid keys, unknown units and ambiguous marker places."""
         for key, value in self.log.items():
             for problem in _log_problems(key, value):
                 yield ("log", key), problem
@@ -115,7 +117,7 @@ class RecordingMap(StrictModel):
 
     @property
     def ambient(self) -> float:
-        """Pressure subtracted from absolute pressures, Pa; 0 for gauge pressures."""
+        """Pressure subtracted from absolute pressures, Pa, or 0 for gauge pressures."""
         value = self.log.get("ambient_kpa")
         if isinstance(value, float):
             return 1e3 * value
@@ -133,7 +135,7 @@ class RecordingMap(StrictModel):
 
     @property
     def unstated(self) -> Unstated:
-        """Information that the marker file may lack."""
+        """Information for marker files that do not state it."""
         return Unstated(self.rate_hz, self.units, self.scale_m, self.dialect)
 
     def meanings(self, kinds: Collection[str]) -> dict[str, Meaning]:
@@ -150,9 +152,7 @@ class RecordingMap(StrictModel):
         return meanings
 
     def applied(self, table: MarkerTable) -> MarkerTable:
-        """Return the markers that have a place.
-
-        If no marker has a place, all markers that are not ignored are returned.
+        """Return the markers that have a place, or else all that are not ignored.
 
         Raises:
             UnknownNameError: the map names a marker that the file does not have.
@@ -231,8 +231,8 @@ def given_map(
 
     Args:
         path: map file.
-        options: map key → value, which overrides the file; None has no effect.
-        markers: marker places, such as "NAME=connector 1", "NAME=middle 2",
+        options: values by key that override the file. The value None has no effect.
+        markers: places of markers, such as "NAME=connector 1", "NAME=middle 2",
             "NAME=connector 1 ahead" or "NAME=ignore".
 
     Raises:
@@ -274,7 +274,7 @@ def read_map(data: Mapping[str, object]) -> RecordingMap:
     """Return a map from the plain data of `given_map`.
 
     Raises:
-        InputFileError: the data are invalid; the message lists all errors.
+        InputFileError: the data are invalid.
     """
     document = Document("--map", dict(data))
     model = validate(RecordingMap, document, document.data)

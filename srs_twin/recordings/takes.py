@@ -48,23 +48,25 @@ from srs_twin.trajectory import Trajectory
 _LOG = ".valves.csv"
 NO_MARKERS = "bends alone do not tell where a robot crawled; markers are wanted"
 _ROUNDING_S = 1e-6
-"""Maximum excess of a run's duration over its recording due to rounding, s."""
+"""Tolerance for rounding if a run is longer than its recording, s."""
 Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
 class RecordingReader:
-    """Reader of recordings and their logs, with common settings.
+    """Reader of recordings and logs with common settings.
 
     Attributes:
         up: axis of the file that points up, one of `floor.UPS`.
         layout: marker layout, one of `body.layout.LAYOUTS`.
-        head: column name of the marker at the head; None for the end towards which the
-            robot crawls.
-        map: recording map, which says what markers and columns measure.
-        longest_gap_s: maximum gap that is filled, s.
-        offset_s: clock offset added to the times of the log, s; None estimates it.
-        gait_frequency_hz: gait frequency, Hz; None takes it from the valve pattern.
+        head: column name of the marker at the head, or None for the end in the
+            direction of motion.
+        map: recording map, which states what markers and columns measure.
+        longest_gap_s: maximum duration of a gap that is filled, s.
+        offset_s: clock offset added to the times of the log, s, or None to estimate the
+            offset.
+        gait_frequency_hz: gait frequency, Hz, or None to compute it from the valve
+            states.
     """
 
     up: str = "auto"
@@ -78,12 +80,12 @@ class RecordingReader:
     def motion(
         self, path: str, spec: RobotSpec, frequency: float | None = None
     ) -> Recording:
-        """Read a captured motion; see `read_motion`.
+        """Read a captured motion with `read_motion`.
 
         Args:
             path: recording file.
             spec: recorded robot.
-            frequency: gait frequency if the reader has none, Hz.
+            frequency: gait frequency that applies if the reader has none, Hz.
         """
         return read_motion(
             path,
@@ -99,7 +101,7 @@ class RecordingReader:
     def body(
         self, path: str, spec: RobotSpec, frequency: float | None = None
     ) -> Recording:
-        """Read the measured motion from markers or from a bend log; see `motion`."""
+        """Read the measured motion from markers, like `motion`, or from a bend log."""
         if not is_bend_log(path, self.map):
             return self.motion(path, spec, frequency)
         gap = self.longest_gap_s
@@ -116,10 +118,12 @@ class RecordingReader:
     def joined(
         self, body: Recording, log: ValveLog, spec: RobotSpec, *, one_file: bool
     ) -> Recording:
-        """Join a motion with a log on one clock; columns of one file already share it.
+        """Join a motion with a log on one clock.
+
+        No clock offset is needed if both come from one file.
 
         Raises:
-            InputError: `join` cannot synchronise them.
+            InputError: `join` cannot synchronise the clocks.
         """
         offset = 0.0 if one_file and self.offset_s is None else self.offset_s
         return join(body, log, spec, offset=offset)
@@ -135,7 +139,7 @@ class RecordingReader:
         except InputError:
             self.body(
                 path, spec
-            )  # the motion's errors come first: its path names the default log
+            )  # errors of the motion come first, because its path names the default log
             raise
         return self.joined(
             self.body(path, spec, log.gait_frequency()),
@@ -150,7 +154,7 @@ def logs_of(takes: Sequence[str], given: Sequence[str]) -> list[str]:
 
     Args:
         takes: motion files.
-        given: paths of the logs in the order of the takes; empty for default logs.
+        given: paths of the logs in the order of the takes, or empty for default logs.
 
     Raises:
         InputError: the number of logs differs from the number of takes.
@@ -169,7 +173,7 @@ def logs_of(takes: Sequence[str], given: Sequence[str]) -> list[str]:
 
 def _log_of(take: Path) -> str:
     if not take.name:
-        return str(take)  # an empty name is the current folder, not a recording
+        return str(take)  # an empty path would be the current folder
     beside = take.with_name(take.stem + _LOG)
     own = take.suffix.lower() in BAG_SUFFIXES or take.is_dir()
     return str(take if own and not os.path.lexists(beside) else beside)
@@ -216,9 +220,11 @@ class RecordingFile(ExtensionSection):
     measures = True
 
     motion: FilePath
-    """Motion capture file (docs/logs.md#file-formats), or for a bench a CSV file with time,bend_1,…."""
+    """Motion capture file (docs/logs.md#file-formats), or a CSV file with the columns
+    time,bend_1,… of a robot on a bench."""
     valves: FilePath | None = None
-    """Log of valves or pressures, a plain CSV or MCAP file (default: NAME.valves.csv in the same folder)."""
+    """Plain CSV or MCAP log of valves or pressures (default: NAME.valves.csv in the
+    folder of the recording)."""
     offset_s: float | None = quantity(-1e9, 1e9)
     """Clock offset added to the times of the log (default: estimated)."""
     gait_frequency_hz: float | None = quantity(0.01, 50.0)
@@ -228,12 +234,13 @@ class RecordingFile(ExtensionSection):
     layout: Literal["auto", Layout] = constructor_default()
     """Marker layout."""
     map: RecordingMap = constructor_default()
-    """Recording map: quantities of markers, rigid bodies and columns (docs/logs.md#recording-map)."""
+    """Recording map, which states what markers, rigid bodies and columns measure
+    (docs/logs.md#recording-map)."""
     head: Line | None = constructor_default()
-    """Column of the marker at the head (default: the end in the direction of motion).
+    """Column name of the marker at the head (default: end in the direction of motion).
     """
     longest_gap_s: float = quantity(0.0, 10.0)
-    """Longest gap that is interpolated."""
+    """Maximum duration of a gap that is interpolated."""
 
     def contradictions_with(self, file: FileSections) -> Iterator[Contradiction]:
         """See `ExtensionSection.contradictions_with`."""
@@ -331,7 +338,7 @@ def _read(document: Document, key: str, read: Callable[[], Result]) -> Result | 
     try:
         return read()
     except UnknownNameError as error:
-        # The file was found, so report which marker or column it lacks.
+        # The file exists, so the error is about a missing marker or column.
         document.report(
             ("recording", "head" if document.get("recording", "head") else "map"),
             str(error),

@@ -1,19 +1,18 @@
 """Floor plane of a recording: vertical axis and transformation to floor coordinates.
 
-Each marker of a crawling snake keeps its height, so its displacements d over time are
-parallel to the floor. Candidate normals n are cross products d₁ × d₂. The candidate
-with the smallest median |n·d| is refined by principal components of the displacements
-close to its plane. A recording without motion has only the marker positions, and
-markers of unequal height tilt a plane through them.
+**Vertical axis.** Each marker of a crawling snake keeps its height, so the marker's
+displacements d over time are parallel to the floor. Candidate normals n are cross
+products d₁ × d₂. The candidate with the smallest median |n·d| is refined by a principal
+component analysis of the displacements close to its plane. If the snake does not move,
+the plane is fitted to the marker positions, although unequal heights of the markers
+tilt it. The axis of the file closest to the normal is taken as the upward axis.
 
-The file axis closest to the normal is taken as the upward axis.
-
-A recording is levelled only if its tilt is certain. A robust fit of marker heights over
-marker positions gives the gradients of the floor. A level snake that lifts in phase
-with its motion looks like a tilt: a lift of rms L and a displacement of rms S give the
-gradient L/S. Each principal direction of the motion is tested alone. A gradient counts
-as a tilt if it exceeds twice the gradient due to a lift of 1 % of the body length. A
-snake that crawls far or turns has a large S.
+**Levelling.** The tilt of a recording is removed only if it is certain. The gradients
+of the floor are found by a robust fit of marker heights over marker positions. A snake
+that lifts in phase with its motion produces an apparent gradient L/S, where L is the
+RMS lift and S the RMS displacement. A gradient therefore counts as a tilt only if it
+exceeds twice the gradient due to a lift of 1 % of the body length. Each principal
+direction of the motion is tested separately.
 
 Each transformation is a rotation, so left and right are preserved:
 
@@ -48,31 +47,28 @@ MAPS = {
     "-y": ((0, 1), (2, 1), (1, -1)),
     "-x": ((1, 1), (2, -1), (0, -1)),
 }
-"""Vertical axis → (file axis, sign) of the floor's x, of its y, and of the height."""
+"""File axis and sign of the floor coordinates x, y and height, per vertical axis."""
 
 UPS = ("auto", *MAPS)
 
 _SAMPLES = 20_000
 """Maximum number of positions or displacements that are used."""
 _LAG_FRACTIONS = (60, 30, 10)
-"""Divisors of the recording's duration that give the durations of displacements."""
+"""Divisors of the duration of a recording that give the durations of displacements."""
 _NORMALS = 400
 """Number of candidate normals."""
 _LIFT_FRACTION = 0.01
-"""Root mean square lift in phase with the motion, relative to the body length.
-
-A tilt must exceed the apparent tilt due to this lift.
-"""
+"""RMS lift of a snake in phase with the motion, relative to the body length."""
 _CERTAIN_RATIO = 2.0
-"""Minimum gradient of a tilt, relative to the gradient due to a lift in phase."""
+"""Minimum gradient of a certain tilt, relative to the gradient due to a lift."""
 _EXTENT_FRAMES = 200
 """Number of sampled frames from which the body length is computed."""
 _FIT_ITERATIONS = 8
 """Number of iterations of the robust fit of the gradients."""
 _MAX_SHIFT = 1e-3
-"""Shift of high markers against low markers above which a tilt is removed, m."""
+"""Displacement of high against low markers above which a tilt is removed, m."""
 _PLANE_RATIO = 3.0
-"""Minimum ratio of the spread in a plane to the spread normal to a known plane."""
+"""Minimum ratio of the spread in a plane to the spread normal to the plane."""
 _MAX_TILT = np.radians(3.0)
 """Tilt above which the recording is levelled."""
 _MAX_AXIS_TILT = np.radians(30.0)
@@ -84,8 +80,8 @@ class FloorPlane:
     """Markers in floor coordinates, with the detected vertical axis.
 
     Attributes:
-        points: x and y on the floor, and height above the origin of the file (0 if the
-            file has no heights), shape (frames, columns, 3), m.
+        points: coordinates x and y on the floor and height above the origin of the file
+            (0 if the file has no heights), shape (frames, columns, 3), m.
     """
 
     up: str
@@ -103,11 +99,11 @@ def map_to_floor(
         up: vertical axis, one of `UPS`.
         usual: usual vertical axis of the file format, used if the markers do not
             determine the axis.
-        level: whether to remove the tilt of the floor; None removes a certain tilt.
+        level: whether the tilt of the floor is removed. None removes a certain tilt.
 
     Raises:
-        InputError: a plane file does not have the axis, or the vertical axis cannot be
-            determined.
+        InputError: the file has only two coordinates and lacks the axis, or the
+            vertical axis cannot be determined.
     """
     notes: list[str] = []
     planar = points.shape[-1] == 2
@@ -166,7 +162,7 @@ def _find_floor(
             f"the plane of the markers is tilted by {np.degrees(tilt):.0f}° from all"
             " axes; rotate the recording, or give --up x, y or z, or `up` in a map"
         )
-    # The calibration square that sets the origin lies on the floor, so the markers are
+    # The origin is set by a calibration square on the floor, so all markers must be
     # above it.
     height = float(np.median(visible[:, axis]))
     up = ("-" if height < -1e-3 else "") + "xyz"[axis]
@@ -224,8 +220,7 @@ def _rotated(points: np.ndarray, normal: np.ndarray, axis: int) -> np.ndarray:
 def _fit_slopes(place: np.ndarray, height: np.ndarray) -> tuple[np.ndarray, float]:
     """Return the gradients of the floor and the residual of the heights, m.
 
-    Each marker has its own height above the floor. Markers that move up and down, such
-    as a cap on a head, get little weight.
+    Markers that move up and down, such as a cap on a head, get little weight.
     """
     x, y = (place - np.nanmean(place, axis=0)).reshape(-1, 2).T
     z = (height - np.nanmean(height, axis=0)).ravel()
@@ -253,7 +248,7 @@ class _Spreads(NamedTuple):
 
 
 def _spreads(place: np.ndarray) -> _Spreads:
-    """Return the spreads from the median of the covariances of all markers."""
+    """Return standard deviations from the median of the covariances of all markers."""
     moved = place - np.nanmean(place, axis=0)
     products = moved[..., :, None] * moved[..., None, :]
     covariance = np.nanmedian(np.nanmean(products, axis=0), axis=0)
@@ -270,7 +265,6 @@ def _body_extent(place: np.ndarray) -> float:
 
 
 def _displacements(points: np.ndarray) -> np.ndarray:
-    """Return the larger half of the displacements, shape (samples, 3), m."""
     lags = {max(1, len(points) // parts) for parts in _LAG_FRACTIONS}
     moved = np.concatenate(
         [(points[lag:] - points[:-lag]).reshape(-1, 3) for lag in sorted(lags)]
@@ -288,7 +282,7 @@ def _is_plane(spread: np.ndarray) -> bool:
 
 
 def _principal_axes(moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return ascending spreads about the origin and their axes, without outliers."""
+    """Return ascending spreads about the origin and the axes, without outliers."""
     pairs = np.random.default_rng(0).integers(len(moved), size=(2, _NORMALS))
     normals = np.cross(*moved[pairs])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-18)

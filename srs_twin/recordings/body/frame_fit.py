@@ -1,4 +1,4 @@
-r"""Least-squares pose, bends and segment lengths of the body on single frames.
+r"""Least-squares fit of pose, bends and segment lengths to single frames.
 
 **Model.** A *station* is a point along the body. The even stations 0, 2, 4, … are the
 connectors, head first, and the odd stations are the middles of the segments between
@@ -20,10 +20,11 @@ $$ \sum_m \frac{|p_m - \hat p_m|^2}{\sigma^2} + \sum_j \frac{(\ell_j - \bar\ell_
    + \frac{\varepsilon^2}{\sigma_\varepsilon^2} + \sum_j \frac{(q_j - \hat
    q_j)^2}{\sigma_q^2}. $$
 
-The Gauss-Newton method finds the minimum, and the inverse of its matrix gives the
-standard errors. The last term applies only to frames with hidden markers and keeps
-their bends close to a spline through the bends of the other frames. The term of ε, the
-mean alternating bend, applies only if the segment lengths are fixed (`shape`).
+The minimum is found by the Gauss-Newton method. The standard errors follow from the
+inverse of the Gauss-Newton matrix. The last term applies only to frames with hidden
+markers, whose bends it keeps close to a spline through the bends of the other frames.
+The term with ε, the mean alternating bend, applies only if the segment lengths are
+fixed (`shape`).
 """
 
 from __future__ import annotations
@@ -39,39 +40,37 @@ from srs_twin.robot.geometry import half_angle_terms
 from srs_twin.robot.spec import Geometry
 
 SIDE_DIRECTIONS = {"": 0, "ahead": 1, "behind": -1, "left": 1j, "right": -1j}
-"""Side of a station → direction to the marker in the frame of the station."""
+"""Direction from a station to a marker on each side, in the frame of the station."""
 
 _MAX_PAIR_ANGLE = np.radians(25.0)
 """Maximum angle between a marker pair and the direction along or across the body."""
 _BEND_STD = 0.15
-"""σ_q, standard deviation of bends in frames with hidden markers, rad.
-
-The deviation is measured from a spline through the other frames.
+"""Standard deviation σ_q of bends from the spline in frames with hidden markers, rad.
 """
 _HIDDEN_STD = 1e-2
 """Assumed error of the interpolated position of a hidden marker, m."""
 _FLAT_PRIOR_STD = 1e3
 """Prior standard deviation of headings and bends, rad.
 
-It is so large that it only prevents singular matrices.
+The prior is so weak that it only prevents singular matrices.
 """
 _MAX_ANGLE_STEP = 0.3
 """Maximum change of heading and bends in a Gauss-Newton step, rad."""
 _MAX_STEPS = 15
 """Maximum number of Gauss-Newton steps."""
 _CONVERGED_STEP = 1e-5
-"""Step size at which the iteration stops, rad and m.
+"""Step size below which the iteration stops, rad and m.
 
 Convergence is quadratic, so the next step would be negligible.
 """
 _MAX_LENGTH = 1e3
-"""Maximum segment length, m, because fits of wrong marker assignments may diverge."""
+"""Maximum segment length, m. Fits of wrong marker assignments may diverge."""
 _ALTERNATING_STARTS = np.linspace(-0.6, 0.6, 13)
 """Initial values of ε, rad."""
 _SWAP_NOISE = 4.0
-"""Minimum distance from the body, divided by the noise, of a swapped sample.
+"""Distance from the body, divided by the noise, that suggests swapped markers.
 
-A sample beyond it is tried as the other marker of its pair.
+The sample is then assigned to the other marker of the pair for comparison.
 """
 
 
@@ -88,7 +87,8 @@ class MarkerPlacement:
 
     Attributes:
         station: station of each marker, shape (markers,).
-        offset: offset from the station in its frame, shape (markers,), complex, m.
+        offset: offset of each marker in the frame of the station, shape (markers,),
+            complex, m.
     """
 
     station: np.ndarray
@@ -125,8 +125,8 @@ class MarkerPlacement:
         jacobian[..., 0] = 1
         jacobian[..., 1] = 1j
         jacobian[..., 2] = 1j * (marker - station[:, :1])
-        # A half segment moves all stations behind it. Its bend rotates them about its
-        # rear end and changes its chord. Its length displaces them.
+        # The bend of a half segment rotates all stations behind it about its rear end
+        # and changes its chord. The length displaces the stations behind it.
         moved = self.station[:, None] > np.arange(2 * count)
         chord_slope = front_direction * (length * arc_slope - 1j * after * rotation)
         by_turn = -chord_slope[:, None] - 1j * (
@@ -200,7 +200,8 @@ def marker_offsets(
             side_distance = abs(sides[0] - sides[1]) if all(sides) else 1
             offsets[group] = [distance * side / side_distance for side in sides]
             continue
-        # Direction of the pair relative to the line between the adjacent stations.
+        # The argument of the ratio is the angle between the pair and the line that
+        # joins the adjacent stations.
         ratio = line / (centres[max(k - 1, 0)] - centres[min(k + 1, len(centres) - 1)])
         visible = ~missing[:, group].any(axis=1)
         ratio = ratio[visible] if visible.any() else ratio
@@ -222,9 +223,10 @@ class StatePrior:
     """Noise of the markers and prior of the state.
 
     Attributes:
-        noise: σ, standard deviation of a marker coordinate, m.
-        length_mean: mean lengths, shape (segments,), m.
-        alternating_std: σ_ε, rad; None if the markers determine ε.
+        noise: standard deviation σ of a marker coordinate, m.
+        length_mean: mean segment lengths, shape (segments,), m.
+        alternating_std: standard deviation σ_ε, rad, or None if the markers determine
+            ε.
     """
 
     noise: float
@@ -307,7 +309,7 @@ def fit_frames(
         measured: marker positions, shape (frames, markers), complex, m.
         placement: marker placement.
         prior: state prior.
-        missing: mask of hidden markers, shape (frames, markers); None if all markers
+        missing: mask of hidden markers, shape (frames, markers), or None if all markers
             are visible.
     """
     count = len(prior.length_mean)
@@ -320,8 +322,7 @@ def fit_frames(
         weight[missing] = _HIDDEN_STD**-2
         information[prior.bends, prior.bends] += _BEND_STD**-2 * np.eye(count)
         prior_mean[:, prior.bends] = state[:, prior.bends]
-    # `active` holds the frames that have not converged, so that finished frames cost
-    # nothing.
+    # Only the frames that have not converged (`active`) are iterated.
     state, active = state.copy(), np.arange(len(state))
     max_step = np.repeat([np.inf, _MAX_ANGLE_STEP, np.inf], [2, 1 + count, count])
     bound = np.repeat([np.inf, 2 * np.pi, _MAX_LENGTH], [3, count, count])
@@ -344,8 +345,8 @@ def fit_frames(
         if not active.size:
             break
     covariance = np.linalg.inv(data + information)
-    # The trace counts the parameters that the markers determine; the prior determines
-    # the rest.
+    # The trace is the number of parameters that the markers determine. The prior
+    # determines the others.
     parameters = np.einsum("fuv,fvu->", covariance, data)
     squares = weight * np.abs(residual) ** 2
     deviation = prior_mean - state
@@ -364,10 +365,10 @@ def fit_incomplete_frames(
     placement: MarkerPlacement,
     prior: StatePrior,
 ) -> FrameFit:
-    """Fit the states of frames with hidden markers; see `fit_frames` for the arguments.
+    """Fit the states of frames with hidden markers, with arguments as in `fit_frames`.
 
     If only one marker of a pair is visible, tracking may have mistaken it for the other
-    marker. The assignment with the smaller cost is used.
+    marker. Both assignments are fitted, and the one with the smaller cost is used.
     """
     best = fit_frames(state, measured, placement, prior, missing)
     for station in np.unique(placement.station):
@@ -442,8 +443,7 @@ def _fixed_length_states(
     """Return approximate states for fixed lengths, with ε from a coarse grid.
 
     Each connector has one marker. By symmetry, the direction α_j from one connector to
-    the next is the mean of their headings. Each heading is therefore the mirror image
-    of the previous heading: θ_{j+1} = 2α_j − θ_j.
+    the next is the mean of the two headings, so θ_{j+1} = 2α_j − θ_j.
     """
     count = len(prior.length_mean)
     order = np.argsort(placement.station)

@@ -1,16 +1,17 @@
-"""Layout of the markers: tracks of the robot, possible layouts, and order on the body.
+"""Layout of the markers on the robot, and their order along the body.
 
-The layout ``single`` has one marker per connector. ``head`` adds a marker in front of
-the head, which gives its heading. ``pair`` has two markers per connector, along or
-across the body, as the first and third robot of the dissertation (Sections 2.3.1 and
-2.3.2). ``middles`` has one marker per connector and one at the middle of each segment.
-``head_middles`` adds a marker in front of the head to ``middles``.
+The layouts are:
 
-Neighbours along the body are never farther apart than a straight segment, while other
-markers sometimes are. The body is therefore the minimum spanning tree of the maximum
-distances. Markers on one rigid part keep their distance.
+- ``single``: one marker per connector.
+- ``head``: one marker per connector, and one in front of the head.
+- ``pair``: two markers per connector, along or across the body, as on the first and the
+  third robot of the dissertation (Sections 2.3.1 and 2.3.2).
+- ``middles``: one marker per connector, and one at the middle of each segment.
+- ``head_middles``: like ``middles``, with one more marker in front of the head.
 
-Errors raised here do not name the file; `read_motion` adds its name.
+Markers on adjacent connectors are never farther apart than the length of a straight
+segment, while other markers sometimes are. The order along the body is therefore the
+minimum spanning tree of the maximum distances.
 """
 
 from __future__ import annotations
@@ -43,15 +44,15 @@ LAYOUT_SIZES: dict[str, LayoutSize] = {
     "middles": LayoutSize(2, -1),
     "head_middles": LayoutSize(2, 0),
 }
-"""Layout → number of markers."""
+"""Number of markers of each layout."""
 
 LAYOUTS = ("auto", *LAYOUT_SIZES)
-"""Names of the layouts; "auto" determines the layout from the markers."""
+"""Names of the layouts. "auto" determines the layout from the markers."""
 
 MIN_COVERAGE = 0.2
 """Minimum fraction of the frames on which a marker of the robot is visible."""
 _MAX_NEIGHBOUR_PITCH = 2.0
-"""Maximum distance of a robot's marker from the nearest marker, in segment lengths."""
+"""Maximum distance of a marker from the nearest marker, in segment lengths."""
 _MIN_EXTENT = 0.1
 """Minimum extent of all markers, in lengths of the straight body."""
 _MAX_NEAREST_PITCH = 2.5
@@ -59,23 +60,22 @@ _MAX_NEAREST_PITCH = 2.5
 _DISTANCE_FRAMES = 2000
 """Number of sampled frames from which distances are computed."""
 _NEIGHBOUR_FRAMES = 300
-"""Number of sampled frames on which neighbours are searched."""
+"""Number of sampled frames on which the nearest marker is searched."""
 _SAME_HEIGHT = 0.05
-"""Maximum height difference of a robot's marker from most markers, m."""
+"""Maximum difference of height of a robot marker from most markers, m."""
 _CONSTANT_HEIGHT = 0.02
-"""Maximum range of the height of a robot's marker at an unusual height, m."""
+"""Maximum range of the height of a robot marker at an unusual height, m."""
 _MAX_DISTANCE_RANGE = 0.5
-"""Maximum range of such a marker's distance from a robot's marker, as a fraction."""
+"""Maximum relative range of the distance of such a marker from a robot marker."""
 _MIN_MOTION_RATIO = 0.2
-"""Minimum motion of such a marker, divided by the motion of the robot's marker."""
+"""Minimum motion of such a marker, divided by the motion of the robot marker."""
 
 
 def foreign_tracks(tracks: np.ndarray) -> dict[int, str]:
     """Return the tracks that do not belong to the robot, with reasons.
 
-    A marker at an unusual height, for example on a mast, belongs to the robot if it
-    moves together with another marker of the robot. The marker must also keep this
-    height and its distance from the other marker.
+    A marker at an unusual but constant height, for example on a mast, belongs to the
+    robot if it moves with a robot marker at a nearly constant distance.
 
     Args:
         tracks: floor coordinates, shape (frames, tracks, 3), m.
@@ -96,8 +96,8 @@ def foreign_tracks(tracks: np.ndarray) -> dict[int, str]:
     ]
     height_range = {k: _range(heights[k]) for k in different}
     candidates = [k for k in different if height_range[k] <= _CONSTANT_HEIGHT]
-    # A marker may be attached to a marker that has just been accepted, so repeat the
-    # search.
+    # The search is repeated because a marker may move with a marker that has just been
+    # accepted.
     while accepted := [
         k
         for k in candidates
@@ -143,14 +143,14 @@ def robot_markers(
 
     Args:
         points: positions of all tracks, shape (frames, tracks, 2), m.
-        connectors: connector count N.
+        connectors: number N of connectors.
         pitch: length of a straight segment, m.
-        layout: one of `LAYOUTS`; "auto" selects the layouts with the visible number of
-            markers.
+        layout: layout, one of `LAYOUTS`. "auto" selects the layouts with the visible
+            number of markers.
         named: number of columns whose names state a place on the robot.
 
     Returns:
-        Possible layouts (["named"] for named columns), and the tracks of the robot's
+        Possible layouts (["named"] for named columns), and the tracks of the robot
         markers.
 
     Raises:
@@ -160,7 +160,8 @@ def robot_markers(
     coverage = visible.mean(axis=0)
     candidates = np.flatnonzero(coverage >= MIN_COVERAGE)
     if len(candidates) > connectors and not named:
-        # On most frames on which it is visible, a marker of the robot has a neighbour.
+        # A robot marker is close to another marker on most frames on which it is
+        # visible.
         limit = _MAX_NEIGHBOUR_PITCH * pitch
         has_neighbour = (
             pairwise_distances(points[:, candidates], _NEIGHBOUR_FRAMES) < limit
@@ -176,8 +177,8 @@ def robot_markers(
         counts = {"named": named}
     possible = [layout]
     if layout == "auto":
-        # A marker that was hidden for long may have become two tracks, so count markers
-        # per frame.
+        # Markers are counted per frame, because a marker that was hidden for long may
+        # have become two tracks.
         jobs_option = visible[:, candidates].sum(axis=1)
         if candidates.size:
             count = int(np.quantile(jobs_option, 0.95, method="lower"))
@@ -207,7 +208,7 @@ def _wrong_number(
 
 
 def body_order(points: np.ndarray) -> np.ndarray:
-    """Return the markers in their order along the body, from either end.
+    """Return the markers in their order along the body, starting at either end.
 
     Args:
         points: marker positions, shape (frames, markers, 2), m.
@@ -237,7 +238,7 @@ def rigid_pairs(points: np.ndarray, connectors: int) -> np.ndarray:
     """Return the pairs of markers with a constant distance, shape (connectors, 2).
 
     Raises:
-        InputError: there are no such pairs.
+        InputError: no pairs have a constant distance.
     """
     median, spread = distance_statistics(points)
     score = spread + 0.02 * median
@@ -250,8 +251,8 @@ def rigid_pairs(points: np.ndarray, connectors: int) -> np.ndarray:
         if {a, b} <= free:
             pairs.append((a, b))
             free -= {a, b}
-    # Adjacent pairs along the body may be as close as the markers of a pair. The order
-    # along the body still separates them.
+    # Distances between pairs may be as small and as constant as within pairs. The order
+    # along the body then tells which markers form a pair.
     try:
         in_order = [(int(a), int(b)) for a, b in body_order(points).reshape(-1, 2)]
     except InputError:
@@ -269,11 +270,12 @@ def rigid_pairs(points: np.ndarray, connectors: int) -> np.ndarray:
 def distance_statistics(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return medians and standard deviations of distances, shape (markers, markers), m.
 
-    The standard deviations come from quartiles, so a few wrong frames have no effect.
+    Standard deviations are computed from quartiles, so a few wrong frames have no
+    effect.
     """
     distance = pairwise_distances(points, _DISTANCE_FRAMES)
-    # NaN for a marker and itself, and for two markers that are never visible on one
-    # frame.
+    # A distance is NaN between a marker and itself, and between two markers that are
+    # never visible on a common frame.
     distance[:, np.isnan(distance).all(axis=0)] = np.inf
     with np.errstate(invalid="ignore"):
         low, median, high = np.nanquantile(distance, [0.25, 0.5, 0.75], axis=0)
@@ -290,7 +292,7 @@ def check_scale(points: np.ndarray, spec: RobotSpec) -> None:
         spec: recorded robot.
 
     Raises:
-        InputError: the two nearest markers are too far apart for neighbours, or all
+        InputError: even the two nearest markers are too far apart for the robot, or all
             markers are too close together.
     """
     pitch = spec.geometry.pitch
@@ -325,7 +327,7 @@ def unit_hint(ratio: float) -> str:
 def forward_distance(period: float, points: np.ndarray) -> float:
     """Return the distance travelled towards the first marker, m.
 
-    It is negative for motion towards the last marker.
+    Motion towards the last marker counts as negative.
 
     Args:
         period: time between frames, s.

@@ -1,7 +1,4 @@
-"""Assignment of tracked markers to the body: layout, head, and fitted shape.
-
-Errors raised here do not name the file; `read_motion` adds its name.
-"""
+"""Assignment of tracked markers to the body, and fit of the body shape."""
 
 from __future__ import annotations
 
@@ -49,11 +46,11 @@ _MAX_FIXED_STD = 0.03
 _COMPARED_FRAMES = 600
 """Number of frames on which alternative assignments are compared."""
 _CLEAR_NOISE_RATIO = 1.3
-"""Ratio of the second-best to the best residual noise that makes the best one clear."""
+"""Minimum ratio of the second-best to the best residual noise for a clear decision."""
 _MAX_LENGTH_RATIO = 1.15
-"""Upper bound on the minimum length of a segment, relative to the robot's segment."""
+"""Upper bound on the minimum length of a segment, relative to the nominal length."""
 _MIN_LENGTH_RATIO = 0.85
-"""Lower bound on the maximum length of a segment, relative to the robot's segment."""
+"""Lower bound on the maximum length of a segment, relative to the nominal length."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +61,7 @@ class CapturedMarkers:
         table: marker file.
         points: marker positions, interpolated where hidden, shape (frames, markers, 2),
             m.
-        columns: column of the file from which each sample came, −1 where it is hidden,
+        columns: column of the file that contains each sample, −1 for hidden markers,
             shape (frames, markers).
         other: number of samples in the file that do not belong to the robot.
     """

@@ -2,16 +2,16 @@
 
 `frame_fit` defines the model of the body and fits single frames.
 
-**Lengths.** If the markers alone determine the bends, the lengths are free. Their means
-and σ_ℓ are estimated from the recording by expectation-maximisation. With one marker
-per connector, one quantity ε per frame is not observable: adjacent headings may turn in
-opposite directions, q_j = q_j⁰ + 2(−1)^{j−1} ε. Only constant segment lengths determine
-ε, and near a straight body they determine it poorly. A recording of a stretching body
-is rejected in this case.
+**Lengths.** If the markers alone determine the bends, the segment lengths are free, and
+their means and standard deviation σ_ℓ are estimated by expectation-maximisation. With
+one marker per connector, one quantity ε per frame is not observable: adjacent headings
+may turn in opposite directions, q_j = q_j⁰ + 2(−1)^{j−1} ε. Only the assumption of
+constant segment lengths determines ε, and only poorly if the body is nearly straight.
+Recordings of a stretching body are then rejected.
 
-**Noise.** Differences of high order of the marker positions give σ, because the motion
-vanishes in them. With redundant markers, σ is the residual of the fit instead, which
-includes deviations of the segments from arcs.
+**Noise.** The noise σ is estimated from high-order differences of the marker positions,
+in which the motion vanishes. With redundant markers, σ is the residual of the fit
+instead, which includes deviations of the segments from arcs.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ from srs_twin.recordings.body.tracking import sample_frames
 from srs_twin.robot.spec import Geometry
 
 _MIN_NOISE = 1e-7
-"""Minimum σ, m, because simulated recordings have no noise."""
+"""Minimum value of σ, m. Simulated recordings have no noise."""
 _DEFAULT_NOISE = 5e-4
-"""σ assumed for a recording that is too short for an estimate, m."""
+"""Value of σ for a recording that is too short for an estimate, m."""
 _MAX_DIFFERENCE_ORDER = 8
 """Maximum order of the differences from which the noise is estimated."""
 _NOISE_FRAMES = 20_000
@@ -47,28 +47,26 @@ _NOISE_FRAMES = 20_000
 _MIN_REDUNDANCY = 0.3
 """Minimum number of redundant coordinates per frame for noise from the residual."""
 _MIN_MOTION_RATIO = 0.5
-"""Ratio of the residual to the noise from differences that indicates motion.
-
-Below this ratio, the differences contain motion.
-"""
+"""Ratio of residual to noise below which the differences still contain motion."""
 
 _INITIAL_LENGTH_STD = 0.1
-"""σ_ℓ before expectation-maximisation, relative to the segment length."""
+"""Initial value of σ_ℓ, relative to the segment length."""
 _INITIAL_ALTERNATING_STD = 0.3
-"""σ_ε before expectation-maximisation, rad."""
+"""Initial value of σ_ε, rad."""
 _EM_FRAMES = 400
-"""Number of frames in the expectation-maximisation."""
+"""Number of frames used in the expectation-maximisation."""
 _EM_ITERATIONS = 12
 """Number of iterations of the expectation-maximisation."""
 
 _MAX_BEND_STD = 0.15
-"""Maximum standard error of a determined bend, rad, for noise of `_TEST_NOISE`."""
+"""Standard error up to which a bend counts as determined, rad (noise `_TEST_NOISE`).
+"""
 _TEST_NOISE = 2e-4
 """Noise assumed in the test of `length_model`, m."""
 _FREE_LENGTH_STD = 0.3
-"""σ_ℓ of free lengths in the test of `length_model`, relative to a segment."""
+"""Value of σ_ℓ for free lengths in `length_model`, relative to the segment length."""
 _FIXED_LENGTH_STD = 0.01
-"""σ_ℓ of fixed lengths in the test of `length_model`, relative to a segment."""
+"""Value of σ_ℓ for fixed lengths in `length_model`, relative to the segment length."""
 
 _CHUNK_FRAMES = 2048
 """Number of frames that are fitted at once."""
@@ -76,7 +74,7 @@ _CHUNK_FRAMES = 2048
 _OUTLIER_NOISE = 8.0
 """Minimum distance of an outlier from the body, divided by the noise."""
 _MAX_OUTLIERS = 0.01
-"""Maximum fraction of outliers; a larger fraction means that the model does not fit."""
+"""Maximum fraction of outliers. With more outliers, the model does not fit."""
 _MIN_OUTLIER_DISTANCE = 1e-4
 """Minimum distance of an outlier from the body, m."""
 
@@ -87,7 +85,7 @@ class LengthModel(Enum):
     FREE = "free"
     """Lengths may vary, and the markers determine the bends for any lengths."""
     FIXED = "fixed"
-    """Lengths are constant; the markers determine the bends only because of this."""
+    """Lengths are constant, which the markers need to determine the bends."""
 
 
 @dataclass(frozen=True)
@@ -99,9 +97,8 @@ class BodyShape:
         theta: unwrapped connector headings, shape (frames, N), rad.
         bend_error: standard errors of the bends, shape (frames, segments), rad.
         length: arc lengths of the segments, shape (frames, segments), m.
-        noise: σ, standard deviation of a marker coordinate, m.
-        residual: root mean square distance of the visible markers from the body, shape
-            (frames,), m.
+        noise: standard deviation σ of a marker coordinate, m.
+        residual: RMS distance of the visible markers from the body, shape (frames,), m.
         missing: mask of markers that were hidden or outliers, shape (frames, markers).
     """
 
@@ -128,10 +125,9 @@ class BodyShape:
 def length_model(
     station: np.ndarray, offset: np.ndarray, geometry: Geometry
 ) -> LengthModel | None:
-    """Return the weakest length assumption for which markers determine the bends.
+    """Return the weakest assumption on lengths for which markers determine the bends.
 
-    The result is None if they never do. The standard errors of the bends are computed
-    for one typical shape.
+    The standard errors of the bends are computed for one typical shape.
 
     Args:
         station: station of each marker, shape (markers,).
@@ -154,8 +150,7 @@ def length_model(
         if np.linalg.matrix_rank(matrix, tol=1e-3, hermitian=True) < len(data):
             continue
         error = np.sqrt(np.diag(np.linalg.inv(matrix))[prior.bends])
-        # The length of one segment leaves the sign of ε open, and several lengths
-        # determine it.
+        # The constant length of a single segment does not determine the sign of ε.
         one_per_connector = count > 2 and sorted(station) == list(
             range(0, 2 * count + 1, 2)
         )
@@ -169,12 +164,12 @@ def length_model(
 def marker_noise(points: np.ndarray) -> float:
     """Return the standard deviation of the noise of a coordinate, m.
 
-    White noise of variance σ² gives differences of order n with the variance σ² (2n
-    over n). Motion increases the estimates, and less so at higher orders, so the
-    smallest estimate is returned. A median ignores outliers.
+    Differences of order n of white noise with variance σ² have the variance σ² (2n
+    over n). Motion increases the estimate, mostly at low orders, so the minimum over
+    all orders is returned. A median removes the effect of outliers.
 
     Args:
-        points: marker positions, shape (frames, markers, 2), m; NaN where hidden.
+        points: marker positions, NaN where hidden, shape (frames, markers, 2), m.
     """
     estimates = []
     for order in range(1, min(_MAX_DIFFERENCE_ORDER, len(points) - 2) + 1):
@@ -204,7 +199,7 @@ def fit_shape(
             m.
         missing: mask of hidden markers, shape (frames, markers).
         placement: marker placement.
-        model: assumption on the segment lengths; see `length_model`.
+        model: assumption on the segment lengths, as returned by `length_model`.
     """
     measured = points @ [1, 1j]
     missing = missing.copy()
@@ -212,8 +207,8 @@ def fit_shape(
     noise = marker_noise(np.where(missing[first, :, None], np.nan, points[first]))
     complete = np.flatnonzero(~missing.any(axis=1))
     if len(complete) < 4:
-        # The spline of the bends needs every frame, so hidden markers take their
-        # interpolated positions here.
+        # The spline of the bends needs every frame, so hidden markers have interpolated
+        # positions here.
         complete = np.arange(len(time))
         missing = np.zeros_like(missing)
     sampled = complete[sample_frames(len(complete), _EM_FRAMES)]
@@ -234,8 +229,8 @@ def fit_shape(
     else:
         scale = 1.0
     if prior.alternating_std is not None:
-        # With fixed lengths the fit has little redundancy, so its residual may increase
-        # the errors but not reduce them.
+        # With fixed lengths the fit has little redundancy, so a small residual must not
+        # reduce the standard errors.
         scale = max(scale, 1.0)
     outlier = fits.distance[complete] > max(
         _OUTLIER_NOISE * prior.noise * scale, _MIN_OUTLIER_DISTANCE
@@ -273,7 +268,6 @@ def _body_shape(
     prior: StatePrior,
     scale: float,
 ) -> BodyShape:
-    """Return the shape; `scale` is the ratio of the estimated to the assumed noise."""
     fits.state[:, 2] = np.unwrap(fits.state[:, 2])
     body = MarkerPlacement(np.zeros(0, dtype=int), np.zeros(0), geometry).kinematics(
         fits.state
@@ -307,11 +301,7 @@ class _RecordingFits:
     def update(
         self, frames: np.ndarray, fit: Callable[[np.ndarray], FrameFit]
     ) -> np.ndarray:
-        """Fit frames in chunks and return the sums of χ² and of the degrees of freedom.
-
-        The chunks run in threads on all processors, because NumPy's loops release the
-        interpreter lock.
-        """
+        """Fit frames in chunks, and return the sums of χ² and degrees of freedom."""
 
         def work(rows: np.ndarray) -> tuple[float, float]:
             fitted = fit(rows)
@@ -348,8 +338,8 @@ def _estimated_prior(
             prior.length_mean = np.median(length, axis=0)
         else:
             prior.length_mean = length.mean(axis=0)
-        # The spread of the fitted lengths omits their uncertainty, so the variance is
-        # added.
+        # The variance of the fitted lengths does not include their uncertainty, so it
+        # is added.
         prior.length_std = float(
             np.sqrt(((length - prior.length_mean) ** 2 + variance).mean())
         )
@@ -372,8 +362,8 @@ def _estimated_prior(
                 scale < _MIN_MOTION_RATIO and 2 * iteration >= _EM_ITERATIONS
             ):
                 prior.noise = max(prior.noise * scale, _MIN_NOISE)
-        # With fixed lengths a new prior may change which ε fits best, so restart from
-        # the coarse grid.
+        # With fixed lengths a new prior may change the best ε, so the search restarts
+        # from the coarse grid.
         if fixed:
             start = initial_states(measured, placement, prior)
         else:

@@ -1,24 +1,22 @@
 r"""Tracking of markers through swaps and gaps.
 
 1. *Slots*: some formats start a new column each time a marker reappears. Columns that
-   never contain markers on a common frame are joined into one slot.
-2. *Tracklets*: a tracklet is an interval of one slot in which only one marker can have
-   been visible. The expected position of a marker on the next frame is
+   never contain a marker on a common frame are joined into one slot.
+2. *Tracklets*: a tracklet is an interval of a slot during which all samples certainly
+   belong to one marker. The expected position of a marker on the next frame is
 
    $$ \hat p_k = p_a + (k - a)(p_a - p_{a-1}), $$
 
-   and a link is certain if the sample lies within the gate around it and at most half
-   as far from it as any other sample.
-3. *Tracks*: in chronological order, the tracklets that begin on a frame are assigned to
-   the markers that were lost before it. The Hungarian method minimises the sum of the
-   distances to the expected positions. After a gap of a few frames, a marker is
-   expected to have kept its velocity. After a longer gap, it is expected either at its
-   last position or displaced with the markers around it, whichever is closer.
+   A link to a sample is certain if the sample lies within the gate around this position
+   and all other samples are at least twice as far away.
+3. *Tracks*: the tracklets that begin on a frame are assigned to the markers that were
+   lost before this frame. The Hungarian method minimises the sum of the distances from
+   the expected positions. After a gap of a few frames, a marker is expected to have
+   kept its velocity. After a longer gap, it is expected at its last position or
+   displaced with the markers around it, whichever is closer.
 
 Of 65 synthetic recordings with swaps, gaps and markers that return in new columns, 16
 can be read without tracking and all 65 with tracking.
-
-Errors raised here do not name the file; `read_motion` adds its name.
 """
 
 from __future__ import annotations
@@ -39,20 +37,20 @@ GATE_RATIO = 0.4
 _DISTANCE_FRAMES = 500
 """Number of frames from which the distance of the closest markers is computed."""
 _MIN_SAMPLES = 3
-"""Minimum number of samples of a track; shorter tracks are reflections."""
+"""Minimum number of samples of a track. Shorter tracks are reflections."""
 _MAX_SHORT = 0.03
-"""Fraction of samples in short tracklets above which fast markers are assumed.
+"""Fraction of samples in short tracklets above which short tracklets are kept.
 
-Short tracklets are then kept.
+So many short tracklets are due to fast markers and not to reflections.
 """
 _VELOCITY_FRAMES = 4
-"""Number of frames over which a marker is expected to continue at its velocity."""
+"""Number of frames for which a marker is expected to keep its velocity."""
 _MAX_REACH_RATIO = 6.0
 """Maximum reach after a long gap, divided by the reach after a short gap."""
 _PAST_SAMPLES = 100
 """Number of past samples that define the range of distances to other markers."""
 _RANGE_COST = 3.0
-"""Cost of a distance outside its past range, relative to a distance from prediction."""
+"""Weight of the excess of a distance over the past range in the assignment cost."""
 _FORBIDDEN_COST = 1e6
 """Cost of an assignment beyond the reach, m."""
 
@@ -62,7 +60,7 @@ class Tracks(NamedTuple):
 
     Attributes:
         points: marker positions, NaN where hidden, shape (frames, tracks, 2 or 3), m.
-        columns: column of the file from which each sample came, −1 where it is hidden,
+        columns: column of the file that contains each sample, −1 for hidden markers,
             shape (frames, tracks).
         unassigned: number of samples that belong to no track.
     """
@@ -73,13 +71,13 @@ class Tracks(NamedTuple):
 
 
 def pack_slots(points: np.ndarray) -> Tracks:
-    """Join columns into as few slots as there are markers on one frame.
+    """Join columns into as few slots as possible.
 
     Args:
         points: marker positions, shape (frames, columns, 2 or 3), m.
 
     Raises:
-        InputError: there is no marker.
+        InputError: the file contains no marker.
     """
     visible = ~np.isnan(points[..., 0])
     used = np.flatnonzero(visible.any(axis=0))
@@ -87,8 +85,8 @@ def pack_slots(points: np.ndarray) -> Tracks:
         raise InputError("no marker is visible on any frame")
     first = visible[:, used].argmax(axis=0)
     last = len(visible) - 1 - visible[::-1, used].argmax(axis=0)
-    # The heap holds (last frame, slot), so that the slot that has been free for longest
-    # comes first.
+    # The heap contains (last frame, slot). The slot that has been free for the longest
+    # time is reused first.
     ends: list[tuple[int, int]] = []
     slot_of = np.empty(len(used), dtype=int)
     for k in np.lexsort((used, first)):
@@ -126,7 +124,7 @@ def sample_frames(count: int, limit: int) -> np.ndarray:
 def pairwise_distances(points: np.ndarray, frames: int) -> np.ndarray:
     """Return all distances on sampled frames, shape (frames, points, points), m.
 
-    They are NaN between a point and itself, and where one of the points is hidden.
+    Distances are NaN between a point and itself and between hidden points.
     """
     sampled = points[sample_frames(len(points), frames)]
     distance = np.asarray(
@@ -138,7 +136,7 @@ def pairwise_distances(points: np.ndarray, frames: int) -> np.ndarray:
 
 def _certain_links(points: np.ndarray, gate: float) -> np.ndarray:
     step = np.diff(points, axis=0, prepend=np.nan)
-    # A jump is not extrapolated, because the next expected position would be far away.
+    # After a jump the velocity is unknown, so the position is not extrapolated.
     step[np.isnan(step).any(axis=-1) | (np.linalg.norm(step, axis=-1) > 2 * gate)] = 0.0
     expected = np.full_like(points, np.nan)
     expected[1:] = points[:-1] + step[:-1]
@@ -280,8 +278,7 @@ class _Tracker:
     ) -> np.ndarray:
         """Return the cost of each assignment, shape (tracklets, tracks), m.
 
-        The reach increases with the duration of a gap up to a limit. The trajectory is
-        cut at longer gaps, so there the identity of a marker does not matter.
+        The reach increases with the duration of a gap, up to `_MAX_REACH_RATIO`.
         """
         gap = frame - self._end[tracks]
         moved = (
@@ -313,7 +310,7 @@ class _Tracker:
     def _range_violation(
         self, track: int, frame: int, starts: np.ndarray
     ) -> np.ndarray:
-        """Return how far distances leave their past ranges, shape (tracklets,), m."""
+        """Return the excess of distances over past ranges, shape (tracklets,), m."""
         others = np.flatnonzero(self.slots[frame] >= 0)
         past = np.flatnonzero(self.slots[: self._end[track] + 1, track] >= 0)
         past = past[:: len(past) // _PAST_SAMPLES + 1][:, None]
@@ -333,10 +330,7 @@ class _Tracker:
 def _move_rigidly(
     point: np.ndarray, before: np.ndarray, after: np.ndarray
 ) -> np.ndarray:
-    """Move a point with the weighted rigid motion of other points over the floor.
-
-    The motion is a least-squares fit in which close points have more weight.
-    """
+    """Move a point with the rigid motion of other points, weighted by distance."""
     weight = 1.0 / (((before - point)[:, :2] ** 2).sum(axis=1) + 1e-6) ** 2
     weight /= weight.sum()
     centre = weight @ before

@@ -1,19 +1,17 @@
 r"""Columns, metadata and summary of a measured trajectory.
 
-The columns have the names of a plant's columns.
-
-A velocity is the slope of a moving line (Section 3.4.1): the least-squares line through
-a sample and the n samples before and after it, with n = 5 in the dissertation,
+A velocity is the slope of a moving line (Section 3.4.1). The line is a least-squares
+fit to a sample and the n samples before and after it, with n = 5 in the dissertation:
 
 $$ v_k = \frac{\sum_m (t_m - \bar t)(y_m - \bar y)}{\sum_m (t_m - \bar t)^2}, \qquad m = k-n \ldots k+n. $$
 
-The slope has no lag. It attenuates an oscillation with angular frequency ω by the
-factor
+The slope has no lag. The amplitude of an oscillation with the angular frequency ω is
+multiplied by the factor
 
-$$ \frac{3 \sum_{m=1}^{n} m \sin(m \omega \Delta t)}{n (n + 1)(n + \tfrac12)\, \omega \Delta t}, $$
+$$ \frac{3 \sum_{m=1}^{n} m \sin(m \omega \Delta t)}{n (n + 1)(n + \tfrac12)\, \omega \Delta t}. $$
 
-which is 0.97 for 2 Hz at 120 frames per second. At the 15 frames per second of the
-dissertation it is 0 for 2 Hz and 0.82 for 0.6 Hz.
+At 120 frames per second, this factor is 0.97 for 2 Hz. At the 15 frames per second of
+the dissertation, it is 0 for 2 Hz and 0.82 for 0.6 Hz.
 """
 
 from __future__ import annotations
@@ -33,18 +31,19 @@ from srs_twin.trajectory import Trajectory
 
 @dataclass(frozen=True)
 class MarkerCounts:
-    """Numbers on the markers of a recording.
+    """Numbers and errors of the markers in a recording.
 
     Attributes:
-        header_frames: number of frames that the header states; None if it states none.
+        header_frames: number of frames that the header states, or None.
         frames_missing: number of frames that the file skips and that were inserted.
-        samples_other: number of positions that do not belong to the robot, because they
-            are reflections, other markers or short tracks.
-        longest_filled_s: longest gap that was filled, between the samples around it, s.
-        spacing_m: 98 % quantile of the distances of adjacent connectors, head first, m.
-        residual_m: root mean square distance of the markers from the fitted body, m.
+        samples_other: number of positions that do not belong to the robot, such as
+            reflections, other markers and short tracks.
+        longest_filled_s: duration of the longest gap that was filled, s.
+        spacing_m: 98 % quantile of the distance of each pair of adjacent connectors,
+            ordered from the head, m.
+        residual_m: RMS distance of the markers from the fitted body, m.
         noise_m: standard deviation of a marker coordinate, m.
-        bend_error_rad: root mean square of the standard errors of the bends, rad.
+        bend_error_rad: RMS of the standard errors of the bends, rad.
     """
 
     header_frames: int | None
@@ -71,11 +70,8 @@ class LogSummary:
     Attributes:
         kind: file format, for example "Motive CSV 1.21", "plain CSV" or "bend log".
         frames_read: number of rows of the file that were used.
-        samples_filled: number of positions or bends that were interpolated in the kept
-            frames.
-        start: time of the first frame of the trajectory, s.
-        end: time of the last frame of the trajectory, s.
-        markers: numbers on the markers; None for a bend log.
+        samples_filled: number of interpolated positions or bends in the trajectory.
+        markers: numbers and errors of the markers, or None for a bend log.
     """
 
     source: str
@@ -108,9 +104,9 @@ class LogSummary:
             kind: file format.
             frames: frame grid.
             time: times of the kept frames, s.
-            filled: interpolated sample count.
+            filled: number of interpolated samples.
             corrections: notes on changes.
-            markers: numbers on the markers; None for a bend log.
+            markers: numbers on the markers, or None for a bend log.
         """
         head = (
             source.name,
@@ -188,21 +184,22 @@ HALF_WIDTH = 5
 def moving_slope(
     time: np.ndarray, values: np.ndarray, half_width: int = HALF_WIDTH
 ) -> np.ndarray:
-    """Return the rate of change of signals as slopes of a moving least-squares line.
+    """Return the derivatives of signals as slopes of a moving least-squares line.
 
     Args:
         time: ascending times, shape (frames,), s.
         values: finite signals, shape (frames, …).
-        half_width: n. Near the ends, the line uses the samples that exist.
+        half_width: number n of samples on each side. Near the ends of the signal, the
+            line uses fewer samples.
 
     Returns:
-        Rates of change per second, with the shape of `values`.
+        Time derivatives, with the shape of `values`.
     """
     n = half_width
     frames = len(time)
     flat = np.asarray(values, dtype=float).reshape(frames, -1)
-    # The sums are relative to the time and value of the middle sample, so that large
-    # times lose no digits.
+    # Times and values are taken relative to the middle sample to avoid rounding errors
+    # of large times.
     sums = np.zeros((frames, 3 + 2 * flat.shape[1]))
     for shift in range(-n, n + 1):
         middle = slice(max(0, -shift), frames - max(0, shift))
@@ -242,7 +239,7 @@ def body_trajectory(
 ) -> Trajectory:
     """Return the trajectory of a tracked body.
 
-    The masses of the robot give the centre of mass.
+    The centre of mass is computed with the masses of the robot.
     """
     shape = body.shape
     mass_fraction = spec.mass.array() / spec.mass.total
@@ -284,7 +281,7 @@ def pose_columns(
 
 
 def name_of(path: str) -> str:
-    """Return the file name of a path, which may come from another operating system."""
+    """Return the file name of a path of any operating system."""
     return path.replace("\\", "/").rpartition("/")[2]
 
 
@@ -308,7 +305,7 @@ def measured_trajectory(
         columns: signals by name.
         spec: recorded robot.
         summary: file summary.
-        gait_frequency_hz: gait frequency, Hz; None if it is unknown.
+        gait_frequency_hz: gait frequency, Hz, or None if it is unknown.
     """
     units = {
         name: unit

@@ -1,8 +1,8 @@
 """File formats of motion recordings: identification and readers.
 
 A format is a `base.Format` or, for containers of messages, a `topics.Bag`.
-`extensions.FORMATS` lists them. Formats of plug-ins and of other installed packages are
-tried before plain tables. The library `rosbags` comes with the extra `recordings`.
+`extensions.FORMATS` lists all formats. Formats of plug-ins are tried before plain
+tables. Bags need the library `rosbags`, which the extra `recordings` installs.
 """
 
 from __future__ import annotations
@@ -36,7 +36,8 @@ BAG_SUFFIXES = tuple(form.suffix for form in _FORMATS if isinstance(form, Bag))
 _NOTHING = Unstated()
 _TABLE = "save a table with the first line time,NAME_x,NAME_y,… as CSV"
 _EXPORT = "export CSV or C3D instead"
-# Suffix or pattern of the first bytes, description, remedy.
+# Each entry contains a suffix or a pattern of the first bytes, a description and a
+# remedy.
 _OTHERS: tuple[tuple[str | bytes, str, str], ...] = (
     (".tak", "a take of Motive", "export it there (File, Export Tracking Data, CSV)"),
     (".qtm", "a measurement of Qualisys", "export it there (File, Export, To TSV)"),
@@ -75,7 +76,7 @@ _OTHERS: tuple[tuple[str | bytes, str, str], ...] = (
 
 
 class UnknownFormatError(InputError):
-    """Error for a file of no known format of motion recordings."""
+    """Error for a file whose format is unknown."""
 
 
 def identify(path: StrPath, dialect: Dialect = AS_FOUND) -> str:
@@ -86,8 +87,7 @@ def identify(path: StrPath, dialect: Dialect = AS_FOUND) -> str:
         dialect: layout of a plain table, if it cannot be detected.
 
     Raises:
-        InputError: the file is missing, a folder, empty, or in another format, which
-            the message describes.
+        InputError: the file is missing, a folder, empty, or in another format.
     """
     return _format(path, dialect).name
 
@@ -97,11 +97,10 @@ def read_markers(path: StrPath, unstated: Unstated = _NOTHING) -> MarkerTable:
 
     Args:
         path: recording file.
-        unstated: missing information.
+        unstated: information that the file does not state.
 
     Raises:
-        InputError: the file cannot be read; the message names file, line, column and
-            what is allowed.
+        InputError: the file cannot be read.
     """
     form = _format(path, unstated.dialect)
     file = read_bytes(path) if form.binary else read_file(path)
@@ -154,7 +153,7 @@ def _format(path: StrPath, dialect: Dialect) -> Format:
 
 
 def read_topics(path: StrPath) -> RecordedTopics | None:
-    """Read poses, points and signals of a bag; None if the file is not a bag.
+    """Read poses, points and signals of a bag, or return None for another file.
 
     Raises:
         InputError: the bag is damaged or too large, or the libraries are not installed.

@@ -43,7 +43,7 @@ _CHUNK_HEAD = struct.Struct("<QQQI")
 
 @final
 class Mcap(Bag):
-    """MCAP messages from ROS 2, Foxglove, or ROS 1 (`mcap convert`)."""
+    """MCAP file with messages of ROS 2, Foxglove or ROS 1 (`mcap convert`)."""
 
     name = "MCAP"
     suffix = ".mcap"
@@ -57,7 +57,7 @@ class Mcap(Bag):
 
         Raises:
             InputError: the unpacked chunks are larger than allowed.
-            ChunkError: the file is damaged; a `CutError` if its end is missing.
+            ChunkError: the file is damaged. If the end is missing, it is a `CutError`.
         """
         data = memoryview(file.data)
         chunks = (
@@ -121,7 +121,7 @@ def _text(content: memoryview, place: int) -> tuple[str, int]:
 
 
 _ROS1_MAGIC = b"#ROSBAG V2.0\n"
-# Values of the field "op" of a record.
+# The field "op" of a record has one of these values.
 _ROS1_MESSAGE = b"\2"
 _ROS1_CHUNK = b"\5"
 _ROS1_CONNECTION = b"\7"
@@ -146,7 +146,7 @@ class Ros1Bag(Bag):
 
         Raises:
             InputError: the unpacked chunks are larger than allowed.
-            ChunkError: the bag is damaged; a `CutError` if it ends inside a record.
+            ChunkError: the bag is damaged. If the end is missing, it is a `CutError`.
         """
         data = memoryview(file.data)[len(_ROS1_MAGIC) :]
         connections = dict[str, Topic]()
@@ -176,7 +176,6 @@ class Ros1Bag(Bag):
 
 
 def _ros1_records(data: memoryview) -> Iterator[tuple[dict[str, bytes], memoryview]]:
-    """Yield header fields and content of each record, skipping zeros in between."""
     while data:
         header = _block(data)
         if not len(header):
@@ -212,14 +211,14 @@ def _number(data: bytes | memoryview) -> int:
 
 _SQLITE_MAGIC = b"SQLite format 3\0"
 _JOURNALS = slice(18, 20)
-"""Header bytes that request a write-ahead log, which an in-memory database lacks."""
+"""Header bytes that request a write-ahead log, which is impossible in memory."""
 
 _ZSTD = b"\x28\xb5\x2f\xfd"
 
 
 @final
 class Ros2Bag(Bag):
-    """ROS 2 bag in SQLite (.db3, or the folder that contains it)."""
+    """ROS 2 bag in an SQLite database (.db3)."""
 
     name = "ROS 2 bag"
     suffix = ".db3"
@@ -239,8 +238,7 @@ class Ros2Bag(Bag):
         data[_JOURNALS] = b"\1\1"
         with closing(sqlite3.connect(":memory:")) as base:
             base.deserialize(bytes(data))
-            # A manipulated database may have computed columns that are larger than the
-            # file.
+            # In a manipulated database, computed columns may be larger than the file.
             base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, len(data))
             tables = base.execute(
                 "SELECT name FROM sqlite_master WHERE type = 'table' AND rootpage > 0"

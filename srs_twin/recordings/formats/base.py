@@ -1,4 +1,4 @@
-"""Base of the file formats: `Format`, `MarkerTable`, and helpers for axes and units."""
+"""Abstract base of the file formats, marker tables, and axis and unit functions."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from srs_twin.recordings.recorded_file import AS_FOUND, Dialect, RecordedFile
 from srs_twin.recordings.signals.units import LENGTHS, bracketed, clean, symbol
 
 MAX_DISTANCE = 1e3
-"""Maximum coordinate of a marker, m; larger values are not positions."""
+"""Maximum coordinate of a marker, m. Larger values are not positions."""
 
 _MIN_ZEROS = 3
-"""Minimum number of frames at 0, 0, 0 that mark a marker as hidden there."""
+"""Number of frames at 0, 0, 0 from which on these positions mean "hidden"."""
 
 _UNIT = r"(?P<unit>mm|cm|m|in|ft|um)"
 _AXIS_LAST = re.compile(
@@ -42,15 +42,15 @@ _NOT_A_POSITION = re.compile(
     r"residual|imu",
     re.IGNORECASE,
 )
-"""Words in names of columns that have axes but are not positions."""
+"""Words in names of columns that name an axis but do not contain positions."""
 
 
 class Unstated(NamedTuple):
-    """Information that a file may lack, from a map or options.
+    """Information that a file may lack and that a map or options provide.
 
     Attributes:
-        rate_hz: frames per second, for DeepLabCut, plain CSV without a time, and
-            Qualisys with an external clock.
+        rate_hz: frame rate, Hz, for DeepLabCut, plain CSV without times, and Qualisys
+            with an external clock.
         unit: unit of length, for DeepLabCut and plain CSV.
         scale_m: size of a pixel, m, for DeepLabCut and plain CSV.
     """
@@ -66,21 +66,21 @@ class MarkerTable:
     """Markers of a file over time, in the axes of the file and SI units.
 
     Attributes:
-        name: name for messages.
-        kind: file format from `formats.identify`, with the version if it has one.
+        name: name of the file in messages.
+        kind: file format, with the version if the format has versions.
         points: marker positions, NaN where hidden, shape (frames, columns, 3), or (…,
             2) in a plane, m.
         labels: column names.
-        places: station on the body and side of each column (`body.markers.Places`) if
-            its name contains them, else empty.
-        header_frames: number of frames that the header states; None if it states none.
-        rotations: quaternions x, y, z, w of rigid bodies in the axes of the file, NaN
-            for other columns, shape (frames, columns, 4); None without rigid bodies.
-        bodies: whether the columns are rigid bodies, which the file identifies by name
-            on every frame. The two points of each body are adjacent columns with its
-            name.
-        epoch_ns: time since 1970 at 0 s, ns; None if the clock of the file has another
-            origin.
+        places: station on the body and side of each column (`body.markers.Places`)
+            whose name states them.
+        header_frames: number of frames that the header states, or None.
+        rotations: quaternions x, y, z, w of rigid bodies in the axes of the file, shape
+            (frames, columns, 4), or None without rigid bodies. Rotations of other
+            columns are NaN.
+        bodies: whether the columns are rigid bodies. The two points that replace a
+            rigid body are adjacent columns with the name of the body.
+        epoch_ns: time since 1970 at 0 s, ns, or None if the clock of the file has
+            another origin.
         unit: unit of length of the file, as stated, given or assumed.
     """
 
@@ -109,11 +109,7 @@ class MarkerTable:
 class Format(ABC):
     """File format of motion recordings.
 
-    A reader converts lengths to m and times to s, and keeps the axes of the file. A
-    damaged file of any format raises one `InputError` that names the file.
-
-    Attributes:
-        binary: whether files are not text.
+    A reader converts lengths to m and times to s, and keeps the axes of the file.
     """
 
     name: ClassVar[str]
@@ -121,7 +117,7 @@ class Format(ABC):
 
     @abstractmethod
     def recognizes(self, start: RecordedFile) -> bool:
-        """Return whether the first bytes of a file show this format."""
+        """Return whether the first bytes of a file belong to this format."""
 
     @abstractmethod
     def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
@@ -129,7 +125,7 @@ class Format(ABC):
 
         Args:
             file: recorded file.
-            unstated: rate and unit, for files that do not state them.
+            unstated: frame rate and unit of a file that does not state them.
 
         Raises:
             InputError: the file is damaged, or needs information that is not given.
@@ -137,11 +133,14 @@ class Format(ABC):
 
 
 def axis_columns(cells: Sequence[str]) -> dict[str, dict[str, CsvColumn]]:
-    """Return marker → axis → column, from names that end or begin with x, y or z.
+    """Find the column of each axis of each marker by name.
 
-    Examples are ``base_x,base_y``, ``Tip X (mm)`` and ``x_LED1``. Markers without x and
-    y are left out. Rotations, velocities, accelerations and forces (``c1_rot_x``) are
-    left out too, as are columns whose unit is not a length.
+    Names end or begin with the axis, for example ``base_x``, ``Tip X (mm)`` or
+    ``x_LED1``. Markers without x and y are left out. Columns of other quantities, such
+    as rotations (``c1_rot_x``), are left out too.
+
+    Returns:
+        Column index by marker name and axis.
     """
     markers: dict[str, dict[str, CsvColumn]] = {}
     for index, cell in enumerate(cells):
@@ -163,11 +162,10 @@ def axis_columns(cells: Sequence[str]) -> dict[str, dict[str, CsvColumn]]:
 
 
 def counted_times(frame: np.ndarray, time: np.ndarray, rate: float) -> np.ndarray:
-    """Compute times from frame numbers, because printed times are rounded.
+    """Compute exact times from frame numbers, because printed times are rounded.
 
-    In a partly exported recording, frame numbers or times may not start at 0. If the
-    computed and the printed times differ by more than half a frame, the printed times
-    are used.
+    If computed and printed times differ by more than half a frame, for example in a
+    partly exported recording, the printed times are used.
     """
     if not np.isfinite(frame).all():
         return time
@@ -211,9 +209,8 @@ class Rows(NamedTuple):
     """Rows of a table of markers.
 
     Attributes:
-        time: times of the frames, shape (frames,), s.
         points: marker positions in the unit of the file, shape (frames, markers, 3).
-        others: other columns, shape (frames, others).
+        others: values of other columns, shape (frames, others).
     """
 
     time: np.ndarray
@@ -240,10 +237,9 @@ def marker_rows(
         header_lines: number of header lines.
         width: number of cells per row.
         first: index of the first of the three columns of each marker.
-        clock: columns of the frame number, of the time, or of both; without them, the
-            rows are counted.
-        rate: frames per second; None if a column contains times.
-        others: extra columns.
+        clock: columns of frame number and time. Without both, the rows are counted.
+        rate: frame rate, Hz, or None if a column contains times.
+        others: indices of other columns to read.
         section: whether the rows end at an empty line.
 
     Raises:
@@ -292,7 +288,7 @@ def marker_table(
     unit: str | Sequence[str] = "m",
     rotations: np.ndarray | None = None,
 ) -> MarkerTable:
-    """Return a marker table in m, without implausible points and with printable names.
+    """Build a marker table in m, without implausible points and with printable names.
 
     Args:
         file: recorded file.
@@ -348,10 +344,10 @@ def marker_table(
 
 
 def _unseen(points: np.ndarray, rotations: np.ndarray | None) -> np.ndarray:
-    """Return the mask of 0, 0, 0 positions that some programs write for hidden markers.
+    """Return the mask of positions 0, 0, 0 that some programs write for hidden markers.
 
-    A measured position is never exactly 0 on several frames. The pose of a rigid body
-    may be, because odometry begins at the origin.
+    A measured position is never exactly 0 on several frames. A rigid body may stay at
+    the origin, because odometry begins there.
     """
     zero = (points == 0).all(axis=-1)
     zero[:, zero.sum(axis=0) < _MIN_ZEROS] = False
@@ -363,7 +359,7 @@ def _unseen(points: np.ndarray, rotations: np.ndarray | None) -> np.ndarray:
 
 
 def in_unit(table: MarkerTable, given: str | None) -> MarkerTable:
-    """Return a table after checking its unit of length against the given one.
+    """Return the table after checking that the file states no other unit of length.
 
     Raises:
         InputError: the file states another unit.
@@ -378,7 +374,7 @@ def in_unit(table: MarkerTable, given: str | None) -> MarkerTable:
 
 @contextmanager
 def decoding(file: RecordedFile, kind: str) -> Iterator[None]:
-    """Convert exceptions of a library, or its absence, to an `InputError`."""
+    """Convert exceptions of a missing or failing library to an `InputError`."""
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
@@ -390,7 +386,7 @@ def decoding(file: RecordedFile, kind: str) -> Iterator[None]:
         raise file.error(
             f"{kind} needs the package {error.name}, which is an extra: {how}"
         ) from error
-    except Exception as error:  # libraries raise any exception for a damaged file
+    except Exception as error:  # for damaged files, libraries raise errors of all kinds
         message = escape_unprintable(" ".join(str(error).split()))[:120]
         if isinstance(error, ValueError):
             reason = f" ({message})"

@@ -1,4 +1,4 @@
-"""C3D files of motion capture systems: points with labels, rate and unit.
+"""C3D files of motion capture systems.
 
 A file has a header of one block, a parameter section, and a data section of whole
 frames. The processor type in the parameter section decides the byte order and the
@@ -28,22 +28,23 @@ from srs_twin.recordings.signals.units import LENGTHS, symbol
 _BLOCK = 512
 """Size of a block, bytes."""
 _DEC = 85
-"""Processor type for DEC (VAX) floats: swapped words, exponent larger by 2."""
+"""Processor type of DEC (VAX) floats, with swapped words and an exponent offset of 2.
+"""
 _BIG_ENDIAN = 86
 """Processor type for big-endian numbers (MIPS)."""
 
 _MAX_FRAMES = 1 << 22
-"""Maximum number of frames of a C3D file: an hour at 1 kHz."""
+"""Maximum number of frames of a C3D file (one hour at 1 kHz)."""
 _MAX_COUNTED = 65_535
 """Maximum number of frames in the 16-bit fields of the header."""
 _MAX_PARAMETERS = 20_000
 """Maximum number of groups and parameters."""
 
 _OTHER_KINDS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS")
-"""Parameters that label points of Vicon's models, which are not positions."""
+"""Parameters that label model outputs of Vicon, which are not positions."""
 
 _ELEMENT_BYTES: Final = {-1: 1, 1: 1, 2: 2, 4: 4}
-"""Type of a parameter → bytes per element: characters, bytes, integers and floats."""
+"""Bytes per element of each parameter type (characters, bytes, integers, floats)."""
 
 
 class _Parameter(NamedTuple):
@@ -145,7 +146,7 @@ def _parameter(data: bytes, place: int) -> _Parameter:
 
 @final
 class C3d(Format):
-    """C3D points; analog channels are skipped."""
+    """C3D file with marker positions. Analog channels are skipped."""
 
     name = "C3D"
     binary = True
@@ -235,10 +236,10 @@ class _Frames(NamedTuple):
 def _frames(file: RecordedFile, contents: _Contents) -> _Frames:
     """Return the frames of a file.
 
-    The frame numbers of the header have 16 bits. Longer recordings state their frames
-    in TRIAL:ACTUAL_START_FIELD and ACTUAL_END_FIELD (two 16-bit words each) or in
-    POINT:LONG_FRAMES, but some of these may be wrong. The largest number that fits into
-    the file is used. If no number exceeds 65,535, the file is read to its end.
+    The frame numbers in the header have only 16 bits. Longer recordings state the
+    number of frames in TRIAL:ACTUAL_START_FIELD and ACTUAL_END_FIELD (two 16-bit words
+    each) or in POINT:LONG_FRAMES, which may be wrong. The largest number that fits into
+    the file is used. If no number exceeds 65,535, the file is read to the end.
     """
     scale = contents.number("POINT:SCALE", 12)
     is_float = scale < 0
@@ -293,8 +294,8 @@ def _analog_values(
 ) -> int:
     """Return the number of analog values per frame.
 
-    Header and parameters both state it. If they contradict each other, the number that
-    makes the frames fill the data section is used.
+    If header and parameters contradict each other, the number with which the frames
+    fill the data section is used.
 
     Raises:
         InputError: none or several of the numbers fill the data section.

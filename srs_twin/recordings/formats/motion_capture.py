@@ -26,7 +26,7 @@ from srs_twin.recordings.recorded_file import MAX_HEADER_BYTES, RecordedFile
 from srs_twin.recordings.signals.units import ANGLES
 
 MOTIVE_KINDS = ("Marker", "Rigid Body Marker", "Rigid Body")
-"""Column types with positions on the robot, in order of preference."""
+"""Types of columns with positions, in order of preference."""
 
 _MOTIVE_HEADER_LINES = 12
 
@@ -39,12 +39,12 @@ class _Column(NamedTuple):
 
 @final
 class Motive(Format):
-    """OptiTrack Motive: CSV export, formats 1.0 to 1.2x.
+    """CSV export of OptiTrack Motive, formats 1.0 to 1.2x.
 
-    The first line has pairs of key and value. It is followed by an empty line, by rows
-    that describe the columns (Type, Name, ID, Parent from 1.24 on, and Position or
-    Rotation), by ``Frame,Time (Seconds),X,…``, and by the frames. An unlabeled marker
-    that disappears returns in another column.
+    The first line contains pairs of key and value. After an empty line, rows describe
+    the columns (Type, Name, ID, Parent from 1.24 on, and Position or Rotation). The
+    last header row is ``Frame,Time (Seconds),X,…``. An unlabelled marker that
+    disappears returns in another column.
     """
 
     name = "Motive CSV"
@@ -61,8 +61,7 @@ class Motive(Format):
         quaternions.
 
         Raises:
-            InputError: the file is damaged or of another version; the message names
-                file, line and column.
+            InputError: the file is damaged or of another version.
         """
         lines = file.head(_MOTIVE_HEADER_LINES)
         header = dict(pairwise(lines[0]))
@@ -157,7 +156,7 @@ def _columns(file: RecordedFile, lines: list[list[str]]) -> _Columns:
         raise file.error(
             "the header is cut: it must have rows Type, Name, ID and Position", last + 1
         )
-    # Older versions do not name the rows, so the order of the rows is used.
+    # Older versions do not name the header rows, so the rows are identified by order.
     kinds, names = (
         next((row for row in rows if name in row[:2]), rows[k])
         for k, name in enumerate(("Type", "Name"))
@@ -184,7 +183,7 @@ _SECTIONS = (
     "Forces",
 )
 _VICON_AXES = {"Trajectories": ["X", "Y", "Z"], "Objects": ["TX", "TY", "TZ"]}
-"""Sections with positions and their axis names, in order of preference."""
+"""Axis names of each section with positions, in order of preference."""
 _SECTION = re.compile(
     rb'^"?(%s)"?[ \t,]*\r?$' % "|".join(_SECTIONS).encode(), re.MULTILINE
 )
@@ -192,7 +191,7 @@ _SECTION = re.compile(
 
 @final
 class Vicon(Format):
-    """Vicon: Trajectories of a Nexus CSV export, or Objects of a Tracker export.
+    """CSV export of Vicon: Trajectories from Nexus, or Objects from Tracker.
 
     Frame 1 is at 0 s.
     """
@@ -204,11 +203,10 @@ class Vicon(Format):
         return start.title in _SECTIONS
 
     def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
-        """Read Trajectories, or Objects with their rotations.
+        """Read the section Trajectories, or the section Objects with rotations.
 
         Raises:
-            InputError: the file cannot be read; the message names file, line, column
-                and what is allowed.
+            InputError: the file cannot be read.
         """
         section, above, notes = _vicon_section(file)
         position_axes = _VICON_AXES[section]
@@ -272,10 +270,7 @@ def _object_rotations(
 
 
 def _rotation_columns(axes: list[str], positions: list[int]) -> dict[int, range]:
-    """Return the rotation columns that precede the position of an object.
-
-    They are RX, RY, RZ, or a quaternion with RW.
-    """
+    """Return the columns RX, RY, RZ or RX, RY, RZ, RW that precede a position."""
     return {
         k: range(axes.index("RX", max(k - 4, 2), k), k)
         for k in positions
@@ -320,12 +315,12 @@ def _qtm_header_lines(file: RecordedFile) -> int:
 
 _QTM_LINE = re.compile(rb"(?!NULL|NAN)[A-Z][A-Z0-9_]+[\t\r ]|Frame\t")
 _QTM_HEADER_LINES = 1000
-"""Maximum number of header lines; each event adds one line."""
+"""Maximum number of header lines. Each event adds one line."""
 
 
 @final
 class Qualisys(Format):
-    """Qualisys Track Manager: 3D export (TSV, mm)."""
+    """3D export of Qualisys Track Manager (TSV, mm)."""
 
     name = "Qualisys TSV"
 
@@ -338,17 +333,15 @@ class Qualisys(Format):
         )
 
     def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
-        """Read a 3D export of Qualisys Track Manager; 0,0,0 marks a missing marker.
+        """Read a 3D export, in which 0,0,0 marks a missing marker.
 
         Args:
             file: tab-separated file with a header, with or without the columns Frame
                 and Time.
-            unstated: frames per second, if FREQUENCY is EXT and there is no column
-                Time.
+            unstated: frame rate, if FREQUENCY is EXT and the column Time is missing.
 
         Raises:
-            InputError: the file is damaged or a 2D or 6D export; the message names file
-                and line.
+            InputError: the file is damaged, or it is a 2D or 6D export.
         """
         file = replace(file, separator="\t")
         *above, row = file.head(_qtm_header_lines(file) + 1)
@@ -372,7 +365,7 @@ class Qualisys(Format):
             )
         width = len(row)
         count = 3 * len(names)
-        # A row may end in a tab, and may begin with the frame and the time.
+        # A row may begin with frame and time and may end in a tab.
         if not 0 <= width - count <= 3:
             required = (
                 f"rows must have {count} cells, or {count + 2} with Frame and Time"

@@ -32,7 +32,7 @@ from srs_twin.recordings.recorded_file import Dialect, RecordedFile, laid_out
 from srs_twin.recordings.signals.units import LENGTHS, is_clock
 
 _AXES_LINE = 5
-"""Line X1, Y1, Z1, …, which an empty line may follow."""
+"""Number of the line X1, Y1, Z1, …, which an empty line may follow."""
 
 
 @final
@@ -49,8 +49,7 @@ class Trc(Format):
         """Read the markers of a TRC file, in which an empty cell is a missing marker.
 
         Raises:
-            InputError: the file is damaged, or its unit is unknown; the message names
-                file and line.
+            InputError: the file is damaged, or its unit is unknown.
         """
         file = replace(file, separator="\t")
         lines = file.head(_AXES_LINE + 2)
@@ -66,7 +65,7 @@ class Trc(Format):
         row = lines[min(header, len(lines) - 1)]
         width = len(row)
         required = 2 + 3 * len(names)
-        # A row may end in tabs.
+        # A row may end in additional tabs.
         if not names or width < required or any(row[required:]):
             raise file.error(
                 f"{width} cells for {len(names)} markers; rows must have {required}"
@@ -109,7 +108,7 @@ class Tum(Format):
         """Read the poses of one body.
 
         Raises:
-            InputError: the file is damaged; the message names line and cell.
+            InputError: the file is damaged.
         """
         file = laid_out(file, _TUM_POSE)
         _, points, quaternions, notes = marker_rows(
@@ -134,14 +133,14 @@ class Tum(Format):
 
 
 MIN_LIKELIHOOD = 0.6
-"""Minimum likelihood of a used sample; the default of DeepLabCut (`pcutoff`)."""
+"""Minimum likelihood of a used sample (default of `pcutoff` in DeepLabCut)."""
 
 
 @final
 class DeepLabCut(Format):
-    """DeepLabCut CSV of one animal (3 header rows) or of several animals (4).
+    """CSV file of DeepLabCut with coordinates in pixels or lengths.
 
-    Coordinates are in pixels or lengths.
+    It has three header rows for one animal, and four for several animals.
     """
 
     name = "DeepLabCut CSV"
@@ -151,15 +150,15 @@ class DeepLabCut(Format):
         return start.title.lower() == "scorer"
 
     def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
-        """Read the tracks of DeepLabCut in a plane.
+        """Read the tracks in the image plane.
 
         Args:
             file: CSV file.
-            unstated: frames per second of the video, size of a pixel, and unit of the
-                coordinates if they are lengths (None or "px" for pixels).
+            unstated: frame rate of the video, size of a pixel, and unit of coordinates
+                that are lengths (None or "px" for pixels).
 
         Raises:
-            InputError: rate or scale are not given, or the file is damaged.
+            InputError: frame rate or scale are not given, or the file is damaged.
         """
         factor = _dlc_scale(file, unstated)
         rate = frame_rate(file, str(unstated.rate_hz))
@@ -223,11 +222,11 @@ _CONNECTOR = re.compile(r"\d+[A-Za-z]?")
 
 @final
 class PlainCsv(Format):
-    """Plain CSV with columns ``time`` and ``x_1,y_1…`` (head first), or other names.
+    """Plain CSV file, usually with the columns ``time`` and ``x_1,y_1…``.
 
-    A name may state its unit: ``time_ms``, ``x_1_mm`` or ``x_1 (mm)``. Without a unit
-    it is in s or m. ``z_1`` is optional. Two markers on a connector are named
-    ``x_1a,y_1a,x_1b,y_1b``.
+    Markers are numbered from the head. Two markers on a connector are named
+    ``x_1a,y_1a,x_1b,y_1b``, and ``z_1`` is optional. A name may state a unit
+    (``time_ms``, ``x_1_mm`` or ``x_1 (mm)``). The default units are s and m.
     """
 
     name = "plain CSV"
@@ -241,7 +240,7 @@ class PlainCsv(Format):
 
         Raises:
             InputError: the file is damaged, has no positions, or its units contradict
-                each other; the message names line and column.
+                each other.
         """
         file = laid_out(file, unstated.dialect)
         numbered = any(map(_NUMBERED.match, file.names))

@@ -1,9 +1,9 @@
 """Poses, points and signals from the messages of bags (ROS 1, ROS 2, JSON).
 
 A container (`bags`) yields messages with topics and log times. The library `rosbags`
-decodes known ROS message types with its own definitions; definitions in the file are
-ignored. The declared sizes of chunks are checked before they are unpacked, because a
-malicious file may unpack to ten thousand times its size.
+decodes known ROS message types with its own definitions, and definitions in the file
+are ignored. The declared sizes of chunks are checked before the chunks are unpacked,
+because a malicious file may unpack to ten thousand times its size.
 """
 
 from __future__ import annotations
@@ -43,22 +43,22 @@ if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
 Decoded = Any
-"""Decoded message or part of one: an object of `rosbags`, or a namespace for JSON."""
+"""Decoded message, which is an object of `rosbags` or a namespace for JSON."""
 
 _MIN_EPOCH_NS = 10**17
 """Minimum log time that counts as a time since 1970, ns."""
 _OTHER_CLOCK_S = 1e6
-"""Minimum difference of stamps and log times that reveals a simulated clock, s."""
+"""Minimum difference of stamps and log times that indicates a simulated clock, s."""
 _NOTED_DIFFERENCE_S = 1.0
 """Difference of stamps and log times above which a note is given, s."""
 _MAX_UNPACKED = 4 * MAX_BYTES
 """Maximum unpacked size of a file, bytes."""
 _MIN_ALLOWED = 16 << 20
-"""Unpacked size that is allowed for any file, bytes."""
+"""Unpacked size that is always allowed, bytes."""
 _MAX_RATIO = 32
-"""Maximum ratio of unpacked to packed size; repetitive JSON reaches 20."""
+"""Maximum ratio of unpacked to packed size. Repetitive JSON reaches 20."""
 _MAX_MESSAGES = 1 << 23
-"""Maximum number of messages: one hour of twenty topics at 100 Hz."""
+"""Maximum number of messages (one hour of twenty topics at 100 Hz)."""
 if sys.version_info >= (3, 14):
     _ZSTD = "compression.zstd"
 else:
@@ -68,7 +68,7 @@ _UNPACKERS = {
     "zstd": (_ZSTD, "Zstd"),
     "bz2": ("bz2", "BZ2"),
 }
-"""Compression → module, and class name without "Decompressor"."""
+"""Module and class name (without "Decompressor") for each compression."""
 
 
 class ChunkError(ValueError):
@@ -80,7 +80,7 @@ class CutError(ChunkError):
 
 
 class Topic(NamedTuple):
-    """Topic with name, message type ("geometry_msgs/Pose") and encoding.
+    """Topic with its name, message type such as "geometry_msgs/Pose", and encoding.
 
     The encoding is "cdr", "ros1" or "json".
     """
@@ -91,7 +91,7 @@ class Topic(NamedTuple):
 
 
 class Message(NamedTuple):
-    """Message before decoding, with its log time in ns."""
+    """Message before decoding, with the log time in ns."""
 
     topic: Topic
     log_time: int
@@ -106,7 +106,7 @@ def check_unpacked(file: RecordedFile, sizes: Iterable[int]) -> None:
     """
     allowed = min(_MAX_UNPACKED, _MIN_ALLOWED + _MAX_RATIO * len(file.data))
     total = 0
-    with suppress(CutError):  # chunks after a cut are not read
+    with suppress(CutError):  # a missing end ends the reading
         for size in sizes:
             total += size
     if total > allowed:
@@ -120,7 +120,12 @@ def check_unpacked(file: RecordedFile, sizes: Iterable[int]) -> None:
 def unpacked(
     data: memoryview | bytes, compression: str, size: int | None
 ) -> bytes | memoryview:
-    """Return unpacked data; the size None stands for a single message.
+    """Unpack data.
+
+    Args:
+        data: packed data.
+        compression: name of the compression.
+        size: declared unpacked size, bytes, or None for a single message.
 
     Raises:
         ChunkError: the data are damaged, too large, or not of the declared size.
@@ -145,10 +150,10 @@ class RecordedTopics:
     """Topics of a file on one clock, which is 0 at the first message.
 
     Attributes:
-        name: name for messages.
+        name: name of the file in messages.
         origin_ns: log time of the first message, ns.
-        signals: (time, values) by name, each of shape (samples,), in s and as recorded.
-            Names are ``/joy.axes[0]``, ``/joints.NAME.position``, ``/topic.data[2]``,
+        signals: times (s) and recorded values of each signal, both of shape (samples,).
+            Names are for example ``/joy.axes[0]``, ``/joints.NAME.position``,
             ``/topic.fluid_pressure`` (Pa), or ``/topic.dotted.path`` for JSON.
     """
 
@@ -161,11 +166,7 @@ class RecordedTopics:
 
 
 class Bag(Format):
-    """Container of messages, which may be cut at its end.
-
-    Attributes:
-        suffix: usual suffix of file names.
-    """
+    """Container of messages, whose end may be missing."""
 
     binary = True
     suffix: ClassVar[str]
@@ -176,7 +177,7 @@ class Bag(Format):
 
         Raises:
             InputError: the unpacked messages are larger than allowed.
-            ChunkError: the file is damaged; a `CutError` if its end is missing.
+            ChunkError: the file is damaged. If the end is missing, it is a `CutError`.
         """
 
     def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
@@ -202,13 +203,13 @@ class Bag(Format):
     ) -> RecordedTopics:
         """Read poses, points and signals.
 
-        Times are header stamps if messages have them, else log times. The frames are
-        the message times of the body with most messages. For each other body, the
-        nearest message within half a frame is used.
+        Times are header stamps if messages have them, or else log times. The times of
+        the frames are the times of the body with the most messages. For each other
+        body, the nearest message within half a frame is used.
 
         Args:
             file: message file.
-            signals: whether to read the topics without positions.
+            signals: whether topics without positions are read.
 
         Raises:
             InputError: the file is damaged or too large, or the libraries are not
@@ -228,7 +229,7 @@ class Bag(Format):
 
 _Numbers = tuple[float, ...]
 _Series = dict[str, "array[float]"]
-"""Label → rows of time (ns since the first message) and one or seven numbers."""
+"""Rows of time (ns since the first message) and one or seven numbers, by label."""
 
 
 @dataclass
@@ -363,7 +364,7 @@ class _Topics:
             notes.append(f"bodies are in different frames: {listed}")
         rotated = _has_rotation(poses)
         quaternions = np.where(rotated[..., None], poses[..., 3:], np.nan)
-        # Stamps of a simulated clock may begin at any time, so the times are shifted to
+        # Stamps of a simulated clock may begin at any time, so times are shifted to
         # start at 0.
         time = frames.time
         other_clock = abs(time[0]) > _OTHER_CLOCK_S
@@ -392,17 +393,14 @@ def _unique_names(bodies: Iterable[tuple[str, str]]) -> list[str]:
 
 
 class _Frames(NamedTuple):
-    """Times of the frames and half of the frame period, s."""
+    """Times of the frames and half the frame period, s."""
 
     time: np.ndarray
     half_period: float
 
 
 def _frames(bodies: Mapping[str, np.ndarray], main: str) -> _Frames:
-    """Return the frames of the body with most messages, whose label is `main`.
-
-    Frames on which it is missing are added if other bodies of the topic have messages.
-    """
+    """Return the frames of the body `main`, and further frames of its topic."""
     time = np.unique(bodies[main][:, 0])
     half = 0.5 * float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     every = np.unique(np.concatenate([rows[:, 0] for rows in bodies.values()]))
@@ -433,10 +431,7 @@ def _has_rotation(poses: np.ndarray) -> np.ndarray:
 def _compose(
     poses: np.ndarray, names: list[str], parents: Mapping[str, str]
 ) -> list[str]:
-    """Convert transforms relative to another body to the parent frame of that body.
-
-    Return the names of the converted bodies.
-    """
+    """Convert transforms relative to another body to the parent frame of that body."""
     from scipy.spatial.transform import Rotation
 
     index = {name: k for k, name in enumerate(names)}
@@ -449,8 +444,8 @@ def _compose(
             and len(chain) <= len(names)
         ):
             chain.append(parents[chain[-1]])
-        # Bases come before the bodies attached to them, so every base is already in the
-        # root frame.
+        # A base is processed before the bodies attached to it, so the base is already
+        # in the root frame.
         for inner, outer in zip(chain[-2::-1], chain[::-1], strict=False):
             composed[inner] = None
             child = poses[:, index[inner]]
@@ -469,7 +464,7 @@ _SIGNALS = re.compile(
     r"std_msgs/(Bool|(Float|U?Int)\d+(MultiArray)?)|sensor_msgs/(Joy|JointState|FluidPressure)"
 )
 _METADATA = ("header", "layout")
-"""Fields of a message without signals."""
+"""Fields of messages that contain no signals."""
 _BODIES: dict[str, Callable[[str, Decoded], list[tuple[str, Decoded, Decoded]]]] = {
     "geometry_msgs/PoseStamped": lambda topic, message: [
         (topic, message, message.pose)
@@ -497,7 +492,8 @@ _BODIES: dict[str, Callable[[str, Decoded], list[tuple[str, Decoded, Decoded]]]]
         for stamped in message.transforms
     ],
 }
-"""Message type with positions → function that yields label, stamped part and pose."""
+"""Function that yields label, stamped part and pose, per message type with positions.
+"""
 
 
 @lru_cache(1000)
@@ -523,10 +519,7 @@ def _decoder(topic: Topic) -> tuple[str, str, Callable[[bytes], Decoded] | None]
 
 @cache
 def _definitions(encoding: str) -> Typestore:
-    """Return the ROS message definitions of the library.
-
-    Definitions in files are not trusted, because they would be compiled.
-    """
+    """Return ROS message definitions, as compiling definitions in files is unsafe."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(
@@ -538,7 +531,6 @@ def _definitions(encoding: str) -> Typestore:
 
 
 def _numbers(pose: Decoded) -> _Numbers:
-    """Return position and quaternion x, y, z, w (NaN without one)."""
     position: Decoded = getattr(pose, "position", getattr(pose, "translation", pose))
     rotation = getattr(pose, "orientation", getattr(pose, "rotation", None))
     if rotation is None:

@@ -1,16 +1,16 @@
 r"""Synchronisation of a motion with a valve or pressure log through their bends.
 
 The chamber model of the robot converts the valve states or pressures of the log to free
-bends b̂_j. They are compared with the measured bends b_j for a delay τ, and for a gain
-a_j > 0 and an offset c_j of each segment,
+bends b̂_j. For each delay τ, they are compared with the measured bends b_j by the loss
 
 $$ S(\tau) = \sum_j \min_{a_j, c_j} \sum_t \bigl(b_j(t) - a_j\,\hat b_j(t - \tau) - c_j\bigr)^2, $$
 
-over the times that both cover. Fourier transforms give S for all τ at once. The offset
-is the minimum of the parabola through the smallest S and its two neighbours. Its
+where a_j > 0 is a gain and c_j an offset of each segment, and the sum runs over the
+times that both recordings cover. Fourier transforms give S for all τ at once. The clock
+offset is the minimum of the parabola through the smallest S and its two neighbours. The
 standard error is √(2 s²/S''), where s² is the variance of the residual per independent
-sample. A gait is periodic, so another τ may fit nearly as well. The offset is then
-ambiguous and an error is raised.
+sample. Because a gait is periodic, another τ may fit nearly as well. The offset is then
+ambiguous, and an error is raised.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ MIN_OVERLAP = 0.5
 """Minimum common interval, as a fraction of the shorter recording."""
 
 MIN_RIVAL_RATIO = 1.5
-"""Minimum ratio of S at the second-best offset to S at the best offset."""
+"""Minimum ratio of S at the second-best offset to S at a unique best offset."""
 
 MIN_EXPLAINED = 0.5
 """Minimum fraction of the variance of the bends that the best offset explains."""
@@ -54,10 +54,10 @@ class Offset:
 
     Attributes:
         seconds: value to add to the times of the log, s.
-        error: standard error, s; 0 for a given offset. It does not include errors of
-            the modelled chamber lag.
-        explained: fraction of the variance of the bends that the log explains; 1 for a
-            given offset.
+        error: standard error without errors of the modelled chamber lag, s. The value
+            is 0 for a given offset.
+        explained: fraction of the variance of the bends that the log explains, or 1 for
+            a given offset.
     """
 
     seconds: float
@@ -78,8 +78,8 @@ def estimate_offset(
         driven: bends modelled from the log, shape (rows, segments), rad.
 
     Raises:
-        InputError: the recordings are too short or do not move, no offset fits, or
-            several do.
+        InputError: the recordings are too short or contain no motion, or not exactly
+            one offset fits.
     """
     step = max(_MIN_STEP, float(np.median(np.diff(time))) / 2)
     spans = (time[-1] - time[0], log_time[-1] - log_time[0])
@@ -107,7 +107,7 @@ def estimate_offset(
     _check_unambiguous(loss, lags * step + start_difference, best)
     error = float("inf")
     shift = 0.0
-    # Minimum of the parabola through the smallest S and its neighbours.
+    # A parabola through the smallest S and its neighbours refines the minimum.
     left, middle, right = np.pad(loss, 1, constant_values=np.inf)[best : best + 3]
     if np.isfinite(left + right):
         curvature = float(left - 2 * middle + right)
@@ -132,7 +132,7 @@ def _resampled(time: np.ndarray, values: np.ndarray, step: float) -> np.ndarray:
 def _losses(
     bends: np.ndarray, model: np.ndarray, min_count: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return S divided by the variance, delays in steps, and common sample counts."""
+    """Return S over the variance, delays in steps, and numbers of common samples."""
     from scipy.signal import fftconvolve
 
     def correlate(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -145,15 +145,16 @@ def _losses(
     count = np.rint(correlate(ones, other_ones))[:, 0]
     enough = count >= min_count
     n = np.maximum(count, 1.0)[:, None]
-    # Sums over the common samples of each delay; squares and products are taken about
-    # the means.
+    # These are sums over the common samples of each delay. Squares and products are
+    # taken about the means.
     # In the names, b is the measured bend, m the modelled bend and s a sum.
     sb = correlate(bends, other_ones)
     sm = correlate(ones, model)
     bb = correlate(bends**2, other_ones) - sb**2 / n
     mm = correlate(ones, model**2) - sm**2 / n
     bm = correlate(bends, model) - sb * sm / n
-    # A modelled segment without motion explains nothing, and gains are not negative.
+    # A segment that does not move in the model explains nothing, and gains are
+    # positive.
     moving = mm > 1e-9 * np.maximum(mm.max(axis=0), 1e-30)
     explained = np.where(moving & (bm > 0), bm**2 / np.where(moving, mm, 1.0), 0.0)
     energy = bb.sum(axis=1)
@@ -191,7 +192,6 @@ def _check_unambiguous(loss: np.ndarray, offsets: np.ndarray, best: int) -> None
 
 
 def _independent_fraction(bends: np.ndarray, model: np.ndarray, lag: int) -> float:
-    """Return the fraction of independent samples, taking the residual as AR(1)."""
     first = max(0, lag)
     last = min(len(bends), lag + len(model))
     b = bends[first:last]
@@ -204,7 +204,6 @@ def _independent_fraction(bends: np.ndarray, model: np.ndarray, lag: int) -> flo
         return 1.0
     correlation = float((residual[1:] * residual[:-1]).sum()) / power
     correlation = min(max(correlation, 0.0), 0.999)
-    # This is the fraction of independent samples of an AR(1) process.
     return (1 - correlation) / (1 + correlation)
 
 
@@ -214,14 +213,13 @@ def join(
     """Add the columns of a log to a motion.
 
     If `offset` is None and both files have overlapping times since 1970, these times
-    are used. Otherwise `estimate_offset` finds the offset.
+    are used. Otherwise `estimate_offset` determines the clock offset.
 
     Args:
         recording: recorded motion.
         log: valve or pressure log.
         spec: robot whose chamber model converts valve states to bends for the estimate.
-        offset: value to add to the times of the log, s. If both files have times since
-            1970, the offset is added to them. None determines it.
+        offset: value to add to the times of the log, s, or None to determine it.
 
     Returns:
         Part of the motion that the log covers, with columns ``valve_plus_1…`` or
@@ -322,8 +320,8 @@ def _find_offset(
 def driven_bends(log: ValveLog, spec: RobotSpec) -> tuple[np.ndarray, np.ndarray]:
     """Return times (times,), s, and modelled free bends (times, segments), rad.
 
-    If a valve log begins while chambers fill, their initial pressures are unknown. The
-    modelled bends then begin when this effect has decayed.
+    If a valve log begins while chambers fill, the initial pressures are unknown. The
+    modelled bends then begin after the effect of the initial pressures has decayed.
     """
     span = float(log.time[-1] - log.time[0])
     step = max(_MODEL_STEP, span / 1e6)

@@ -1,7 +1,4 @@
-"""Frame grid, outliers and gaps of tracks.
-
-Errors raised here do not name the file; `read_motion` adds its name.
-"""
+"""Frame grid, outliers and gaps of tracks."""
 
 from __future__ import annotations
 
@@ -13,14 +10,14 @@ import numpy as np
 from srs_twin.errors import InputError
 
 MIN_FRAMES = 12
-"""Minimum number of frames of a recording: one more than the moving line spans."""
+"""Minimum number of frames of a recording (one more than the moving line spans)."""
 
 _GRID_TOLERANCE = 0.2
-"""Maximum deviation of the times of a grid from multiples of the period, in periods."""
+"""Maximum deviation of times from multiples of the frame period, in periods."""
 _MAX_FRAMES_PER_ROW = 10
 """Maximum number of frames on the grid, divided by the number of rows."""
 _MAX_TIME = 1e9
-"""Maximum time, s; longer times are in a wrong unit."""
+"""Maximum time, s. Longer times are in a wrong unit."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +51,7 @@ def check_times(time: np.ndarray) -> None:
 
 
 def time_order(time: np.ndarray) -> tuple[np.ndarray, list[str]]:
-    """Return the chronological order of rows, and notes."""
+    """Return the chronological order of the rows, and notes."""
     backward = int((np.diff(time) < 0).sum())
     if backward:
         notes = [f"rows were not in the order of time ({backward} steps back): sorted"]
@@ -129,7 +126,7 @@ def at_frames(values: np.ndarray, frames: FrameGrid) -> np.ndarray:
 
 
 _NEIGHBOURS = np.array([-2, -1, 1, 2])
-"""Positions of the samples that predict a sample, relative to it."""
+"""Relative positions of the samples that predict a sample."""
 _OUTLIER_RATIO = 8.0
 """Minimum deviation of an outlier from its prediction, in standard deviations."""
 _STD_PER_MAD = 1.4826
@@ -137,7 +134,7 @@ _STD_PER_MAD = 1.4826
 
 
 def outliers(points: np.ndarray, min_jump: float) -> np.ndarray:
-    """Return a mask of the samples that jump away from their track and back.
+    """Return the mask of single samples that are far away from the track.
 
     Args:
         points: marker positions, shape (frames, tracks, 2), m.
@@ -161,19 +158,19 @@ def _track_outliers(
 ) -> np.ndarray:
     """Return the mask of outliers in one track, shape (samples,).
 
-    The residuals r = A p are deviations from the cubics through the two samples before
-    and the two samples after each sample. Gaps make the cubics inexact. Their error is
-    proportional to the product of the four distances in time (4 frames⁴ without gaps),
-    and the rows are weighted by its inverse. An outlier of size d at sample k adds d
-    a_k to the residuals, where a_k is column k of A. Therefore |a_k·r| / |a_k| is
-    largest at the outlier itself, and |a_k·r| / |a_k|² is the size of the outlier.
+    The residuals r = A p are deviations of samples from the cubic through the two
+    samples before and the two samples after. The error of a cubic is proportional to
+    the product of its four distances in time (4 frames⁴ without gaps), so each row is
+    weighted by the inverse of the product. An outlier of size d at sample k adds d a_k
+    to the residuals, where a_k is column k of A. Therefore |a_k·r| / |a_k| is maximum
+    at the outlier itself, and |a_k·r| / |a_k|² is the size of the outlier.
     """
     from scipy.sparse import csr_array
 
     middle = np.arange(2, len(frames) - 2)
     neighbours = middle[:, None] + _NEIGHBOURS
     time = (frames[neighbours] - frames[middle, None]).astype(float)
-    # Lagrange interpolation at time 0.
+    # Lagrange interpolation at time 0 gives the weights.
     weight = -np.ones_like(time)
     for k, other in permutations(range(len(_NEIGHBOURS)), 2):
         weight[:, k] *= time[:, other] / (time[:, other] - time[:, k])
@@ -200,14 +197,14 @@ def _track_outliers(
     )
     large = projection > min_jump * size**2
     outlier = large & (score > _OUTLIER_RATIO * _STD_PER_MAD * usual) & (score >= peak)
-    # The outermost samples cannot be judged, because few cubics contain them. They
-    # remain in the score, so that their errors are not attributed to their neighbours.
+    # The two outermost samples at each end cannot be judged, because few cubics contain
+    # them. They stay in the score, so that their errors do not affect their neighbours.
     outlier[[0, 1, -2, -1]] = False
     return np.asarray(outlier)
 
 
 def runs(missing: np.ndarray) -> np.ndarray:
-    """Return start and end (exclusive) of each run of True, shape (runs, 2)."""
+    """Return start and end (exclusive) of each run of True values, shape (runs, 2)."""
     edges = np.flatnonzero(
         np.diff(np.concatenate([[False], missing, [False]]).astype(np.int8))
     )
@@ -215,14 +212,14 @@ def runs(missing: np.ndarray) -> np.ndarray:
 
 
 def longest_complete(time: np.ndarray, points: np.ndarray, longest: float) -> slice:
-    """Return the longest interval without forbidden gaps.
+    """Return the longest interval without long gaps.
 
-    All tracks are visible at both of its ends.
+    All tracks are visible on the first and the last frame of the interval.
 
     Args:
         time: times of the frames, shape (frames,), s.
         points: positions, NaN where unknown, shape (frames, tracks, axes).
-        longest: maximum allowed gap, between the samples around it, s.
+        longest: maximum time between the samples on both sides of a gap, s.
     """
     allowed = np.ones(len(time), dtype=bool)
     visible = ~np.isnan(points[..., 0])
@@ -246,7 +243,7 @@ def fill_gaps(time: np.ndarray, points: np.ndarray, degree: int) -> np.ndarray:
     Args:
         time: times of the frames, shape (frames,), s.
         points: positions, NaN where unknown, shape (frames, tracks, axes).
-        degree: degree of the spline, 3 or 1. Tracks with few samples get degree 1.
+        degree: degree of the spline, 3 or 1. Tracks with few samples have degree 1.
     """
     from scipy.interpolate import make_interp_spline
 

@@ -1,16 +1,14 @@
 """Logs of a robot: measured bends, and valve states, duties or pressures.
 
-A bend log has the columns ``time,bend_1,…`` of a robot on a bench. Angles are in rad or
-in the unit of the name (``bend_1_deg``). They are positive if the front end is turned
-to the left of the rear end. The body position is computed from the bends and the pose
-of the clamped head.
+A bend log has the columns ``time,bend_1,…`` of a robot on a bench. Bends are in rad, or
+in the unit stated by the name (``bend_1_deg``). A bend is positive if the front end is
+turned to the left of the rear end. The body position is computed from the bends and the
+pose of the clamped head.
 
-A valve log has ``time`` and either ``valve_plus_1, valve_minus_1, …`` (+1 fill, 0 hold,
-−1 vent) or ``pressure_plus_1, pressure_minus_1, …`` (gauge pressure in Pa, or in the
-unit of the name: ``pressure_plus_1_kpa``). It may have its own clock.
-
-`on_bench` transforms a recording to the frame of the clamp. On a bench, plants are
-clamped at the head of a straight body whose centre of mass is at the origin.
+A valve log has the column ``time`` and either ``valve_plus_1, valve_minus_1, …`` (+1
+fill, 0 hold, −1 vent) or ``pressure_plus_1, pressure_minus_1, …``. Pressures are gauge
+pressures in Pa, or in the unit stated by the name (``pressure_plus_1_kpa``). The clock
+of the log may differ from the clock of the motion.
 """
 
 from __future__ import annotations
@@ -68,21 +66,21 @@ from srs_twin.robot.spec import RobotSpec
 SIDES = ("plus", "minus")
 """Sides of a segment in column names."""
 AIR = ("pressure", "setpoint")
-"""Kinds of logs that contain pressures; the other kinds are valve and duty."""
+"""Kinds of logs that contain pressures. Other kinds are valve and duty."""
 
 _MAX_BEND = 2 * np.pi
-"""Maximum bend, rad, because no segment bends to a full circle."""
+"""Maximum bend, rad (a full circle)."""
 _MAX_PRESSURE = 2e6
 """Maximum gauge pressure of a chamber, Pa."""
 _MIN_PRESSURE = -1.1e5
-"""Minimum gauge pressure, Pa, slightly below vacuum."""
+"""Minimum gauge pressure, Pa (slightly below vacuum)."""
 _BEND = re.compile(r"bend_1(?!\d)")
 _MAX_PERIODS = 1_000_000
 """Maximum number of carrier periods in a log of duties."""
 _MAX_CLAMP_SHIFT = 0.05
 """Maximum motion of a clamped head, relative to the length of a segment."""
 _MAX_CLAMP_TURN = np.radians(5.0)
-"""Maximum rotation of a clamped head."""
+"""Maximum rotation of a clamped head, rad."""
 
 
 def is_bend_log(path: StrPath, recording_map: RecordingMap = NO_MAP) -> bool:
@@ -113,15 +111,16 @@ def read_bends(
         path: bend log.
         spec: recorded robot.
         longest_gap_s: maximum gap that is filled, s.
-        gait_frequency_hz: gait frequency, Hz; None for a motion that is not periodic.
-        map: column names and layout of the file.
+        gait_frequency_hz: gait frequency, Hz, or None for a motion that is not
+            periodic.
+        map: recording map with column names and layout of the file.
 
     Returns:
         Longest interval in which all bends are known, with the head at the origin
         and its heading along x.
 
     Raises:
-        InputError: the file cannot be used; the message names the place and a remedy.
+        InputError: the file cannot be used.
     """
     table = _table(path, map, ("bend",))
     clock = table.clock("no column 'time'; a bend log has time,bend_1,…")
@@ -174,7 +173,7 @@ def _table(
     mapped = recording_map.meanings([*kinds, "time"])
     if kinds == ("bend",):
         known = {"bend": QUANTITIES["bend"]}
-        # The time column in the map may belong to another file of the recording.
+        # A time column in the map may belong to another file of the same recording.
         mapped = {
             name: meaning
             for name, meaning in mapped.items()
@@ -212,11 +211,11 @@ def read_valves(
     Args:
         path: CSV file or bag.
         spec: recorded robot.
-        map: meanings of columns or topic signals, and the carrier frequency of duties.
+        map: recording map with the meanings of columns and the carrier frequency of
+            duties.
 
     Raises:
-        InputError: the file or columns are missing, or values are impossible; the
-            message names the place.
+        InputError: the file or columns are missing, or values are impossible.
     """
     if (topics := read_topics(path)) is not None:
         return log_of_topics(topics, spec, map)
@@ -257,8 +256,8 @@ def log_of_topics(
 ) -> ValveLog:
     """Read a log from topics.
 
-    Signals hold their values until the next message, except that measured pressures are
-    interpolated.
+    Measured pressures are interpolated. Other signals hold their values until the next
+    message.
 
     Raises:
         InputError: signals are missing, or have impossible values.
@@ -292,7 +291,7 @@ def log_of_topics(
             factors.append(units.get(unit, 1.0))
     series = [topics.signals[signal] for signal in chosen]
     time = np.unique(np.concatenate([times for times, _ in series]))
-    # The log begins when every signal has a value.
+    # The log begins at the time from which on every signal has a value.
     time = time[time >= max(times[0] for times, _ in series)]
     sample = np.interp if kind == "pressure" else held_values
     values = np.stack([sample(time, *own) for own in series], axis=1) * factors
@@ -312,13 +311,7 @@ def _checked_values(
     notes: list[str],
     error: Callable[[int, int, str], InputError],
 ) -> np.ndarray:
-    """Return valve states, duties or gauge pressures, and add notes.
-
-    `error` makes the error to raise from a row, a column and a message.
-
-    Raises:
-        InputError: values are missing or impossible.
-    """
+    """Return valve states, duties or gauge pressures after checking them."""
     if kind in AIR:
         if ambient:
             notes.append(f"absolute pressures: {ambient / 1e3:g} kPa subtracted")
@@ -404,10 +397,7 @@ def _log(
 def _switched_valves(
     time: np.ndarray, duty: np.ndarray, carrier_hz: float | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return times (rows,), s, and valve states (rows, segments, 2) with these duties.
-
-    Duties are from 0 to 1 and hold until the next row.
-    """
+    """Convert duties (0 to 1) to times, s, and valve states (rows, segments, 2)."""
     if carrier_hz is None:
         raise InputError(
             "duties need their carrier frequency; give log: {carrier_hz: 30} in a map"
@@ -428,13 +418,16 @@ def _switched_valves(
 def on_bench(recording: Recording, spec: RobotSpec) -> Recording:
     """Transform a recording to the frame of its clamp.
 
+    In this frame, the head is clamped so that the centre of mass of a straight body is
+    at the origin.
+
     Raises:
         InputError: the head moves, so it is not clamped.
     """
     trajectory = recording.trajectory
     head = trajectory.position[:, 0]
     head_heading = trajectory["theta_1"]
-    # Medians are used, because a few frames may be wrong.
+    # The medians are not affected by a few wrong frames.
     clamp = np.median(head, axis=0)
     heading = float(np.median(head_heading))
     shift = float(np.quantile(np.linalg.norm(head - clamp, axis=1), 0.95))

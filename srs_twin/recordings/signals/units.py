@@ -1,4 +1,4 @@
-"""Units of recorded quantities: symbols, factors to SI, spellings, and column names."""
+"""Units of recorded quantities, and their spellings in column names."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ PRESSURES |= {
     "cmH2O": 98.0665,
     "kgf/cm2": 98066.5,
 }
-"""Units of gauge pressures; units of absolute pressures (psia, bara) are missing."""
+"""Units of gauge pressures. Units of absolute pressures (psia, bara) are excluded."""
 SHARES = {"1": 1.0, "%": 1e-2}
 
 QUANTITIES: dict[str, dict[str, float]] = {
@@ -41,7 +41,7 @@ QUANTITIES: dict[str, dict[str, float]] = {
     "setpoint": PRESSURES,
     "bend": ANGLES,
 }
-"""Quantities of a log → their units."""
+"""Units of each quantity of a log."""
 
 _UNIT_REQUIRED = ("pressure", "setpoint", "bend")
 """Quantities that need a stated unit in a column with a custom name."""
@@ -59,7 +59,7 @@ _SYMBOLS = {
     word: line.split()[0] for line in _SPELLED.split(",") for word in line.split()[1:]
 }
 _MEGA = ("mbar", "mm", "mrad")
-"""Symbols whose M would mean mega, which no recorded quantity has."""
+"""Symbols whose capital M would mean mega, which no recorded quantity needs."""
 _AMBIENT = (7e4, 1.1e5)
 """Range of ambient pressures, Pa, from 3000 m altitude to a high at sea level."""
 _BRACKETS = re.compile(r"(.*?)\s*[(\[{<]([^()\[\]{}<>]*)[)\]}>]")
@@ -68,14 +68,14 @@ _CAMEL = re.compile(r"(?<=[a-z])[A-Z]+[a-z]*$")
 
 
 def clean(text: str) -> str:
-    """Return text in Unicode compatibility form (µ, ², blanks) with single spaces."""
+    """Normalise the Unicode characters of a text (µ, ²) and its spaces."""
     return " ".join(unicodedata.normalize("NFKC", text).split())
 
 
 def symbol(text: str, units: Mapping[str, float]) -> str:
-    """Return the symbol of a unit in any spelling.
+    """Return the symbol of a unit, which may be spelled in any way.
 
-    The result is empty if the unit is not in `units` or is ambiguous, as mpa.
+    The result is empty if `units` lacks the unit or the spelling is ambiguous (mpa).
     """
     word = re.sub(r"[\s^]", "", clean(text).replace("μ", "u"))
     if word in units:
@@ -91,7 +91,7 @@ def symbol(text: str, units: Mapping[str, float]) -> str:
 
 
 def bracketed(name: str) -> tuple[str, str]:
-    """Split a name such as P1 (bar) or t[us] into the name and the text in brackets."""
+    """Split a column name such as P1 (bar) into the name and the text in brackets."""
     match = _BRACKETS.fullmatch(name.strip())
     if match:
         return (match[1], match[2].strip(" -"))
@@ -101,8 +101,8 @@ def bracketed(name: str) -> tuple[str, str]:
 def stated_unit(name: str, units: Mapping[str, float]) -> str | None:
     """Return the unit in a column name such as P1 (bar), time_ms, P1/bar or timeMs.
 
-    The result is empty without a unit, and None if the unit is unknown or there are
-    two.
+    The result is an empty string if the name has no unit, and None if the unit is
+    unknown or the name has two units.
     """
     name = clean(name)
     bare, inside = bracketed(name)
@@ -110,7 +110,7 @@ def stated_unit(name: str, units: Mapping[str, float]) -> str | None:
         return symbol(inside, units) or None
     words: list[str] = _WORD.findall(bare)
     if [word.lower() for word in words] == ["pa"]:
-        return ""  # names a chamber or port, like pb
+        return ""  # the letters name a chamber or port, such as pb
     stated = {unit for word in words if (unit := _unit_in_word(word, units)) != ""}
     if len(stated) > 1 or None in stated:
         return None
@@ -132,9 +132,9 @@ class Meaning(NamedTuple):
     """Meaning of a column with a custom name, from a map.
 
     Attributes:
-        kind: quantity: time, valve, duty, pressure, setpoint or bend.
+        kind: quantity (time, valve, duty, pressure, setpoint or bend).
         name: quantity and side, such as "pressure_plus".
-        default: unit in the key of the map, for columns whose name states none.
+        default: unit in the key of the map, used if the column name states none.
         unit: unit of this column in the map, or an empty string.
     """
 
@@ -153,17 +153,17 @@ class Meaning(NamedTuple):
 def unit_of(
     column: str, stated: str | None, units: Mapping[str, float], meaning: Meaning
 ) -> tuple[str, str]:
-    """Return the unit of a mapped column, and a note if the map's key has another unit.
+    """Return the unit of a mapped column, and a note if the key has another unit.
 
     Args:
         column: column name.
         stated: unit in the column name, as `stated_unit` returns it.
         units: allowed units.
-        meaning: column meaning.
+        meaning: meaning of the column in the map.
 
     Raises:
-        InputError: the units differ, or the unit of a pressure or an angle is not
-            stated or not known.
+        InputError: stated units differ, or the unit of a pressure or an angle is
+            missing or unknown.
     """
     allowed = f"allowed: {', '.join(units) or 'none'}"
     given = symbol(meaning.unit, units)
@@ -194,11 +194,11 @@ _CLOCK = re.compile("time|timestamps?|stamp|t|epoch|elapsed")
 _CLOCK_QUALIFIER = re.compile(
     "since|start|unix|ros|system|host|header|field|log|relative|absolute"
 )
-"""Other words that may be in the name of a time."""
+"""Further words that a name of a time may contain."""
 
 
 def is_clock(name: str) -> bool:
-    """Return whether a column such as t_ms, Time (s) or timestamp [ns] is a time."""
+    """Return whether a column name such as t_ms or timestamp [ns] denotes a time."""
     bare, _ = bracketed(clean(name))
     if re.search(r"\d", bare):
         return False
@@ -216,7 +216,7 @@ def is_clock(name: str) -> bool:
 
 
 def looks_absolute(pressures: np.ndarray) -> bool:
-    """Return whether the minimum pressure (Pa) is near an ambient pressure."""
+    """Return whether the minimum pressure (Pa) is close to ambient pressure."""
     return bool(_AMBIENT[0] <= np.nanmin(pressures, initial=np.inf) <= _AMBIENT[1])
 
 
