@@ -1,4 +1,4 @@
-"""Additions of extensions to the plots and recordings of runs."""
+"""Plots and recording elements that extensions add."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class FollowedSignal(NamedTuple):
 class RunPictures:
     """Elements that an extension adds to the plots and recordings of one kind of run.
 
-    The base class adds nothing. An extension overrides the methods it needs.
+    The base class adds nothing.
 
     Attributes:
         kind: kind of experiment.
@@ -91,7 +91,7 @@ class RunPictures:
 
 @cache
 def additions() -> tuple[RunPictures, ...]:
-    """Return the additions of all installed extensions."""
+    """Return all installed additions."""
     return tuple(pictures for _, pictures in objects(PICTURES))
 
 

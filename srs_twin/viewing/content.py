@@ -21,9 +21,9 @@ class RunContent:
         spec: robot.
         trajectories: trajectories, keyed by plant. If there is a twin, a recording
             draws all other plants as ghosts.
-        comparison: differences between the plants over time, or None to omit the plot.
+        comparison: differences between the plants over time, or None.
         measured: differences from the measured robot, keyed by plant.
-        world: obstacles and movable objects.
+        world: obstacles and objects.
 
     Raises:
         InputError: a trajectory is missing or empty.

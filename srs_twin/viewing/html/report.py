@@ -1,8 +1,4 @@
-"""HTML report of a run.
-
-The report contains the settings, metrics, expectations and plots of a run, and the
-differences between the plants with their attribution to assumptions.
-"""
+"""HTML report of a run: settings, metrics, expectations, attribution and plots."""
 
 from __future__ import annotations
 
@@ -323,7 +319,6 @@ def robot_table(spec: RobotSpec) -> Table:
 
 
 def _robot_units() -> dict[str, str]:
-    """Return the SI unit of each parameter of a `RobotSpec`."""
     units = {
         "actuator.gain": "rad/Pa",
         "chamber.displacement": "m³/rad",
@@ -339,7 +334,6 @@ def _robot_units() -> dict[str, str]:
 
 
 def _leaves(tree: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
-    """Flatten nested mappings to paths and values, e.g. ('geometry.width', 0.03)."""
     leaves: list[tuple[str, Any]] = []
     for name, value in tree.items():
         if isinstance(value, Mapping):

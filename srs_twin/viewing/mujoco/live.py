@@ -3,8 +3,7 @@
 Either the controller of a scenario or the keyboard steers the twin. The left and right
 arrow keys change the offset, the up and down keys the frequency, and the page keys the
 supply pressure. Home resets the offset, space pauses, and backspace restarts the run.
-The first steering key takes over from the controller of the scenario. Key codes are
-defined by GLFW, which the viewer uses.
+The first steering key takes over from the controller. Key codes are defined by GLFW.
 """
 
 from __future__ import annotations

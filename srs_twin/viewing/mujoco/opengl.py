@@ -1,10 +1,9 @@
 """Select an OpenGL backend for off-screen rendering.
 
-MuJoCo reads the name of its backend from the variable MUJOCO_GL. Simulations without
-rendering set the variable to "disabled", so the backend is selected when the first
-image is drawn. An installed library does not always work. Each candidate therefore
-renders a small image in a separate process, because a faulty library may crash its
-process and PyOpenGL cannot change its backend within a process.
+Simulations without rendering set MUJOCO_GL to "disabled", so the backend is selected
+when the first image is drawn. Each candidate renders a small image in a separate
+process, because a faulty library may crash its process and PyOpenGL cannot change its
+backend within a process.
 """
 
 from __future__ import annotations
@@ -57,8 +56,7 @@ def usable_opengl() -> str:
     the platform are tested in turn (egl, then osmesa on Linux).
 
     Raises:
-        InputError: no backend works. The message lists the reasons and the packages to
-            install.
+        InputError: no backend works.
     """
     selected = os.environ.get("MUJOCO_GL", "").lower().strip()
     candidates: tuple[str, ...] = (selected,)
@@ -120,11 +118,11 @@ def _test(name: str) -> str:
 def draw_box(name: str) -> None:
     """Render a white box on a black background to test a backend.
 
-    Call this function in a child process, because a faulty library may crash. A faulty
-    library may also raise errors of any type.
+    Call this function in a child process, because a faulty library may crash or raise any
+    error.
 
     Args:
-        name: OpenGL backend, named as in MUJOCO_GL.
+        name: backend name.
 
     Raises:
         InputError: all pixels have the same colour.

@@ -1,8 +1,8 @@
 """Off-screen videos, images and stroboscopic figures of the twin, rendered by MuJoCo.
 
-The camera follows the path of the snake, averaged over one gait period. Videos are MP4
-files with the codec H.264, which all browsers support. A stroboscopic figure shows the
-snake at several times of a run in one plan view, as in Fig. 36 of the dissertation.
+Videos are MP4 files with the codec H.264, which all browsers support. A stroboscopic
+figure shows the snake at several times of a run in one plan view, as in Fig. 36 of
+the dissertation.
 """
 
 from __future__ import annotations
@@ -104,7 +104,7 @@ At 0 degrees the camera looks across the snake.
 """
 
 _DISTANCE_PER_SEPARATION = 0.7
-"""Ratio of the additional camera distance to the largest distance between the plants."""
+"""Ratio of the additional camera distance to the distance between the plants."""
 
 _ELEVATION_DEG = {"bench": -60.0, "floor": -35.0}
 _DISTANCE_LENGTHS = {"bench": 2.6, "floor": 1.7}
@@ -158,13 +158,12 @@ class FollowCamera:
         self._camera.distance = distance
 
     def at(self, row: int) -> mujoco.MjvCamera:
-        """Return the camera for a sample of the run."""
+        """Return the camera at a sample."""
         self._camera.lookat = [*self._target[row], 0.0]
         return self._camera
 
 
 def _smooth_path(run: Trajectory) -> np.ndarray:
-    """Average the centre of mass over one gait period around each sample."""
     window = gait_period(run) or _SMOOTHING_S
     time = run.time
     duration = float(run.time[-1] - run.time[0])
@@ -183,7 +182,7 @@ def _smooth_path(run: Trajectory) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Size:
-    """Size of an image in pixels. Video encoders require even sides."""
+    """Image size in pixels; video encoders require even sides."""
 
     width: int = 1280
     height: int = 720
@@ -357,7 +356,6 @@ def write_strobe(
 def _floor_corners(
     scenario: Scenario, run: Trajectory
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return two opposite corners of a floor that contains the run and the world, m."""
     world = scenario.world
     points = [run.position.reshape(-1, 2)]
     points += [np.array(polygon.corners) for polygon in world.polygons]
@@ -389,7 +387,6 @@ def _render_from_above(
     height: float,
     size: Size,
 ) -> np.ndarray:
-    """Render several samples in one orthographic image from above."""
     camera = mujoco.MjvCamera()
     camera.type = mujoco.mjtCamera.mjCAMERA_FREE
     camera.azimuth = 90.0

@@ -1,4 +1,4 @@
-"""Scene of a finished run of the twin in MuJoCo, drawn sample by sample."""
+"""MuJoCo scene of a finished run, drawn sample by sample."""
 
 from __future__ import annotations
 
@@ -64,8 +64,7 @@ class Stage:
     """Scene of a run: robot and world of the scenario at the recorded positions.
 
     The colour of a segment shows its pressure difference. The scene contains the trail
-    of the centre of mass, the lines on the floor that extensions add, and optionally
-    another plant as a ghost.
+    of the centre of mass and the lines on the floor that extensions add.
 
     Attributes:
         run: twin's trajectory.
@@ -125,7 +124,7 @@ class Stage:
 
     @property
     def duration(self) -> float:
-        """Duration of the run, s."""
+        """Run duration, s."""
         return float(self.run.time[-1] - self.run.time[0])
 
     @property
@@ -135,11 +134,11 @@ class Stage:
         return pictures.legend if pictures else {}
 
     def row_at(self, time: float) -> int:
-        """Return the index of the sample nearest to a time, s."""
+        """Return the sample nearest to a time, s."""
         return int(np.abs(self.run.time - time).argmin())
 
     def show(self, row: int) -> None:
-        """Set the state of the scene to a sample of the run."""
+        """Show a sample."""
         self.data.qpos[:] = self._qpos[row]
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_comPos(self.model, self.data)
@@ -178,7 +177,6 @@ class Stage:
             add_line(scene, points, color, half_width)
 
     def _add_marks(self, scene: mujoco.MjvScene, row: int) -> None:
-        """Mark where connectors of a spatial snake have touched the floor so far."""
         rows, points = self._marks
         disc = mujoco.mjtGeom.mjGEOM_CYLINDER
         rgba = np.array(unit_rgba(CONTACT_COLOR), dtype=np.float32)
@@ -203,7 +201,6 @@ class Stage:
             scene.geoms[first].label = f"{_SCALE_BAR_M:g} m"
 
     def _add_ghost(self, scene: mujoco.MjvScene, row: int) -> None:
-        """Add the ghost at the time of a sample, or at its final position."""
         if self.ghost is None:
             return
         plant, run = self.ghost
@@ -294,7 +291,7 @@ def _legend(run: Trajectory, ghost: Ghost | None, *, bench: bool) -> list[Label]
 
 
 def make_obstacles_translucent(model: mujoco.MjModel) -> None:
-    """Make obstacles translucent, so that a snake behind them is visible."""
+    """Make obstacles translucent, because they may hide the snake."""
     for geom in range(model.ngeom):
         if re.match(r"(obstacle|polygon)_\d", model.geom(geom).name):
             model.geom_rgba[geom, 3] = _OBSTACLE_ALPHA
@@ -321,7 +318,7 @@ class Skins:
                 self.geoms[int(match[1]) - 1].append(geom)
 
     def paint(self, colors: np.ndarray) -> None:
-        """Set the colours of the segments, RGBA from 0 to 1, shape (segments, 4)."""
+        """Set the segment colours, RGBA from 0 to 1, shape (segments, 4)."""
         for geoms, color in zip(self.geoms, colors, strict=True):
             self._model.geom_rgba[geoms] = color
 

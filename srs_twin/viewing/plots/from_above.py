@@ -38,13 +38,13 @@ def plan_view(
 ) -> Figure:
     """Plot centre-of-mass paths with bodies at a few equally spaced times.
 
-    The plot follows Fig. 36 of the dissertation. Bodies of the twin are filled, bodies of
-    other plants are outlines.
+    The plot follows Fig. 36 of the dissertation. Bodies of the twin are filled, and
+    bodies of other plants are outlines.
 
     Args:
         trajectories: trajectories, keyed by plant.
         spec: robot.
-        world: obstacles in view, and movable objects at the times of the bodies.
+        world: obstacles and movable objects.
     """
     world = world or World()
     times = strobe_times(trajectories, spec.geometry)
@@ -88,7 +88,7 @@ def plan_view(
 def strobe_times(
     trajectories: Mapping[str, Trajectory], geometry: Geometry
 ) -> list[float]:
-    """Return at most six equally spaced times at which the drawn bodies do not overlap, s."""
+    """Return at most six equally spaced times (s) at which the bodies do not overlap."""
     run = next(iter(trajectories.values()))
     end = min(float(trajectory.time[-1]) for trajectory in trajectories.values())
     distance = np.hypot(*(run.com - run.com[0]).T)
@@ -100,7 +100,7 @@ def strobe_times(
 
 
 def samples_at(run: Trajectory, times: list[float]) -> list[Trajectory]:
-    """Return the samples at the given times (s) as trajectories of one sample each."""
+    """Return samples at the given times (s) as trajectories of one sample each."""
     rows = np.searchsorted(run.time, np.array(times) - 1e-9).clip(max=len(run) - 1)
     return [
         Trajectory({name: column[[row]] for name, column in run.columns.items()})
@@ -131,7 +131,7 @@ def obstacle_patches(
 
     Args:
         circles: round obstacles (x, y, radius), m.
-        polygons: corners of polygons, m.
+        polygons: polygon corners, m.
     """
     style: dict[str, Any] = {"facecolor": "0.35", "zorder": 1}
     return [
@@ -145,7 +145,7 @@ def object_outlines(
 ) -> list[np.ndarray]:
     """Return outlines of the movable objects at the given times (s), each (k, 2), m.
 
-    A radius in the outline of a cylinder shows its rotation.
+    A radius in the outline of a cylinder shows the rotation of the cylinder.
     """
     if not run.has("object_x_1"):
         return []
@@ -162,7 +162,6 @@ def object_outlines(
 
 
 def _outline(item: MovableObject) -> np.ndarray:
-    """Return the outline of an object at the origin with zero heading."""
     if item.is_box:
         corners = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])
         return np.asarray(corners * np.array(item.size) / 2)

@@ -54,12 +54,12 @@ _MAX_TITLE = 36
 
 
 def field_label(path: str) -> str:
-    """Return the label of a field, e.g. 'gait frequency (Hz)'.
+    """Return the label of a field, for example 'gait frequency (Hz)'.
 
-    The label is the title in the schema if this title is short. Otherwise it is the key.
+    The label is the title in the schema if it is short, and otherwise the key.
 
     Args:
-        path: path of the field, for example `controller.frequency_hz`.
+        path: field, e.g. `controller.frequency_hz`.
     """
     keys = path.split(".")
     name, unit = split_unit(keys[-1])
@@ -77,7 +77,7 @@ def field_label(path: str) -> str:
 
 
 def metric_label(metric: str) -> str:
-    """Return the label of a metric, e.g. 'CoM speed (m/s)' for `com_speed_m_s`.
+    """Return the label of a metric, for example 'CoM speed (m/s)' for `com_speed_m_s`.
 
     A number after the name selects an element of a list: 'bend amplitude 2 (rad)'.
     """
@@ -89,7 +89,7 @@ def metric_label(metric: str) -> str:
 
 
 def metric_title(metric: str) -> str:
-    """Return the label of a metric without unit, e.g. 'CoM speed'."""
+    """Return the label of a metric without unit, for example 'CoM speed'."""
     if metric in _TITLES:
         return _TITLES[metric]
     name, _ = split_metric(metric)
@@ -116,7 +116,6 @@ def _spaced(name: str) -> str:
 
 
 def _title(path: str) -> str:
-    """Return the title of a field in the scenario schema, or an empty string."""
     nodes = [_schema()]
     for key in path.split("."):
         children = (

@@ -1,6 +1,5 @@
 """Plots of runs and of the differences between plants.
 
-The figures use the object-oriented interface of matplotlib, which has no global state.
 Lines differ in colour (a palette for colour-blind readers), dash and width, so that
 they remain distinguishable in greyscale.
 """
@@ -73,10 +72,7 @@ _MEASURED_SIGNALS = {
 
 @drawing
 def bend_plot(trajectories: Runs) -> Figure:
-    """Plot the bend of each segment over the last gait periods.
-
-    Runs without a gait are plotted from start to end.
-    """
+    """Plot the bend of each segment over the last gait periods or a run without a gait."""
     return _by_segment(
         trajectories, lambda run: run.stack("bend"), "$q_{{{}}}$ (rad)", "Bends"
     )
@@ -144,7 +140,7 @@ def error_plot(comparison: Comparison, spec: RobotSpec) -> Figure:
 
 
 def runs_with_styles(trajectories: Runs) -> list[tuple[Style, Trajectory]]:
-    """Return each run with the style of its plant."""
+    """Return runs with their styles."""
     return [
         (style_of(plant, index), run)
         for index, (plant, run) in enumerate(trajectories.items())
@@ -157,7 +153,6 @@ def _by_segment(
     label: str,
     title: str,
 ) -> Figure:
-    """Plot a signal in one panel per segment from head to tail."""
     signals = [signal(run) for run in trajectories.values()]
     segments = min(values.shape[1] for values in signals)
     count = min(segments, _MAX_ROWS)
@@ -182,8 +177,6 @@ def _by_segment(
 
 
 class _Window(NamedTuple):
-    """Time range of a plot in seconds, and a remark for the title."""
-
     first: float
     last: float
     remark: str = ""
@@ -203,7 +196,7 @@ def _finish_time(figure: Figure, rows: Sequence[Axes], window: _Window) -> None:
 
 
 def _common_window(trajectories: Runs) -> _Window:
-    """Return the last gait periods that all runs cover, or the whole range of short runs."""
+    """Return the last gait periods that all runs cover, or all of a short run."""
     first = min(float(run.time[0]) for run in trajectories.values())
     ends = [float(run.time[-1]) for run in trajectories.values()]
     period = max(gait_period(run) or 0.0 for run in trajectories.values())
@@ -220,7 +213,8 @@ def _common_window(trajectories: Runs) -> _Window:
 def learning_plot(trajectories: Runs) -> Figure:
     """Plot bend amplitudes with targets (left) and duties (right), one row per module.
 
-    Colours distinguish the chambers and dashes the plants. Targets are thin dotted lines.
+    Colours distinguish the chambers, and dashes distinguish the plants. Targets are thin
+    dotted lines.
     """
     runs = [
         (style, PeriodAmplitudes.from_trajectory(run))
@@ -287,8 +281,8 @@ def tracking_plot(trajectories: Runs) -> Figure:
     """Plot reference, bends and readings of the first segment, and the valve states.
 
     The plot shows the last four periods of a periodic reference, or else the whole run.
-    As in the dissertation, the valve state is 1 if the valves drive positive bends, −1 if
-    they drive negative bends, and 0 if both hold.
+    As in the dissertation, the valve state is 1 if the valves drive positive bends,
+    −1 if they drive negative bends, and 0 if both hold.
     """
     count = len(trajectories)
     figure, (bends, *valves) = panels(
@@ -357,10 +351,9 @@ def reading_plot(trajectories: Runs) -> Figure | None:
 
 @drawing
 def measured_plot(differences: Mapping[str, MeasuredDifference]) -> Figure | None:
-    """Plot the differences from the measured shape, path, heading and bends.
+    """Plot the differences from the measured shape, path, heading and bends (RMS).
 
-    The difference of the bends is the RMS over the segments. The result is None without
-    measurements.
+    The result is None without measurements.
     """
     if not differences:
         return None
@@ -400,8 +393,8 @@ def attribution_plot(attribution: Attribution) -> Figure:
     """Plot the contributions of the assumptions, sorted by size, one panel per measure.
 
     Thin lines show the range of a contribution over the orders in which assumptions are
-    replaced. The last two bars show the unexplained part and the total difference, which
-    is the sum of the bars above.
+    replaced. The last two bars show the unexplained part and the total difference, the
+    sum of the bars above.
     """
     shares = _by_size(attribution.shares)
     names = [*(share.name for share in shares), "not explained", "twin − analytical"]

@@ -1,4 +1,4 @@
-"""Plotted signals computed from a trajectory."""
+"""Plotted signals of a trajectory."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def pressure_difference(trajectory: Trajectory) -> Array:
 
 
 def kind_of(trajectories: Mapping[str, Trajectory]) -> str:
-    """Return the kind of experiment: gait, bench, learning, or a kind of an extension."""
+    """Return the kind of experiment: gait, bench, learning, or an extension's kind."""
     runs = trajectories.values()
     for run in runs:
         if run.has("reference_1") or run.metadata.get("base") == "clamped":
@@ -78,10 +78,7 @@ def gait_period(trajectory: Trajectory) -> float | None:
 
 
 def reference_period(trajectory: Trajectory) -> float | None:
-    """Return the period of the first segment's reference, s.
-
-    The result is None unless the reference is a sine or a square wave.
-    """
+    """Return the period (s) of the first segment's reference if it is sine or square."""
     if not trajectory.has("reference_1"):
         return None
     time = trajectory.time
@@ -108,9 +105,8 @@ def period_speed(trajectory: Trajectory, period: float) -> tuple[Array, Array]:
     """Return times (s) and the speed of the period-averaged path at these times (m/s).
 
     The speed is the displacement over one gait period centred at each time, divided by
-    the period. Its sign is negative if the displacement is opposite to the heading. The
-    first and last half periods are excluded. Both arrays are empty if the run is shorter
-    than a period.
+    the period. Its sign is negative if the displacement is opposite to the heading. Both
+    arrays are empty if the run is shorter than a period.
     """
     time = trajectory.time
     heading = trajectory["heading"]

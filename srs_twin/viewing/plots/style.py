@@ -38,7 +38,7 @@ CONTACT_COLOR = "#55607a"
 
 
 def rgb(color: str) -> tuple[int, int, int]:
-    """Return a colour #rrggbb as RGB bytes."""
+    """Convert #rrggbb to bytes."""
     red, green, blue = bytes.fromhex(color[1:])
     return red, green, blue
 
@@ -88,7 +88,7 @@ class Style:
 
     @property
     def zorder(self) -> float:
-        """Drawing order. Dashed lines lie above solid lines, so that both remain visible."""
+        """Drawing order: dashed lines lie above solid lines, so that both remain visible."""
         if self.dash == "-":
             return 2.0
         return 2.1
@@ -131,8 +131,7 @@ def pressure_colors(
 
     Args:
         difference: p⁺ − p⁻ in any unit; NaN becomes grey.
-        full_scale: magnitude that gets the full colour. None selects the maximum
-            magnitude.
+        full_scale: magnitude at full colour; None selects the maximum magnitude.
     """
     finite = np.nan_to_num(difference)
     if full_scale is None:
@@ -153,10 +152,7 @@ _SETTINGS |= {"svg.hashsalt": "srs-twin", "svg.fonttype": "none"}
 
 @contextmanager
 def own_settings() -> Iterator[None]:
-    """Draw with the settings of this program inside a `with` block.
-
-    The user's settings are restored at the end of the block.
-    """
+    """Draw with the settings of this program, and restore the user's settings afterwards."""
     # Only differing settings are set, because setting all would take a millisecond.
     with rc_context(
         {name: value for name, value in _SETTINGS.items() if rcParams[name] != value}

@@ -29,15 +29,15 @@ class Layout:
         plants: plant names.
         camera_target: entity below `world/` that the camera follows.
         segments: number of segments.
-        start: start position, shape (2,), m.
+        start: start position (2,), m.
         heading: initial heading, rad.
         body_length: body length, m.
         separation: maximum distance between two centres of mass, m. It determines the
             camera distance.
         period: gait period, s. Plots show a few periods around the cursor, or the
             whole run if the period is None.
-        compared: whether the plants are compared.
-        kind: kind of experiment, which selects the plots.
+        compared: whether plants are compared.
+        kind: kind of experiment.
         signals: signals of an extension, plotted first.
         speeds: limits of the speed axis, m/s, or None for automatic limits.
         events: whether events exist.
@@ -89,10 +89,8 @@ def run_blueprint(layout: Layout) -> rrb.Blueprint:
 def side_by_side_blueprint(layouts: Mapping[str, Layout]) -> rrb.Blueprint:
     """Return the layout of several runs, at most three per row.
 
-    The scene of each run lies above the run's plots.
-
     Args:
-        layouts: layouts with a root, keyed by run.
+        layouts: layouts, keyed by run.
     """
     columns = []
     for name, layout in layouts.items():
@@ -144,7 +142,7 @@ def _bench_plots(layout: Layout) -> Rows:
         _modules(layout, "/pressure", _PRESSURES),
     ]
     if measured := _measured_plots(layout):
-        # The plot of bends comes first, because often only bends are measured on a bench.
+        # Bends come first, because often only bends are measured on a bench.
         plots.append(rrb.Tabs(*reversed(measured)))
     return plots
 
@@ -219,7 +217,6 @@ def scene_view(layout: Layout, name: str = "") -> rrb.Spatial3DView:
 
 
 def _periods_axis(layout: Layout) -> rrb.TimeAxis | None:
-    """Return a time axis with a few gait periods around the cursor, if there is a gait."""
     if layout.period is None:
         return None
     half = _PERIODS_SHOWN / 2 * layout.period

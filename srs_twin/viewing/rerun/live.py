@@ -99,7 +99,7 @@ class LiveForecast(Protocol):
 
 
 class LiveView:
-    """Logger of estimates and predictions, called once per estimate."""
+    """Logger of estimates and predictions."""
 
     def __init__(self, spec: RobotSpec, log: rr.RecordingStream) -> None:
         """Send the layout.
@@ -203,7 +203,7 @@ def live_view(
 
     Args:
         spec: robot.
-        recording: output file, or None.
+        recording: output file, if any.
         window: whether to open the native viewer.
         web: whether to serve the web viewer on this machine.
 

@@ -86,7 +86,7 @@ _REFERENCE = replace(REFERENCE, color="#8a8a8a")
 
 
 def write_recording(path: str | Path, content: RunContent, *, title: str = "") -> None:
-    """Write the recording of a run: the snakes on the floor, and plots of their signals.
+    """Write the recording of a run, with a scene and plots of the signals.
 
     Args:
         path: output file.
@@ -125,7 +125,6 @@ def write_recording(path: str | Path, content: RunContent, *, title: str = "") -
 
 
 def _begin(log: rr.RecordingStream, title: str) -> None:
-    """Name a recording, and omit the wall-clock times of its log calls."""
     log.set_log_time_enabled(False)
     log.set_log_tick_enabled(False)
     log.send_recording_name(title)
@@ -150,7 +149,6 @@ def _send_plant(
 
 
 def _drain(log: rr.RecordingStream, memory: rr.MemoryRecording) -> bytes:
-    """Return the content of a stream, and close the stream."""
     content: bytes = memory.drain_as_bytes()
     log.disconnect()
     # Without this call, Rerun keeps the threads and the memory of closed streams.
@@ -244,11 +242,6 @@ def _layout(
 
 
 def _coms(trajectories: Mapping[str, Trajectory]) -> tuple[np.ndarray, np.ndarray]:
-    """Return times (s) and centres of mass (m), constant after the end of a run.
-
-    Returns:
-        Times, shape (T,), and positions, shape (plants, T, 2).
-    """
     time = max((run.time for run in trajectories.values()), key=lambda times: times[-1])
     runs = trajectories.values()
     coms = [
@@ -259,7 +252,7 @@ def _coms(trajectories: Mapping[str, Trajectory]) -> tuple[np.ndarray, np.ndarra
 
 
 def _separation(coms: np.ndarray) -> float:
-    """Return twice the maximum distance of a centre of mass from the mean of all plants."""
+    """Return twice the maximum distance of a plant from the mean position of all plants."""
     return 2 * float(np.linalg.norm(coms - coms.mean(axis=0), axis=-1).max())
 
 
@@ -298,9 +291,9 @@ def _send_floor(
 def _send_modules(to: Entities, plant: str, run: Trajectory, style: Style) -> None:
     """Log the bends, pressures, valves, readings and duties of the modules.
 
-    The valve state of a module is 1 if its valves drive positive bends, −1 if they drive
-    negative bends, and 0 if both valves have equal states. Readings of an ideal sensor are
-    omitted.
+    The valve state of a module is 1 if its valves drive positive bends, −1 if they
+    drive negative bends, and 0 if both valves have equal states. Readings of an ideal
+    sensor are omitted.
     """
 
     def send(name: str, values: np.ndarray, style: Style, steps: bool = False) -> None:
@@ -361,8 +354,6 @@ def _send_events(
 
 @dataclass(frozen=True)
 class _StoredRun:
-    """Recording of a run, read from a file."""
-
     name: str
     chunks: tuple[Chunk, ...]
 

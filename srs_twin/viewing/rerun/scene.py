@@ -135,15 +135,15 @@ def send_objects(to: Entities, run: Trajectory, world: World) -> None:
 def send_contacts(to: Entities, run: Trajectory, height: float) -> None:
     """Log the contact forces exerted by obstacles on a snake as arrows.
 
-    An arrow starts at the centre of a connector and shows the force on the connector and
-    the adjacent halves of its segments. All samples are used, because a contact may be
-    shorter than the sample interval of the shapes.
+    An arrow starts at the centre of a connector and shows the force on the connector
+    and the adjacent halves of its segments. All samples are used, because a contact may
+    be shorter than the sample interval of the shapes.
 
     Args:
         to: entities of the snake, with the sample times of the run.
         run: trajectory. With obstacles, the trajectory has the columns
             ``obstacle_force_x_1…`` and ``obstacle_force_y_1…``.
-        height: height of the arrows above the floor, m.
+        height: arrow height, m.
     """
     if not run.has("obstacle_force_x"):
         return
@@ -189,8 +189,7 @@ def send_snake(
 ) -> None:
     """Log a snake.
 
-    A ghost is translucent and has the colour of its plant. The colours of other snakes
-    show pressures.
+    A ghost has the colour of its plant. The colours of other snakes show pressures.
     """
     geometry = spec.geometry
     wheeled = spec.skin is None
@@ -214,7 +213,6 @@ def send_snake(
 
 
 def _send_tracks(to: Entities, snake: Trajectory, style: Style) -> None:
-    """Log where connectors touch the floor during the run."""
     places = snake.position[snake.stack("load") > 0.0]
     step = max(1, math.ceil(len(places) / _MAX_TRACKS))
     points = _at_height(places[::step], _LINE_HEIGHT_M)
@@ -258,7 +256,6 @@ def _lines(snake: Trajectory, geometry: Geometry) -> np.ndarray:
 
 
 def _orientations(snake: Trajectory) -> np.ndarray:
-    """Return the connector orientations as quaternions xyzw, shape (samples, N, 4)."""
     if snake.has("quaternion_w"):
         return np.stack([snake.stack(f"quaternion_{axis}") for axis in "xyzw"], axis=-1)
     half = snake.stack("theta") / 2
@@ -267,7 +264,6 @@ def _orientations(snake: Trajectory) -> np.ndarray:
 
 
 def _send_tubes(to: Entities, snake: Trajectory, geometry: Geometry) -> None:
-    """Log each segment as capsules, coloured by its pressure difference."""
     lines = _lines(snake, geometry)
     colors = pressure_colors(pressure_difference(snake))
     for j in range(geometry.segments):
@@ -379,16 +375,7 @@ def _send_solids(
     rotations: np.ndarray,
     **appearance: Any,
 ) -> None:
-    """Log an equal number of solids per sample.
-
-    Args:
-        to: entities.
-        name: entity name.
-        shape: archetype, e.g. `rr.Boxes3D`.
-        centres: centres, shape (n, 3), m.
-        rotations: quaternions xyzw, shape (…, 4).
-        appearance: static components.
-    """
+    """Log an equal number of solids per sample."""
     to.static(name, shape.from_fields(fill_mode="solid", **appearance))
     poses = shape.columns(
         centers=centres, quaternions=rotations.reshape(-1, 4).astype(np.float32)
@@ -397,10 +384,6 @@ def _send_solids(
 
 
 def _send_trail(to: Entities, snake: Trajectory, style: Style) -> None:
-    """Log the centre of mass, and its trail as one line per sample.
-
-    The view shows the lines up to the time cursor.
-    """
     before = np.concatenate([snake.com[:1], snake.com[:-1]])
     ends = np.stack([before, snake.com], axis=1)
     strips = _at_height(ends, 0.002).reshape(-1, 2, 3)
@@ -411,7 +394,10 @@ def _send_trail(to: Entities, snake: Trajectory, style: Style) -> None:
 
 
 def line_height(geometry: Geometry) -> float:
-    """Return the height of the centre line, m, limited so that the body stays above floor."""
+    """Return the height of the centre line, m.
+
+    The height is at least half the width, so that the body stays above the floor.
+    """
     return max(geometry.com_height, geometry.width / 2)
 
 
@@ -425,13 +411,12 @@ def send_lines(to: Entities, lines: Iterable[FloorLine]) -> None:
 
 
 def _at_height(points: np.ndarray, height: float) -> np.ndarray:
-    """Return points (…, 2) at a common height as a float32 array (n, 3)."""
     flat = points.reshape(-1, 2)
     return np.column_stack([flat, np.full(len(flat), height)]).astype(np.float32)
 
 
 def _along(steps: np.ndarray) -> np.ndarray:
-    """Return quaternions (n, 4), xyzw, that rotate +z, the capsule axis, to the steps."""
+    """Return quaternions xyzw, shape (n, 4), that rotate +z (capsule axis) to the steps."""
     # Without a rigid gap, the first and the last step of a segment have zero length.
     length = np.maximum(np.linalg.norm(steps, axis=-1, keepdims=True), 1e-12)
     x, y, z = np.moveaxis(steps / length, -1, 0)
@@ -441,7 +426,7 @@ def _along(steps: np.ndarray) -> np.ndarray:
 
 
 def _yaw_quaternions(yaw: np.ndarray) -> np.ndarray:
-    """Return quaternions (n, 4), xyzw, that rotate +z, the capsule axis, to a yaw angle."""
+    """Return quaternions xyzw, shape (n, 4), that rotate +z (capsule axis) to a yaw."""
     s = np.sin(yaw / 2)
     c = np.cos(yaw / 2)
     turns: np.ndarray = np.sqrt(0.5) * np.stack([-s, c, s, c], axis=-1)
@@ -449,5 +434,5 @@ def _yaw_quaternions(yaw: np.ndarray) -> np.ndarray:
 
 
 def _packed(rgba: np.ndarray) -> np.ndarray:
-    """Convert bytes (n, 4) to integers 0xRRGGBBAA, which Rerun accepts without a copy."""
+    """Convert bytes (n, 4) to integers 0xRRGGBBAA, which Rerun does not copy."""
     return np.ascontiguousarray(rgba).view(">u4").reshape(-1).astype(np.uint32)

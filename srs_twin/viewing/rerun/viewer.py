@@ -1,12 +1,9 @@
 """Run the Rerun viewer in a child process or a browser, and verify recordings.
 
-The viewer accepts connections from this machine only. The viewer ends at the end of
-the `with` block that started it.
-
-Rerun serves its viewer and the recording, but Rerun's page loads fonts from the
-internet. This delays the page offline and discloses its use online. A proxy server
-therefore removes these links and adds a Content-Security-Policy that makes the browser
-block all requests to other hosts.
+The viewer accepts connections from this machine only. Rerun's page loads fonts from
+the internet, which delays the page offline and discloses its use online. A proxy
+server therefore removes these links and adds a Content-Security-Policy that makes the
+browser block all requests to other hosts.
 """
 
 from __future__ import annotations
@@ -121,10 +118,8 @@ Rerun = subprocess.Popen[bytes]
 def running_rerun(*arguments: str) -> Iterator[tuple[Rerun, IO[bytes]]]:
     """Run Rerun, and yield the process and the file with its output.
 
-    Rerun and its child processes end with the `with` block.
-
     Args:
-        arguments: arguments of Rerun, in addition to its address.
+        arguments: further arguments of Rerun.
 
     Raises:
         InputError: Rerun is not installed.
@@ -194,13 +189,12 @@ def serve_recordings(
     """Serve recordings in the web viewer on 127.0.0.1.
 
     The context manager yields the URL of the page, and a function that serves requests
-    until it is interrupted. All processes end with the `with` block.
+    until it is interrupted.
 
     Args:
         recordings: recordings of `write_recording`.
         port: page port, or 0 for a free port.
-        data_port: port to which a running program may stream data, or None for a free
-            port.
+        data_port: port to which a running program may stream data, or None.
 
     Raises:
         InputError: the port is in use, or Rerun does not start.
@@ -233,19 +227,11 @@ class _ProxyHandler(BaseHTTPRequestHandler):
     """Request handler that forwards Rerun's files without links to other hosts."""
 
     def __init__(self, source: str, query: str, *request: Any) -> None:
-        """Handle a request.
-
-        Args:
-            source: URL of Rerun's own server.
-            query: query that selects the recording in the viewer.
-            request: arguments of `BaseHTTPRequestHandler`.
-        """
         self.source = source
         self.query = query
         super().__init__(*request)
 
     def do_GET(self) -> None:
-        """Return a file of Rerun, or redirect the root to the recording."""
         url = urlsplit(self.path)
         if url.path == "/" and url.query != self.query:
             self.send_response(302)
@@ -283,9 +269,10 @@ def _opener() -> urllib.request.OpenerDirector:
 def is_served(
     server: subprocess.Popen[bytes], addresses: Sequence[str], timeout_s: float
 ) -> bool:
-    """Wait until a server answers requests to all addresses.
+    """Wait until a server answers at all addresses, ends, or exceeds the timeout.
 
-    The result is False if the server ends or the time runs out.
+    Returns:
+        Whether the server answered.
     """
     deadline = time.monotonic() + timeout_s
     while server.poll() is None and time.monotonic() < deadline:
