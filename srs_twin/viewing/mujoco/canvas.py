@@ -56,8 +56,8 @@ class Canvas:
             model: MuJoCo model. Its offscreen size and shadow size are changed.
             width: image width, pixels.
             height: image height, pixels.
-            opengl: OpenGL backend, named as in MUJOCO_GL, or an empty string for the first
-                working backend.
+            opengl: OpenGL backend, named as in MUJOCO_GL, or an empty string for the
+                first working backend.
 
         Raises:
             InputError: no backend works.

@@ -118,8 +118,8 @@ def _test(name: str) -> str:
 def draw_box(name: str) -> None:
     """Render a white box on a black background to test a backend.
 
-    Call this function in a child process, because a faulty library may crash or raise any
-    error.
+    Call this function in a child process, because a faulty library may crash or raise
+    any error.
 
     Args:
         name: backend name.

@@ -88,7 +88,7 @@ def plan_view(
 def strobe_times(
     trajectories: Mapping[str, Trajectory], geometry: Geometry
 ) -> list[float]:
-    """Return at most six equally spaced times (s) at which the bodies do not overlap."""
+    """Return at most six equally spaced times (s) at which bodies do not overlap."""
     run = next(iter(trajectories.values()))
     end = min(float(trajectory.time[-1]) for trajectory in trajectories.values())
     distance = np.hypot(*(run.com - run.com[0]).T)

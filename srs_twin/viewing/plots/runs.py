@@ -72,7 +72,10 @@ _MEASURED_SIGNALS = {
 
 @drawing
 def bend_plot(trajectories: Runs) -> Figure:
-    """Plot the bend of each segment over the last gait periods or a run without a gait."""
+    """Plot the bend of each segment over the last gait periods.
+
+    Runs without a gait are plotted as a whole.
+    """
     return _by_segment(
         trajectories, lambda run: run.stack("bend"), "$q_{{{}}}$ (rad)", "Bends"
     )
@@ -213,8 +216,8 @@ def _common_window(trajectories: Runs) -> _Window:
 def learning_plot(trajectories: Runs) -> Figure:
     """Plot bend amplitudes with targets (left) and duties (right), one row per module.
 
-    Colours distinguish the chambers, and dashes distinguish the plants. Targets are thin
-    dotted lines.
+    Colours distinguish the chambers, and dashes distinguish the plants. Targets are
+    thin dotted lines.
     """
     runs = [
         (style, PeriodAmplitudes.from_trajectory(run))

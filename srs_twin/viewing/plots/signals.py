@@ -78,7 +78,10 @@ def gait_period(trajectory: Trajectory) -> float | None:
 
 
 def reference_period(trajectory: Trajectory) -> float | None:
-    """Return the period (s) of the first segment's reference if it is sine or square."""
+    """Return the period of the first segment's reference, s.
+
+    The result is None unless the reference is a sine or a square wave.
+    """
     if not trajectory.has("reference_1"):
         return None
     time = trajectory.time
@@ -105,8 +108,8 @@ def period_speed(trajectory: Trajectory, period: float) -> tuple[Array, Array]:
     """Return times (s) and the speed of the period-averaged path at these times (m/s).
 
     The speed is the displacement over one gait period centred at each time, divided by
-    the period. Its sign is negative if the displacement is opposite to the heading. Both
-    arrays are empty if the run is shorter than a period.
+    the period. Its sign is negative if the displacement is opposite to the heading.
+    Both arrays are empty if the run is shorter than a period.
     """
     time = trajectory.time
     heading = trajectory["heading"]

@@ -88,7 +88,7 @@ class Style:
 
     @property
     def zorder(self) -> float:
-        """Drawing order: dashed lines lie above solid lines, so that both remain visible."""
+        """Drawing order: dashed lines lie above solid lines, so both stay visible."""
         if self.dash == "-":
             return 2.0
         return 2.1
@@ -152,7 +152,10 @@ _SETTINGS |= {"svg.hashsalt": "srs-twin", "svg.fonttype": "none"}
 
 @contextmanager
 def own_settings() -> Iterator[None]:
-    """Draw with the settings of this program, and restore the user's settings afterwards."""
+    """Draw with the settings of this program inside a `with` block.
+
+    The user's settings are restored at the end of the block.
+    """
     # Only differing settings are set, because setting all would take a millisecond.
     with rc_context(
         {name: value for name, value in _SETTINGS.items() if rcParams[name] != value}

@@ -252,7 +252,7 @@ def _coms(trajectories: Mapping[str, Trajectory]) -> tuple[np.ndarray, np.ndarra
 
 
 def _separation(coms: np.ndarray) -> float:
-    """Return twice the maximum distance of a plant from the mean position of all plants."""
+    """Return twice the maximum distance of a plant from the mean position of plants."""
     return 2 * float(np.linalg.norm(coms - coms.mean(axis=0), axis=-1).max())
 
 

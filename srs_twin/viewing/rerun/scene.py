@@ -416,7 +416,7 @@ def _at_height(points: np.ndarray, height: float) -> np.ndarray:
 
 
 def _along(steps: np.ndarray) -> np.ndarray:
-    """Return quaternions xyzw, shape (n, 4), that rotate +z (capsule axis) to the steps."""
+    """Return quaternions xyzw, shape (n, 4), that rotate +z (capsule axis) to steps."""
     # Without a rigid gap, the first and the last step of a segment have zero length.
     length = np.maximum(np.linalg.norm(steps, axis=-1, keepdims=True), 1e-12)
     x, y, z = np.moveaxis(steps / length, -1, 0)
