@@ -63,8 +63,8 @@ def centre_lines(
 def body_sides(trajectory: Trajectory, geometry: Geometry, divisions: int = 8) -> Array:
     """Return points on both sides of the body, half the width from the centre line.
 
-    `centre_lines` describes the arguments. The result has shape (samples, points, 2),
-    m.
+    The result has shape (samples, points, 2), in m. See `centre_lines` for the
+    arguments.
     """
     theta = trajectory.stack("theta")
     front = theta[:, :-1, None]

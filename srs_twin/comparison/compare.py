@@ -259,7 +259,7 @@ class MeasuredDifference:
         return metrics
 
     def signals(self) -> dict[str, np.ndarray]:
-        """Return the differences of shape, path (m), heading and bends (rad) over time."""
+        """Return differences of shape, path (m), heading and bends (rad) over time."""
         bends = {
             f"bend_{j}_rad": error
             for j, error in enumerate(self.comparison.bend_error.T, start=1)
@@ -279,7 +279,7 @@ class MeasuredDifference:
         return np.asarray(np.sqrt((self.comparison.bend_error**2).mean(axis=1)))
 
     def document(self) -> dict[str, object]:
-        """Return the RMS differences over the run and over equal intervals, for metrics.json."""
+        """Return RMS differences over the run and over equal intervals."""
         time = self.comparison.time
         count = min(_MAX_INTERVALS, len(time))
         edges = np.linspace(0, len(time), count + 1).round().astype(int)

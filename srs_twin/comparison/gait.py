@@ -158,7 +158,7 @@ class GaitWindow:
         return mean
 
     def amplitude(self, trajectory: Trajectory, values: Array) -> Array:
-        """Return half the range of a signal in each period, averaged over the window."""
+        """Return half the range of a signal in each period, averaged over periods."""
         signal = interpolant(trajectory, values)(self.times(self.periods))
         by_period = signal.reshape(
             self.periods, self.times_per_period, *values.shape[1:]

@@ -362,7 +362,7 @@ class ReadingCurve:
 
     @property
     def r_squared(self) -> float | None:
-        """Coefficient of determination of a linear relation between reading and bend."""
+        """Coefficient of determination of a linear relation of reading and bend."""
         if len(self.bend) < _MIN_BINS or np.ptp(self.reading) == 0:
             return None
         return float(np.corrcoef(self.bend, self.reading)[0, 1] ** 2)
