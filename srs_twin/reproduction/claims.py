@@ -131,7 +131,7 @@ class Measure(RunRequest):
     """Number computed from a run, the runs of a sweep, or a computation."""
 
     metric: Name
-    """Metric, `comparison.…`, `trace.…` (of the trajectory), or a computation's result."""
+    """Metric, `comparison.…`, `trace.…` (of the trajectory), or computed result."""
     take: Take | None = None
     """Aggregation over the points of a sweep."""
     plant: Literal["analytical", "twin"] | None = None
@@ -153,7 +153,7 @@ class Cause(Section):
     """Why a claim was missed.
 
     The cause is demonstrated by a run with a switched assumption or by the
-    documentation. Otherwise it is only presumed.
+    documentation, or it is only presumed.
     """
 
     says: Name
@@ -222,7 +222,10 @@ class TableRows(Section):
     def is_fitted(
         self, column: str, at: float, rows: Sequence[Mapping[str, float]]
     ) -> bool:
-        """Return whether a number, or an equal number in its column, may be used to calibrate."""
+        """Return whether a number may be used to calibrate.
+
+        A number that equals a calibration number in its column counts as such a number.
+        """
         if column not in self.fit:
             return False
         setting = next(row for row in rows if row[self.at] == at)
@@ -336,7 +339,7 @@ class Claim(Section):
         return self
 
     def is_named(self, name: str) -> bool:
-        """Return whether a name is the claim's name or a prefix up to a dot."""
+        """Return whether a name is the claim's name or a part of it up to a dot."""
         return f"{self.id}.".startswith(f"{name}.")
 
     @property
@@ -360,7 +363,7 @@ class Claim(Section):
 
     @property
     def category(self) -> Category:
-        """Group of a prediction, or the use of another claim."""
+        """Heading of the row: the group of a prediction, or otherwise the use."""
         if self.group is not None:
             return self.group
         if self.use == "shape" and not self.falsifiable:

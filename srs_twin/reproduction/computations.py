@@ -163,7 +163,7 @@ def change_of_offset(
 
 
 def _curvature(run: Trajectory, begin: float, period: float) -> float:
-    """Return turn per distance over one period."""
+    """Return the turn over one period divided by the travelled distance, 1/m."""
     times = np.array([begin, begin + period])
     heading = np.interp(times, run.time, run["heading"])
     x, y = (np.interp(times, run.time, run[name]) for name in ("com_x", "com_y"))
@@ -230,7 +230,7 @@ def turn_limit(speed_m_s: float, radius_m: float) -> Numbers:
 
 
 def footprint_edges(footprint: str) -> Numbers:
-    """Return the width of a straight footprint and the maximum shift, m (Table 9)."""
+    """Return the width of a straight footprint and its largest shift, m (Table 9)."""
     from srs_twin.planning.footprint_file import load_footprint
 
     body = load_footprint(footprint)
@@ -244,9 +244,9 @@ def footprint_edges(footprint: str) -> Numbers:
 
 
 def primitive_error(count: int, turn_rad: float, length_m: float) -> Numbers:
-    """Return the maximum distance (m) between ends of the planner's arcs and Eq. 33.
+    """Return the maximum distance between ends of the planner's arcs and Eq. 33, m.
 
-    Signs are chosen as in E7.
+    Eq. 33 is evaluated with the signs of the erratum E7.
     """
     from srs_twin.planning.arcs import Primitives
     from srs_twin.robot.world import Pose

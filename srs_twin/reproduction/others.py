@@ -1,8 +1,8 @@
 """Predicted and published motion of robots that others built.
 
-A prediction is a file in calibration/predictions. The file with its name in
+A prediction is a file in calibration/predictions. The file of the same name in
 calibration/published/others contains the published values. In a checkout, the commits
-of both files show that the prediction came first. The file with its name in
+of both files show that the prediction came first. The folder
 calibration/predictions/recomputed contains numbers that are not predictions, because
 they were computed after the published values were known.
 """

@@ -337,7 +337,7 @@ def published_text(claim: Claim) -> str:
 
 
 def outcome_text(outcome: Outcome | None) -> str:
-    """Return the value of an outcome, the values of an ordering, or a dash."""
+    """Return the value of an outcome, or the values of an ordering, as text."""
     if outcome is None:
         return _NOTHING
     if math.isfinite(outcome.value):

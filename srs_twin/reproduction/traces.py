@@ -30,7 +30,7 @@ def tail_drift(run: Trajectory) -> float | None:
 
 
 def speed_regularity(run: Trajectory) -> float | None:
-    """Return the correlation of the speed with the speed one gait period later."""
+    """Return the autocorrelation of the speed at a lag of one gait period."""
     window = GaitWindow.from_trajectory(run)
     if window is None:
         return None
@@ -72,7 +72,10 @@ def sensor_error(run: Trajectory) -> float | None:
 
 
 def algorithm_1_error(run: Trajectory) -> float | None:
-    """Return the maximum bend error (rad) of Algorithm 1 (Table 3) with marker pairs."""
+    """Return the maximum error of the bends of Algorithm 1 (Table 3), rad.
+
+    Each connector has two markers.
+    """
     heading = _marker_headings(run)
     bend = measured_bend(heading[:, :-1], heading[:, 1:])
     return float(np.abs(bend - run.stack("bend")).max())
@@ -160,8 +163,8 @@ def _time_constants(run: Trajectory) -> tuple[float, float]:
 def learning_law_error(run: Trajectory) -> float:
     """Return the maximum difference between the duties and Eq. 32 with k = 0.3.
 
-    Eq. 32 computes the duty of each chamber from the error and duty of the previous
-    period, limited to 0 to 1.
+    The equation computes the duty of each chamber from the error and duty of the
+    previous period, limited to 0 to 1.
     """
     periods = PeriodAmplitudes.from_trajectory(run)
     expected = np.clip(periods.duty[:-1] + 0.3 * periods.error[:-1], 0, 1)
@@ -187,13 +190,19 @@ def target_right(run: Trajectory) -> float:
 
 
 def smallest_amplitude(run: Trajectory) -> float:
-    """Return the ratio of target to minimum amplitude in the third period (Section 5.1)."""
+    """Return the ratio of target to minimum amplitude in the third period.
+
+    The third period is the one recorded in Section 5.1.
+    """
     periods = PeriodAmplitudes.from_trajectory(run)
     return float(np.nanmean(periods.target[-1]) / periods.amplitude[2].min())
 
 
 def saturated_after(run: Trajectory) -> float:
-    """Return how many periods since the first update have a chamber 5 % above target."""
+    """Return the number of periods in which a chamber exceeds its target by 5 %.
+
+    Periods are counted from the first update.
+    """
     periods = PeriodAmplitudes.from_trajectory(run)
     begin = int(free_periods(run))
     over: np.ndarray = periods.amplitude[begin:] > 1.05 * periods.target[begin:]
