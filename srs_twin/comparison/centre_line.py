@@ -1,6 +1,5 @@
 """Centre line and sides of the body, computed from recorded connector poses.
 
-A trajectory contains the poses of the connectors only (`x_i`, `y_i`, `theta_i`).
 Between two connectors, a segment consists of half its rigid gap, straight along the
 heading of the front connector, an arc of constant curvature, and half the gap along the
 heading of the rear connector (Fig. 35).
@@ -36,9 +35,9 @@ def centre_lines(
     along the segment, so that both ends have their recorded positions.
 
     Args:
-        trajectory: trajectory with `x_1…`, `y_1…`, `theta_1…`.
+        trajectory: recorded connector poses.
         geometry: robot geometry.
-        divisions: number of chords per arc.
+        divisions: chords per arc.
 
     Returns:
         Centre lines, shape (samples, segments, divisions + 3, 2), m.
@@ -61,11 +60,7 @@ def centre_lines(
 
 
 def body_sides(trajectory: Trajectory, geometry: Geometry, divisions: int = 8) -> Array:
-    """Return points on both sides of the body, half the width from the centre line.
-
-    The result has shape (samples, points, 2), in m. See `centre_lines` for the
-    arguments.
-    """
+    """Return points on both sides of the body, shape (samples, points, 2), m."""
     theta = trajectory.stack("theta")
     front = theta[:, :-1, None]
     rear = theta[:, 1:, None]
@@ -81,12 +76,9 @@ def offset_to_sides(points: Array, heading: Array, half_width: float) -> Array:
     """Return points offset to the left, followed by the points offset to the right.
 
     Args:
-        points: points, shape (…, k, 2), m.
-        heading: direction of the line at the points, shape (…, k), rad.
+        points: points (…, k, 2), m.
+        heading: line direction (…, k), rad.
         half_width: offset, m.
-
-    Returns:
-        Offset points, shape (…, 2 k, 2), m.
     """
     offset = half_width * np.stack([-np.sin(heading), np.cos(heading)], axis=-1)
     return np.concatenate([points + offset, points - offset], axis=-2)
@@ -97,7 +89,7 @@ def body_overlap(trajectory: Trajectory, geometry: Geometry) -> float:
 
     Only the twin in a world with objects has contacts of the body with itself. The
     search covers at most 200 of the samples in which the headings of the body span more
-    than π, because other bodies cannot touch themselves. It compares points whose
+    than π, because other bodies cannot touch themselves. Points are compared whose
     distance along the body exceeds twice the body width. Overlaps below a quarter of
     the width give 0.
     """

@@ -1,8 +1,6 @@
 """Differences between runs or between a run and a recording, and their attribution.
 
-`compare` computes the differences between two runs with equal valve commands.
-`MeasuredDifference` contains the differences between a plant and a recording of the
-robot. `Attribution` divides the difference between the plants into contributions of the
+`Attribution` divides the difference between the plants into contributions of the
 assumptions in which the plants differ.
 """
 
@@ -119,15 +117,14 @@ def compare(
 def in_body_frame(
     position: np.ndarray, com: np.ndarray, heading: np.ndarray
 ) -> np.ndarray:
-    """Transform bodies to their centre-of-mass frames at zero mean heading.
+    """Transform bodies to their centre-of-mass frames (Section 3.4.1, Fig. 27).
 
-    The transformation is defined in Section 3.4.1 (Fig. 27). In the frame, x points
-    forward and y points to the left.
+    In the frame, the mean heading is zero, x points forward, and y points to the left.
 
     Args:
-        position: connectors, (…, N, 2), m.
-        com: centre of mass, (…, 2), m.
-        heading: mean heading, (…), rad.
+        position: connectors (…, N, 2), m.
+        com: centre of mass, m.
+        heading: mean heading, rad.
     """
     x, y = np.moveaxis(position - com[..., None, :], -1, 0)
     cos = np.cos(heading)[..., None]
@@ -318,9 +315,8 @@ class AssumptionShare:
         name: short name.
         title: one-line description.
         value: contribution to each of `MEASURES`, in that order.
-        low: minimum contribution over the orders in which the assumptions may be
-            switched.
-        high: maximum contribution over these orders.
+        low: minimum over the orders in which the assumptions may be switched.
+        high: maximum over these orders.
         how: "averaged" over the orders or "first" in the order (both in the analytical
             model), or "refined" in the only plant that has the assumption.
     """
@@ -343,13 +339,13 @@ class Attribution:
         reference: values of `MEASURES` for the analytical model; 0 for the shape
             distance.
         gap: twin − analytical.
-        remainder: part that no assumption explains.
+        remainder: unexplained part.
         matched: difference that remains if both plants have stiff bends and equal
             friction at the same points.
-        same: assumptions that the plants share in this scenario.
-        shares: contributions of the assumptions.
-        window_s: duration of the attributed part from the start of the runs, s, or None
-            for whole runs.
+        same: shared assumptions.
+        shares: contributions.
+        window_s: duration of the attributed part from the start of the runs, s, or
+            None for whole runs.
         damping: change of the gap at each end of the 95 % interval of the twin's
             damping time, keyed by name.
     """

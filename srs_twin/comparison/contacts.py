@@ -57,7 +57,7 @@ class Touch:
 
 
 def touches(trajectory: Trajectory) -> list[Touch]:
-    """Return contacts with obstacles in order."""
+    """Return contacts in order."""
     force = obstacle_force(trajectory)
     if force is None:
         return []
@@ -97,8 +97,8 @@ def contact_metrics(trajectory: Trajectory) -> dict[str, float | None]:
     """Return the metrics in `CONTACT_UNITS`; all are None in a world without obstacles.
 
     The clearance is the minimum distance of the collision hull from obstacles and
-    objects at the samples (`plants.clearance`). It is at most 0 after a contact, even
-    if the contact occurred between two samples.
+    objects at the samples (`plants.clearance`). After a contact the clearance is at
+    most 0, even if the contact occurred between two samples.
     """
     metrics: dict[str, float | None] = dict.fromkeys(CONTACT_UNITS)
     touching = _touching(trajectory)
@@ -123,8 +123,8 @@ def ignores_obstacles(trajectory: Trajectory) -> bool:
 def contact_free_s(runs: Iterable[Trajectory]) -> float:
     """Return the time of the last sample before the first contact in any run, s.
 
-    The time is infinite without contacts. Overlaps on a plant that ignores obstacles
-    are not counted, because they do not affect the motion.
+    The time is infinite without contacts. Overlaps do not affect the motion and are not
+    counted.
     """
     end = math.inf
     for run in runs:
@@ -156,10 +156,7 @@ def _spells(trajectory: Trajectory) -> list[np.ndarray]:
 
 
 def obstacle_force(trajectory: Trajectory) -> np.ndarray | None:
-    """Return the obstacle force on each connector, shape (samples, N), N.
-
-    The result is None in a world without obstacles.
-    """
+    """Return the obstacle force on each connector, shape (samples, N), N, if any."""
     if not trajectory.has("obstacle_force_x"):
         return None
     return np.hypot(
@@ -168,7 +165,7 @@ def obstacle_force(trajectory: Trajectory) -> np.ndarray | None:
 
 
 def object_metrics(trajectory: Trajectory) -> dict[str, float]:
-    """Return the largest displacement of an object; empty without objects."""
+    """Return the largest displacement of an object, or {} in a world without objects."""
     if not trajectory.has("object_x"):
         return {}
     place = np.stack([trajectory.stack("object_x"), trajectory.stack("object_y")])

@@ -93,10 +93,10 @@ class ChangedValue:
     """Value that differs between two sets of results.
 
     Attributes:
-        where: scenario, sweep point, or row.
-        metric: metric with the plant as prefix.
-        a: reference value, if any.
-        b: other value, if any.
+        where: scenario, point or row.
+        metric: full metric name.
+        a: reference value.
+        b: other value.
     """
 
     where: str
@@ -135,8 +135,8 @@ class Difference:
     Attributes:
         moved: changed values.
         same: number of equal values.
-        wheres: scenarios, sweep points and rows.
-        versions: differing package versions of A and B.
+        wheres: compared places.
+        versions: differing package versions.
     """
 
     moved: tuple[ChangedValue, ...]
@@ -218,11 +218,7 @@ def diff(
 
 
 def tolerance_names(metric: str) -> tuple[str, str, str]:
-    """Return the names of a metric in a tolerances file.
-
-    Returns:
-        Full name, name without plant, and name without plant and numbers.
-    """
+    """Return the full name of a metric, the name without plant, and without numbers."""
     without_plant = _OWNER.sub("", metric)
     return metric, without_plant, _NUMBERED.sub("", without_plant)
 

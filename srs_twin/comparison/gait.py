@@ -128,9 +128,8 @@ class GaitWindow:
     def times(self, periods: int) -> np.ndarray:
         """Return equally spaced times over the first periods, s.
 
-        The times are midpoints of equal intervals, shape (periods · times_per_period,).
-        For a smooth periodic signal, the mean at these times equals the mean over whole
-        periods to rounding accuracy.
+        The times are midpoints of equal intervals. For a smooth periodic signal, the
+        mean at these times equals the mean over whole periods to rounding accuracy.
         """
         step = self.period / self.times_per_period
         return self.start + step * (np.arange(periods * self.times_per_period) + 0.5)
@@ -141,6 +140,10 @@ class GaitWindow:
         """Return the running mean of a signal over one period, and its derivative.
 
         Both are evaluated at equally spaced times over K − 1 periods.
+
+        Args:
+            trajectory: one run.
+            values: samples (samples, …).
         """
         signal = interpolant(trajectory, values)
         integral = signal.antiderivative()
@@ -158,7 +161,12 @@ class GaitWindow:
         return mean
 
     def amplitude(self, trajectory: Trajectory, values: Array) -> Array:
-        """Return half the range of a signal in each period, averaged over periods."""
+        """Return half the range of a signal in each period, averaged over periods.
+
+        Args:
+            trajectory: one run.
+            values: samples (samples, …).
+        """
         signal = interpolant(trajectory, values)(self.times(self.periods))
         by_period = signal.reshape(
             self.periods, self.times_per_period, *values.shape[1:]
@@ -186,9 +194,9 @@ def displacement_per_period(
 ) -> tuple[Array, Array]:
     """Return the chord (m, negative for backward motion) and the turn (rad) per period.
 
-    Both are means over all periods that begin within one period, because a single phase
-    would count the lateral oscillation of the body as a part of the radius. A window of
-    K periods gives K − 1 values of each.
+    Chord and turn are averaged over all periods that begin within one period, because a
+    single phase would count the lateral oscillation of the body as a part of the
+    radius. A window of K periods gives K − 1 values of each.
     """
     speed, turn_rate = running_rates(trajectory, window)
     shape = (window.periods - 1, window.times_per_period)
@@ -231,11 +239,11 @@ def turning_radius(
 
     The radius is positive to the left. In one period the body moves along a chord of
     length speed · period and turns by yaw_rate · period, which determines the radius of
-    the circle. Speed divided by yaw rate would be the radius of the averaged path. This
-    radius is smaller, by 1 % if the body turns by half a radian per period.
+    the circle. Speed divided by yaw rate would be the radius of the averaged path,
+    which is smaller, by 1 % if the body turns by half a radian per period.
 
     Args:
-        speed: mean forward speed, m/s.
+        speed: forward speed, m/s.
         yaw_rate: yaw rate, rad/s.
         period: gait period, s.
         length: body length, m.
@@ -269,10 +277,9 @@ def energy_metrics(
 ) -> dict[str, Any]:
     """Compute the power and cost of transport of a gait (`ENERGY_MEANINGS`).
 
-    Means are taken over whole periods. The mechanical power is dissipated by friction
-    and segments. The pneumatic power is the supply pressure times the volume of air
-    drawn at that pressure, per time. A metric is None if the run does not record the
-    required columns.
+    The mechanical power is dissipated by friction and segments. The pneumatic power is
+    the supply pressure times the volume flow of air drawn at that pressure. A metric is
+    None if the run does not record the required columns.
 
     Args:
         trajectory: one run.
@@ -326,10 +333,9 @@ SPATIAL_DIFFERENCES = units_of(SPATIAL_DIFFERENCE_MEANINGS) | {
 def spatial_metrics(trajectory: Trajectory) -> dict[str, float | None]:
     """Compute the metrics of a spatial snake (`SPATIAL_MEANINGS`).
 
-    The travel speed is the magnitude of the mean velocity. A sidewinder travels across
-    its body, so that its forward speed is smaller. With two separate supports, the body
-    can roll over. Speed and direction of travel are None without a gait of at least
-    three whole periods. A planar snake has none of these metrics.
+    A sidewinder travels across its body, so that its forward speed is smaller than its
+    travel speed. With two separate supports, the body can roll over. Speed and
+    direction of travel are None without a gait of at least three whole periods.
     """
     if not trajectory.has("z"):
         return {}
@@ -364,8 +370,12 @@ def spatial_differences(
 ) -> dict[str, float | None]:
     """Compare two runs of a spatial snake (`SPATIAL_DIFFERENCE_MEANINGS`).
 
-    The agreement of contacts covers whole gait periods if there are any. Planar snakes
-    have none of these differences.
+    The agreement of contacts covers whole gait periods if there are any.
+
+    Args:
+        reference: analytical run.
+        candidate: twin's run.
+        time: compared times, s.
     """
     if not (reference.has("z") and candidate.has("z")):
         return {}

@@ -44,8 +44,8 @@ class PeriodAmplitudes:
     Attributes:
         amplitude: maximum sensed bend to the side of the chamber, rad; NaN without a
             valid reading.
-        target: target amplitude at the end of the period, rad, or NaN.
-        duty: duty in the middle of the period.
+        target: final target, rad.
+        duty: duty in mid-period.
     """
 
     amplitude: Array
@@ -244,21 +244,21 @@ def is_learning(trajectory: Trajectory) -> bool:
 
 
 def learning_metrics(trajectory: Trajectory) -> dict[str, object]:
-    """Compute the metrics of a run with iterative learning.
+    """Compute the metrics of a run with iterative learning (`LEARNING_MEANINGS`).
 
-    `LEARNING_MEANINGS` describes the metrics. A metric that does not apply is None.
+    A metric that does not apply is None. Amplitudes refer to the periods of each
+    chamber. A period that began before time 0 is counted. Chambers of modules with a
+    fault have no target and are excluded. Amplitude errors are target minus amplitude.
+    ``amplitude_growth_rel`` is 1 if the chambers have their final pressures from the
+    start.
 
-    Amplitudes refer to the periods of each chamber, numbered from 1. A period that
-    began before time 0 is counted. Chambers of modules with a fault have no target and
-    are excluded. ``amplitude_growth_rel`` is 1 if the chambers have their final
-    pressures from the start. Amplitude errors are target minus amplitude.
-
-    For the path, each period gives the chord along which the centre of mass moves and
-    the turn of the body. Both are means over the phase, so five periods give four
-    values. The curvature is 2 sin(turn/2)/chord. The curvature before learning is a
-    mean over the two periods before the first update of a duty. It is None if these
-    periods would begin less than half a period after the start. The box is relative to
-    the circle or line through the period-averaged path of the last five periods.
+    For each period, the path has a chord along which the centre of mass moves, and a
+    turn of the body. Chord and turn are averaged over the gait phase, so that five
+    periods give four values. The curvature is 2 sin(turn/2)/chord. The curvature before
+    learning is a mean over the two periods before the first update of a duty, or None
+    if these periods would begin less than half a period after the start. ``box_left_m``
+    and ``box_right_m`` are measured from the circle or line that is fitted to the path
+    of the last five periods.
 
     Args:
         trajectory: run with ``sensed``, ``duty_…`` and ``target_…``.

@@ -232,10 +232,7 @@ They are defined here, so that listing them does not import `compare`.
 
 
 def metric_units() -> dict[str, str]:
-    """Return the units of all scalar metrics of a plant, including plug-ins.
-
-    Expectations can name these metrics.
-    """
+    """Return the units of all scalar metrics of a plant, including plug-ins."""
     return METRIC_UNITS | {
         name: unit for group in metric_groups() for name, unit in group.units.items()
     }
@@ -497,7 +494,7 @@ def _compared(
 ) -> str:
     """Compare a metric of the twin with the model, and name the main cause.
 
-    Only the values in `part` are compared; it may end before a contact (at `end_s`).
+    `part` contains the compared values: all results, or the results before a contact.
     """
     reference, value = (
         part["plants"][plant][metric] for plant in ("analytical", "twin")
@@ -624,11 +621,10 @@ class ResultRow(NamedTuple):
 
     Attributes:
         metric: metric name.
-        unit: unit, empty for dimensionless metrics.
-        values: one cell per plant.
+        unit: unit, if any.
+        values: values per plant.
         difference: twin − analytical, or the value of a comparison metric.
-        per_cent: twin − analytical in per cent of the analytical value, for some
-            metrics.
+        per_cent: difference in per cent.
     """
 
     metric: str
@@ -641,11 +637,11 @@ class ResultRow(NamedTuple):
 def result_rows(
     metrics: Mapping[str, Any], names: Iterable[str], text: Callable[[Any], str]
 ) -> Iterator[ResultRow]:
-    """Yield the rows of a table of results.
+    """Yield the rows of a table of results. Metrics without values are omitted.
 
     Args:
         metrics: contents of metrics.json.
-        names: metrics; those without values are omitted.
+        names: metrics.
         text: value formatter.
     """
     units = all_units()
@@ -669,8 +665,7 @@ def _differences(
 ) -> tuple[str, str]:
     """Return twin − analytical as text, in the unit of the metric and in per cent.
 
-    The difference is 0 if both values have equal texts. The texts are empty if one of
-    the values is missing.
+    The difference is 0 if both values have equal texts.
     """
     model, twin = (
         tidy(metric, metrics["plants"].get(p, {}).get(metric))
@@ -721,27 +716,22 @@ def plant_metrics(
     - ``turning_radius_m``: radius of the circle on which each period moves the centre
       of mass, positive to the left; None for a straight path (`gait.turning_radius`).
     - ``bend_amplitude_rad``: half the peak-to-peak range of each period, averaged over
-      the periods; ``mean_bend_amplitude_rad`` is the mean over the segments.
-    - ``bend_bias_rad``: mean bend.
-    - power and cost of transport: see `gait.energy_metrics`.
+      the periods.
 
-    The remaining metrics cover the whole run. `tracking.tracking_metrics`,
-    `learning.learning_metrics` and `reading.reading_metrics` compute the metrics of
-    runs with a reference, iterative learning or a non-ideal sensor. Otherwise these
-    metrics are None. A run on a bench without a reference has ``final_bend_rad``, the
-    final bend of the first segment. Extensions add their groups of metrics
-    (`extensions.METRICS`). Differences from a recording (``measured_…``) are None here;
-    see `compare.MeasuredDifference`. Openings of valves are None if they were not
-    counted.
+    `gait.energy_metrics`, `tracking.tracking_metrics`, `learning.learning_metrics` and
+    `reading.reading_metrics` describe further metrics. A run on a bench without a
+    reference has ``final_bend_rad``, the final bend of the first segment. Extensions
+    add their groups of metrics (`extensions.METRICS`). Differences from a recording
+    (``measured_…``) are None here; see `compare.MeasuredDifference`. Openings of valves
+    are None if they were not counted.
 
     Args:
         trajectory: run with ``body_length_m`` and ``gait_frequency_hz`` in its
             metadata.
-        wall_s: computing time, s, or None.
+        wall_s: computing time, s.
 
     Returns:
-        JSON values by metric. `METRIC_UNITS` and `LIST_METRIC_UNITS` contain their
-        units.
+        JSON values by metric.
 
     Raises:
         InputError: columns or metadata are missing or unusable.

@@ -35,7 +35,7 @@ def units_of(names: Iterable[str]) -> dict[str, str]:
 
 
 def meanings_of(lines: str) -> dict[str, str]:
-    """Parse lines of the form ``metric: meaning``."""
+    """Parse lines ``metric: meaning``."""
     return dict(line.split(": ", 1) for line in lines.strip().splitlines())
 
 
@@ -153,10 +153,7 @@ def body_length(trajectory: Trajectory) -> float:
 
 
 def interpolant(trajectory: Trajectory, values: np.ndarray) -> CubicSpline:
-    """Return the cubic spline through samples of a trajectory.
-
-    The error of the spline is of fourth order in the sample period.
-    """
+    """Return the cubic spline through samples, whose error is of fourth order."""
     # The import takes half a second, which commands that only list metrics need not
     # spend.
     from scipy.interpolate import CubicSpline

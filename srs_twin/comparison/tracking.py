@@ -5,10 +5,9 @@ are fitted to recorded signals by least squares, at the frequency of the referen
 
 $$ x(t) \approx \bar x + A \sin(2\pi f t + \varphi). $$
 
-The reading of a curvature sensor is a function of the bend. The bend of a run is not
-distributed evenly, and single readings are noisy. Readings and bends are therefore
-averaged over bins of 1° of bend. Each bin with samples has equal weight, as in a
-calibration at evenly spaced angles.
+The bends of a run are not distributed evenly, and single readings are noisy. Readings
+and bends are therefore averaged over bins of 1° of bend. Each bin with samples has
+equal weight, as in a calibration at evenly spaced angles.
 """
 
 from __future__ import annotations
@@ -48,7 +47,13 @@ class SineFit:
 
 
 def fit_sine(time: np.ndarray, values: np.ndarray, frequency: float) -> SineFit:
-    """Return the least-squares sine of a given frequency (Hz)."""
+    """Return the least-squares sine of a given frequency.
+
+    Args:
+        time: times, s.
+        values: samples.
+        frequency: frequency, Hz.
+    """
     angle = 2 * np.pi * frequency * time
     basis = np.stack([np.sin(angle), np.cos(angle), np.ones_like(angle)], axis=-1)
     (sine, cosine, offset), *_ = np.linalg.lstsq(basis, values, rcond=None)
@@ -66,10 +71,11 @@ def sine_frequency(time: np.ndarray, values: np.ndarray) -> float | None:
 
     Samples of a sine satisfy x(t + m) + x(t − m) = 2 cos(2π f m) x(t) + const. Adjacent
     samples give a first estimate of f. Samples about a quarter period apart give the
-    final estimate, because the cosine is most sensitive there.
+    final estimate, because the cosine is most sensitive there. The samples must be
+    equally spaced except for the last one.
 
     Args:
-        time: times, s, equally spaced except for the last sample.
+        time: times, s.
         values: samples.
     """
     values = values[:-1]
@@ -106,9 +112,10 @@ def _phase_step(values: np.ndarray, spacing: int) -> float | None:
 def step_response(
     time: np.ndarray, bend: np.ndarray, before: float, after: float
 ) -> dict[str, float | None]:
-    """Return the metrics of a step response. Bends are interpolated linearly.
+    """Return the metrics of a step response.
 
-    A metric is None if its level is not reached before the end of the run.
+    Bends are interpolated linearly. A metric is None if its level is not reached before
+    the end of the run.
 
     Args:
         time: time since the step, s.
@@ -135,7 +142,6 @@ def step_response(
 def _first_crossing(
     time: np.ndarray, response: np.ndarray, level: float
 ) -> float | None:
-    """Return the first time at which a level is reached from below."""
     above = np.flatnonzero(response >= level)
     if not len(above):
         return None
@@ -158,7 +164,6 @@ def _settling_time(time: np.ndarray, response: np.ndarray, band: float) -> float
 def _crossing_time(
     time: np.ndarray, response: np.ndarray, k: int, level: float
 ) -> float:
-    """Return when the line from sample k − 1 to k crosses a level."""
     if k == 0:
         return float(time[0])
     fraction = (level - response[k - 1]) / (response[k] - response[k - 1])
@@ -329,11 +334,9 @@ _MIN_BINS = 3
 class ReadingCurve:
     """Mean reading and mean bend in each bin that has samples.
 
-    Lost readings (NaN) are omitted.
-
     Attributes:
-        bend: ascending bends, shape (bins,), rad.
-        reading: readings, shape (bins,), rad.
+        bend: ascending bends, rad.
+        reading: readings, rad.
     """
 
     bend: np.ndarray
@@ -384,17 +387,13 @@ class ReadingCurve:
 def reading_metrics(trajectory: Trajectory) -> dict[str, float | None]:
     """Return the metrics of the first segment's sensor (`READING_MEANINGS`).
 
-    All metrics are None without a non-ideal sensor. Noise is averaged out of
-    ``reading_error_rad``, the maximum magnitude of mean reading minus mean bend. Apart
-    from noise, ``reading_backstep_rad`` is 0 if each reading belongs to a single bend.
-    The field range is the change between the minimum and the maximum bend. The metrics
-    depend on the bends that occur in the run, but not on their cause.
+    All metrics are None without a non-ideal sensor. Averaging removes noise from
+    ``reading_error_rad``. Apart from noise, ``reading_backstep_rad`` is 0 if each
+    reading belongs to a single bend. The metrics depend on the bends that occur in the
+    run, but not on their cause.
 
     Args:
         trajectory: run with ``bend_1``, ``sensed_1`` and the sensor in its metadata.
-
-    Returns:
-        Metrics in `READING_UNITS`.
 
     Raises:
         InputError: columns are missing or unusable.

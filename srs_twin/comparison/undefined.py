@@ -63,10 +63,10 @@ _ABSENT = {
 
 @dataclass(frozen=True)
 class Undefined:
-    """Undefined metric of a run.
+    """Metric of a run without a value.
 
     Attributes:
-        reason: reason as text.
+        reason: reason.
         beyond: lower bound of the value, in the unit of the metric, or −inf. For
             example, a bend that has not settled by the end of a run may settle later.
     """
@@ -83,16 +83,14 @@ def why_undefined(
 ) -> Undefined | None:
     """Return the reason why a metric of a run has no value.
 
+    The result is None if the metric has a value, or if the missing value is the result
+    of the run.
+
     Args:
         metric: metric name.
         subject: "analytical", "twin" or "comparison".
-        metrics: contents of metrics.json: "plants" → plant → metric, "comparison" →
-            metric.
+        metrics: contents of metrics.json.
         runs: trajectories, keyed by plant; "measured" is the replayed recording.
-
-    Returns:
-        None if the metric has a value, or if the missing value is the result of the
-        run.
     """
     owners = metrics["plants"] | {"comparison": metrics["comparison"]}
     values = owners.get(subject) or {}

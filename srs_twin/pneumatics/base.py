@@ -265,7 +265,7 @@ class Pneumatics(Stateful, ABC):
         """Advance with effective valve states, and update pressure, bend and air."""
 
     def set_supply_pressure(self, supply_pa: float) -> None:
-        """Set the supply pressure. `reset` does not change it.
+        """Set the supply pressure, which `reset` keeps.
 
         Args:
             supply_pa: gauge pressure, at most the supply pressure at construction, Pa.

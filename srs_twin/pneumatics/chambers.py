@@ -186,7 +186,7 @@ def chamber_gains(spec: RobotSpec) -> Array:
 
 
 def air_bend(spec: RobotSpec, pressure: Array) -> Array:
-    """Return the free bends φ(x) without the rest bends, shape (…, segments), rad.
+    """Return the free bends φ(x) without the rest bends, rad.
 
     Args:
         spec: robot.
@@ -220,7 +220,7 @@ def free_extensions(spec: RobotSpec, pressure: Array) -> Array:
 
     Args:
         spec: robot.
-        pressure: gauge pressure, shape (…, segments, chambers), Pa.
+        pressure: gauge pressure (…, segments, chambers), Pa.
     """
     return np.asarray(spec.actuator.extension * pressure.mean(axis=-1))
 
@@ -232,7 +232,7 @@ def equivalent_linear_pressure(spec: RobotSpec, pressure: Array) -> Array:
 
     Args:
         spec: robot.
-        pressure: gauge pressure, shape (…, segments, 2), Pa.
+        pressure: gauge pressure (…, segments, 2), Pa.
     """
     linear = _linear_bend(spec, pressure)
     bends = free_bends(spec, linear)

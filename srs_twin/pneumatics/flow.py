@@ -39,9 +39,9 @@ def flow(first, second, critical):  # type: ignore[no-untyped-def]
     The value is negative if air flows from the second side to the first side.
 
     Args:
-        first: absolute pressure on the first side, Pa.
-        second: absolute pressure on the second side, Pa.
-        critical: critical pressure ratio b, dimensionless.
+        first: absolute pressure, Pa.
+        second: absolute pressure, Pa.
+        critical: critical ratio b.
     """
     backward = second > first
     high, low = (second, first) if backward else (first, second)

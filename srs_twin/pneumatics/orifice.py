@@ -104,12 +104,12 @@ class OrificeOptions:
         critical_ratio: critical pressure ratio b of all valves, dimensionless.
         flow_limit: maximum flow of the supply, measured at ambient pressure, m³/s, or
             None for no limit.
-        line_volume: volume of the line between supply and inlets, m³. It has an effect
-            only with a flow limit.
-        line_begins: initial gauge pressure in the line, Pa. The default is the supply
+        line_volume: volume of the line between supply and inlets, m³. The volume
+            matters only with a flow limit.
+        line_begins: initial gauge pressure in the line, Pa; the default is the supply
             pressure.
         leak_per_s: relative rate at which a held pressure falls, 1/s.
-        substep: maximum step of the integrator, s. The default is 0.5 ms times the time
+        substep: maximum step of the integrator, s; the default is 0.5 ms times the time
             unit of the robot (`robot.scale`).
     """
 

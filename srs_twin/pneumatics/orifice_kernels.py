@@ -429,16 +429,16 @@ def _rows_until(times, row, finish, is_last):  # type: ignore[no-untyped-def]
 
 @allocating
 def simulate(now, schedule, times, substep, actual, air, trace):  # type: ignore[no-untyped-def]
-    """Advance a state in place over a schedule, and fill a trace at `times`.
+    """Advance a state in place over a schedule, and fill a trace at the given times.
 
     Args:
-        now: `OrificeState`. Pressures and free bends are updated at the end.
+        now: `OrificeState`, updated in place.
         schedule: effective valve states.
-        times: ascending times of the rows of the trace, shape (times,), s.
+        times: ascending times, s.
         substep: maximum step, s.
         actual: actual bends.
         air: `Plumbing`.
-        trace: output. Its field `air` is the amount drawn, J.
+        trace: output, whose field `air` is the amount drawn, J.
     """
     y = now.y
     starts = schedule.starts

@@ -50,7 +50,7 @@ def valve_slot(tick: float, scale: Scale) -> float:
 
     Args:
         tick: control tick, s.
-        scale: units of the robot.
+        scale: robot units.
     """
     return divide(tick, SLOT_S * scale.time)
 
@@ -84,7 +84,7 @@ class Schedule(NamedTuple):
 
         Args:
             commands: valve states, shape (slots, segments, 2).
-            span: duration of the schedule, s.
+            span: duration, s.
         """
         if len(commands) == 1:
             return cls(span, np.zeros(1), np.ascontiguousarray(commands))
@@ -118,11 +118,11 @@ class Schedule(NamedTuple):
     def with_stuck_valve(
         self, begin: float, segment: int, side: int, state: int
     ) -> Schedule:
-        """Return the schedule with one valve stuck in one state from `begin` on.
+        """Return the schedule with one valve stuck in one state from a time on.
 
         Args:
-            begin: time of the fault, s. It may precede the schedule. A time after the
-                end changes nothing.
+            begin: time of the fault, s, possibly before the schedule. A time after the
+                end of the schedule changes nothing.
             segment: segment index, counted from 0.
             side: 0 for the valve of the + chamber, 1 for the valve of the − chamber.
             state: valve state.

@@ -464,12 +464,12 @@ def load_list(
 def select_claims(
     claims: tuple[Claim, ...], only: tuple[str, ...], *, quick: bool
 ) -> tuple[Claim, ...]:
-    """Select rows, laws first.
+    """Select rows by names or leading parts of names up to a dot, laws first.
 
     Args:
         claims: all rows.
-        only: names, or prefixes of names up to a dot. An empty tuple selects all rows.
-        quick: whether to select only quick rows.
+        only: names; empty selects all.
+        quick: only quick rows.
 
     Raises:
         UnknownNameError: no row has this name.

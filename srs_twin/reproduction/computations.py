@@ -132,10 +132,10 @@ def change_of_offset(
     """Return the path curvature after a change of offset with learning (Section 5.3).
 
     Args:
-        scenario: scenario with iterative learning.
+        scenario: learning scenario.
         before: initial offset.
         after: final offset.
-        at_period: time of the change, gait periods.
+        at_period: time, gait periods.
 
     Returns:
         ``first`` of both plants: curvature over the first period after the change,
@@ -181,10 +181,12 @@ def contact_force(
 ) -> Numbers:
     """Estimate a force on a connector without force sensors (Section 6.2).
 
+    The force acts to the left for 0.5 s after 12 s of free crawling.
+
     Args:
         robot: robot name.
         frequency_hz: gait frequency, Hz. A period must be a whole number of ticks.
-        force_n: force to the left, N, for 0.5 s after 12 s of free crawling.
+        force_n: force, N.
         connector: number of the connector, counted from the head.
 
     Returns:
@@ -244,7 +246,7 @@ def footprint_edges(footprint: str) -> Numbers:
 
 
 def primitive_error(count: int, turn_rad: float, length_m: float) -> Numbers:
-    """Return the maximum distance between ends of the planner's arcs and Eq. 33, m.
+    """Return the maximum distance of the planner's arcs from Eq. 33, m.
 
     Eq. 33 is evaluated with the signs of the erratum E7.
     """

@@ -124,14 +124,12 @@ def _from_runs_and_robot(
 
 
 def _difference(runs: Trajectories, robot: RobotSpec) -> Figure | None:
-    """Draw the body-shape difference (Fig. 27, 28)."""
     if len(runs) == 2:
         return error_plot(compare(runs["analytical"], runs["twin"]), robot)
     return None
 
 
 def _learning(store: RunStore, entry: FigureEntry) -> Figure | None:
-    """Draw amplitudes and duties (Fig. 48, 50)."""
     runs = _trajectories(store, entry.of[0])
     if all(map(is_learning, runs.values())):
         return learning_plot(runs)
@@ -139,7 +137,6 @@ def _learning(store: RunStore, entry: FigureEntry) -> Figure | None:
 
 
 def _sweep(store: RunStore, entry: FigureEntry) -> Figure:
-    """Draw a sweep's plot (Fig. 31 to 33, 38, 39, 41, 44)."""
     (runs,) = entry.of
     sweep = sweep_of(runs.name)
     points = points_of(runs)
@@ -168,14 +165,12 @@ def _over_time(
 
 
 def _tail(runs: Trajectories) -> Figure:
-    """Draw the tail's heading (Fig. 30)."""
     return _over_time(
         runs, lambda run: run.stack("theta")[:, -1], "tail's heading (rad)"
     )
 
 
 def _readings(runs: Trajectories) -> Figure:
-    """Draw readings (Fig. 40, 47)."""
     count = next(iter(runs.values())).stack("bend").shape[1]
     figure, rows = panels(1.2 + 1.3 * count, count, share_y=True)
     for style, run in runs_with_styles(runs):
@@ -213,7 +208,6 @@ def _step(runs: Trajectories, robot: RobotSpec) -> Figure:
 
 
 def _paths(store: RunStore, entry: FigureEntry) -> Figure:
-    """Draw labelled paths (Fig. 34, 37)."""
     figure, (axes,) = panels(4.5)
     colors = colormaps["viridis"](np.linspace(0.0, 0.9, len(entry.of)))
     for name, color, runs in zip(entry.names, colors, entry.of, strict=True):

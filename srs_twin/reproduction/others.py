@@ -54,7 +54,7 @@ class Quantiles:
     Attributes:
         median: median.
         interval_95: 95 % interval.
-        interval_95_error: standard errors of the ends of the interval, or None.
+        interval_95_error: standard errors, or None.
         robots: number; 0 if unknown.
     """
 
@@ -94,10 +94,10 @@ class PredictedQuantity:
 
     Attributes:
         robot: robot file name.
-        quantity: quantity with gait settings.
+        quantity: quantity.
         predicted: prediction.
         recomputed: numbers computed after the published value was known, or None.
-        published: published value, if any.
+        published: published value.
         prediction_commit: last commit that changed a number of the prediction, or None
             outside a checkout.
         comparison_commit: first commit with published values of the robot, or None.

@@ -135,7 +135,7 @@ def verification_grade(
     """Return the verification grade.
 
     Args:
-        law: numbers of met and of all laws.
+        law: met and all laws.
         intervals: stored intervals.
     """
     met, rows = law
@@ -393,7 +393,7 @@ def write_json(path: Path, rows: Sequence[JudgedClaim], changes: Sequence[str]) 
     Args:
         path: output file.
         rows: judged claims.
-        changes: changes from the baseline.
+        changes: changed verdicts.
 
     Raises:
         InputError: the path cannot be written.
@@ -452,7 +452,7 @@ def write_html(
         path: output file.
         rows: judged claims.
         figures: dissertation figures.
-        changes: changes from the baseline.
+        changes: changed verdicts.
 
     Raises:
         InputError: the path cannot be written.

@@ -41,10 +41,10 @@ class ReproductionJob:
     """Scenario or computation that a worker runs.
 
     Attributes:
-        key: hexadecimal SHA-256 of all inputs.
-        experiment: complete scenario, or None.
-        law: computation, or None.
-        arguments: arguments of the computation.
+        key: SHA-256 of all inputs.
+        experiment: complete scenario.
+        law: computation.
+        arguments: computation arguments.
     """
 
     key: str
@@ -196,7 +196,7 @@ class RunStore:
         An error gives a failed row.
 
         Args:
-            jobs: jobs from `jobs`.
+            jobs: jobs.
             part: label for `progress`.
             workers: number of processes.
             progress: progress callback.

@@ -168,12 +168,7 @@ def _ratio(numerator: float, denominator: float) -> float:
 
 
 def aggregate(name: str | None, values: np.ndarray) -> float:
-    """Aggregate the values of several runs.
-
-    Args:
-        name: "most", "least" or "spread"; any other value selects the mean.
-        values: values.
-    """
+    """Aggregate the values of several runs by "most", "least", "spread" or mean."""
     if name == "most":
         return float(values.max())
     if name == "least":
@@ -254,12 +249,7 @@ def write_baseline(rows: Sequence[JudgedClaim], path: Path | None = None) -> Pat
 def outcomes_document(
     rows: Sequence[JudgedClaim], *, digits: int | None = None
 ) -> dict[str, object]:
-    """Return outcomes as JSON values, keyed by claim and column.
-
-    Args:
-        rows: judged claims.
-        digits: number of significant digits, or None.
-    """
+    """Return outcomes as JSON values, keyed by claim and column."""
     outcomes = {row.claim.id: row.outcomes for row in rows}
     document: dict[str, object] = _OUTCOMES.dump_python(
         outcomes, mode="json", context={"digits": digits}
@@ -282,7 +272,7 @@ def judge(
         claims: claims.
         store: run store.
         workers: number of processes.
-        progress: function that follows the missing runs of each round.
+        progress: progress callback.
 
     Raises:
         InputError: a scenario or sweep is invalid, or a result cannot be stored.
@@ -331,7 +321,6 @@ def _explained(store: RunStore, row: JudgedClaim) -> JudgedClaim:
 
 
 def _explain(store: RunStore, claim: Claim, column: str, outcome: Outcome) -> Outcome:
-    """Return a missed outcome with a demonstrated cause or the presumed cause."""
     causes = [cause for cause in claim.cause if column in cause.columns]
     if outcome.verdict == MET or not causes:
         return outcome

@@ -20,10 +20,10 @@ class FloorLine(NamedTuple):
     """Line drawn on the floor.
 
     Attributes:
-        name: entity name in recordings.
-        strips: polylines, each of shape (n, 2), m.
+        name: entity name.
+        strips: polylines (n, 2), m.
         color: colour, #rrggbb.
-        radius: half line width, m.
+        radius: half width, m.
     """
 
     name: str
@@ -37,7 +37,7 @@ class FollowedSignal(NamedTuple):
 
     Attributes:
         column: trajectory column.
-        entity: entity name in recordings.
+        entity: entity name.
         factor: factor that converts the SI value to the plotted unit.
         title: plot title.
     """

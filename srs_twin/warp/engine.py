@@ -205,7 +205,7 @@ class DeviceEngine:
         }
 
     def _view(self, name: str) -> wp.array:
-        """View an array of vectors or matrices as an array of scalars without a copy."""
+        """View an array of vectors or matrices as an array of scalars."""
         array = getattr(self.data, name)
         size = wp.types.type_size(array.dtype)
         if size == 1:

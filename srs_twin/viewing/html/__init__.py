@@ -24,10 +24,10 @@ class Table(NamedTuple):
     """Table of a page.
 
     Attributes:
-        headings: column headings with units.
-        rows: rows of strings or `Markup`.
-        numbers: indices of right-aligned columns.
-        note: remark below the table.
+        headings: headings with units.
+        rows: strings or `Markup`.
+        numbers: right-aligned columns.
+        note: remark below.
         title: table title.
     """
 
@@ -42,7 +42,7 @@ class Picture(NamedTuple):
     """Image embedded in a page.
 
     Attributes:
-        source: content as ``data:`` URL.
+        source: ``data:`` URL.
         caption: caption.
     """
 
@@ -51,11 +51,9 @@ class Picture(NamedTuple):
 
 
 def render(template: str, **content: Any) -> str:
-    """Render a template to a page. Strings are escaped, `Markup` is inserted unchanged.
+    """Render a template, given by its path relative to the package.
 
-    Args:
-        template: path of the template relative to the package.
-        content: template variables.
+    Strings are escaped, and `Markup` is inserted unchanged.
     """
     return _environment().get_template(template).render(content, validated=VALIDATION)
 
@@ -114,13 +112,7 @@ def picture(figure: Figure, caption: str) -> Picture:
 
 
 def image(content: bytes, kind: str, caption: str) -> Picture:
-    """Embed an image file in a page.
-
-    Args:
-        content: file content.
-        kind: subtype of the media type, "svg+xml" or "png".
-        caption: caption.
-    """
+    """Embed the content of an image file of kind "svg+xml" or "png" in a page."""
     return Picture(
         f"data:image/{kind};base64,{base64.b64encode(content).decode('ascii')}", caption
     )

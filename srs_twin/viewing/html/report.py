@@ -75,7 +75,7 @@ def write_report(
     Args:
         path: output file.
         content: run content.
-        scenario_title: title of the scenario.
+        scenario_title: scenario title.
         metrics: content of `metrics.json`.
         attribution: attribution of the differences, or None to omit the section.
     """

@@ -102,7 +102,7 @@ class Canvas:
             data: state with computed positions (`mj_kinematics`, `mj_comPos`).
             camera: camera.
             decorate: function that adds geoms to the scene.
-            labels: labels along the lower edge.
+            labels: labels.
         """
         all_categories = mujoco.mjtCatBit.mjCAT_ALL.value
         mujoco.mjv_updateScene(

@@ -90,8 +90,8 @@ class LiveSnake:
         Without a scenario, the gait starts in the middle of its limits.
 
         Args:
-            spec: robot, without a scenario.
-            scenario: scenario with robot, world, start and controller.
+            spec: robot.
+            scenario: scenario, instead of a robot.
             modified: overridden fields, shown in the window.
 
         Raises:
@@ -250,7 +250,7 @@ def steer(
     simulation has caught up with real time.
 
     Args:
-        snake: snake to simulate.
+        snake: snake.
         window: window.
         clock: function that returns the time, s.
         sleep: function that waits for a given time, s.

@@ -1,8 +1,7 @@
 """Off-screen videos, images and stroboscopic figures of the twin, rendered by MuJoCo.
 
-Videos are MP4 files with the codec H.264, which all browsers support. A stroboscopic
-figure shows the snake at several times of a run in one plan view, as in Fig. 36 of
-the dissertation.
+A stroboscopic figure shows the snake at several times of a run in one plan view, as in
+Fig. 36 of the dissertation.
 """
 
 from __future__ import annotations
@@ -56,12 +55,12 @@ def video_writer(
 ) -> Iterator[AddFrame]:
     """Open a video file and yield a function that appends a frame.
 
-    A frame has shape (height, width, 3) and type uint8. The file is written atomically.
+    A frame has shape (height, width, 3) and type uint8.
 
     Args:
-        path: output file, *.mp4.
-        width: even frame width, pixels.
-        height: even frame height, pixels.
+        path: MP4 file.
+        width: even width, pixels.
+        height: even height, pixels.
         fps: frame rate, Hz.
 
     Raises:
@@ -132,7 +131,7 @@ class FollowCamera:
         Args:
             run: twin's trajectory.
             body_length: body length, m.
-            bench: whether the head is clamped.
+            bench: whether clamped.
             ghost: another plant's trajectory.
         """
         setup = "bench" if bench else "floor"
@@ -208,7 +207,7 @@ def write_video(
         size: frame size.
         fps: frame rate, Hz.
         speed: simulated time per playback time; 0.25 gives slow motion.
-        ghost: name and trajectory of another plant, drawn translucently.
+        ghost: another plant.
         progress: callback that receives the completed fraction, 0 to 1.
 
     Raises:
@@ -247,7 +246,7 @@ def write_image(
         run: twin's trajectory.
         time: time of the image, s; the nearest sample is drawn.
         size: image size.
-        ghost: name and trajectory of another plant, drawn translucently.
+        ghost: another plant.
 
     Raises:
         InputError: the time is outside the run, the run cannot be drawn, OpenGL is

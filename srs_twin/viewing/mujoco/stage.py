@@ -70,8 +70,8 @@ class Stage:
         run: twin's trajectory.
         model: MuJoCo model.
         data: current state.
-        bench: whether the head is clamped.
-        ghost: another plant, or None.
+        bench: whether clamped.
+        ghost: another plant.
     """
 
     def __init__(
@@ -84,8 +84,8 @@ class Stage:
 
         Args:
             scenario: simulated scenario.
-            run: trajectory of the twin, with its ``qpos`` columns.
-            ghost: name and trajectory of another plant.
+            run: trajectory with ``qpos`` columns.
+            ghost: another plant.
 
         Raises:
             InputError: the run has no samples or no ``qpos`` columns, or the columns
@@ -166,7 +166,7 @@ class Stage:
         Args:
             scene: scene.
             row: sample index.
-            half_width: half line width, m.
+            half_width: half width, m.
         """
         if not self.bench:
             rows = np.append(self._trail_rows[self._trail_rows < row], row)
@@ -228,8 +228,7 @@ def contact_marks(run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     """Return where connectors of a spatial snake touch the floor during a run.
 
     Returns:
-        Sample indices, shape (marks,), and points on the floor, shape (marks, 2), m.
-        The samples are thinned out to at most `_MAX_MARKS` marks.
+        Sample indices and points (m) of at most `_MAX_MARKS` marks.
     """
     if not run.has("load"):
         return np.empty(0, dtype=int), np.empty((0, 2))
@@ -255,9 +254,9 @@ def add_line(
 
     Args:
         scene: scene.
-        points: points, shape (n, 2), m.
+        points: points (n, 2), m.
         color: colour, #rrggbb.
-        half_width: half line width, m.
+        half_width: half width, m.
         level: layer of the line; higher layers cover lower ones.
     """
     box = mujoco.mjtGeom.mjGEOM_BOX
@@ -301,7 +300,7 @@ class Skins:
     """Visible geoms of the segments, coloured by pressure.
 
     Attributes:
-        geoms: geom indices per segment.
+        geoms: indices per segment.
     """
 
     def __init__(self, model: mujoco.MjModel, segments: int) -> None:
@@ -326,7 +325,7 @@ class Skins:
         """Colour the segments by the pressures of the + and − chambers.
 
         Args:
-            pressure: pressures, shape (segments, 2).
+            pressure: pressures (segments, 2).
             full_scale: pressure difference at full colour, in the unit of `pressure`.
         """
         colors = pressure_colors(pressure[:, 0] - pressure[:, 1], full_scale)

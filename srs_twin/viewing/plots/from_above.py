@@ -36,15 +36,14 @@ _MIN_SPACING = 1.35
 def plan_view(
     trajectories: Mapping[str, Trajectory], spec: RobotSpec, world: World | None = None
 ) -> Figure:
-    """Plot centre-of-mass paths with bodies at a few equally spaced times.
+    """Plot centre-of-mass paths with bodies at a few equally spaced times (Fig. 36).
 
-    The plot follows Fig. 36 of the dissertation. Bodies of the twin are filled, and
-    bodies of other plants are outlines.
+    Bodies of the twin are filled, and bodies of other plants are outlines.
 
     Args:
-        trajectories: trajectories, keyed by plant.
+        trajectories: trajectories by plant.
         spec: robot.
-        world: obstacles and movable objects.
+        world: obstacles and objects.
     """
     world = world or World()
     times = strobe_times(trajectories, spec.geometry)
@@ -130,8 +129,8 @@ def obstacle_patches(
     """Return patches of obstacles.
 
     Args:
-        circles: round obstacles (x, y, radius), m.
-        polygons: polygon corners, m.
+        circles: x, y, radius, m.
+        polygons: corners, m.
     """
     style: dict[str, Any] = {"facecolor": "0.35", "zorder": 1}
     return [

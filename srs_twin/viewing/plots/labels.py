@@ -57,9 +57,6 @@ def field_label(path: str) -> str:
     """Return the label of a field, for example 'gait frequency (Hz)'.
 
     The label is the title in the schema if it is short, and otherwise the key.
-
-    Args:
-        path: field, e.g. `controller.frequency_hz`.
     """
     keys = path.split(".")
     name, unit = split_unit(keys[-1])

@@ -111,12 +111,7 @@ _FURTHER_COLORS = ("#CC79A7", "#56B4E9", "#E69F00")
 
 
 def style_of(plant: str, index: int = 0) -> Style:
-    """Return the style of a plant.
-
-    Args:
-        plant: plant name.
-        index: index of the colour for an unknown plant.
-    """
+    """Return a plant's style; the index selects a colour for an unknown plant."""
     return STYLES.get(plant) or Style(
         plant, _FURTHER_COLORS[index % len(_FURTHER_COLORS)], "-.", 1.5
     )
@@ -130,7 +125,7 @@ def pressure_colors(
     Colours range from light grey to purple for p⁺ > p⁻ and to green for p⁺ < p⁻.
 
     Args:
-        difference: p⁺ − p⁻ in any unit; NaN becomes grey.
+        difference: p⁺ − p⁻; NaN becomes grey.
         full_scale: magnitude at full colour; None selects the maximum magnitude.
     """
     finite = np.nan_to_num(difference)
@@ -194,10 +189,7 @@ def panels(
         rows: number of panels.
         right: right margin, inches.
         share_y: whether the panels also share the y axis.
-        heights: relative panel heights; equal if empty.
-
-    Returns:
-        Figure, and panels from top to bottom.
+        heights: relative panel heights.
     """
     figure, grid = side_by_side(
         height,
@@ -224,7 +216,7 @@ def side_by_side(
     space: float = 0.08,
     **options: Any,
 ) -> tuple[Figure, np.ndarray]:
-    """Create a figure with a grid of panels.
+    """Create a figure with a grid of panels of shape (rows, columns).
 
     Args:
         height: figure height, inches.
@@ -234,11 +226,8 @@ def side_by_side(
         right: right margin, inches.
         top: top margin, inches.
         bottom: bottom margin, inches.
-        space: gap between panels relative to the panel size.
+        space: gap relative to the panel size.
         options: arguments of `Figure.subplots`.
-
-    Returns:
-        Figure, and panels of shape (rows, columns).
     """
     figure = Figure(figsize=(_WIDTH, height))
     margins = {
@@ -270,7 +259,7 @@ def finish(
     title: str = "",
     loc: Alignment = "center",
 ) -> None:
-    """Set the labels and the title of a panel, and add a grid.
+    """Add labels, title and grid.
 
     Args:
         axes: panel.
@@ -297,7 +286,7 @@ def save(figure: Figure, path: str | Path, dpi: float = 130) -> None:
 
     Args:
         figure: figure.
-        path: output file; its suffix selects the format.
+        path: output file.
         dpi: PNG resolution, pixels per inch.
 
     Raises:

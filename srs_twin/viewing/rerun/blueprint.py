@@ -29,17 +29,16 @@ class Layout:
         plants: plant names.
         camera_target: entity below `world/` that the camera follows.
         segments: number of segments.
-        start: start position (2,), m.
+        start: position (2,), m.
         heading: initial heading, rad.
         body_length: body length, m.
-        separation: maximum distance between two centres of mass, m. It determines the
-            camera distance.
+        separation: maximum distance between two centres of mass, m.
         period: gait period, s. Plots show a few periods around the cursor, or the
             whole run if the period is None.
         compared: whether plants are compared.
         kind: kind of experiment.
-        signals: signals of an extension, plotted first.
-        speeds: limits of the speed axis, m/s, or None for automatic limits.
+        signals: signals plotted first.
+        speeds: speed limits, m/s.
         events: whether events exist.
         root: parent entity of the run if a recording contains several runs.
         measured: quantities compared with a measured robot: shape, path, bend.
@@ -87,11 +86,7 @@ def run_blueprint(layout: Layout) -> rrb.Blueprint:
 
 
 def side_by_side_blueprint(layouts: Mapping[str, Layout]) -> rrb.Blueprint:
-    """Return the layout of several runs, at most three per row.
-
-    Args:
-        layouts: layouts, keyed by run.
-    """
+    """Return the layout of several runs, at most three per row."""
     columns = []
     for name, layout in layouts.items():
         body = rrb.Tabs(

@@ -106,7 +106,7 @@ class LiveView:
 
         Args:
             spec: robot.
-            log: stream of the viewer.
+            log: viewer stream.
         """
         self._log = log
         self._spec = spec
@@ -203,7 +203,7 @@ def live_view(
 
     Args:
         spec: robot.
-        recording: output file, if any.
+        recording: output file.
         window: whether to open the native viewer.
         web: whether to serve the web viewer on this machine.
 

@@ -91,7 +91,7 @@ def write_recording(path: str | Path, content: RunContent, *, title: str = "") -
     Args:
         path: output file.
         content: run content.
-        title: name of the recording in the viewer; by default the title of the robot.
+        title: title in the viewer, by default the title of the robot.
     """
     trajectories = content.trajectories
     residuals = {
@@ -157,7 +157,6 @@ def _drain(log: rr.RecordingStream, memory: rr.MemoryRecording) -> bytes:
 
 
 def _residuals(difference: MeasuredDifference) -> dict[str, np.ndarray]:
-    """Return the differences of shape and path (mm) and the RMS of the bends (rad)."""
     signals = difference.signals()
     errors = {
         name: 1e3 * signals[f"{name}_m"]
@@ -418,7 +417,7 @@ def write_side_by_side(path: str | Path, recordings: Mapping[str, Path]) -> None
 
     Args:
         path: output file.
-        recordings: recordings of `write_recording`, keyed by run.
+        recordings: recordings, by run.
 
     Raises:
         InputError: a file is not a recording of srs-twin, or the output file cannot be

@@ -39,8 +39,8 @@ class Entities:
 
     Attributes:
         log: recording stream.
-        time: sample times, shape (samples,), s.
-        root: prefix of the entity names, e.g. `world/<plant>/`.
+        time: sample times, s.
+        root: name prefix.
     """
 
     log: rr.RecordingStream
@@ -67,10 +67,10 @@ class Entities:
 
         Args:
             name: entity name.
-            values: sample values.
+            values: samples.
             style: line style.
-            steps: whether to send only the samples at which the value changes, and the
-                last one.
+            steps: whether to send only samples at which the value changes, and the
+                last.
         """
         entities = self
         mode = None
@@ -140,9 +140,8 @@ def send_contacts(to: Entities, run: Trajectory, height: float) -> None:
     be shorter than the sample interval of the shapes.
 
     Args:
-        to: entities of the snake, with the sample times of the run.
-        run: trajectory. With obstacles, the trajectory has the columns
-            ``obstacle_force_x_1…`` and ``obstacle_force_y_1…``.
+        to: entities with all sample times of the run.
+        run: trajectory.
         height: arrow height, m.
     """
     if not run.has("obstacle_force_x"):

@@ -118,9 +118,6 @@ Rerun = subprocess.Popen[bytes]
 def running_rerun(*arguments: str) -> Iterator[tuple[Rerun, IO[bytes]]]:
     """Run Rerun, and yield the process and the file with its output.
 
-    Args:
-        arguments: further arguments of Rerun.
-
     Raises:
         InputError: Rerun is not installed.
     """
@@ -192,9 +189,10 @@ def serve_recordings(
     until it is interrupted.
 
     Args:
-        recordings: recordings of `write_recording`.
+        recordings: recordings.
         port: page port, or 0 for a free port.
-        data_port: port to which a running program may stream data, or None.
+        data_port: port to which a running program may stream data, or None for a free
+            port.
 
     Raises:
         InputError: the port is in use, or Rerun does not start.
@@ -269,11 +267,7 @@ def _opener() -> urllib.request.OpenerDirector:
 def is_served(
     server: subprocess.Popen[bytes], addresses: Sequence[str], timeout_s: float
 ) -> bool:
-    """Wait until a server answers at all addresses, ends, or exceeds the timeout.
-
-    Returns:
-        Whether the server answered.
-    """
+    """Wait until a server answers at all addresses, and return whether it did."""
     deadline = time.monotonic() + timeout_s
     while server.poll() is None and time.monotonic() < deadline:
         try:
