@@ -90,8 +90,7 @@ def compare(
         (com, heading, position, bend),
     ) = (_sampled(run, time) for run in (reference, candidate))
 
-    # Unwrapped headings may differ by whole turns although the snakes point in one
-    # direction.
+    # Unwrapped headings may differ by whole turns even if the snakes are parallel.
     heading_error = heading - reference_heading
     heading_error -= 2 * np.pi * np.round(heading_error[0] / (2 * np.pi))
     shape = in_body_frame(position, com, heading)

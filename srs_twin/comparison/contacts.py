@@ -165,7 +165,7 @@ def obstacle_force(trajectory: Trajectory) -> np.ndarray | None:
 
 
 def object_metrics(trajectory: Trajectory) -> dict[str, float]:
-    """Return the largest displacement of an object, or {} in a world without objects."""
+    """Return the maximum displacement of an object as ``object_moved_m``, if any."""
     if not trajectory.has("object_x"):
         return {}
     place = np.stack([trajectory.stack("object_x"), trajectory.stack("object_y")])

@@ -135,7 +135,7 @@ class Difference:
     Attributes:
         moved: changed values.
         same: number of equal values.
-        wheres: compared places.
+        wheres: scenarios, sweep points and rows.
         versions: differing package versions.
     """
 

@@ -44,8 +44,8 @@ class PeriodAmplitudes:
     Attributes:
         amplitude: maximum sensed bend to the side of the chamber, rad; NaN without a
             valid reading.
-        target: final target, rad.
-        duty: duty in mid-period.
+        target: target amplitude at the end of the period, rad, or NaN.
+        duty: duty in the middle of the period.
     """
 
     amplitude: Array
@@ -291,8 +291,8 @@ def _amplitudes(by_period: PeriodAmplitudes) -> dict[str, float | None]:
     target = by_period.target[:, working]
     converged = np.all(error <= CONVERGENCE_TOLERANCE * target, axis=1)
     outside = np.flatnonzero(~converged)
-    # Convergence begins after the last period outside the tolerance. Periods are
-    # numbered from 1, hence the 2.
+    # Convergence begins one period after the last period outside the tolerance. The
+    # other 1 is added because periods are numbered from 1.
     first = int(outside[-1]) + 2 if len(outside) else 1
     duty = by_period.duty[-1, working]
     metrics: dict[str, float | None] = {

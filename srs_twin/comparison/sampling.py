@@ -154,8 +154,7 @@ def body_length(trajectory: Trajectory) -> float:
 
 def interpolant(trajectory: Trajectory, values: np.ndarray) -> CubicSpline:
     """Return the cubic spline through samples, whose error is of fourth order."""
-    # The import takes half a second, which commands that only list metrics need not
-    # spend.
+    # The import takes half a second, so commands that only list metrics avoid it.
     from scipy.interpolate import CubicSpline
 
     return CubicSpline(trajectory.time, values)

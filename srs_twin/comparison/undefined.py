@@ -66,7 +66,7 @@ class Undefined:
     """Metric of a run without a value.
 
     Attributes:
-        reason: reason.
+        reason: explanation.
         beyond: lower bound of the value, in the unit of the metric, or −inf. For
             example, a bend that has not settled by the end of a run may settle later.
     """

@@ -132,6 +132,8 @@ def _conductance(
         return REFERENCE_PA * c * passed(at) / (dead + growth * (2 * at + AMBIENT_PA))
 
     def rate(at: float) -> float:
+        # The volume follows the bend G (p − τ₂ ṗ), and the expansion is
+        # (p + P_a) dV/dp.
         chamber_volume = dead + growth * (at - lag * rate_without_lag(at))
         expansion = growth * (at + AMBIENT_PA) * (1 - lag * slope(rate_without_lag, at))
         return REFERENCE_PA * c * passed(at) / (chamber_volume + expansion)

@@ -450,6 +450,7 @@ def advance_segment(state, j, pressure, linear, law):  # type: ignore[no-untyped
     target_minus = law.asymptotes[second, down]
     deviation_plus = pressure[0] - target_plus
     deviation_minus = pressure[1] - target_minus
+    # This part of x is the response to both pressures from x = 0.
     lagged = law.gain[j, 0] * (
         target_plus * (1.0 - mode) + deviation_plus * law.lag[first, up]
     )

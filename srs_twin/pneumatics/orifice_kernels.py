@@ -173,6 +173,7 @@ def chamber(n, bend, j, side, state, line, air):  # type: ignore[no-untyped-def]
     outflow = air.leak[j, side] * (pressure - AMBIENT_PA)
     outflow_by_p = air.leak[j, side]
     if state != 0:
+        # Flow into the chamber is positive, so a venting chamber has a negative flow.
         source = line if state == 1 else AMBIENT_PA
         value, by_source, by_here = flow(source, pressure, air.critical)
         if state == 1:
@@ -210,10 +211,11 @@ def supply_flow(line, air):  # type: ignore[no-untyped-def]
 def _newton(y, amounts, line_base, weight, state, coupled, air, work):  # type: ignore[no-untyped-def]
     """Perform one Newton iteration for the stage equation y = base + weight · ẏ.
 
-    The result is the norm of the update. Chambers depend on each other only through the
-    bend of their segment and through the line. Each segment is therefore eliminated
-    separately, as a linear function of the change of the line pressure. The weight is γ
-    h, and `line_base` contains the known terms of the amount of air in the line.
+    The result is the maximum norm of the update. Chambers depend on each other only
+    through the bend of their segment and through the line. Each segment is therefore
+    eliminated separately, as a linear function of the change of the line pressure. The
+    weight is γ h (s), and `line_base` contains the known terms of the amount of air in
+    the line.
     """
     base = work.base
     linear = work.linear
@@ -234,8 +236,8 @@ def _newton(y, amounts, line_base, weight, state, coupled, air, work):  # type: 
         bend_residual = y[j, _X] * bend_slope - base[j, _X]
         for side in range(2):
             c = chamber(y[j, side], q, j, side, state[j, side], line, air)
-            # Eliminating the chamber's amount of air n leaves an equation that is
-            # linear in x and in the pressure of the line.
+            # The chamber's amount of air n is eliminated by its linearised equation
+            # Δn = alone − coupling · Δx + by_line · Δ(line pressure).
             squeeze = c.squeeze * bend_rate
             rate_by_p = weight * (c.inflow_by_p - c.outflow_by_p)
             pivot = 1.0 - rate_by_p * c.per_volume
@@ -254,7 +256,7 @@ def _newton(y, amounts, line_base, weight, state, coupled, air, work):  # type: 
             terms[j, side, _FLOW_BY_LINE] = c.inflow_by_line
             terms[j, side, _FLOW_BY_AMOUNT] = c.inflow_by_p * c.per_volume
             terms[j, side, _FLOW_BY_BEND] = c.inflow_by_p * squeeze
-        # Without the two amounts of air, the equation for x depends on the line only.
+        # After both eliminations, the equation for x depends on the line only.
         linear[j, _X, _ALONE] = -bend_residual / bend_slope
         linear[j, _X, _BY_LINE] = bend_by_line / bend_slope
         line_residual, line_slope = _add_segment_to_line(
@@ -369,6 +371,7 @@ def _step(now, h, begun, state, actual, air, work):  # type: ignore[no-untyped-d
             for j in range(y.shape[0]):
                 for k in range(3):
                     base[j, k] += (1 - GAMMA) * h * dy[j, k]
+            # The line gains the supply's flow and loses the inflow of the chambers.
             line_base += (1 - GAMMA) * h * (drawn - inflow) if air.limited else 0.0
         at = GAMMA if stage == 0 else 1.0
         _extrapolate_bends(work.bend, actual, begun + at * h)
@@ -381,6 +384,7 @@ def _step(now, h, begun, state, actual, air, work):  # type: ignore[no-untyped-d
         flows = _rates(y, amounts[LINE], state, coupled, work.bend, air, dy)
         drawn = flows.supply
         inflow = flows.inflow
+        # The weights of the two stages are 1 − γ and γ.
         share = h * (1 - GAMMA if stage == 0 else GAMMA)
         amounts[DRAWN] += share * drawn
         amounts[LOST] += share * flows.outflow

@@ -468,8 +468,8 @@ def select_claims(
 
     Args:
         claims: all rows.
-        only: names; empty selects all.
-        quick: only quick rows.
+        only: names; an empty tuple selects all rows.
+        quick: whether to select only quick rows.
 
     Raises:
         UnknownNameError: no row has this name.

@@ -232,7 +232,10 @@ def turn_limit(speed_m_s: float, radius_m: float) -> Numbers:
 
 
 def footprint_edges(footprint: str) -> Numbers:
-    """Return the width of a straight footprint and its largest shift, m (Table 9)."""
+    """Return the straight width of a footprint and its shift at maximum curvature, m.
+
+    Table 9 of the dissertation lists both.
+    """
     from srs_twin.planning.footprint_file import load_footprint
 
     body = load_footprint(footprint)

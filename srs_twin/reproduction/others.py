@@ -54,8 +54,8 @@ class Quantiles:
     Attributes:
         median: median.
         interval_95: 95 % interval.
-        interval_95_error: standard errors, or None.
-        robots: number; 0 if unknown.
+        interval_95_error: standard errors of both ends, or None.
+        robots: number of robots, or 0 if unknown.
     """
 
     median: float

@@ -170,11 +170,13 @@ def _valve_kernels(wave: WarpStruct, settings: StepSettings) -> Kernels:
             time = (wp.float64(count[0] * SLOTS + s) + wp.float64(0.5)) * wp.float64(
                 SLOT
             )
+            # Double precision keeps the phase accurate in long runs.
             turns = wp.float64(gait.frequency) * time
             angle = wp.float64(6.283185307179586) * (
                 turns - wp.floor(turns)
             ) - wp.float64(gait.lag[j])
             value = wp.sin(angle) + wp.float64(gait.offset)
+            # The margin prevents rounding from delaying a switch by one slot.
             edge = wp.float64(gait.rest) - wp.float64(1e-9)
             out[i, s, j, 0] = 2 * int(value >= edge) - 1
             out[i, s, j, 1] = 2 * int(value < -edge) - 1
@@ -208,7 +210,8 @@ def _chamber_kernel(
         law = relaxation_of(relaxations, i)
         air = chambers_of(all_chambers, i)
         pressure = air.pressure[j]
-        # The drive uses the bend and its rate at the beginning of the step.
+        # With this drive, a segment with the damping time c/k follows the free bend
+        # without lag. The values are those at the beginning of the step.
         driven = air.bend[j] + law.damping_time * air.bend_rate[j]
         bend = air.bend[j] + law.bias[j]
         for s in range(SLOTS):
@@ -219,6 +222,7 @@ def _chamber_kernel(
         air.bend_rate[j] = slope * (pull - air.linear[j]) / law.tau
         end = air.bend[j] + law.damping_time * air.bend_rate[j]
         driven += END_WEIGHT * (end - driven)
+        # A control is the pressure of one chamber, so it cannot be negative.
         ctrl[i, 2 * j] = wp.max(driven, 0.0) / law.gain[j, 0]
         ctrl[i, 2 * j + 1] = wp.max(-driven, 0.0) / law.gain[j, 1]
 
@@ -316,7 +320,10 @@ def _observation_kernel(
 
 
 def advance_slot(law, air, state, j, before):  # type: ignore[no-untyped-def]
-    """Advance the chambers of segment j over a valve slot, and return its bend, rad."""
+    """Advance the chambers of segment j over a valve slot, and return its bend, rad.
+
+    The argument `before` is the bend at the beginning of the slot.
+    """
     pressure = air.pressure[j]
     content_before = filling_content(
         state, pressure[0], pressure[1], before, law, AMBIENT_PA
@@ -325,6 +332,7 @@ def advance_slot(law, air, state, j, before):  # type: ignore[no-untyped-def]
     after, _, _ = apply_bend_law(x, law)
     after += law.bias[j]
     content = filling_content(state, plus, minus, after, law, AMBIENT_PA)
+    # The supply delivers the increase of the content of filling chambers.
     air.drawn[j] = air.drawn[j] + law.worth * (content - content_before)
     pressure[0] = plus
     pressure[1] = minus
@@ -341,6 +349,8 @@ def internal_power(air, at, qvel, damping):  # type: ignore[no-untyped-def]
     power = float(0.0)
     hinges = at.hinges.shape[1]
     for j in range(at.hinges.shape[0]):
+        # Dampers act on deviations from the free bend rate, which is divided equally
+        # among the hinges.
         share = air.bend_rate[j] / float(hinges)
         for n in range(hinges):
             deviation = qvel[at.hinges[j, n]] - share
@@ -401,6 +411,7 @@ def write_bodies(body, at, row):  # type: ignore[no-untyped-def]
         b = at.connectors[c]
         for n in range(3):
             row[k + n] = body.xpos[b, n]
+        # The heading is the direction of the connector's x axis in the plane.
         row[k + 3] = wp.atan2(body.xmat[b, 3], body.xmat[b, 0])
         k += 4
     return k
@@ -457,6 +468,7 @@ def integrate_position(
     rotation = wp.vec3(qvel[3], qvel[4], qvel[5])
     speed = wp.length(rotation)
     half = 0.5 * h * speed
+    # The lower bound avoids a division by zero for a body that does not rotate.
     axis = rotation / wp.max(speed, 1e-20)
     w = qpos[3]
     x = qpos[4]

@@ -26,8 +26,8 @@ class Table(NamedTuple):
     Attributes:
         headings: headings with units.
         rows: strings or `Markup`.
-        numbers: right-aligned columns.
-        note: remark below.
+        numbers: indices of right-aligned columns.
+        note: remark below the table.
         title: table title.
     """
 

@@ -103,7 +103,7 @@ class LiveSnake:
         if scenario is not None:
             self.twin: Any = scenario.build_plant("twin")
             limits = GaitLimits.for_robot(self.twin.spec)
-            # The pneumatic model of the scenario is valid up to its supply pressure.
+            # The pneumatic model accepts at most the supply pressure of the scenario.
             low, high = (min(limit, scenario.supply_pa) for limit in limits.pressure)
             limits = replace(limits, pressure=(low, high))
             pressure = high

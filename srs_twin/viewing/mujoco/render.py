@@ -131,7 +131,7 @@ class FollowCamera:
         Args:
             run: twin's trajectory.
             body_length: body length, m.
-            bench: whether clamped.
+            bench: whether the head is clamped.
             ghost: another plant's trajectory.
         """
         setup = "bench" if bench else "floor"

@@ -70,8 +70,8 @@ class Stage:
         run: twin's trajectory.
         model: MuJoCo model.
         data: current state.
-        bench: whether clamped.
-        ghost: another plant.
+        bench: whether the head is clamped.
+        ghost: another plant, or None.
     """
 
     def __init__(

@@ -29,7 +29,7 @@ class Layout:
         plants: plant names.
         camera_target: entity below `world/` that the camera follows.
         segments: number of segments.
-        start: position (2,), m.
+        start: start position (2,), m.
         heading: initial heading, rad.
         body_length: body length, m.
         separation: maximum distance between two centres of mass, m.
@@ -38,7 +38,7 @@ class Layout:
         compared: whether plants are compared.
         kind: kind of experiment.
         signals: signals plotted first.
-        speeds: speed limits, m/s.
+        speeds: limits of the speed axis, m/s, or None for automatic limits.
         events: whether events exist.
         root: parent entity of the run if a recording contains several runs.
         measured: quantities compared with a measured robot: shape, path, bend.
