@@ -1,8 +1,8 @@
 """Centre line and sides of the body, computed from recorded connector poses.
 
-Between two connectors, a segment consists of half its rigid gap, straight along the
-heading of the front connector, an arc of constant curvature, and half the gap along the
-heading of the rear connector (Fig. 35).
+Between two connectors, a segment consists of an arc of constant curvature and of two
+straight halves of its rigid gap (Fig. 35). Each half follows the heading of the
+adjacent connector.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ def centre_lines(
     """Return the centre line of every segment, ordered from the front.
 
     The points are the front connector, the arc with both ends, and the rear connector.
-    The twin bends in a few hinges and not in an exact arc. The resulting distance
-    between the end of the line and the recorded rear connector is distributed evenly
-    along the segment, so that both ends have their recorded positions.
+    The twin bends in a few hinges and not in an exact arc, so the line misses the
+    recorded rear connector. The error is distributed evenly along the segment, so that
+    both ends have their recorded positions.
 
     Args:
         trajectory: recorded connector poses.
@@ -87,11 +87,11 @@ def offset_to_sides(points: Array, heading: Array, half_width: float) -> Array:
 def body_overlap(trajectory: Trajectory, geometry: Geometry) -> float:
     """Return the maximum overlap of two parts of a planar body, m.
 
-    Only the twin in a world with objects has contacts of the body with itself. The
-    search covers at most 200 of the samples in which the headings of the body span more
-    than π, because other bodies cannot touch themselves. Points are compared whose
-    distance along the body exceeds twice the body width. Overlaps below a quarter of
-    the width give 0.
+    Only the twin in a world with objects has contacts of the body with itself. At most
+    200 samples are searched. In these samples the headings of the body span more than
+    π, because other bodies cannot touch themselves. Points are compared whose distance
+    along the body exceeds twice the body width. Overlaps below a quarter of the width
+    give 0.
     """
     curled = np.flatnonzero(np.ptp(trajectory.stack("theta"), axis=1) > np.pi)
     if trajectory.has("z") or not len(curled):

@@ -74,7 +74,7 @@ def compare(
         reference: analytical run.
         candidate: twin's run.
         gap_factor: whether to multiply the reference speed by (l + L_o)/l of the
-            candidate, as in the dissertation, whose model has no rigid gaps (Section
+            candidate, because the model of the dissertation has no rigid gaps (Section
             3.4.2).
 
     Raises:

@@ -194,9 +194,9 @@ def displacement_per_period(
 ) -> tuple[Array, Array]:
     """Return the chord (m, negative for backward motion) and the turn (rad) per period.
 
-    Chord and turn are averaged over all periods that begin within one period, because a
-    single phase would count the lateral oscillation of the body as a part of the
-    radius. A window of K periods gives K − 1 values of each.
+    Chord and turn are averaged over all periods that begin within one period. A single
+    phase would count the lateral oscillation of the body as a part of the radius. A
+    window of K periods gives K − 1 values of each.
     """
     speed, turn_rate = running_rates(trajectory, window)
     shape = (window.periods - 1, window.times_per_period)
@@ -237,10 +237,10 @@ def turning_radius(
 ) -> float | None:
     """Return the signed turning radius, m, or None for a straight path.
 
-    The radius is positive to the left. In one period the body moves along a chord of
-    length speed · period and turns by yaw_rate · period, which determines the radius of
-    the circle. Speed divided by yaw rate would be the radius of the averaged path,
-    which is smaller, by 1 % if the body turns by half a radian per period.
+    The radius is positive to the left. It follows from the chord (speed · period) and
+    the turn (yaw_rate · period) of the body in one period. Speed divided by yaw rate
+    would be the radius of the averaged path. The averaged path has a smaller radius, by
+    1 % if the body turns by half a radian per period.
 
     Args:
         speed: forward speed, m/s.

@@ -255,10 +255,10 @@ def learning_metrics(trajectory: Trajectory) -> dict[str, object]:
     For each period, the path has a chord along which the centre of mass moves, and a
     turn of the body. Chord and turn are averaged over the gait phase, so that five
     periods give four values. The curvature is 2 sin(turn/2)/chord. The curvature before
-    learning is a mean over the two periods before the first update of a duty, or None
-    if these periods would begin less than half a period after the start. ``box_left_m``
-    and ``box_right_m`` are measured from the circle or line that is fitted to the path
-    of the last five periods.
+    learning is a mean over the two periods before the first update of a duty. It is
+    None if these periods would begin less than half a period after the start.
+    ``box_left_m`` and ``box_right_m`` are measured from the circle or line that is
+    fitted to the path of the last five periods.
 
     Args:
         trajectory: run with ``sensed``, ``duty_…`` and ``target_…``.

@@ -129,7 +129,7 @@ def _per_cent(metric: str, reference: float, value: float) -> str:
 def published(
     expectations: Sequence[Mapping[str, Any]],
 ) -> dict[str, tuple[float, str]]:
-    """Return the published value and its source, keyed by metric."""
+    """Return the published value of each metric, and the source of the value."""
     return {
         row["metric"]: (row["near"], row["source"])
         for row in expectations

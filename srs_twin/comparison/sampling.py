@@ -78,8 +78,8 @@ def check_columns(trajectory: Trajectory, *names: str) -> None:
         names: required columns; ``"x"`` means ``x_1…``.
 
     Raises:
-        InputError: a column is missing or contains a value that is not finite, there is
-            no sample, or the time does not increase between samples.
+        InputError: a column is missing or not finite, there is no sample, or the time
+            does not increase between samples.
     """
     run = label(trajectory)
     missing = [name for name in ("time", *names) if not trajectory.has(name)]

@@ -83,12 +83,12 @@ def conductances(spec: RobotSpec, critical: float) -> Conductances:
     """Return the conductances that give small pressure changes the time constant τ₁.
 
     One chamber fills or vents, the opposite chamber is vented, and the bend follows as
-    q ≈ G (p − τ₂ ṗ). A change dp of the gauge pressure needs the amount of air K dp
-    with K(p) = V + (p + P_a) A G, so that ṗ = ṅ/K. Terms of first order in τ₂ are
-    corrected. Chambers with a first-order lag have dṗ/dp = −1/τ₁ at all pressures. Here
-    C is chosen so that this equation holds at one working point. At the working point,
-    the pressure between ambient and the nominal supply has completed 1 − e⁻² of its
-    change.
+    q ≈ G (p − τ₂ ṗ). A change dp of the gauge pressure needs the amount of air K dp, so
+    that ṗ = ṅ/K. The capacity is K(p) = V + (p + P_a) A G. Terms of first order in τ₂
+    are corrected. Chambers with a first-order lag have dṗ/dp = −1/τ₁ at all pressures.
+    Here C is chosen so that this equation holds at one working point. At the working
+    point, the pressure between ambient and the nominal supply has completed 1 − e⁻² of
+    its change.
 
     Args:
         spec: robot.

@@ -47,15 +47,15 @@ class WarpBatch(Claimable):
     All twins have equal numbers of connectors and equal control ticks.
 
     Attributes:
-        twins: twin of each run, which holds its settings. Runs with equal robots share
-            one twin.
+        twins: twin of each run. It holds the run's settings, and runs with equal robots
+            share one twin.
         tick: control tick, s.
         state: latest state of every run. Each field has a leading axis of runs.
         errors: error that ended each run, or None.
         device: Warp device.
         origins: origin of each run's device coordinates in the world, shape (runs, 2),
-            m. If a run starts more than 16 m from the world's origin, its device origin
-            is the start, because of single precision.
+            m. A run that starts more than 16 m from the world's origin has its device
+            origin at the start, because of single precision.
     """
 
     claiming_methods = (*Claimable.claiming_methods, "run", "follow", "command")
@@ -174,7 +174,7 @@ class WarpBatch(Claimable):
 
         Args:
             poses: centre of mass x, y (m) and mean heading (rad) of each run that is
-                reset. The default is the origin.
+                reset, by default zero.
             seed: random seed of the sensor noise.
             worlds: indices of the runs to reset. None resets all runs and the time.
 

@@ -49,12 +49,12 @@ class DeviceEngine:
     """Twins of a batch on a device, one per world.
 
     Attributes:
-        loaded: whether the contact model is the loaded contact.
+        loaded: whether the twins have the loaded contact model.
         slots: valve slots per time step.
         steps: time steps per control tick.
         data: MuJoCo Warp's data of all worlds.
         structs: structs of all worlds, keyed by the names in `build_kernels`.
-        count: array with the number of time steps since the reset.
+        count: array that contains the number of time steps since the reset.
         widths: number of columns of each part of an observation (kernel `observe`).
     """
 
@@ -372,7 +372,7 @@ class DeviceEngine:
 
 
 def _set_individual_parameters(model: Any, models: list[mujoco.MjModel]) -> None:
-    """Copy the model fields in which worlds differ to each world.
+    """Give each world its own values of the model fields in which worlds differ.
 
     Raises:
         InputError: the models differ in a field that the engine shares between worlds.

@@ -2,7 +2,7 @@
 
 Simulations without rendering set MUJOCO_GL to "disabled", so the backend is selected
 when the first image is drawn. Each candidate renders a small image in a separate
-process, because a faulty library may crash its process and PyOpenGL cannot change its
+process, because a faulty library may crash its process. PyOpenGL also cannot change its
 backend within a process.
 """
 

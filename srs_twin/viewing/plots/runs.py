@@ -199,7 +199,7 @@ def _finish_time(figure: Figure, rows: Sequence[Axes], window: _Window) -> None:
 
 
 def _common_window(trajectories: Runs) -> _Window:
-    """Return the last gait periods that all runs cover, or all of a short run."""
+    """Return the last gait periods that all runs cover, or the whole of a short run."""
     first = min(float(run.time[0]) for run in trajectories.values())
     ends = [float(run.time[-1]) for run in trajectories.values()]
     period = max(gait_period(run) or 0.0 for run in trajectories.values())
@@ -284,8 +284,8 @@ def tracking_plot(trajectories: Runs) -> Figure:
     """Plot reference, bends and readings of the first segment, and the valve states.
 
     The plot shows the last four periods of a periodic reference, or else the whole run.
-    As in the dissertation, the valve state is 1 if the valves drive positive bends,
-    −1 if they drive negative bends, and 0 if both hold.
+    The valve state of the dissertation is 1 if the valves drive positive bends, −1 if
+    they drive negative bends, and 0 if both hold.
     """
     count = len(trajectories)
     figure, (bends, *valves) = panels(

@@ -290,9 +290,9 @@ def _send_floor(
 def _send_modules(to: Entities, plant: str, run: Trajectory, style: Style) -> None:
     """Log the bends, pressures, valves, readings and duties of the modules.
 
-    The valve state of a module is 1 if its valves drive positive bends, −1 if they
-    drive negative bends, and 0 if both valves have equal states. Readings of an ideal
-    sensor are omitted.
+    The valve state of a module is 1 for valves that drive positive bends, −1 for
+    negative bends, and 0 for valves in equal states. Readings of an ideal sensor are
+    omitted.
     """
 
     def send(name: str, values: np.ndarray, style: Style, steps: bool = False) -> None:
