@@ -1,1 +1,1 @@
-"""Metrics of one trajectory, and the comparison of two."""
+"""Metrics of single runs, and comparisons of two runs."""

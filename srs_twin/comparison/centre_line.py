@@ -1,9 +1,8 @@
-"""Centre line and sides of the body, computed from the recorded connectors.
+"""Centre line and sides of the body, computed from recorded connector poses.
 
-A trajectory contains the poses of the connectors only (`x_i`, `y_i`, `theta_i`).
-Between two connectors, a segment consists of half its rigid gap, straight along the
-heading of the front connector, an arc of constant curvature, and half the gap along the
-heading of the rear connector (Fig. 35).
+Between two connectors, a segment consists of an arc of constant curvature and of two
+straight halves of its rigid gap (Fig. 35). Each half follows the heading of the
+adjacent connector.
 """
 
 from __future__ import annotations
@@ -16,29 +15,32 @@ from srs_twin.robot.spec import Geometry
 from srs_twin.trajectory import Trajectory
 
 _MIN_OVERLAP = 0.25
-"""Smallest overlap that is reported, in body widths, 1: the hulls of the twin are chords, up to 3 mm inside
-the arcs, and contacts are not perfectly rigid."""
+"""Minimum overlap that is reported, body widths.
+
+Smaller overlaps may be artefacts: the hulls of the twin are chords, up to 3 mm inside
+the arcs, and contacts are not perfectly rigid.
+"""
 _MAX_SAMPLES = 200
-"""Largest number of samples in which overlaps are searched."""
+"""Maximum number of samples in which overlaps are searched."""
 
 
 def centre_lines(
     trajectory: Trajectory, geometry: Geometry, divisions: int = 8
 ) -> Array:
-    """Return the centre line of every segment, front first.
+    """Return the centre line of every segment, ordered from the front.
 
     The points are the front connector, the arc with both ends, and the rear connector.
-    The twin bends in a few hinges and not in an exact arc. The resulting distance
-    between the end of the line and the recorded rear connector is distributed evenly
-    along the segment, so that both ends are at their recorded positions.
+    The twin bends in a few hinges and not in an exact arc, so the line misses the
+    recorded rear connector. The error is distributed evenly along the segment, so that
+    both ends have their recorded positions.
 
     Args:
-        trajectory: trajectory with `x_1…`, `y_1…`, `theta_1…`.
-        geometry: geometry of the recorded robot.
-        divisions: number of straight lines that approximate an arc, 1 or more.
+        trajectory: recorded connector poses.
+        geometry: robot geometry.
+        divisions: chords per arc.
 
     Returns:
-        Shape (samples, segments, divisions + 3, 2), m.
+        Centre lines, shape (samples, segments, divisions + 3, 2), m.
     """
     theta = trajectory.stack("theta")
     front = trajectory.position[:, :-1]
@@ -58,16 +60,7 @@ def centre_lines(
 
 
 def body_sides(trajectory: Trajectory, geometry: Geometry, divisions: int = 8) -> Array:
-    """Return points on both sides of the body, half its width from the centre line.
-
-    Args:
-        trajectory: trajectory with `x_1…`, `y_1…`, `theta_1…`.
-        geometry: geometry of the recorded robot.
-        divisions: number of straight lines that approximate an arc, 1 or more.
-
-    Returns:
-        Shape (samples, points, 2), m.
-    """
+    """Return points on both sides of the body, shape (samples, points, 2), m."""
     theta = trajectory.stack("theta")
     front = theta[:, :-1, None]
     rear = theta[:, 1:, None]
@@ -80,27 +73,25 @@ def body_sides(trajectory: Trajectory, geometry: Geometry, divisions: int = 8) -
 
 
 def offset_to_sides(points: Array, heading: Array, half_width: float) -> Array:
-    """Return points offset to the left, followed by the same points offset to the right.
+    """Return points offset to the left, followed by the points offset to the right.
 
     Args:
-        points: shape (…, k, 2), m.
-        heading: direction of the line at the points, shape (…, k), rad.
+        points: points (…, k, 2), m.
+        heading: line direction (…, k), rad.
         half_width: offset, m.
-
-    Returns:
-        Shape (…, 2 k, 2), m.
     """
     offset = half_width * np.stack([-np.sin(heading), np.cos(heading)], axis=-1)
     return np.concatenate([points + offset, points - offset], axis=-2)
 
 
 def body_overlap(trajectory: Trajectory, geometry: Geometry) -> float:
-    """Return the largest overlap of two parts of a planar body, m; 0 below a quarter of its width.
+    """Return the maximum overlap of two parts of a planar body, m.
 
-    Only the twin in a world with objects has contacts of the body with itself. Compared
-    are points whose distance along the body is over twice its width, in at most 200 of
-    the samples in which the headings of the body span more than π; other bodies cannot
-    touch themselves.
+    Only the twin in a world with objects has contacts of the body with itself. At most
+    200 samples are searched. In these samples the headings of the body span more than
+    π, because other bodies cannot touch themselves. Points are compared whose distance
+    along the body exceeds twice the body width. Overlaps below a quarter of the width
+    give 0.
     """
     curled = np.flatnonzero(np.ptp(trajectory.stack("theta"), axis=1) > np.pi)
     if trajectory.has("z") or not len(curled):

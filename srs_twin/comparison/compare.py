@@ -1,9 +1,7 @@
-"""Differences between two runs, between a run and a recording, and their attribution to assumptions.
+"""Differences between runs or between a run and a recording, and their attribution.
 
-`compare` computes the differences between two runs with the same valve commands.
-`MeasuredDifference` contains the differences between a plant and a recording of the
-robot, for each signal over time. `Attribution` divides the difference between the
-plants into the contributions of the assumptions in which they differ.
+`Attribution` divides the difference between the plants into contributions of the
+assumptions in which the plants differ.
 """
 
 from __future__ import annotations
@@ -30,33 +28,28 @@ from srs_twin.errors import InputError
 from srs_twin.trajectory import HtmlResult, Trajectory
 
 _TIME_ROUNDING_S = 1e-9
-"""Times that differ by less are equal, s."""
+"""Difference below which two times are considered equal, s."""
 
 
 @dataclass(frozen=True)
 class Comparison(HtmlResult):
     """Difference of a candidate (the twin) from a reference (the analytical model).
 
+    A metric is None if a plant has no gait metrics or a denominator is near zero.
+
     Attributes:
-        metrics: metrics by the names in `COMPARISON_UNITS`. ``com_speed_rel`` is
-            (candidate − reference) / reference, where the speed of the reference is
-            multiplied by ``gap_factor``, which is 1 unless it was requested.
-            ``yaw_rate_abs`` is the magnitude of the difference of the yaw rates.
-            ``shape_rms_m`` is the distance of corresponding connectors with both bodies
-            in their centre-of-mass frames at zero mean heading (Section 3.4.1), root
-            mean square over connectors and time; ``shape_rms_body`` is that divided by
-            the body length of the reference. ``path_rms_m`` is the distance of the
-            centres of mass at equal times. Further metrics are ``bend_rms_rad``,
-            ``bend_rms_rel`` (divided by the root mean square bend of the reference) and
-            ``heading_rms_rad``. A metric is None if a plant has no gait metrics or a
-            denominator is near zero. Spatial snakes also have those of
-            `gait.spatial_differences`.
-        time: compared times, which are those of the reference, shape (T,), s.
-        shape_error: root mean square over the connectors at each time, (T,), m.
-        path_error: distance of the centres of mass, (T,), m.
-        bend_error: candidate − reference, (T, segments), rad.
-        heading_error: candidate − reference, without the whole turns between their
-            first headings, (T,), rad.
+        metrics: values of `COMPARISON_UNITS`. ``com_speed_rel`` is (candidate −
+            reference) / reference, where the reference speed is multiplied by
+            ``gap_factor`` (1 unless requested). For ``shape_rms_m``, both bodies are
+            transformed to their centre-of-mass frames at zero mean heading (Section
+            3.4.1). ``shape_rms_body`` is relative to the body length of the reference.
+            Spatial snakes also have the metrics of `gait.spatial_differences`.
+        time: sample times of the reference, shape (T,), s.
+        shape_error: RMS distance of the connectors, shape (T,), m.
+        path_error: distance of the centres of mass, shape (T,), m.
+        bend_error: candidate − reference, shape (T, segments), rad.
+        heading_error: candidate − reference, shape (T,), rad. Whole turns between the
+            initial headings are removed.
     """
 
     page: ClassVar[str] = "comparison"
@@ -74,20 +67,19 @@ def compare(
 ) -> Comparison:
     """Compare two runs at equal times.
 
-    If the sample times differ, the candidate is interpolated to those of the reference
-    in the common interval.
+    If the sample times differ, the candidate is interpolated to the sample times of the
+    reference in the common interval.
 
     Args:
-        reference: run of the analytical model.
-        candidate: run of the twin.
-        gap_factor: whether to compare speeds as in the dissertation, whose model has no
-            rigid gaps: the speed of the reference is multiplied by (l + L_o)/l of the
-            candidate (Section 3.4.2).
+        reference: analytical run.
+        candidate: twin's run.
+        gap_factor: whether to multiply the reference speed by (l + L_o)/l of the
+            candidate, because the model of the dissertation has no rigid gaps (Section
+            3.4.2).
 
     Raises:
-        InputError: the numbers of connectors differ, the runs have no time in common,
-            columns or metadata are missing or unusable, or a gap factor is requested
-            for a reference that has rigid gaps.
+        InputError: the runs cannot be compared, or a gap factor is requested for a
+            reference that has rigid gaps.
     """
     for trajectory in (reference, candidate):
         check_columns(trajectory, "com_x", "com_y", "heading", "x", "y", "bend")
@@ -98,8 +90,7 @@ def compare(
         (com, heading, position, bend),
     ) = (_sampled(run, time) for run in (reference, candidate))
 
-    # Unwrapped headings may differ by whole turns although the snakes point in the same
-    # direction.
+    # Unwrapped headings may differ by whole turns even if the snakes are parallel.
     heading_error = heading - reference_heading
     heading_error -= 2 * np.pi * np.round(heading_error[0] / (2 * np.pi))
     shape = in_body_frame(position, com, heading)
@@ -125,16 +116,14 @@ def compare(
 def in_body_frame(
     position: np.ndarray, com: np.ndarray, heading: np.ndarray
 ) -> np.ndarray:
-    """Transform bodies to their centre-of-mass frame at zero mean heading (Section 3.4.1, Fig. 27).
+    """Transform bodies to their centre-of-mass frames (Section 3.4.1, Fig. 27).
+
+    In the frame, the mean heading is zero, x points forward, and y points to the left.
 
     Args:
-        position: connectors in the world, shape (…, N, 2), m.
-        com: centre of mass, (…, 2), m.
-        heading: mean heading, (…), rad.
-
-    Returns:
-        Positions of the connectors, shape (…, N, 2), m; x points forward, y to the
-        left.
+        position: connectors (…, N, 2), m.
+        com: centre of mass, m.
+        heading: mean heading, rad.
     """
     x, y = np.moveaxis(position - com[..., None, :], -1, 0)
     cos = np.cos(heading)[..., None]
@@ -143,7 +132,6 @@ def in_body_frame(
 
 
 def _sampled(run: Trajectory, time: np.ndarray) -> list[np.ndarray]:
-    """Return centre of mass (T, 2), heading (T,), positions (T, N, 2) and bends (T, N − 1) at given times."""
     signals = [run.com, run["heading"], run.position, run.stack("bend")]
     if len(run) == len(time) and np.allclose(
         run.time, time, rtol=0, atol=_TIME_ROUNDING_S
@@ -170,7 +158,6 @@ def _check_connectors(reference: Trajectory, candidate: Trajectory) -> None:
 
 
 def _common_times(reference: Trajectory, candidate: Trajectory) -> np.ndarray:
-    """Return the times of the reference that the candidate covers."""
     first = candidate.time[0] - _TIME_ROUNDING_S
     last = candidate.time[-1] + _TIME_ROUNDING_S
     time = reference.time
@@ -223,7 +210,7 @@ def _ratio(numerator: float, denominator: float) -> float | None:
 
 
 _MAX_INTERVALS = 50
-"""Largest number of intervals in which `MeasuredDifference.document` lists the differences."""
+"""Maximum number of intervals in `MeasuredDifference.document`."""
 
 
 @dataclass(frozen=True)
@@ -231,9 +218,9 @@ class MeasuredDifference:
     """Difference of a plant from a measured motion.
 
     Attributes:
-        comparison: plant minus measurement, see `compare`.
-        only_bends: whether only bends were measured, from which the position of the
-            body is then computed.
+        comparison: plant minus measurement.
+        only_bends: whether only bends were measured, so that the body position is
+            computed from the bends.
         clamped: whether the heads of plant and robot were clamped, so that neither
             could travel.
     """
@@ -244,10 +231,10 @@ class MeasuredDifference:
 
     @classmethod
     def between(cls, measured: Trajectory, run: Trajectory) -> MeasuredDifference:
-        """Compare a run of a plant with a measurement, at the times of the measurement.
+        """Compare a plant's run with a measurement.
 
         Raises:
-            InputError: as `compare`.
+            InputError: `compare` cannot compare the runs.
         """
         only_bends = bool(measured.metadata.get("bends_only"))
         return cls(
@@ -256,7 +243,7 @@ class MeasuredDifference:
 
     @property
     def metrics(self) -> dict[str, float | None]:
-        """Metrics of the plant by the names in `MEASURED_UNITS`; None if they were not measured."""
+        """Values of `MEASURED_UNITS`; None for quantities that were not measured."""
         measured = set(MEASURED_UNITS)
         if self.only_bends:
             measured = {"measured_bend_rms_rad"}
@@ -268,7 +255,7 @@ class MeasuredDifference:
         return metrics
 
     def signals(self) -> dict[str, np.ndarray]:
-        """Return the differences over time: distances of shape and path (m), heading and bends (rad)."""
+        """Return differences of shape, path (m), heading and bends (rad) over time."""
         bends = {
             f"bend_{j}_rad": error
             for j, error in enumerate(self.comparison.bend_error.T, start=1)
@@ -284,11 +271,11 @@ class MeasuredDifference:
 
     @property
     def bend_rms(self) -> np.ndarray:
-        """Root mean square of the bend differences over the segments at each time, (T,), rad."""
+        """RMS of the bend differences over the segments, shape (T,), rad."""
         return np.asarray(np.sqrt((self.comparison.bend_error**2).mean(axis=1)))
 
     def document(self) -> dict[str, object]:
-        """Return the entry of metrics.json: the RMS of each signal over the run and over equal intervals."""
+        """Return RMS differences over the run and over equal intervals."""
         time = self.comparison.time
         count = min(_MAX_INTERVALS, len(time))
         edges = np.linspace(0, len(time), count + 1).round().astype(int)
@@ -312,7 +299,11 @@ MEASURES = {
     "mean_bend_amplitude_rad": ("bend amplitude", "rad"),
     "shape_rms_m": ("body shape, RMS", "m"),
 }
-"""Attributed measures, with title and unit: twin − analytical of three metrics, and the shape distance."""
+"""Attributed measures with title and unit.
+
+The values are the shape distance and the differences (twin − analytical) of three
+metrics.
+"""
 
 
 @dataclass(frozen=True)
@@ -321,12 +312,11 @@ class AssumptionShare:
 
     Attributes:
         name: short name.
-        title: description in one line.
+        title: one-line description.
         value: contribution to each of `MEASURES`, in that order.
-        low: smallest contribution over the orders in which the assumptions may be
-            switched.
-        high: largest contribution over these orders.
-        how: "averaged" over orders or "first" in the order (both in the analytical
+        low: minimum over the orders in which the assumptions may be switched.
+        high: maximum over these orders.
+        how: "averaged" over the orders or "first" in the order (both in the analytical
             model), or "refined" in the only plant that has the assumption.
     """
 
@@ -342,21 +332,21 @@ class AssumptionShare:
 class Attribution:
     """Division of the difference between twin and analytical model into contributions.
 
+    The contributions and the remainder add up to the difference.
+
     Attributes:
         reference: values of `MEASURES` for the analytical model; 0 for the shape
             distance.
         gap: twin − analytical.
-        remainder: part that no assumption explains.
-        matched: difference that remains if both plants have stiff bends and the same
+        remainder: unexplained part.
+        matched: difference that remains if both plants have stiff bends and equal
             friction at the same points.
-        same: assumptions that both plants share in this scenario, so that they explain
-            no difference.
-        shares: contributions of the assumptions; together with the remainder they add
-            up to the gap.
-        window_s: length of the part of the runs, from the start, that all of this
-            refers to, s; None: the whole runs.
-        damping: name of the damping time → change of the gap if the bends of the twin
-            have this damping time, which is an end of its 95 % interval.
+        same: shared assumptions.
+        shares: contributions.
+        window_s: duration of the attributed part from the start of the runs, s, or
+            None for whole runs.
+        damping: change of the gap at each end of the 95 % interval of the twin's
+            damping time, keyed by name.
     """
 
     reference: tuple[float, ...]
@@ -370,7 +360,7 @@ class Attribution:
 
     @property
     def extent(self) -> str:
-        """The window as text; empty if the attribution refers to the whole runs."""
+        """Attributed part of the runs as text, or an empty string for whole runs."""
         if self.window_s is None:
             return ""
         return f"first {self.window_s:g} s of the runs"
@@ -384,7 +374,7 @@ def gap_between(reference: Trajectory, candidate: Trajectory) -> np.ndarray:
     """Return candidate − reference in `MEASURES`, shape (4,).
 
     Raises:
-        InputError: as in `compare`.
+        InputError: `compare` cannot compare the runs.
         ValueError: one of the runs has no gait metrics.
     """
     before = plant_metrics(reference)

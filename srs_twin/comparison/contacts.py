@@ -1,7 +1,7 @@
 """Contacts of a run with obstacles and objects, and motion of objects.
 
 On a plant that ignores obstacles, such as most analytical models, the body passes
-through them. Its overlaps with them then take the place of contacts.
+through them. Overlaps of body and obstacles then take the place of contacts.
 """
 
 from __future__ import annotations
@@ -30,13 +30,12 @@ OBJECT_UNITS = units_of(OBJECT_MEANINGS)
 CONTACT = "contact"
 OVERLAP = "overlap"
 CONTACT_EVENTS = (CONTACT, OVERLAP)
-"""Kinds of the events of contacts, and of overlaps on a plant that ignores obstacles.
-"""
+"""Event kinds for contacts, and for overlaps on a plant that ignores obstacles."""
 
 TOUCH_N = 1e-3
-"""Smallest force of a contact, N; smaller ones are numerical."""
+"""Minimum contact force, N. Smaller forces are numerical."""
 _MAX_INTERRUPTION_S = 0.1
-"""Largest interruption of a contact, s."""
+"""Maximum interruption within one contact, s."""
 
 
 @dataclass(frozen=True)
@@ -46,8 +45,9 @@ class Touch:
     Attributes:
         begin: start, s.
         end: end, s.
-        force: largest force on a connector, N.
-        connector: connector with the largest force, 1 at the head.
+        force: maximum force, N.
+        connector: number of the connector with the maximum force, counted from 1 at the
+            head.
     """
 
     begin: float
@@ -57,7 +57,7 @@ class Touch:
 
 
 def touches(trajectory: Trajectory) -> list[Touch]:
-    """Return the contacts of a run with obstacles in order of time; none on a plant that ignores them."""
+    """Return contacts in order."""
     force = obstacle_force(trajectory)
     if force is None:
         return []
@@ -71,7 +71,7 @@ def touches(trajectory: Trajectory) -> list[Touch]:
 
 
 def contact_events(trajectory: Trajectory) -> list[Event]:
-    """Return the contacts of a run as events, or the overlaps on a plant that ignores obstacles."""
+    """Return contacts, or overlaps on a plant that ignores obstacles, as events."""
     events = []
     for touch in touches(trajectory):
         text = f"connector {touch.connector}, at most {touch.force:.2g} N"
@@ -87,20 +87,18 @@ def contact_events(trajectory: Trajectory) -> list[Event]:
 
 
 def _duration(begin: float, end: float) -> str:
-    # The duration of a contact in a single sample is unknown.
+    # The duration of a contact that is seen in a single sample is unknown.
     if end > begin:
         return f", for {end - begin:.2g} s"
     return ""
 
 
 def contact_metrics(trajectory: Trajectory) -> dict[str, float | None]:
-    """Return the metrics of contacts with obstacles and objects; all None in a world without them.
+    """Return the metrics in `CONTACT_UNITS`; all are None in a world without obstacles.
 
-    - ``contacts``, ``contact_time_s``: number and duration of contacts. On a plant that
-      ignores obstacles, they are those of the overlaps of its body with obstacles.
-    - ``clearance_m``: smallest distance of the collision hull from obstacles and
-      objects at the samples (`plants.clearance`), at most 0 after a contact, also one
-      between two samples.
+    The clearance is the minimum distance of the collision hull from obstacles and
+    objects at the samples (`plants.clearance`). After a contact the clearance is at
+    most 0, even if the contact occurred between two samples.
     """
     metrics: dict[str, float | None] = dict.fromkeys(CONTACT_UNITS)
     touching = _touching(trajectory)
@@ -110,7 +108,7 @@ def contact_metrics(trajectory: Trajectory) -> dict[str, float | None]:
         metrics["contact_time_s"] = float(steps[touching].sum())
     if trajectory.has("clearance"):
         least = float(trajectory["clearance"].min())
-        # Only the force shows a contact between two samples.
+        # The force shows a contact between two samples, but the clearance does not.
         if metrics["contacts"]:
             least = min(least, 0.0)
         metrics["clearance_m"] = least
@@ -118,28 +116,27 @@ def contact_metrics(trajectory: Trajectory) -> dict[str, float | None]:
 
 
 def ignores_obstacles(trajectory: Trajectory) -> bool:
-    """Return whether the plant of a run passes through the obstacles of its world."""
+    """Return whether the plant of a run passes through obstacles."""
     return trajectory.has("clearance") and not trajectory.has("obstacle_force_x")
 
 
 def contact_free_s(runs: Iterable[Trajectory]) -> float:
-    """Return the time of the last sample before the first contact in one of the runs, s; inf without one.
+    """Return the time of the last sample before the first contact in any run, s.
 
-    Overlaps on a plant that ignores obstacles do not affect its motion and do not
-    count.
+    The time is infinite without contacts. Overlaps do not affect the motion and are not
+    counted.
     """
     end = math.inf
     for run in runs:
         for touch in touches(run)[:1]:
-            # The force at a sample is the mean since the sample before, at which the
-            # contact had not begun.
+            # The force at a sample is a mean since the previous sample, so the contact
+            # began after the previous sample.
             before = max(int(np.searchsorted(run.time, touch.begin)) - 1, 0)
             end = min(end, float(run.time[before]))
     return end
 
 
 def _touching(trajectory: Trajectory) -> np.ndarray | None:
-    """Return at which samples the body touches an obstacle, or overlaps one that its plant ignores."""
     force = obstacle_force(trajectory)
     if force is not None:
         return np.asarray(force.max(axis=1) > TOUCH_N)
@@ -149,7 +146,7 @@ def _touching(trajectory: Trajectory) -> np.ndarray | None:
 
 
 def _spells(trajectory: Trajectory) -> list[np.ndarray]:
-    """Return the samples of each contact or overlap."""
+    """Return sample indices per contact."""
     touching = _touching(trajectory)
     if touching is None or not touching.any():
         return []
@@ -159,7 +156,7 @@ def _spells(trajectory: Trajectory) -> list[np.ndarray]:
 
 
 def obstacle_force(trajectory: Trajectory) -> np.ndarray | None:
-    """Return the force of obstacles on each connector, shape (samples, N), N; None without obstacles."""
+    """Return the obstacle force on each connector, shape (samples, N), N, if any."""
     if not trajectory.has("obstacle_force_x"):
         return None
     return np.hypot(
@@ -168,7 +165,7 @@ def obstacle_force(trajectory: Trajectory) -> np.ndarray | None:
 
 
 def object_metrics(trajectory: Trajectory) -> dict[str, float]:
-    """Return ``object_moved_m``, the largest displacement of an object; empty without objects."""
+    """Return the maximum displacement of an object as ``object_moved_m``, if any."""
     if not trajectory.has("object_x"):
         return {}
     place = np.stack([trajectory.stack("object_x"), trajectory.stack("object_y")])

@@ -1,9 +1,8 @@
 """Comparison of two sets of results, for example of two commits, machines or settings.
 
-A number counts as changed if |a − b| > max(abs, rel · max(|a|, |b|)). Any other value
-(a verdict, a status, a number that only one side has) counts as changed if it is not
-equal. Two single runs are compared even if their scenarios have different names. Wall
-times are left out.
+Two numbers are equal if |a − b| ≤ max(abs, rel · max(|a|, |b|)). Other values, such as
+a verdict or a number that only one side has, must be identical. Two single runs are
+compared even if their scenarios have different names. Wall times are omitted.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from srs_twin.io.untrusted import parse_json, read_json, read_table
 from srs_twin.io.validation import StrictModel, load_model
 
 REL = 1e-6
-"""Default relative tolerance: allowed differences between two processor targets (docs/sweeps.md)."""
+"""Default relative tolerance: the allowed difference between two processor targets."""
 ABS = 1e-9
 """Default absolute tolerance, in the unit of the number."""
 
@@ -51,16 +50,16 @@ class Tolerance(StrictModel):
     ] = ABS
 
     def allows(self, a: Leaf, b: Leaf) -> bool:
-        """Return whether two values count as equal."""
+        """Return whether two values are equal within the tolerance."""
         if _is_number(a) and _is_number(b):
             if math.isnan(a) and math.isnan(b):  # type: ignore[arg-type]
-                return True  # both sides lack the number
+                return True  # the number is undefined on both sides
             return math.isclose(a, b, rel_tol=self.rel, abs_tol=self.abs)  # type: ignore[arg-type]
         return a == b and _is_number(a) == _is_number(b)
 
 
 class Tolerances(Tolerance):
-    """Tolerances file: tolerances for all metrics, and for single metrics by name."""
+    """Tolerances file: default tolerances, and tolerances for individual metrics."""
 
     metrics: Annotated[
         dict[str, Tolerance],
@@ -70,7 +69,11 @@ class Tolerances(Tolerance):
     ] = {}
 
     def for_metric(self, metric: str) -> Tolerance:
-        """Return the tolerance for a metric: by its full name, by its name without plant, or the default."""
+        """Return the tolerance for a metric.
+
+        A tolerance for the full name precedes a tolerance for the name without plant,
+        which precedes the default.
+        """
         names = (name for name in tolerance_names(metric) if name in self.metrics)
         return next(map(self.metrics.__getitem__, names), self)
 
@@ -80,7 +83,7 @@ def load_tolerances(path: StrPath) -> Tolerances:
 
     Raises:
         InputError: the file does not exist or cannot be read.
-        InputFileError: the contents are invalid; all errors are listed.
+        InputFileError: the contents are invalid. The message lists all errors.
     """
     return load_model(Tolerances, require_file(Path(path)))
 
@@ -90,10 +93,10 @@ class ChangedValue:
     """Value that differs between two sets of results.
 
     Attributes:
-        where: scenario, sweep point, or row of the reproduction.
-        metric: metric with the name of its plant in front.
-        a: value in the reference; None if it has none.
-        b: value in the other results; None if they have none.
+        where: scenario, point or row.
+        metric: full metric name.
+        a: reference value.
+        b: other value.
     """
 
     where: str
@@ -103,7 +106,7 @@ class ChangedValue:
 
     @property
     def rel(self) -> float | None:
-        """(b − a)/|a|; None if one is not a finite number, or a is 0."""
+        """Relative change (b − a)/|a|, or None unless it is finite."""
         if not (_is_number(self.a) and _is_number(self.b)) or self.a == 0:
             return None
         change = (self.b - self.a) / abs(self.a)  # type: ignore[operator, arg-type]
@@ -117,8 +120,8 @@ class Results:
     """Results of one or more runs as a flat table.
 
     Attributes:
-        values: (where, metric) → value.
-        versions: package → version that computed the results.
+        values: results, keyed by (where, metric).
+        versions: package versions.
     """
 
     values: Mapping[ValueKey, Leaf]
@@ -130,11 +133,10 @@ class Difference:
     """Differences between two sets of results A and B.
 
     Attributes:
-        moved: changed values in the order of A, then values that only B has.
-        same: number of values that count as equal.
-        wheres: all scenarios, sweep points and rows, in order.
-        versions: package → versions of A and B, if both name the package and they
-            differ.
+        moved: changed values.
+        same: number of equal values.
+        wheres: scenarios, sweep points and rows.
+        versions: differing package versions.
     """
 
     moved: tuple[ChangedValue, ...]
@@ -143,7 +145,7 @@ class Difference:
     versions: Mapping[str, tuple[str, str]]
 
     def document(self) -> dict[str, object]:
-        """Return JSON values, in which numbers that JSON lacks are "NaN", "Infinity" and "-Infinity"."""
+        """Return JSON values, with "NaN", "Infinity" and "-Infinity" as strings."""
         moved = [asdict(change) | {"rel": change.rel} for change in self.moved]
         return {
             "moved": [
@@ -169,12 +171,13 @@ def diff(
     b: StrPath | Results,
     tolerances: Tolerances | None = None,
 ) -> Difference:
-    """Compare two sets of results, as `srs-twin diff`.
+    """Compare two sets of results, like `srs-twin diff`.
 
     Args:
-        a: the reference, as results or as their path (see `read_results`).
-        b: results that are compared with the reference.
-        tolerances: allowed differences; None uses those between two processor targets.
+        a: reference results, or their path (see `read_results`).
+        b: other results.
+        tolerances: allowed differences. None selects the tolerances between two
+            processor targets.
 
     Raises:
         InputError: there are no results, or a file does not contain results.
@@ -215,7 +218,7 @@ def diff(
 
 
 def tolerance_names(metric: str) -> tuple[str, str, str]:
-    """Return the names of a metric in a tolerances file: full, without plant, without numbers."""
+    """Return the full name of a metric, the name without plant, and without numbers."""
     without_plant = _OWNER.sub("", metric)
     return metric, without_plant, _NUMBERED.sub("", without_plant)
 
@@ -225,10 +228,10 @@ def read_results(path: StrPath) -> Results:
 
     Args:
         path: metrics.json, results.parquet or reproduce.json, or a folder, which is
-            searched recursively for them.
+            searched recursively.
 
     Raises:
-        InputError: there are no results, or the file does not contain results.
+        InputError: the results are missing or invalid.
     """
     source = Path(path)
     if not os.path.isdir(source):
@@ -249,13 +252,9 @@ def read_results(path: StrPath) -> Results:
 
 
 def _result_files(folder: Path) -> Iterator[Path]:
-    """Yield the result files in a folder and its subfolders; links to folders are not followed.
-
-    Raises:
-        InputError: the folder cannot be listed.
-    """
+    """Yield the result files in a folder, without following links to folders."""
     pending = [os.fspath(folder)]
-    # Without recursion: folders may be nested more deeply than the stack allows.
+    # A list replaces recursion, because folders may be nested too deeply for the stack.
     while pending:
         current = pending.pop()
         try:
@@ -266,7 +265,7 @@ def _result_files(folder: Path) -> Iterator[Path]:
                     f"{display_path(folder)}: cannot be read ({error.strerror})"
                 ) from error
             continue
-        # Skip hidden folders, which may contain incomplete files of a killed process.
+        # Hidden folders may contain incomplete files of a killed process.
         entries = [entry for entry in entries if not entry.name.startswith(".")]
         pending += [
             entry.path for entry in entries if entry.is_dir(follow_symlinks=False)
@@ -279,7 +278,6 @@ def _result_files(folder: Path) -> Iterator[Path]:
 
 
 def _read(path: Path, folder: str) -> Results:
-    """Read one file; the folder becomes a prefix of its scenario, points or rows."""
     try:
         read = _read_sweep if path.suffix == ".parquet" else _read_document
         read_values, versions = read(path)
@@ -317,7 +315,6 @@ def _read_document(path: Path) -> tuple[list[tuple[ValueKey, Leaf]], dict[str, s
 
 
 def _leaves(value: Any, name: str) -> Iterator[tuple[str, Leaf]]:
-    """Yield the values of nested metrics with their dotted names."""
     if isinstance(value, Mapping):
         for key, item in value.items():
             yield from _leaves(item, f"{name}.{key}" if name else key)

@@ -1,4 +1,4 @@
-"""Metrics of a gait: speed, turning radius, power and cost of transport, and travel of spatial snakes.
+"""Metrics of a gait: speed, turning radius, power, cost of transport, spatial travel.
 
 All means are taken over whole gait periods (`GaitWindow`).
 """
@@ -23,13 +23,13 @@ from srs_twin.robot.spec import GRAVITY
 from srs_twin.trajectory import Trajectory
 
 WARM_UP_PERIODS = 2
-"""Gait periods at the start of a run that are left out of the means."""
+"""Number of gait periods at the start of a run that means exclude."""
 MIN_PERIODS = 3
-"""Smallest number of whole gait periods of a run with gait metrics."""
+"""Minimum number of whole gait periods of a run with gait metrics."""
 _MIN_SAMPLES_PER_PERIOD = 4
-"""Smallest number of samples per gait period that resolves the gait."""
+"""Minimum number of samples per gait period that resolves the gait."""
 _MIN_TIMES_PER_PERIOD = 64
-"""Smallest number of times per gait period at which signals are evaluated."""
+"""Minimum number of times per gait period at which signals are evaluated."""
 _PERIOD_ROUNDING = 1e-6
 """Tolerance for comparing times, as a fraction of a gait period."""
 
@@ -43,13 +43,13 @@ class GaitWindow:
     $$\bar x(t) = \frac{1}{T} \int_t^{t+T} x\,ds, \qquad \dot{\bar x}(t) = \frac{x(t+T) - x(t)}{T},$$
 
     for t from the start of the window to one period before its end. Between the
-    samples, x is a cubic spline, so T need not be a multiple of the sample period, and
-    the window need not begin at a sample.
+    samples, x is a cubic spline. Therefore T need not be a multiple of the sample
+    period, and the window need not begin at a sample.
 
     Attributes:
-        start: start of the window, s.
-        period: T, s.
-        periods: number K of whole periods in the window, 2 or more.
+        start: start time, s.
+        period: period T, s.
+        periods: number K ≥ 2.
         times_per_period: number of times per period at which signals are evaluated.
     """
 
@@ -63,11 +63,8 @@ class GaitWindow:
         """Return the window of a run: all whole periods after a warm-up of two periods.
 
         The warm-up of a run of exactly three whole periods is one period, so that two
-        are left for the means.
-
-        Returns:
-            None if the run has no gait frequency in its metadata, fewer than three
-            whole periods, or too few samples per period.
+        periods remain for the means. The result is None if the run has no gait
+        frequency, fewer than three whole periods, or too few samples per period.
 
         Raises:
             InputError: the gait frequency in the metadata is not a positive number.
@@ -78,8 +75,7 @@ class GaitWindow:
         time = trajectory.time
         whole, samples = _extent(trajectory, frequency)
         warm_up = min(WARM_UP_PERIODS, whole - 2)
-        # Evaluate at four times per sample period, to include the spline between
-        # samples.
+        # Four evaluation times per sample period capture the spline between samples.
         times = max(_MIN_TIMES_PER_PERIOD, int(np.ceil(4 * samples)))
         return cls(
             float(time[0]) + warm_up / frequency,
@@ -90,11 +86,7 @@ class GaitWindow:
 
     @classmethod
     def missing_reason(cls, trajectory: Trajectory) -> str:
-        """Return the reason why a run has no window, or an empty string.
-
-        Raises:
-            InputError: as `from_trajectory`.
-        """
+        """Return why a run has no window, or ""."""
         frequency = positive_number(trajectory, "gait_frequency_hz")
         if frequency is None:
             return "the run has no gait frequency"
@@ -113,14 +105,13 @@ class GaitWindow:
     ) -> GaitWindow | None:
         """Return a window of several periods that ends at a given time.
 
+        The result is None if the window would begin before the run.
+
         Args:
             trajectory: one run.
-            period: T, s.
-            end: end of the window, s.
+            period: period T, s.
+            end: end time, s.
             periods: number of periods.
-
-        Returns:
-            None if the window would begin before the run.
         """
         start = end - periods * period
         step = float(np.median(np.diff(trajectory.time)))
@@ -131,15 +122,14 @@ class GaitWindow:
 
     @property
     def end(self) -> float:
-        """End of the window, s."""
+        """End time, s."""
         return self.start + self.periods * self.period
 
     def times(self, periods: int) -> np.ndarray:
-        """Return equally spaced times over the first periods, shape (periods · times_per_period,), s.
+        """Return equally spaced times over the first periods, s.
 
-        They are midpoints of equal intervals. The mean of a smooth periodic signal at
-        these times equals its integral over whole periods, divided by their duration,
-        to rounding accuracy.
+        The times are midpoints of equal intervals. For a smooth periodic signal, the
+        mean at these times equals the mean over whole periods to rounding accuracy.
         """
         step = self.period / self.times_per_period
         return self.start + step * (np.arange(periods * self.times_per_period) + 0.5)
@@ -147,15 +137,13 @@ class GaitWindow:
     def running_mean(
         self, trajectory: Trajectory, values: Array
     ) -> tuple[Array, Array]:
-        """Return the running mean of a signal over one period, and its rate.
+        """Return the running mean of a signal over one period, and its derivative.
+
+        Both are evaluated at equally spaced times over K − 1 periods.
 
         Args:
-            trajectory: run of this window.
-            values: samples of the signal, shape (samples, …).
-
-        Returns:
-            Mean and rate at equally spaced times over K − 1 periods, each of shape
-            (times, …).
+            trajectory: one run.
+            values: samples (samples, …).
         """
         signal = interpolant(trajectory, values)
         integral = signal.antiderivative()
@@ -166,21 +154,18 @@ class GaitWindow:
         return mean, rate
 
     def mean(self, trajectory: Trajectory, values: Array) -> Array:
-        """Return the mean over the window of a signal with samples of shape (samples, …), shape (…)."""
+        """Return the mean of a signal of shape (samples, …) over the window."""
         integral = interpolant(trajectory, values).antiderivative()
         duration = self.end - self.start
         mean: Array = (integral(self.end) - integral(self.start)) / duration
         return mean
 
     def amplitude(self, trajectory: Trajectory, values: Array) -> Array:
-        """Return half the range of a signal in each period, averaged over the window.
+        """Return half the range of a signal in each period, averaged over periods.
 
         Args:
-            trajectory: run of this window.
-            values: samples of the signal, shape (samples, …).
-
-        Returns:
-            Amplitudes, shape (…).
+            trajectory: one run.
+            values: samples (samples, …).
         """
         signal = interpolant(trajectory, values)(self.times(self.periods))
         by_period = signal.reshape(
@@ -191,9 +176,9 @@ class GaitWindow:
 
 
 def _extent(trajectory: Trajectory, frequency: float) -> tuple[int, float]:
-    """Return the number of whole gait periods of a run, and its samples per period."""
+    """Return the number of whole gait periods, and the number of samples per period."""
     time = trajectory.time
-    # Rounding must not shorten a run that is meant to end after a whole period.
+    # Rounding must not remove the last period of a run that ends with a whole period.
     whole = int(np.floor((time[-1] - time[0]) * frequency + 1e-6))
     if len(time) < 2:
         return whole, 0.0
@@ -201,17 +186,17 @@ def _extent(trajectory: Trajectory, frequency: float) -> tuple[int, float]:
 
 
 MIN_TRAVEL_BODY_LENGTHS = 1e-3
-"""Distance per gait period, in body lengths, below which a snake has no path."""
+"""Distance per gait period below which a snake has no path, body lengths."""
 
 
 def displacement_per_period(
     trajectory: Trajectory, window: GaitWindow
 ) -> tuple[Array, Array]:
-    """Return the chord (m, negative for backward motion) and the turn (rad) of each period.
+    """Return the chord (m, negative for backward motion) and the turn (rad) per period.
 
-    Both are means over all periods that begin within one period. A single phase would
-    count the lateral oscillation of the body as a part of the radius. A window of K
-    periods gives K − 1 values of each.
+    Chord and turn are averaged over all periods that begin within one period. A single
+    phase would count the lateral oscillation of the body as a part of the radius. A
+    window of K periods gives K − 1 values of each.
     """
     speed, turn_rate = running_rates(trajectory, window)
     shape = (window.periods - 1, window.times_per_period)
@@ -221,9 +206,9 @@ def displacement_per_period(
 
 
 def running_rates(trajectory: Trajectory, window: GaitWindow) -> tuple[Array, Array]:
-    """Return the speed along the period-averaged path and the rate of the period-mean heading over time.
+    """Return the speed of the period-averaged path and the rate of the mean heading.
 
-    The speed (m/s) is negative if the mean motion is against the heading. The rate
+    The speed (m/s) is negative if the mean motion is opposite to the heading. The rate
     (rad/s) is positive to the left.
     """
     heading, turn_rate = window.running_mean(trajectory, trajectory["heading"])
@@ -234,10 +219,10 @@ def running_rates(trajectory: Trajectory, window: GaitWindow) -> tuple[Array, Ar
 
 
 STRAIGHT_BODY_LENGTHS = 100.0
-"""Turning radius, in body lengths, above which a path counts as straight.
+"""Turning radius above which a path counts as straight, body lengths.
 
-For generation 2 it is about 20 m; a path of 2 m then deviates from its tangent by 0.1
-m.
+For generation 2 the radius is about 20 m. A path of 2 m then deviates from its tangent
+by 0.1 m.
 """
 STRAIGHT_TURN_RAD = 1e-3
 """Turn per gait period below which a path counts as straight, rad.
@@ -250,16 +235,16 @@ forward.
 def turning_radius(
     speed: float, yaw_rate: float, period: float, length: float
 ) -> float | None:
-    """Return the signed turning radius, m, positive to the left; None for a straight path.
+    """Return the signed turning radius, m, or None for a straight path.
 
-    In one period the body moves along a chord of length speed · period and turns by
-    yaw_rate · period, which determines the radius of the circle. Speed divided by yaw
-    rate would be the radius of the averaged path, which is smaller: by 1 % if the body
-    turns by half a radian per period.
+    The radius is positive to the left. It follows from the chord (speed · period) and
+    the turn (yaw_rate · period) of the body in one period. Speed divided by yaw rate
+    would be the radius of the averaged path. The averaged path has a smaller radius, by
+    1 % if the body turns by half a radian per period.
 
     Args:
-        speed: mean speed along the heading, m/s.
-        yaw_rate: rad/s.
+        speed: forward speed, m/s.
+        yaw_rate: yaw rate, rad/s.
         period: gait period, s.
         length: body length, m.
     """
@@ -273,7 +258,7 @@ def turning_radius(
 
 
 def path_curvature(chord: float, turn: float) -> float:
-    """Return the curvature (1/m) of a circle from a chord (m, not 0) and the turn along it (rad)."""
+    """Return the curvature (1/m) of a circle from a chord (m) and its turn (rad)."""
     return 2 * math.sin(turn / 2) / chord
 
 
@@ -290,21 +275,15 @@ pneumatic_cost_of_transport: pneumatic power divided by weight and speed
 def energy_metrics(
     trajectory: Trajectory, window: GaitWindow, speed: float
 ) -> dict[str, Any]:
-    """Compute the power and cost of transport of a gait over whole periods.
+    """Compute the power and cost of transport of a gait (`ENERGY_MEANINGS`).
 
-    - ``mechanical_power_w``: mean power of the torques, which friction and segments
-      dissipate.
-    - ``internal_power_w``: part of it that the segments of a twin dissipate.
-    - ``cost_of_transport``: mechanical power divided by weight and speed.
-    - ``pneumatic_power_w``: supply pressure times the volume of air drawn at that
-      pressure, per time.
-    - ``pneumatic_cost_of_transport``: pneumatic power divided by weight and speed.
-
-    A metric is None if the run does not record the required columns.
+    The mechanical power is dissipated by friction and segments. The pneumatic power is
+    the supply pressure times the volume flow of air drawn at that pressure. A metric is
+    None if the run does not record the required columns.
 
     Args:
         trajectory: one run.
-        window: its gait periods.
+        window: gait periods.
         speed: mean speed, m/s.
     """
     mass = positive_number(trajectory, "mass_kg")
@@ -323,7 +302,6 @@ def energy_metrics(
 
 
 def _mean_rate(trajectory: Trajectory, window: GaitWindow, name: str) -> float:
-    """Return the mean rate of a cumulative column over the window."""
     start, end = np.interp(
         [window.start, window.end], trajectory.time, trajectory[name]
     )
@@ -339,7 +317,7 @@ supports: mean number of separate parts of the body that press on the floor
 roll_turns: turns of the body about its axis over the whole run, mean over the connectors
 """)
 SPATIAL_UNITS = units_of(SPATIAL_MEANINGS)
-"""Metrics of a spatial snake; each is one number or None."""
+"""Units of the metrics of a spatial snake. Each metric is one number or None."""
 
 SPATIAL_DIFFERENCE_MEANINGS = meanings_of("""
 travel_speed_rel: travel speed of the twin minus that of the analytical model, divided by the latter
@@ -349,25 +327,15 @@ contact_agreement: share of samples in which a connector touches the floor on bo
 SPATIAL_DIFFERENCES = units_of(SPATIAL_DIFFERENCE_MEANINGS) | {
     "travel_direction_abs": "rad"
 }
-"""Differences between two runs of a spatial snake."""
+"""Units of the differences between two runs of a spatial snake."""
 
 
 def spatial_metrics(trajectory: Trajectory) -> dict[str, float | None]:
-    """Compute the metrics of a run of a spatial snake; a planar one has none of them.
+    """Compute the metrics of a spatial snake (`SPATIAL_MEANINGS`).
 
-    - ``travel_speed_m_s``: magnitude of the mean velocity of the centre of mass over
-      whole gait periods. A sidewinder travels across its body, so that its forward
-      speed is only a part of it.
-    - ``travel_direction_rad``: direction of that velocity relative to the mean heading,
-      positive to the left, −π to π.
-    - ``body_height_m``: largest height of a connector in the same periods.
-    - ``contact_share``: mean share of connectors that press on the floor.
-    - ``supports``: mean number of separate parts of the body that press on the floor;
-      with two, it can roll over.
-    - ``roll_turns``: turns of the body about its axis over the whole run, mean over the
-      connectors.
-
-    The first two are None without a gait of at least three whole periods.
+    A sidewinder travels across its body, so that its forward speed is smaller than its
+    travel speed. With two separate supports, the body can roll over. Speed and
+    direction of travel are None without a gait of at least three whole periods.
     """
     if not trajectory.has("z"):
         return {}
@@ -391,7 +359,7 @@ def spatial_metrics(trajectory: Trajectory) -> dict[str, float | None]:
         (np.diff(touches, axis=1, prepend=False) & touches).sum(axis=1).mean()
     )
     w, x, y, z = (trajectory.stack(f"quaternion_{axis}") for axis in "wxyz")
-    # Heights of the tips of the left and the upper axis of a connector.
+    # The arguments are the heights of the tips of the left and the upper axis.
     roll = np.unwrap(np.arctan2(2 * (y * z + w * x), 1 - 2 * (x**2 + y**2)), axis=0)
     metrics["roll_turns"] = float(abs(roll[-1] - roll[0]).mean() / (2 * math.pi))
     return metrics
@@ -400,17 +368,13 @@ def spatial_metrics(trajectory: Trajectory) -> dict[str, float | None]:
 def spatial_differences(
     reference: Trajectory, candidate: Trajectory, time: Array
 ) -> dict[str, float | None]:
-    """Compare two runs of a spatial snake; planar ones have none of these differences.
+    """Compare two runs of a spatial snake (`SPATIAL_DIFFERENCE_MEANINGS`).
 
-    - ``travel_speed_rel``: (candidate − reference) / reference.
-    - ``travel_direction_abs``: magnitude of the difference of the directions of travel,
-      0 to π.
-    - ``contact_agreement``: share of the samples of all connectors in which both or
-      neither press on the floor, in whole gait periods if there are any.
+    The agreement of contacts covers whole gait periods if there are any.
 
     Args:
-        reference: run of the analytical model.
-        candidate: run of the twin.
+        reference: analytical run.
+        candidate: twin's run.
         time: compared times, s.
     """
     if not (reference.has("z") and candidate.has("z")):

@@ -1,4 +1,4 @@
-"""Metrics of iterative learning: amplitudes and duties by period, convergence, path before and after.
+"""Metrics of iterative learning: amplitudes, duties, convergence, change of the path.
 
 Amplitudes are computed from the sensor readings in the periods of each chamber
 (`control.duties`). The path of the centre of mass is measured over the last periods,
@@ -39,12 +39,13 @@ _PERIOD_ROUNDING = 1e-6
 class PeriodAmplitudes:
     """Amplitude, target and duty of each chamber in each of its K whole periods.
 
+    All arrays have shape (K, segments, 2).
+
     Attributes:
-        amplitude: largest sensed bend to the side of the chamber, shape (K, segments,
-            2), rad; NaN without a valid reading.
-        target: target amplitude at the end of the period, same shape, rad; NaN if there
-            is none.
-        duty: duty in the middle of the period, same shape.
+        amplitude: maximum sensed bend to the side of the chamber, rad; NaN without a
+            valid reading.
+        target: target amplitude at the end of the period, rad, or NaN.
+        duty: duty in the middle of the period.
     """
 
     amplitude: Array
@@ -61,7 +62,7 @@ class PeriodAmplitudes:
         """Divide a run into the periods of its chambers.
 
         Raises:
-            InputError: the metadata lack the fill starts of the chambers or the gait
+            InputError: the metadata lack the start times of filling or the gait
                 frequency.
         """
         sensed = trajectory.stack("sensed")
@@ -86,15 +87,15 @@ class PeriodAmplitudes:
                 ):
                     valid = bend[first:end][np.isfinite(bend[first:end])]
                     result.amplitude[n, j, side] = valid.max() if len(valid) else np.nan
-                    # A sample is taken at the end of its tick, so the last one still
-                    # belongs to the period.
+                    # A sample is taken at the end of its tick, so the sample before
+                    # `end` still belongs to the period.
                     result.target[n, j, side] = target[end - 1, j]
                     result.duty[n, j, side] = duty[(first + end) // 2, j]
         return result
 
 
 def _chamber_periods(trajectory: Trajectory, segments: int) -> tuple[float, Array]:
-    """Return the gait period (s) and the start of the first fill of each chamber, shape (segments, 2), s."""
+    """Return the gait period and the start of the first filling of each chamber, s."""
     frequency = positive_number(trajectory, "gait_frequency_hz")
     listed = (trajectory.metadata.get("control") or {}).get("fill_begins_s")
     fill_starts = np.array(listed if isinstance(listed, list) else [], dtype=float)
@@ -111,17 +112,20 @@ def _chamber_periods(trajectory: Trajectory, segments: int) -> tuple[float, Arra
 
 
 _STRAIGHT_PATH_TURN = 1e-4
-"""Turn along the whole path below which a line is fitted, rad: a circle would have an arbitrary radius."""
+"""Turn along the whole path below which a line is fitted, rad.
+
+A circle would have an arbitrary radius below this turn.
+"""
 
 
 @dataclass(frozen=True)
 class PathFit:
-    """Circle or line with the best fit to the period-averaged path of the centre of mass.
+    """Circle or line fitted to the period-averaged path of the centre of mass.
 
     Attributes:
         centre: centre of the circle, or any point on the line, shape (2,), m.
-        radius: m, positive if the centre is on the left of the heading; None for a
-            line.
+        radius: radius, m, positive if the centre lies to the left of the heading. None
+            means a line.
         direction: unit vector of the heading in the middle of the path, or along the
             line, shape (2,).
     """
@@ -134,7 +138,7 @@ class PathFit:
     def from_trajectory(
         cls, trajectory: Trajectory, window: GaitWindow
     ) -> PathFit | None:
-        """Return the fit over a window of whole periods; None if the snake does not move."""
+        """Return the fit over whole periods, or None if the snake does not move."""
         mean, velocity = window.running_mean(trajectory, trajectory.com)
         heading, turn_rate = window.running_mean(trajectory, trajectory["heading"])
         centroid = mean.mean(axis=0)
@@ -155,8 +159,7 @@ class PathFit:
             axis = np.linalg.svd(mean - centroid, full_matrices=False)[2][0]
             return cls(centroid, None, axis if axis @ direction > 0 else -axis)
         centre = np.array([-a / 2, -b / 2])
-        # Correct the radius: the mean over a period reduces it by the factor
-        # sinc(turn/2).
+        # Averaging over a period reduces the radius by the factor sinc(turn/2).
         reduction = float(np.sinc(turn / (2 * np.pi)))
         radius = length * float(np.sqrt(centre @ centre - c)) / reduction
         if direction[0] * centre[1] - direction[1] * centre[0] <= 0:
@@ -164,7 +167,7 @@ class PathFit:
         return cls(centroid + length * centre, radius, direction)
 
     def right_offset(self, points: Array) -> Array:
-        """Return the distance of points, shape (…, 2), to the right of the path, shape (…), m."""
+        """Return the distance of points, shape (…, 2), to the right of the path, m."""
         x, y = np.moveaxis(points - self.centre, -1, 0)
         if self.radius is None:
             side: Array = self.direction[1] * x - self.direction[0] * y
@@ -176,10 +179,10 @@ class PathFit:
 def box_edges(
     trajectory: Trajectory, window: GaitWindow, path: PathFit
 ) -> tuple[float, float]:
-    """Return the left (negative) and right edge of the area that the body covers in a window, m.
+    """Return the left (negative) and right edge of the area that the body covers, m.
 
-    Each connector has half the body width on both sides, across its own heading, if the
-    metadata contain a width (``body_width_m``).
+    If the metadata contain a body width (``body_width_m``), half the width is added on
+    both sides of each connector, across the heading of the connector.
     """
     inside = (trajectory.time >= window.start - 1e-9) & (
         trajectory.time <= window.end + 1e-9
@@ -216,20 +219,23 @@ box_right_m: extent of the body to the right of its path
 LEARNING_LIST_UNITS = units_of(
     ["amplitude_error_rad", "duty", "heading_drift_by_period_rad"]
 )
-"""Histories: for each period a list over segments of lists over chambers; for the heading one number per
-period."""
+"""Units of histories per period.
+
+A history contains nested lists over segments and chambers for each period, or one
+number per period for the heading.
+"""
 LEARNING_UNITS = units_of(
     name for name in LEARNING_MEANINGS if name not in LEARNING_LIST_UNITS
 )
-"""Metrics of a run with iterative learning; each is one number or None."""
+"""Units of the metrics of iterative learning. Each metric is one number or None."""
 
 CONVERGENCE_TOLERANCE = 0.05
-"""Largest relative amplitude error of a chamber that has converged, 1."""
+"""Maximum relative amplitude error of a converged chamber."""
 LAST_PERIODS = 5
 """Number of periods at the end of a run over which the path is measured."""
 
 _MIN_CURVATURE = 1e-3
-"""Smallest curvature of a path that is not straight before learning, 1/m."""
+"""Minimum curvature of a path that is not straight before learning, 1/m."""
 
 
 def is_learning(trajectory: Trajectory) -> bool:
@@ -238,42 +244,21 @@ def is_learning(trajectory: Trajectory) -> bool:
 
 
 def learning_metrics(trajectory: Trajectory) -> dict[str, object]:
-    """Compute the metrics of a run with iterative learning; None for those that do not apply.
+    """Compute the metrics of a run with iterative learning (`LEARNING_MEANINGS`).
 
-    Amplitudes refer to the periods of each chamber, which are numbered from 1; a period
-    that began before time 0 counts as well. Chambers of modules with a fault have no
-    target and are left out:
+    A metric that does not apply is None. Amplitudes refer to the periods of each
+    chamber. A period that began before time 0 is counted. Chambers of modules with a
+    fault have no target and are excluded. Amplitude errors are target minus amplitude.
+    ``amplitude_growth_rel`` is 1 if the chambers have their final pressures from the
+    start.
 
-    - ``amplitude_growth_rel``: mean amplitude of the last period before a duty changes,
-      divided by that of the first period; 1 if the chambers have their final pressures
-      from the start.
-    - ``periods_to_converge``: first period from which all amplitudes stay within 5 % of
-      their targets.
-    - ``amplitude_error_end_rad`` and ``amplitude_error_end_rel``: largest error in the
-      last period, and the largest error divided by its target.
-    - ``duty_lowest`` and ``duty_highest``: smallest and largest duty in the last
-      period.
-    - ``amplitude_error_rad`` (target minus amplitude, None without a target) and
-      ``duty``: by period, segment and chamber.
-
-    For the path, each period gives the chord along which the centre of mass moves and
-    the turn of the body. Both are means over the phase, so five periods give four
-    values. Curvature is 2 sin(turn/2)/chord, positive to the left:
-
-    - ``path_curvature_before_per_m``: mean over the two periods before the first update
-      of a duty; None if they would begin less than half a period after the start.
-    - ``path_speed_m_s`` (chord per period), ``path_curvature_per_m``,
-      ``path_radius_m``, ``heading_drift_rad`` (turn per period): means over the last
-      five periods.
-    - ``path_radius_spread_rel``: range of the radii in these periods, divided by their
-      mean.
-    - ``path_bend_before_per_m``, ``path_bend_per_m``: magnitudes of both curvatures.
-    - ``path_bend_left_rel``: ratio of the second magnitude to the first: the fraction
-      of the curvature that remains after learning.
-    - ``box_left_m``, ``box_right_m``: extent of the body to the left (negative) and to
-      the right of the circle or line through the period-averaged path of the last five
-      periods.
-    - ``heading_drift_by_period_rad``: turn in every whole period of the run.
+    For each period, the path has a chord along which the centre of mass moves, and a
+    turn of the body. Chord and turn are averaged over the gait phase, so that five
+    periods give four values. The curvature is 2 sin(turn/2)/chord. The curvature before
+    learning is a mean over the two periods before the first update of a duty. It is
+    None if these periods would begin less than half a period after the start.
+    ``box_left_m`` and ``box_right_m`` are measured from the circle or line that is
+    fitted to the path of the last five periods.
 
     Args:
         trajectory: run with ``sensed``, ``duty_…`` and ``target_…``.
@@ -306,8 +291,8 @@ def _amplitudes(by_period: PeriodAmplitudes) -> dict[str, float | None]:
     target = by_period.target[:, working]
     converged = np.all(error <= CONVERGENCE_TOLERANCE * target, axis=1)
     outside = np.flatnonzero(~converged)
-    # Periods are numbered from 1, and convergence begins after the last period outside
-    # the tolerance.
+    # Convergence begins one period after the last period outside the tolerance. The
+    # other 1 is added because periods are numbered from 1.
     first = int(outside[-1]) + 2 if len(outside) else 1
     duty = by_period.duty[-1, working]
     metrics: dict[str, float | None] = {
@@ -323,7 +308,6 @@ def _amplitudes(by_period: PeriodAmplitudes) -> dict[str, float | None]:
 
 
 def _growth(by_period: PeriodAmplitudes) -> float | None:
-    """Return the mean amplitude of the last period before a duty changes, divided by the first one."""
     if not len(by_period.duty):
         return None
     unchanged = (by_period.duty == by_period.duty[0]).all(axis=(1, 2))
@@ -338,7 +322,6 @@ def _growth(by_period: PeriodAmplitudes) -> float | None:
 
 
 def _path(trajectory: Trajectory, period: float) -> dict[str, float | None]:
-    """Return the metrics of the path over the last periods."""
     window = GaitWindow.ending_at(
         trajectory, period, float(trajectory.time[-1]), LAST_PERIODS
     )
@@ -377,7 +360,6 @@ def _path(trajectory: Trajectory, period: float) -> dict[str, float | None]:
 
 
 def _curvature_before(trajectory: Trajectory, period: float) -> float | None:
-    """Return the curvature of the path over the two periods before the first change of a duty."""
     duty = np.concatenate(
         [trajectory.stack("duty_plus"), trajectory.stack("duty_minus")], axis=-1
     )
@@ -413,7 +395,6 @@ def _curvature_change(
 
 
 def _turn_by_period(trajectory: Trajectory, period: float) -> Array:
-    """Return the turn of the body in each whole period of a run, rad."""
     duration = trajectory.time[-1] - trajectory.time[0]
     whole = int(math.floor(duration / period + _PERIOD_ROUNDING))
     starts = trajectory.time[0] + period * np.arange(whole + 1)
@@ -421,7 +402,6 @@ def _turn_by_period(trajectory: Trajectory, period: float) -> Array:
 
 
 def _nested_lists(values: Array) -> list[object]:
-    """Return nested lists, with None in place of NaN."""
     if values.ndim > 1:
         return [_nested_lists(row) for row in values]
     return [None if math.isnan(value) else value for value in values.tolist()]

@@ -1,4 +1,4 @@
-"""Metrics of one trajectory, their meanings, and the tables and sentences that present them."""
+"""Metrics of single runs, with their meanings and the texts that present them."""
 
 from __future__ import annotations
 
@@ -99,19 +99,22 @@ RELATIVE = {
     "reading_backstep_rad",
     "reading_range_t",
 }
-"""Metrics whose difference is also shown in per cent of the analytical value, beside those of the groups."""
+"""Metrics whose difference is also shown in per cent of the analytical value.
+
+The groups of metrics list further ones.
+"""
 
 _TENTH = 0.05
-"""Smallest relative difference that is shown with one decimal, per cent."""
+"""Minimum relative difference that is shown with one decimal, per cent."""
 
 _NOT_COMPARED = ("wall_s", "realtime_factor")
-"""Metrics whose difference is not shown: computing times are not properties of the plants."""
+"""Metrics whose difference is not shown, because they do not depend on the plant."""
 
 
 def _per_cent(metric: str, reference: float, value: float) -> str:
     """Return value − reference in per cent of the reference as text.
 
-    It is empty if the signs differ or the reference is near zero.
+    The text is empty if the signs differ or the reference is near zero.
     """
     if reference * value <= 0 or is_near_zero(reference, value, split_unit(metric)[1]):
         return ""
@@ -126,7 +129,7 @@ def _per_cent(metric: str, reference: float, value: float) -> str:
 def published(
     expectations: Sequence[Mapping[str, Any]],
 ) -> dict[str, tuple[float, str]]:
-    """Return metric → published value and its source, for the expectations of plants that contain both."""
+    """Return the published value of each metric, and the source of the value."""
     return {
         row["metric"]: (row["near"], row["source"])
         for row in expectations
@@ -188,16 +191,19 @@ MEANINGS = (
     _COMPARISON_MEANINGS,
     SPATIAL_DIFFERENCE_MEANINGS,
 )
-"""Metric → meaning for each topic, in the order of `srs-twin list metrics`."""
+"""Meanings of the metrics of each topic, in the order of `srs-twin list metrics`."""
 
 LIST_METRIC_UNITS = (
     units_of(("bend_amplitude_rad", "bend_bias_rad", "valve_switches"))
     | LEARNING_LIST_UNITS
 )
-"""Metrics of a plant that are lists, head first; those of iterative learning have one list per period."""
+"""Units of the metrics of a plant that are lists, ordered from the head.
+
+Metrics of iterative learning have one list per period.
+"""
 
 MEASURED_UNITS = units_of(_MEASURED_MEANINGS) | {"measured_yaw_rate_abs": "rad/s"}
-"""Metrics of a plant compared with a recording of the robot: plant minus measurement, as in `compare`."""
+"""Units of the differences between a plant and a recording."""
 
 METRIC_UNITS = {
     **units_of(name for name in _PLANT_MEANINGS if name not in LIST_METRIC_UNITS),
@@ -214,40 +220,41 @@ METRIC_UNITS = {
     **MEASURED_UNITS,
     **units_of(_TIME_MEANINGS),
 }
-"""Metrics of a plant that are one number each, without those of plug-ins; see `metric_units`."""
+"""Units of the scalar metrics of a plant, without metrics of plug-ins."""
 
 COMPARISON_UNITS = (
     units_of(_COMPARISON_MEANINGS) | {"yaw_rate_abs": "rad/s"} | SPATIAL_DIFFERENCES
 )
-"""Metrics of `compare`, each one number.
+"""Units of the metrics of `compare`. Each metric is one number.
 
-They are defined here, so that listing them does not import `compare`."""
+They are defined here, so that listing them does not import `compare`.
+"""
 
 
 def metric_units() -> dict[str, str]:
-    """Return metric → unit for metrics of a plant that are one number each; expectations can name them."""
+    """Return the units of all scalar metrics of a plant, including plug-ins."""
     return METRIC_UNITS | {
         name: unit for group in metric_groups() for name, unit in group.units.items()
     }
 
 
 def all_units() -> dict[str, str]:
-    """Return metric → unit for all metrics."""
+    """Return all metric units."""
     return metric_units() | LIST_METRIC_UNITS | COMPARISON_UNITS
 
 
 def is_yes_no(metric: str) -> bool:
-    """Return whether a metric is 1 or 0, shown as yes or no."""
+    """Return whether a metric is boolean."""
     return any(metric in group.yes_no for group in metric_groups())
 
 
 def metric_name(name: str) -> str:
-    """Return the name of a metric in results, and make the metrics of its module known.
+    """Return the name of a metric in results, and import its module.
+
+    An unknown name imports the registered metrics of all distributions.
 
     Args:
-        name: name of a metric, with its module if that is a plug-in or belongs to an
-            installed distribution: ``module:metric``. The groups of metrics that
-            distributions register are read for unknown names.
+        name: metric, or ``module:metric`` for a metric of a plug-in or distribution.
 
     Raises:
         ValueError: the module is not allowed.
@@ -267,7 +274,7 @@ def metric_name(name: str) -> str:
 
 
 def written_name(metric: str) -> str:
-    """Return the name of a metric for a file, with its module if that is a plug-in."""
+    """Return a metric's name for files, with the module of a plug-in."""
     for module, group in plugin_parts(MetricGroup):
         if metric in group.meanings:
             return f"{module}:{metric}"
@@ -275,7 +282,7 @@ def written_name(metric: str) -> str:
 
 
 def meanings() -> dict[str, str]:
-    """Return metric → meaning in one line, for metrics of plants, lists and comparisons."""
+    """Return the one-line meanings of all metrics."""
     tables = (*MEANINGS, *(group.meanings for group in metric_groups()))
     return {name: text for table in tables for name, text in table.items()}
 
@@ -288,7 +295,7 @@ VALIDATION = (
 """Statement on validation for every report."""
 
 _SAME_RATIO = 0.01
-"""Relative difference below which plants agree, 1."""
+"""Relative difference below which plants agree."""
 _PRESET = (
     "The twin ran with preset {}, for searching: cite a run without it"
     " (docs/agreement.md#presets)."
@@ -302,20 +309,21 @@ _COMPLIANCE = (
 )
 """Explanation of the cause that headlines name most often."""
 _MIN_CAUSE_RATIO = 0.25
-"""Fraction of a difference that a cause must exceed to be mentioned, 1."""
+"""Fraction of a difference that a cause must exceed to be mentioned."""
 
 _LEARNT = (
     "Learning brought the amplitudes to their targets. It does not control the path,"
     " whose curvature changed from {:.2g} to {:.2g} 1/m (docs/learning.md)."
 )
-"""Sentence on a learning run whose amplitudes have converged."""
+"""Sentence about a learning run whose amplitudes have converged."""
 
 
 def headline(metrics: Mapping[str, Any]) -> str:
-    """Return a summary in a sentence or two, and sentences on its terms and on what limits the result.
+    """Return a summary of the results in a few sentences.
 
-    A contact with obstacles is named first, then the difference over the whole run, and
-    then the difference before the contact with its cause.
+    A contact with obstacles is named first, followed by the difference over the whole
+    run and the difference before the contact with its cause. Explanations of terms and
+    limitations follow.
 
     Args:
         metrics: contents of metrics.json.
@@ -339,7 +347,6 @@ def headline(metrics: Mapping[str, Any]) -> str:
 
 
 def _contacts(metrics: Mapping[str, Any]) -> Iterator[str]:
-    """Yield a sentence on the contacts of the plants, if there are contacts or overlaps."""
     names = {"twin": "the twin", "analytical": "the model"}
     plants = {name: plant for name, plant in metrics["plants"].items() if name in names}
     if any(plant.get("contacts") for plant in plants.values()):
@@ -352,7 +359,6 @@ def _contacts(metrics: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _meeting(metrics: Mapping[str, Any], name: str) -> str:
-    """Return whether a plant ignores obstacles, when it first meets one, and for how long in total."""
     plant = metrics["plants"][name]
     events = metrics["events"][name]
     begins = [event["time"] for event in events if event["kind"] in CONTACT_EVENTS]
@@ -438,7 +444,6 @@ def _summary_of_both(
 
 
 def _crawling(metrics: Mapping[str, Any], part: Mapping[str, Any]) -> str:
-    """Return how speed and yaw rate of the twin compare; arguments as for `_compared`."""
     text = _compared(metrics, part, "com_speed_m_s", "m/s")
     rates = [
         abs(part["plants"][name].get("yaw_rate_rad_s") or 0.0)
@@ -450,7 +455,6 @@ def _crawling(metrics: Mapping[str, Any], part: Mapping[str, Any]) -> str:
 
 
 def _over_segments(metrics: Mapping[str, Any]) -> str:
-    """Return a sentence on the range of the difference in speed; empty if no range is stored."""
     ranges = (metrics.get("intervals") or {}).get("segments")
     reference = metrics["plants"]["analytical"]["com_speed_m_s"]
     if not ranges or reference < ZERO:
@@ -488,13 +492,9 @@ def _arrives(plant: Mapping[str, Any]) -> str:
 def _compared(
     metrics: Mapping[str, Any], part: Mapping[str, Any], metric: str, unit: str
 ) -> str:
-    """Return how a metric of the twin compares with that of the model, and the main cause of the difference.
+    """Compare a metric of the twin with the model, and name the main cause.
 
-    Args:
-        metrics: contents of metrics.json.
-        part: the same, or its part on the time before a contact, which ends at `end_s`.
-        metric: metric.
-        unit: its unit.
+    `part` contains the compared values: all results, or the results before a contact.
     """
     reference, value = (
         part["plants"][plant][metric] for plant in ("analytical", "twin")
@@ -517,10 +517,9 @@ def _compared(
 def _main_cause(
     causes: Sequence[tuple[str, float]], reference: float, share: float, *, alone: bool
 ) -> str:
-    """Return the main cause of a relative difference as text, in whole per cents that add up to it.
+    """Return the main cause of a relative difference as text, in whole per cents.
 
-    If a cause was switched alone, the text states the effect with "would". The
-    contributions of an attribution are means over the orders of switching. The text is
+    The effect of a cause that was switched alone is stated with "would". The text is
     empty if no cause acts in the direction of the difference.
     """
     whole = round(100 * share)
@@ -550,7 +549,6 @@ def _main_cause(
 def _causes(
     metrics: Mapping[str, Any], metric: str, window: float | None
 ) -> list[tuple[str, float]]:
-    """Return assumptions and their effects on a metric in a window, the largest effect first."""
     effects = []
     if (attribution := metrics.get("attribution")) is not None:
         if attribution.get("window_s") == window:
@@ -574,7 +572,7 @@ _GAIT = f"""
     periods_to_converge amplitude_error_end_rel path_speed_m_s path_curvature_before_per_m
     path_curvature_per_m mechanical_power_w cost_of_transport pneumatic_power_w {_MEASURED} realtime_factor
 """.split()
-# Metrics of a run whose bends follow a reference, or of a run on a bench.
+# Short table of a run with a reference for its bends, or of a run on a bench.
 _BENCH = f"""
     final_bend_rad {_MEASURED} rise_time_s overshoot_rel settling_5_s settling_2_s steady_error_rad
     steady_rms_rad ripple_pp_rad error_rms_rad amplitude_rel phase_lag_rad fit_residual_rad inlet_openings
@@ -585,7 +583,7 @@ _COMPARISON = ("shape_rms_m", "path_rms_m", "bend_rms_rad", *SPATIAL_DIFFERENCES
 
 
 def chosen(plants: Mapping[str, Mapping[str, Any]]) -> Sequence[str]:
-    """Return the metrics of a short table, depending on whether the plants follow a plan or a reference."""
+    """Return the metrics of the short table for the kind of run."""
 
     def measured(*names: str) -> bool:
         return any(
@@ -606,7 +604,10 @@ def chosen(plants: Mapping[str, Mapping[str, Any]]) -> Sequence[str]:
 
 
 def tidy(metric: str, value: Any) -> Any:
-    """Return the value of a metric for display: yes or no, and 0 for negligible rates."""
+    """Convert a metric for display.
+
+    Truth values become yes or no, and negligible rates become 0.
+    """
     if is_yes_no(metric) and value is not None:
         return "yes" if value else "no"
     rate = isinstance(value, float) and metric.endswith(("_m_s", "_rad_s", "_abs"))
@@ -619,13 +620,11 @@ class ResultRow(NamedTuple):
     """Row of a table of results, as text.
 
     Attributes:
-        metric: name of the metric.
-        unit: its unit; empty for counts, ratios, and yes or no.
-        values: one cell per plant.
-        difference: twin − analytical in the unit, or the value of a metric of the
-            comparison.
-        per_cent: twin − analytical in per cent of the analytical value, for some
-            metrics.
+        metric: metric name.
+        unit: unit, if any.
+        values: values per plant.
+        difference: twin − analytical, or the value of a comparison metric.
+        per_cent: difference in per cent.
     """
 
     metric: str
@@ -638,13 +637,12 @@ class ResultRow(NamedTuple):
 def result_rows(
     metrics: Mapping[str, Any], names: Iterable[str], text: Callable[[Any], str]
 ) -> Iterator[ResultRow]:
-    """Yield the rows of a table of results.
+    """Yield the rows of a table of results. Metrics without values are omitted.
 
     Args:
         metrics: contents of metrics.json.
-        names: metrics of plants and of the comparison; those without a value are left
-            out.
-        text: function that formats a value.
+        names: metrics.
+        text: value formatter.
     """
     units = all_units()
     plants = metrics["plants"]
@@ -667,8 +665,7 @@ def _differences(
 ) -> tuple[str, str]:
     """Return twin − analytical as text, in the unit of the metric and in per cent.
 
-    The difference is 0 if both values have the same text. The per cent are empty for
-    most metrics; both texts are empty if one of the values is missing.
+    The difference is 0 if both values have equal texts.
     """
     model, twin = (
         tidy(metric, metrics["plants"].get(p, {}).get(metric))
@@ -709,33 +706,24 @@ def plant_metrics(
 ) -> dict[str, Any]:
     """Compute the metrics of one run.
 
-    The gait metrics are means over whole gait periods after a warm-up of two
+    The gait metrics are means over whole gait periods after a warm-up of two periods
     (`GaitWindow`). They are None if the run is not periodic or has fewer than three
     whole periods:
 
     - ``com_speed_m_s``: arc length of the period-averaged path of the centre of mass
-      divided by its duration, negative if that path is against the period-mean heading.
-    - ``yaw_rate_rad_s``: slope of the period-mean heading, positive to the left.
+      divided by its duration, negative if the path is opposite to the mean heading.
+    - ``yaw_rate_rad_s``: derivative of the period-mean heading, positive to the left.
     - ``turning_radius_m``: radius of the circle on which each period moves the centre
-      of mass, positive if its centre is on the left; None for a straight path
-      (`gait.turning_radius`).
+      of mass, positive to the left; None for a straight path (`gait.turning_radius`).
     - ``bend_amplitude_rad``: half the peak-to-peak range of each period, averaged over
-      the periods; head first. ``mean_bend_amplitude_rad`` is the mean over the
-      segments.
-    - ``bend_bias_rad``: mean bend, head first.
-    - power and cost of transport: see `gait.energy_metrics`.
+      the periods.
 
-    A run with a reference has `tracking.tracking_metrics`, and a run with iterative
-    learning has `learning.learning_metrics`; otherwise these are None. A run on a bench
-    without a reference has ``final_bend_rad``, the bend of the first segment at its
-    end. A run with a non-ideal sensor has `reading.reading_metrics`. Extensions add
-    their groups of metrics (`extensions.METRICS`). The metrics of a comparison with a
-    recording (`measured_…`) are None here; see `compare.MeasuredDifference`.
-
-    The remaining metrics cover the whole run: ``path_length_m`` of the raw path,
-    ``valve_switches`` as [+, −] openings per segment (None if they were not counted),
-    ``wall_s``, and ``realtime_factor``, the simulated time divided by the computing
-    time (both None without a computing time).
+    `gait.energy_metrics`, `tracking.tracking_metrics`, `learning.learning_metrics` and
+    `reading.reading_metrics` describe further metrics. A run on a bench without a
+    reference has ``final_bend_rad``, the final bend of the first segment. Extensions
+    add their groups of metrics (`extensions.METRICS`). Differences from a recording
+    (``measured_…``) are None here; see `compare.MeasuredDifference`. Openings of valves
+    are None if they were not counted.
 
     Args:
         trajectory: run with ``body_length_m`` and ``gait_frequency_hz`` in its
@@ -743,8 +731,7 @@ def plant_metrics(
         wall_s: computing time, s.
 
     Returns:
-        JSON values by the names above; their units are in `METRIC_UNITS` and
-        `LIST_METRIC_UNITS`.
+        JSON values by metric.
 
     Raises:
         InputError: columns or metadata are missing or unusable.

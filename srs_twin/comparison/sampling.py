@@ -1,4 +1,4 @@
-"""Units and groups of metrics, checks of trajectories, and interpolation of their samples."""
+"""Metric units and groups, checks of trajectories, and interpolation of samples."""
 
 from __future__ import annotations
 
@@ -18,57 +18,55 @@ if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
 
-# Unit suffixes of metric names in addition to those of file keys; longer suffixes come
-# first.
+# Metric names have more unit suffixes than file keys. Longer suffixes come first,
+# because the first match counts.
 _UNITS = {"_rad_s": "rad/s", "_per_m": "1/m", "_w": "W", "_t": "T", **UNITS}
 
 
 def split_unit(metric: str) -> tuple[str, str]:
-    """Return the name of a metric without its unit suffix, and the unit; "1" if there is no suffix."""
+    """Split a metric into its name and its unit, which is "1" without a unit suffix."""
     suffix = next((suffix for suffix in _UNITS if metric.endswith(suffix)), "")
     return metric.removesuffix(suffix), _UNITS.get(suffix, "1")
 
 
 def units_of(names: Iterable[str]) -> dict[str, str]:
-    """Return metric → unit, as the names of the metrics state."""
+    """Return the unit of each metric, taken from its name."""
     return {name: split_unit(name)[1] for name in names}
 
 
 def meanings_of(lines: str) -> dict[str, str]:
-    """Return metric → meaning for a text with a line ``metric: meaning`` for each."""
+    """Parse lines ``metric: meaning``."""
     return dict(line.split(": ", 1) for line in lines.strip().splitlines())
 
 
 STRAIGHT_RAD_S = 0.05
-"""Yaw rate below which a run counts as straight, rad/s; contact creep and the start turn the body as well."""
+"""Yaw rate below which a run counts as straight, rad/s.
+
+Contact creep and the start of a run also turn the body.
+"""
 ZERO = 5e-5
-"""Magnitude below which a length, speed or angle counts as zero, m, m/s or rad: a tenth of a millimetre."""
+"""Magnitude below which a length (m), speed (m/s) or angle (rad) counts as zero."""
 _RESOLUTION = {"m": ZERO, "m/s": ZERO, "rad": ZERO, "rad/s": STRAIGHT_RAD_S}
 _MAX_CHANGE = 10.0
-"""Largest change, as a multiple of the reference, that is stated in per cent.
+"""Maximum change that is stated in per cent, as a multiple of the reference.
 
-A larger per cent would mainly measure how near to zero the reference is."""
+A larger percentage would mainly measure how near to zero the reference is.
+"""
 
 
 def is_near_zero(reference: float, value: float, unit: str) -> bool:
-    """Return whether a reference is too near to zero for a change in per cent of it.
-
-    Args:
-        reference: old value.
-        value: new value.
-        unit: their unit.
-    """
+    """Return whether a reference is too near to zero for a change in per cent."""
     least = max(_RESOLUTION.get(unit, 0.0), abs(value - reference) / _MAX_CHANGE)
     return abs(reference) <= least
 
 
 def rms(values: np.ndarray) -> float:
-    """Return the root mean square of values."""
+    """Return the root mean square."""
     return float(np.sqrt(np.square(values).mean()))
 
 
 def label(trajectory: Trajectory) -> str:
-    """Return the name of a trajectory for messages: its plant, or 'trajectory'."""
+    """Return the plant of a trajectory for messages, or 'trajectory'."""
     return str(trajectory.metadata.get("plant", "trajectory"))
 
 
@@ -77,11 +75,11 @@ def check_columns(trajectory: Trajectory, *names: str) -> None:
 
     Args:
         trajectory: one run.
-        names: columns that must exist in addition to ``time``; ``"x"`` means ``x_1…``.
+        names: required columns; ``"x"`` means ``x_1…``.
 
     Raises:
-        InputError: a column is missing or contains a value that is not finite, there is
-            no sample, or the time does not increase between samples.
+        InputError: a column is missing or not finite, there is no sample, or the time
+            does not increase between samples.
     """
     run = label(trajectory)
     missing = [name for name in ("time", *names) if not trajectory.has(name)]
@@ -124,10 +122,10 @@ def positive_number(trajectory: Trajectory, name: str) -> float | None:
 
 
 def segment_lengths(trajectory: Trajectory) -> tuple[float, float]:
-    """Return the arc length of a segment and its rigid gap from the metadata, m.
+    """Return arc length and rigid gap of a segment from the metadata, m.
 
     Raises:
-        InputError: one of them is missing.
+        InputError: a length is missing.
     """
     length, gap = (
         trajectory.metadata.get(name) for name in ("segment_length_m", "rigid_gap_m")
@@ -143,7 +141,7 @@ def body_length(trajectory: Trajectory) -> float:
     """Return the body length from the metadata, m.
 
     Raises:
-        InputError: it is missing.
+        InputError: the length is missing.
     """
     length = positive_number(trajectory, "body_length_m")
     if length is None:
@@ -155,17 +153,8 @@ def body_length(trajectory: Trajectory) -> float:
 
 
 def interpolant(trajectory: Trajectory, values: np.ndarray) -> CubicSpline:
-    """Return the cubic spline through samples of a trajectory.
-
-    Its error is of fourth order in the sample period; the error of its integral over a
-    gait period is smaller.
-
-    Args:
-        trajectory: run with two samples or more.
-        values: shape (samples, …).
-    """
-    # Imported here because it takes half a second, which commands that only list
-    # metrics do not need.
+    """Return the cubic spline through samples, whose error is of fourth order."""
+    # The import takes half a second, so commands that only list metrics avoid it.
     from scipy.interpolate import CubicSpline
 
     return CubicSpline(trajectory.time, values)
@@ -177,20 +166,21 @@ def _no_reason(metric: str, trajectory: Trajectory) -> str:
 
 @dataclass(frozen=True)
 class MetricGroup:
-    """Metrics of one topic. Each is one number per run, and its name ends in its unit.
+    """Metrics of one topic.
+
+    Each metric is one number per run, and its name ends in its unit.
 
     Attributes:
-        meanings: metric → meaning in one line.
-        measure: returns the values of a run by metric, None where a metric is
-            undefined.
-        why_undefined: returns the reason why a metric has no value; empty if this is
-            the outcome of the run.
+        meanings: one-line meanings.
+        measure: function that returns the metrics of a run, None where undefined.
+        why_undefined: function that returns the reason why a metric has no value, or an
+            empty string if the missing value is the outcome of the run.
         relative: metrics whose difference between the plants is also shown in per cent.
-        main: metric that only runs of this topic have; `short_table` is then the whole
+        main: metric that only runs of this topic have. `short_table` is then the whole
             short table of such a run. If empty, `short_table` is appended to the short
             table of every run.
         short_table: metrics of the short table.
-        yes_no: metrics that are 1 or 0, shown as yes or no.
+        yes_no: boolean metrics.
     """
 
     meanings: Mapping[str, str]
@@ -203,16 +193,16 @@ class MetricGroup:
 
     @property
     def units(self) -> dict[str, str]:
-        """Metric → unit, as its name states."""
+        """Units, keyed by metric."""
         return units_of(self.meanings)
 
 
 @cache
 def extension_groups() -> tuple[MetricGroup, ...]:
-    """Return the groups of the installed extensions."""
+    """Return the metric groups of installed extensions."""
     return tuple(group for _, group in objects(METRICS))
 
 
 def metric_groups() -> tuple[MetricGroup, ...]:
-    """Return the groups of the installed extensions and of the plug-ins."""
+    """Return the metric groups of installed extensions and plug-ins."""
     return (*extension_groups(), *(group for _, group in plugin_parts(MetricGroup)))

@@ -1,14 +1,13 @@
-r"""Metrics of a module on a bench: tracking of a reference (Chapter 4), and its sensor (Fig. 13, 14).
+r"""Metrics of a module on a bench: tracking of a reference, and the sensor.
 
-Sines are fitted to recorded signals by least squares, at the frequency of the
-reference:
+Tracking follows Chapter 4 of the dissertation, and sensor metrics Fig. 13 and 14. Sines
+are fitted to recorded signals by least squares, at the frequency of the reference:
 
 $$ x(t) \approx \bar x + A \sin(2\pi f t + \varphi). $$
 
-The reading of a curvature sensor is a function of the bend. The bend of a run is not
-distributed evenly, and single readings are noisy. Readings and bends are therefore
-averaged over bins of 1° of bend. Each bin with samples counts once, as in a calibration
-at evenly spaced angles.
+The bends of a run are not distributed evenly, and single readings are noisy. Readings
+and bends are therefore averaged over bins of 1° of bend. Each bin with samples has
+equal weight, as in a calibration at evenly spaced angles.
 """
 
 from __future__ import annotations
@@ -24,7 +23,10 @@ from srs_twin.comparison.sampling import check_columns, meanings_of, rms, units_
 from srs_twin.trajectory import Trajectory
 
 _MAX_SINE_RESIDUAL = 1e-4
-"""Largest RMS residual of a fitted sine, divided by its amplitude, at which a signal counts as a sine, 1."""
+"""Maximum RMS residual of a fitted sine at which a signal counts as a sine.
+
+The residual is relative to the amplitude.
+"""
 
 
 @dataclass(frozen=True)
@@ -32,10 +34,10 @@ class SineFit:
     """Sine fitted to samples.
 
     Attributes:
-        amplitude: A, in the unit of the signal, 0 or more.
-        phase: φ at time 0, rad.
-        offset: mean of the signal.
-        residual: RMS of the residual.
+        amplitude: amplitude A ≥ 0.
+        phase: phase φ, rad.
+        offset: mean.
+        residual: RMS residual.
     """
 
     amplitude: float
@@ -48,9 +50,9 @@ def fit_sine(time: np.ndarray, values: np.ndarray, frequency: float) -> SineFit:
     """Return the least-squares sine of a given frequency.
 
     Args:
-        time: shape (samples,), s.
-        values: shape (samples,).
-        frequency: Hz.
+        time: times, s.
+        values: samples.
+        frequency: frequency, Hz.
     """
     angle = 2 * np.pi * frequency * time
     basis = np.stack([np.sin(angle), np.cos(angle), np.ones_like(angle)], axis=-1)
@@ -69,11 +71,12 @@ def sine_frequency(time: np.ndarray, values: np.ndarray) -> float | None:
 
     Samples of a sine satisfy x(t + m) + x(t − m) = 2 cos(2π f m) x(t) + const. Adjacent
     samples give a first estimate of f. Samples about a quarter period apart give the
-    final one, because the cosine is most sensitive there.
+    final estimate, because the cosine is most sensitive there. The samples must be
+    equally spaced except for the last one.
 
     Args:
-        time: equally spaced except for the last sample, shape (samples,), s.
-        values: shape (samples,).
+        time: times, s.
+        values: samples.
     """
     values = values[:-1]
     time = time[:-1]
@@ -95,7 +98,7 @@ def sine_frequency(time: np.ndarray, values: np.ndarray) -> float | None:
 
 
 def _phase_step(values: np.ndarray, spacing: int) -> float | None:
-    """Return the phase difference between samples of a sine with a given spacing, between 0 and π."""
+    """Return the phase difference (0 to π) between samples of a sine."""
     middle = values[spacing:-spacing]
     sums = values[2 * spacing :] + values[: -2 * spacing]
     middle = middle - middle.mean()
@@ -109,18 +112,16 @@ def _phase_step(values: np.ndarray, spacing: int) -> float | None:
 def step_response(
     time: np.ndarray, bend: np.ndarray, before: float, after: float
 ) -> dict[str, float | None]:
-    """Return the metrics of a step response; the bend is interpolated linearly between samples.
+    """Return the metrics of a step response.
+
+    Bends are interpolated linearly. A metric is None if its level is not reached before
+    the end of the run.
 
     Args:
-        time: time since the step, shape (samples,), s.
-        bend: shape (samples,), rad.
-        before: reference before the step, rad.
-        after: reference after it, rad.
-
-    Returns:
-        ``rise_time_s`` from 10 to 90 %, ``overshoot_rel`` and ``overshoot_rad`` (0
-        without overshoot), ``settling_2_s`` and ``settling_5_s``; None for levels that
-        are not reached before the end of the run.
+        time: time since the step, s.
+        bend: bend, rad.
+        before: initial reference, rad.
+        after: final reference, rad.
     """
     response = (bend - before) / (after - before)
     low = _first_crossing(time, response, 0.1)
@@ -141,7 +142,6 @@ def step_response(
 def _first_crossing(
     time: np.ndarray, response: np.ndarray, level: float
 ) -> float | None:
-    """Return the first time at which a level is reached from below, s."""
     above = np.flatnonzero(response >= level)
     if not len(above):
         return None
@@ -149,7 +149,7 @@ def _first_crossing(
 
 
 def _settling_time(time: np.ndarray, response: np.ndarray, band: float) -> float | None:
-    """Return the time after which the response stays within a band about 1, s."""
+    """Return the time after which the response stays within a band about 1."""
     outside = np.flatnonzero(np.abs(response - 1.0) > band)
     if not len(outside):
         return 0.0
@@ -164,7 +164,6 @@ def _settling_time(time: np.ndarray, response: np.ndarray, band: float) -> float
 def _crossing_time(
     time: np.ndarray, response: np.ndarray, k: int, level: float
 ) -> float:
-    """Return the time at which the line from sample k − 1 to k crosses a level; the first time if k is 0."""
     if k == 0:
         return float(time[0])
     fraction = (level - response[k - 1]) / (response[k] - response[k - 1])
@@ -192,51 +191,29 @@ inlet_openings: openings per inlet valve
 outlet_openings: openings per outlet valve
 """)
 TRACKING_UNITS = units_of(TRACKING_MEANINGS)
-"""Metrics of a run with a reference; each is one number or None."""
+"""Units of the metrics of a run with a reference. Each metric is one number or None."""
 
 _MIN_STEP = 1e-3
-"""Smallest change of the reference that counts as a step, rad."""
+"""Minimum change of the reference that counts as a step, rad."""
 
 
 def tracking_metrics(trajectory: Trajectory) -> dict[str, float | None]:
-    """Compute the tracking metrics of the first segment; None for those that do not apply.
+    """Compute the tracking metrics of the first segment (`TRACKING_MEANINGS`).
 
-    Metrics of a step, which is a reference that changes once, or a constant one from
-    which the initial bend differs:
-
-    - ``rise_time_s``: time from 10 to 90 % of the step.
-    - ``overshoot_rel`` and ``overshoot_rad``: overshoot, relative to the step and as an
-      angle.
-    - ``settling_2_s`` and ``settling_5_s``: time after which the bend stays within 2
-      and 5 % of the step.
-
-    Metrics of the steady state, over the second half of the time since the last change
-    of a reference that changes at most once:
-
-    - ``steady_error_rad``: mean of bend minus reference; ``steady_rms_rad``: its RMS.
-    - ``ripple_pp_rad`` and ``ripple_rms_rad``: peak-to-peak and RMS of the bend about
-      its mean.
-    - ``sensed_ripple_pp_rad``: peak-to-peak of the sensor reading with its noise, as in
-      the figures of the dissertation.
-
-    Metrics of a sine, over whole periods after a warm-up of two (of one, if the run has
-    two or three periods):
-
-    - ``amplitude_rel``: amplitude of the fitted sine divided by that of the reference.
-    - ``phase_lag_rad``: phase lag behind the reference, between −π and π.
-    - ``amplitude_spread_rel`` and ``phase_lag_spread_rad``: their standard deviations
-      between fits to single periods.
-    - ``fit_residual_rad``: RMS residual of the fitted sine.
-
-    Metrics of every run: ``error_rms_rad``, the RMS of reference minus bend;
-    ``inlet_openings`` per valve; and ``outlet_openings`` per valve, for separate outlet
-    valves in a run that is recorded in every tick.
+    A metric that does not apply is None. Metrics of a step require a reference that
+    changes once, or a constant reference that differs from the initial bend. Metrics of
+    the steady state cover the second half of the time since the last change of such a
+    reference. Metrics of a sine cover whole periods after a warm-up of two periods, or
+    of one period if the run has two or three periods. Standard deviations are taken
+    between fits to single periods, and the phase lag lies between −π and π. Outlet
+    openings are counted for separate outlet valves in a run that is recorded in every
+    tick.
 
     Args:
         trajectory: run with ``reference_1`` and ``bend_1``.
 
     Returns:
-        Metrics by the names above; their units are in `TRACKING_UNITS`.
+        Metrics in `TRACKING_UNITS`.
 
     Raises:
         InputError: columns are missing or unusable.
@@ -256,7 +233,7 @@ def tracking_metrics(trajectory: Trajectory) -> dict[str, float | None]:
 
 
 def _step_metrics(trajectory: Trajectory, begin: int) -> dict[str, float | None]:
-    """Return the metrics of a step at sample `begin` (0 for a constant reference) and of the steady state."""
+    """Return the metrics of a step at sample `begin`, and of the steady state."""
     reference = trajectory["reference_1"]
     bend = trajectory["bend_1"]
     target = float(reference[-1])
@@ -280,9 +257,9 @@ def _step_metrics(trajectory: Trajectory, begin: int) -> dict[str, float | None]
 def _sine_metrics(
     time: np.ndarray, reference: np.ndarray, bend: np.ndarray, frequency: float
 ) -> dict[str, float | None]:
-    """Return the metrics of a sine reference; empty if the run has less than two whole periods."""
+    """Return the metrics of a sine reference, or {} for less than two whole periods."""
     start = time[0]
-    # Rounding must not shorten a run that is meant to end after a whole period.
+    # Rounding must not remove the last period of a run that ends with a whole period.
     whole = int(np.floor((time[-1] - start) * frequency + 1e-6))
     if whole < 2:
         return {}
@@ -318,7 +295,7 @@ def _lag(reference: SineFit, bend: SineFit) -> float:
 
 
 def _openings(trajectory: Trajectory) -> dict[str, float | None]:
-    """Return the openings per valve: inlets as counted by the plant, outlets from the samples."""
+    """Return openings per valve: inlets counted by the plant, outlets from samples."""
     metrics: dict[str, float | None] = {}
     if counted := trajectory.metadata.get("valve_switches"):
         metrics["inlet_openings"] = float(np.mean(counted[0]))
@@ -344,22 +321,22 @@ reading_backstep_at_rad: bend in the middle of that decrease
 reading_range_t: range of the magnetic field at the sensor
 """)
 READING_UNITS = units_of(READING_MEANINGS)
-"""Metrics of a run with a non-ideal sensor; each is one number or None."""
+"""Units of the metrics of a non-ideal sensor. Each metric is one number or None."""
 
 BIN_RAD = math.radians(1.0)
-"""Width of a bin of bends, rad: the step of a usual calibration."""
+"""Width of a bin of bends, rad. It is the step of a usual calibration."""
 
 _MIN_BINS = 3
-"""Smallest number of bins: a line through two points fits them exactly."""
+"""Minimum number of bins, because a line fits two points exactly."""
 
 
 @dataclass(frozen=True)
 class ReadingCurve:
-    """Mean reading and mean bend of each bin that has samples; lost readings (NaN) are left out.
+    """Mean reading and mean bend in each bin that has samples.
 
     Attributes:
-        bend: ascending, shape (bins,), rad.
-        reading: shape (bins,), rad.
+        bend: ascending bends, rad.
+        reading: readings, rad.
     """
 
     bend: np.ndarray
@@ -367,7 +344,7 @@ class ReadingCurve:
 
     @classmethod
     def from_trajectory(cls, trajectory: Trajectory) -> ReadingCurve | None:
-        """Return the curve of the first segment; None if the run has no sensor, or an ideal one.
+        """Return the curve of the first segment, or None without a non-ideal sensor.
 
         Raises:
             InputError: columns are missing or unusable.
@@ -379,7 +356,7 @@ class ReadingCurve:
         read = np.isfinite(trajectory["sensed_1"])
         bend = trajectory["bend_1"][read]
         sensed = trajectory["sensed_1"][read]
-        # Rounding centres a bin at 0, so that bends to both sides are treated alike.
+        # Rounding centres a bin at 0, so that bends to both sides are treated equally.
         _, bins, samples = np.unique(
             np.round(bend / BIN_RAD), return_inverse=True, return_counts=True
         )
@@ -388,16 +365,16 @@ class ReadingCurve:
 
     @property
     def r_squared(self) -> float | None:
-        """Fraction of the variance of the bend that a linear function of the reading explains."""
+        """Coefficient of determination of a linear relation of reading and bend."""
         if len(self.bend) < _MIN_BINS or np.ptp(self.reading) == 0:
             return None
         return float(np.corrcoef(self.bend, self.reading)[0, 1] ** 2)
 
     @property
     def backstep(self) -> tuple[float, float | None]:
-        """Largest decrease of the reading with increasing bend, and the bend in its middle, rad.
+        """Maximum decrease of the reading with increasing bend, and its bend, rad.
 
-        It is (0, None) for a monotonic reading.
+        A monotonic reading gives (0, None).
         """
         decrease = np.maximum.accumulate(self.reading) - self.reading
         low = int(decrease.argmax())
@@ -408,24 +385,15 @@ class ReadingCurve:
 
 
 def reading_metrics(trajectory: Trajectory) -> dict[str, float | None]:
-    """Return metrics of the first segment's sensor, all None for an ideal sensor or without one.
+    """Return the metrics of the first segment's sensor (`READING_MEANINGS`).
 
-    - ``reading_r_squared``: R² of a linear relation between reading and bend.
-    - ``reading_error_rad``: largest magnitude of mean reading minus mean bend, in which
-      noise is averaged out.
-    - ``reading_backstep_rad``: largest decrease of the reading with increasing bend. It
-      is 0, apart from noise, if the reading is unique.
-    - ``reading_backstep_at_rad``: bend in the middle of that decrease.
-    - ``reading_range_t``: change of the field at the Hall element from the smallest to
-      the largest bend.
-
-    The metrics depend on the bends that occur in the run, but not on their cause.
+    All metrics are None without a non-ideal sensor. Averaging removes noise from
+    ``reading_error_rad``. Apart from noise, ``reading_backstep_rad`` is 0 if each
+    reading belongs to a single bend. The metrics depend on the bends that occur in the
+    run, but not on their cause.
 
     Args:
         trajectory: run with ``bend_1``, ``sensed_1`` and the sensor in its metadata.
-
-    Returns:
-        Metrics by the names above; their units are in `READING_UNITS`.
 
     Raises:
         InputError: columns are missing or unusable.
@@ -449,7 +417,7 @@ def _sensor(trajectory: Trajectory) -> Mapping[str, object]:
 
 
 def _field_per_rad(sensor: Mapping[str, object]) -> float | None:
-    """Return the change of the field at the Hall element per sensed bend, T/rad; None if it is not known."""
+    """Return the field change at the Hall element per sensed bend, T/rad, if known."""
     hall = _mapping(sensor.get("hall"))
     line = _mapping(sensor.get("calibration"))
     values = (

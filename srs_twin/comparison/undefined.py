@@ -1,9 +1,9 @@
 """Reasons for undefined metrics of a run.
 
-A metric without a value has one of two causes. Either the run lacks the data for the
-metric, such as whole gait periods, a reference or a recording; the metric cannot be
-judged then. Or the missing value is the result: a path without a turning radius is
-straight, and a plan without a length was not found.
+A metric without a value has one of two causes. Either the run lacks data, such as whole
+gait periods, a reference or a recording, so that the metric cannot be judged. Or the
+missing value is the result: a path without a turning radius is straight, and a plan
+without a length was not found.
 """
 
 from __future__ import annotations
@@ -58,18 +58,17 @@ _ABSENT = {
     **dict.fromkeys(CONTACT_UNITS, "the world has no obstacles"),
     "final_bend_rad": "the run is not on a bench without a reference",
 }
-"""Metric → reason that it has no value in any run without its subject."""
+"""Reasons why runs without the subject of a metric have no value, keyed by metric."""
 
 
 @dataclass(frozen=True)
 class Undefined:
-    """Undefined metric of a run.
+    """Metric of a run without a value.
 
     Attributes:
-        reason: text.
-        beyond: lower bound of the value, in the unit of the metric: a bend that has not
-            settled by the end of a run may settle later. -inf if nothing is known about
-            the value.
+        reason: explanation.
+        beyond: lower bound of the value, in the unit of the metric, or −inf. For
+            example, a bend that has not settled by the end of a run may settle later.
     """
 
     reason: str
@@ -84,16 +83,14 @@ def why_undefined(
 ) -> Undefined | None:
     """Return the reason why a metric of a run has no value.
 
-    Args:
-        metric: name of the metric.
-        subject: "analytical", "twin" or "comparison".
-        metrics: contents of metrics.json: "plants" → plant → metric, "comparison" →
-            metric.
-        runs: plant → trajectory, and "measured" → the replayed recording.
+    The result is None if the metric has a value, or if the missing value is the result
+    of the run.
 
-    Returns:
-        None if the metric has a value, or if the missing value is the result of the
-        run.
+    Args:
+        metric: metric name.
+        subject: "analytical", "twin" or "comparison".
+        metrics: contents of metrics.json.
+        runs: trajectories, keyed by plant; "measured" is the replayed recording.
     """
     owners = metrics["plants"] | {"comparison": metrics["comparison"]}
     values = owners.get(subject) or {}
@@ -124,7 +121,10 @@ def _of(reason: str) -> Undefined | None:
 
 
 def _no_gait(metric: str, runs: Iterable[Trajectory]) -> str:
-    """Return the reason why one of the runs has no gait metrics; empty for a run that ended early."""
+    """Return why one of the runs has no gait metrics.
+
+    The reason is empty for a run that ended early.
+    """
     for run in runs:
         if reason := GaitWindow.missing_reason(run):
             if run.metadata.get("ended_by"):
@@ -136,7 +136,6 @@ def _no_gait(metric: str, runs: Iterable[Trajectory]) -> str:
 
 
 def _not_measured(metric: str, runs: Mapping[str, Trajectory]) -> str:
-    """Return the reason why a plant cannot be compared with the recording; empty for other metrics."""
     if metric not in MEASURED_UNITS:
         return ""
     if (measured := runs.get("measured")) is None:
@@ -198,7 +197,6 @@ def _learning(
 
 
 def _other(metric: str, run: Trajectory) -> str:
-    """Return the reason for the metrics of extensions, sensors and benches; empty if there is none."""
     for group in metric_groups():
         if metric in group.units:
             return group.why_undefined(metric, run)

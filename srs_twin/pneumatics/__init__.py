@@ -1,4 +1,4 @@
-"""Valves, chambers and free bends for both plants, with two chamber models."""
+"""Valves, chambers and free bends for both plants."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from srs_twin.pneumatics.valves import LAYOUTS as LAYOUTS, Schedule as Schedule
 from srs_twin.robot.spec import RobotSpec
 
 SPATIAL_KINDS: dict[str, Callable[..., Pneumatics]] = {"lag": SpatialLagPneumatics}
-"""Chamber models for a robot whose segments bend in two directions."""
+"""Chamber models for robots whose segments bend in two directions."""
 
 KINDS: dict[str, Callable[..., Pneumatics]] = {
     "lag": LagPneumatics,
@@ -29,19 +29,19 @@ def make_pneumatics(
     layout: str,
     **options: float | None,
 ) -> Pneumatics:
-    """Return the chambers of a robot.
+    """Return the pneumatic model of a robot.
 
     Args:
-        kind: a name in `KINDS`, a part from outside (`extensions.part`), or existing
-            chambers, which are returned unchanged.
-        spec: the robot.
-        supply_pa: supply pressure, gauge, Pa.
-        layout: valve layout, one of `LAYOUTS`.
-        **options: further arguments of the class of that kind.
+        kind: name in `KINDS`, part of an extension (`extensions.part`), or an existing
+            model, which is returned unchanged.
+        spec: robot.
+        supply_pa: gauge supply pressure, Pa.
+        layout: valve layout, a key of `LAYOUTS`.
+        **options: further arguments of the constructor.
 
     Raises:
         UnknownNameError: the kind is unknown.
-        InputError: the class refuses an argument.
+        InputError: the constructor refuses an argument.
     """
     if isinstance(kind, Pneumatics):
         return kind

@@ -1,4 +1,4 @@
-"""Abstract pneumatics, which map valve commands to pressures and free bends."""
+"""Base class of pneumatic models, which map valve commands to pressures and bends."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from srs_twin.pneumatics.valves import LAYOUTS, Schedule, StuckValve
 from srs_twin.robot.spec import RobotSpec
 
 OptionalArray = np.ndarray | None
-"""One value per segment, shape (segments,), or None if it is unknown."""
+"""One value per segment, shape (segments,), or None if the values are unknown."""
 
 
 class Trace(NamedTuple):
-    """State of the chambers at several times. Kernels take it as a tuple.
+    """State of the chambers at several times. Kernels receive it as a tuple.
 
     Attributes:
         pressure: gauge pressure, shape (times, segments, 2), Pa.
-        bend, bend_rate, bend_acceleration: free bend (rad) and its first two derivatives
-            (rad/s, rad/s²), shape (times, segments) each.
+        bend, bend_rate, bend_acceleration: free bend (rad) and its first two
+            derivatives (rad/s, rad/s²), shape (times, segments) each.
         valves: valve states up to each time, shape (times, segments, 2).
         air: pneumatic energy drawn from the supply since `reset`, shape (times,), J.
     """
@@ -41,7 +41,7 @@ class Trace(NamedTuple):
     def empty(
         cls, times: int, segments: int, chambers: int = 2, axes: tuple[int, ...] = ()
     ) -> Trace:
-        """Return an uninitialised trace whose bends have additional `axes`."""
+        """Return an uninitialised trace whose bends have additional axes."""
         sides = times, segments, chambers
         q, dq, ddq = (np.empty((times, segments, *axes)) for _ in range(3))
         return cls(
@@ -49,34 +49,34 @@ class Trace(NamedTuple):
         )
 
     def at(self, rows: np.ndarray) -> Trace:
-        """Return the trace at the times with the given indices."""
+        """Return the rows with the given indices."""
         return Trace(*(column.take(rows, axis=0) for column in self))
 
 
 class Pneumatics(Stateful, ABC):
     """Valves and chambers of a robot, and the free bends of its segments.
 
-    A subclass implements the physics in `_simulate`, which gets the valve states after
-    the valve delay.
+    A subclass implements the physics in `_simulate`, which receives the valve states
+    after the valve delay.
 
     Attributes:
-        kind: short name of the chamber model.
+        kind: short name of the pneumatic model.
         depends_on_bend: whether pressures depend on the actual bends. A plant with
             compliant bends must then pass its bends to `advance`.
-        coupling_step_s: maximum interval between two exchanges of bends and pressures with
-            the plant, if pressures depend on the bends, s.
+        coupling_step_s: maximum interval between two exchanges of bends and pressures
+            with the plant, s.
         stiffness: maximum stiffness that closed chambers add to a segment, N·m/rad.
-        max_pressure_ratio: maximum chamber pressure as a multiple of the supply pressure.
+        max_pressure_ratio: ratio of the maximum chamber pressure to the supply
+            pressure.
         pressure: current gauge pressures, shape (segments, 2), Pa.
         bend: current free bends, shape (segments,), rad.
-        air: pneumatic energy drawn from the supply since `reset`, J. It is the supply's
-            gauge pressure times the volume of drawn air, measured at the supply's pressure.
-            Venting returns no energy.
-        metered: whether `air` and `openings` are known. Otherwise they stay 0.
-        openings: number of times that each chamber's inlet has opened since `reset`,
-            shape (segments, 2).
+        air: pneumatic energy drawn from the supply since `reset`, J. It is the gauge
+            supply pressure times the volume of drawn air, measured at the supply
+            pressure. Venting returns no energy.
+        metered: whether `air` and `openings` are counted. Otherwise they remain 0.
+        openings: number of openings of each inlet since `reset`, shape (segments, 2).
         valves: latest valve states, shape (segments, 2).
-        stuck: valves with a fault; initially none.
+        stuck: valves with a fault, initially none.
         rest_bend: rest bends, shape (segments,), rad.
     """
 
@@ -122,20 +122,20 @@ class Pneumatics(Stateful, ABC):
         self._pending = Schedule(self._delay, np.zeros(1), self.valves[None])
 
     def place(self, pressure: np.ndarray, bend: np.ndarray) -> None:
-        """Set pressures and free bends, but not valves and metered quantities.
+        """Set pressures and free bends, without changing valves and metered quantities.
 
         Args:
             pressure: gauge pressure, shape (segments, 2), Pa.
             bend: free bends, shape (segments,), rad.
 
         Raises:
-            InputError: the pressures of these chambers are prescribed, or the chambers
-                cannot reach the values.
+            InputError: the pressures are prescribed, or the chambers cannot reach the
+                values.
         """
         raise InputError(f"pneumatics '{self.kind}' cannot start with given pressures")
 
     def rest_trace(self) -> Trace:
-        """Return a trace of the current time with the bends at rest."""
+        """Return a trace of the current time without motion of the bends."""
         trace = self._empty_trace(1)
         trace.pressure[0] = self.pressure
         trace.bend[0] = self.bend
@@ -148,18 +148,18 @@ class Pneumatics(Stateful, ABC):
         return Trace.empty(times, *self.pressure.shape, self.bend.shape[1:])
 
     def current_trace(self) -> Trace:
-        """Return a trace of the current time with the current rates."""
+        """Return a trace of the current time with the current derivatives."""
         return self._simulate(
             Schedule(0.0, np.zeros(1), self.valves[None]), np.zeros(1), None, None
         )
 
     def schedule(self, valves: np.ndarray, span: float) -> Schedule:
-        """Return checked commands as a schedule.
+        """Check valve commands, and return them as a schedule.
 
         Args:
-            valves: valve states, shape (segments, 2), or (slots, segments, 2) for slots of
-                equal length.
-            span: length of the schedule, s.
+            valves: valve states, shape (segments, 2), or (slots, segments, 2) for slots
+                of equal duration.
+            span: duration of the schedule, s.
 
         Raises:
             InputError: the shape is wrong, or the valve layout does not have a state.
@@ -177,10 +177,10 @@ class Pneumatics(Stateful, ABC):
         return Schedule.from_slots(commands.astype(np.int8), span)
 
     def check(self, states: np.ndarray) -> None:
-        """Check that the valve layout has all of the given states.
+        """Check that the valve layout has all given states.
 
         Raises:
-            InputError: the layout lacks one of the states.
+            InputError: the layout lacks a state.
         """
         allowed = LAYOUTS[self.layout]
         possible = states == allowed[0]
@@ -193,7 +193,7 @@ class Pneumatics(Stateful, ABC):
             )
 
     def effective_schedule(self, schedule: Schedule) -> Schedule:
-        """Return the valve states that result from delay, faults and commands."""
+        """Return the valve states that result from commands, delay and faults."""
         effective = schedule
         if self._delay:
             effective = self._pending.followed_by(schedule).slice(0.0, schedule.span)
@@ -211,18 +211,18 @@ class Pneumatics(Stateful, ABC):
         bend: OptionalArray = None,
         bend_rate: OptionalArray = None,
     ) -> Trace:
-        """Advance over a schedule and return the state of the chambers at some times.
+        """Advance over a schedule, and return the state of the chambers at given times.
 
         Args:
             schedule: checked valve commands.
             times: times from the start of the schedule, ascending within [0, span], s.
-            bend: actual bends at the start, shape (segments,), rad, for chambers that depend on
-                them, or None for bends that follow the free bends.
-            bend_rate: rates of the actual bends, assumed to be constant over the schedule,
-                shape (segments,), rad/s.
+            bend: actual bends at the start, shape (segments,), rad. None means that the
+                bends follow the free bends.
+            bend_rate: rates of the actual bends, assumed to be constant over the
+                schedule, shape (segments,), rad/s.
 
         Raises:
-            DivergedError: pressures, free bends or the energy drawn are not finite and
+            DivergedError: pressures, free bends or the drawn energy are not finite and
                 plausible.
         """
         self._check_state()
@@ -262,10 +262,10 @@ class Pneumatics(Stateful, ABC):
         bend: OptionalArray,
         bend_rate: OptionalArray,
     ) -> Trace:
-        """Advance under effective valve states and set `pressure`, `bend` and `air`."""
+        """Advance with effective valve states, and update pressure, bend and air."""
 
     def set_supply_pressure(self, supply_pa: float) -> None:
-        """Set the pressure of the supply. A `reset` keeps it.
+        """Set the supply pressure, which `reset` keeps.
 
         Args:
             supply_pa: gauge pressure, at most the supply pressure at construction, Pa.
@@ -279,7 +279,7 @@ class Pneumatics(Stateful, ABC):
         )
 
     def describe(self) -> dict[str, object]:
-        """Return the settings for the provenance of a run (JSON values)."""
+        """Return the settings as JSON values for the provenance of a run."""
         if self.stuck:
             stuck = {"stuck_valves": [asdict(valve) for valve in self.stuck]}
         else:
@@ -288,7 +288,7 @@ class Pneumatics(Stateful, ABC):
 
 
 def check_supply(supply_pa: float, max_pa: float) -> None:
-    """Check a supply pressure (Pa) against the maximum, set at construction.
+    """Check a supply pressure (Pa) against the supply pressure at construction.
 
     Raises:
         InputError: the pressure is out of range.
@@ -304,7 +304,7 @@ def check_not_negative(**values: float) -> None:
     """Check that numbers are finite and not negative.
 
     Raises:
-        InputError: a number is invalid; the message names it.
+        InputError: a number is invalid.
     """
     for name, value in values.items():
         if not (math.isfinite(value) and value >= 0):

@@ -1,6 +1,6 @@
 r"""Volume of a chamber, and the bend law φ that maps pressures to free bends.
 
-**Volume.** A chamber grows when its segment bends to the side of the chamber, and is
+**Volume.** A chamber grows when its segment bends to the side of the chamber. It is
 never smaller than its dead volume V₀:
 
 $$ V^\pm(q) = V_0 + A\,\max(0, \pm q). $$
@@ -16,18 +16,19 @@ $$ x = G\,(g^+ p^+ - g^- p^-), \qquad q = b + \varphi(x), \qquad
 \varphi(x) = \frac{y}{\bigl(1 + (y/q_m)^4\bigr)^{1/4}}, \qquad
 y = x - \frac{s w}{2} \ln \frac{\cosh((x + d)/w)}{\cosh((x - d)/w)}. $$
 
-x is called the linear bend. φ is odd, smooth, and monotone for all s ≤ 1, d, w and q_m.
-It is linear, as in the dissertation (Eq. 14), if s = 0 and q_m is infinite. The free
-bend follows x immediately, and x follows the pressures with the mode time constant τ₂.
+The variable x is called the linear bend. The function φ is odd, smooth, and monotone
+for all s ≤ 1, d, w and q_m. It is linear, as in the dissertation (Eq. 14), if s = 0 and
+q_m is infinite. The free bend follows x immediately, and x follows the pressures with
+the mode time constant τ₂.
 
 - *Saturation.* Inextensible strips and chambers that touch each other limit the bend to
-  q_m. φ deviates from the linear law by at most 1.5 % up to q_m/2, and its derivative
-  is one third at 0.87 q_m.
+  q_m. The deviation of φ from the linear law is at most 1.5 % up to q_m/2, and the
+  derivative of φ is one third at 0.87 q_m.
 - *Dead zone.* The walls of some modules must swell before the module bends. For |x| < d
-  such a module loses the fraction s of the derivative, and for larger |x| it loses s d
-  of the bend. The width of the transition is w, and the derivative at rest is
+  such a module loses the fraction s of the derivative, and for larger |x| it loses the
+  bend s d. The width of the transition is w, and the derivative at rest is
   1 − s tanh(d/w). For w ≪ d the transition is sharp. For w ≈ d the curve is convex from
-  the start, like powers of the pressure.
+  the start, like a power of the pressure.
 """
 
 from __future__ import annotations
@@ -64,10 +65,10 @@ def volume(dead, displacement, bend, side):  # type: ignore[no-untyped-def]  # n
     return dead, 0.0
 
 
-# Below this linear bend, φ(x)/x is replaced by its limit for x → 0, rad.
+# Linear bend (rad) below which φ(x)/x is replaced by its limit for x → 0.
 _MIN_LINEAR_RAD = 1e-9
 
-# Largest linear bend in the search of `invert_bend_law`, rad.
+# Maximum linear bend (rad) in the search of `invert_bend_law`.
 _SEARCH_LIMIT_RAD = 1e3
 
 NO_LIMIT_RAD = 1e3
@@ -91,13 +92,13 @@ class BendLaw(NamedTuple):
 
 
 def bend_law(spec: RobotSpec) -> BendLaw:
-    """Return the parameters of φ of a robot."""
+    """Return a robot's bend-law parameters."""
     return BendLaw(*(getattr(spec.actuator, name) for name in BendLaw._fields))
 
 
 @kernel_only
 def log_cosh(z):  # type: ignore[no-untyped-def]
-    """Return ln cosh z + ln 2, whose constant cancels in differences."""
+    """Return ln cosh z + ln 2. The constant ln 2 cancels in differences."""
     return abs(z) + np.log(1.0 + np.exp(-2.0 * abs(z)))
 
 
@@ -107,7 +108,7 @@ def apply_bend_law(x, law):  # type: ignore[no-untyped-def]
 
     Args:
         x: linear bend, rad.
-        law: a `BendLaw`, or another record with its fields.
+        law: `BendLaw`, or another record with its fields.
     """
     limit = law.bend_limit
     share = law.onset_share
@@ -135,10 +136,10 @@ def apply_bend_law(x, law):  # type: ignore[no-untyped-def]
 
 
 def invert_bend_law(bends: Array, law: BendLaw) -> Array:
-    """Return the linear bends x with φ(x) equal to the given bends, rad.
+    """Return the linear bends x for which φ(x) equals the given bends, rad.
 
     Raises:
-        InputError: φ does not reach a bend.
+        InputError: a bend is outside the range of φ.
     """
     linear = []
     for bend in np.ravel(bends):
@@ -164,7 +165,7 @@ def _bend_error(x: float, bend: float, law: BendLaw) -> float:
 
 
 def check_pressure(pressure: Array, largest: float) -> Array:
-    """Return gauge pressures (Pa) after checking that chambers can have them.
+    """Check that chambers can have the given gauge pressures (Pa), and return them.
 
     Raises:
         InputError: a pressure is negative or above the maximum.
@@ -180,29 +181,28 @@ def check_pressure(pressure: Array, largest: float) -> Array:
 
 
 def chamber_gains(spec: RobotSpec) -> Array:
-    """Return the gain of each chamber, positive, shape (segments, 2), rad/Pa."""
+    """Return the positive gain of each chamber, shape (segments, 2), rad/Pa."""
     return spec.actuator.gain * spec.modules.array("gain")
 
 
 def air_bend(spec: RobotSpec, pressure: Array) -> Array:
-    """Return φ(x), the free bends without the rest bends, shape (…, segments), rad.
+    """Return the free bends φ(x) without the rest bends, rad.
 
     Args:
-        spec: the robot.
-        pressure: gauge pressure, shape (…, segments, 2), Pa.
+        spec: robot.
+        pressure: gauge pressure (…, segments, 2), Pa.
     """
     return free_bends(spec, _linear_bend(spec, pressure))
 
 
 def vector_bends(spec: RobotSpec, pressure: Array) -> Array:
-    """Return φ(|x|) x/|x|, the free bends of a spatial robot without rest bends, rad.
+    """Return the free bends φ(|x|) x/|x| of a spatial robot without rest bends, rad.
+
+    The last axis of the result contains the components to the left and upwards.
 
     Args:
-        spec: the robot.
-        pressure: gauge pressure, shape (…, segments, chambers), Pa.
-
-    Returns:
-        Components to the left and upwards, shape (…, segments, 2).
+        spec: robot.
+        pressure: gauge pressure (…, segments, chambers), Pa.
     """
     linear = (chamber_gains(spec) * pressure) @ spec.chamber.axes
     size = np.linalg.norm(linear, axis=-1, keepdims=True)
@@ -213,26 +213,26 @@ def vector_bends(spec: RobotSpec, pressure: Array) -> Array:
 def free_extensions(spec: RobotSpec, pressure: Array) -> Array:
     r"""Return the free extensions of spatial segments, shape (…, segments), m.
 
-    Chambers of equal section exert forces that are proportional to their pressures. With C
-    chambers and the extension e per mean pressure,
+    Chambers with equal cross-sections exert forces proportional to their pressures.
+    With C chambers and the extension e per mean pressure,
 
     $$ \Delta l = \frac{e}{C} \sum_c p_c . $$
 
     Args:
-        spec: the robot.
-        pressure: gauge pressure, shape (…, segments, chambers), Pa.
+        spec: robot.
+        pressure: gauge pressure (…, segments, chambers), Pa.
     """
     return np.asarray(spec.actuator.extension * pressure.mean(axis=-1))
 
 
 def equivalent_linear_pressure(spec: RobotSpec, pressure: Array) -> Array:
-    """Return the pressures that give the same bends under a linear law.
+    """Return the pressures for which a linear law gives equal bends.
 
-    MuJoCo's linear actuators take these pressures.
+    MuJoCo's linear actuators use these pressures.
 
     Args:
-        spec: the robot.
-        pressure: gauge pressure, shape (…, segments, 2), Pa.
+        spec: robot.
+        pressure: gauge pressure (…, segments, 2), Pa.
     """
     linear = _linear_bend(spec, pressure)
     bends = free_bends(spec, linear)
@@ -249,12 +249,7 @@ def equivalent_linear_pressure(spec: RobotSpec, pressure: Array) -> Array:
 
 
 def largest_bend(spec: RobotSpec, supply_pa: float) -> float:
-    """Return the free bend of a nominal segment with one chamber filled, rad.
-
-    Args:
-        spec: the robot.
-        supply_pa: supply pressure, Pa.
-    """
+    """Return the free bend of a nominal segment with one filled chamber, rad."""
     return float(free_bends(spec, np.array(spec.actuator.gain * supply_pa)))
 
 
@@ -265,7 +260,7 @@ def _linear_bend(spec: RobotSpec, pressure: Array) -> Array:
 
 
 def free_bends(spec: RobotSpec, linear: Array) -> Array:
-    """Return φ(x) of linear bends x, rad. A linear law returns x itself."""
+    """Return φ(x) for linear bends x, rad. A linear law returns x itself."""
     limit, share, d, w = bend_law(spec)
     y = linear
     if share != 0.0:

@@ -1,4 +1,4 @@
-r"""Flow through a valve after ISO 6358.
+r"""Flow through a valve according to ISO 6358.
 
 The valve has the sonic conductance C and the critical pressure ratio b. The flow of an
 amount of air n = P V from the absolute pressure P₁ to P₂, with r = P₂/P₁ and at
@@ -36,12 +36,12 @@ REMAINING = math.exp(-2)
 def flow(first, second, critical):  # type: ignore[no-untyped-def]
     """Return P₁ ψ (Pa) and its derivatives with respect to both pressures.
 
-    The flow is negative if it is from the second to the first side.
+    The value is negative if air flows from the second side to the first side.
 
     Args:
-        first: absolute pressure on the first side, Pa.
-        second: absolute pressure on the second side, Pa.
-        critical: critical pressure ratio b, dimensionless.
+        first: absolute pressure, Pa.
+        second: absolute pressure, Pa.
+        critical: critical ratio b.
     """
     backward = second > first
     high, low = (second, first) if backward else (first, second)
@@ -66,11 +66,11 @@ def flow(first, second, critical):  # type: ignore[no-untyped-def]
 
 
 class Conductances(NamedTuple):
-    """Conductances of the valves of a chamber, and its capacity.
+    """Conductances of the valves of a chamber, and the capacity of the chamber.
 
     Attributes:
-        fill: conductance C of the inlet, m³/(s Pa).
-        vent: conductance C of the outlet, m³/(s Pa).
+        fill: inlet conductance C, m³/(s Pa).
+        vent: outlet conductance C, m³/(s Pa).
         capacity: capacity K at the working point of filling, J/Pa.
     """
 
@@ -80,18 +80,18 @@ class Conductances(NamedTuple):
 
 
 def conductances(spec: RobotSpec, critical: float) -> Conductances:
-    """Return the conductances that give the robot's τ₁ for small signals.
+    """Return the conductances that give small pressure changes the time constant τ₁.
 
-    One chamber fills or vents, the opposite one is vented, and the bend follows as
-    q ≈ G (p − τ₂ ṗ). A change dp of the gauge pressure needs the amount of air K dp with
-    K(p) = V + (p + P_a) A G, so that ṗ = ṅ/K. Terms of first order in τ₂ are corrected.
-
-    Chambers with a first-order lag have dṗ/dp = −1/τ₁ at all pressures. Here C is chosen so
-    that this holds at one working point, where the pressure between ambient and the nominal
-    supply has completed 1 − e⁻² of its change.
+    One chamber fills or vents, the opposite chamber is vented, and the bend follows as
+    q ≈ G (p − τ₂ ṗ). A change dp of the gauge pressure needs the amount of air K dp, so
+    that ṗ = ṅ/K. The capacity is K(p) = V + (p + P_a) A G. Terms of first order in τ₂
+    are corrected. Chambers with a first-order lag have dṗ/dp = −1/τ₁ at all pressures.
+    Here C is chosen so that this equation holds at one working point. At the working
+    point, the pressure between ambient and the nominal supply has completed 1 − e⁻² of
+    its change.
 
     Args:
-        spec: the robot.
+        spec: robot.
         critical: critical pressure ratio b, dimensionless.
     """
     actuator = spec.actuator
@@ -116,9 +116,9 @@ def conductances(spec: RobotSpec, critical: float) -> Conductances:
 def _conductance(
     passed: Callable[[float], float], p: float, tau: float, spec: RobotSpec
 ) -> float:
-    """Return the C for which dṗ/dp = −1/τ at the gauge pressure p.
+    """Return the conductance C for which dṗ/dp = −1/τ at the gauge pressure p.
 
-    `passed` is P₁ ψ of the valve into the chamber as a function of the gauge pressure, Pa.
+    `passed` returns P₁ ψ (Pa) of the valve into the chamber at a gauge pressure.
     """
     dead = spec.chamber.dead_volume
     growth = spec.chamber.displacement * spec.actuator.gain
@@ -132,6 +132,8 @@ def _conductance(
         return REFERENCE_PA * c * passed(at) / (dead + growth * (2 * at + AMBIENT_PA))
 
     def rate(at: float) -> float:
+        # The volume follows the bend G (p − τ₂ ṗ), and the expansion is
+        # (p + P_a) dV/dp.
         chamber_volume = dead + growth * (at - lag * rate_without_lag(at))
         expansion = growth * (at + AMBIENT_PA) * (1 - lag * slope(rate_without_lag, at))
         return REFERENCE_PA * c * passed(at) / (chamber_volume + expansion)

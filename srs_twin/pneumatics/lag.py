@@ -1,4 +1,4 @@
-r"""Chambers that fill and vent with a first-order lag, in closed form.
+r"""Chambers that fill and vent with a first-order lag, solved in closed form.
 
 A valve state of +1 fills the chamber from the supply, −1 vents it, and 0 holds it.
 Between valve events the gauge pressure of each chamber relaxes exponentially,
@@ -10,18 +10,19 @@ x of a segment without load follows the pressures with the mode time constant τ
 
 $$ \tau_2\,\dot x + x = G\,(g^+ p^+ - g^- p^-),\qquad q = b + \varphi(x), $$
 
-with φ, b and the gains of `chambers`. Nominal modules with τ_fill = τ_vent = τ₁ obey
+with φ, b and the gains of `chambers`. Nominal modules with τ_fill = τ_vent = τ₁ satisfy
 Eq. 14–15 as corrected by E1 and E2: q̈ + (1/τ₁ + 1/τ₂) q̇ + q/(τ₁τ₂) = C₀ u/(τ₁τ₂). The
-switching time of a valve, 3 ms, is part of τ₂. A further valve delay is 0 by default.
+switching time of a valve, 3 ms, is part of τ₂. An additional valve delay is 0 by
+default.
 
 A valve may fill for the fraction o of the time and vent for the rest. The chamber then
 relaxes at the rate a = o/τ_fill + (1 − o)/τ_vent + λ towards P = (o S/τ_fill + r)/a,
 with the supply pressure S and an additional rate of change r (`relaxation_of`).
 
 **Pneumatic energy.** The content n = P V(q) of a filling chamber increases by the
-inflow minus the leak, so a fill draws Δn + λ ∫ p V dt. Δn is exact, with V at the free
-bend. The integral of the leak is evaluated by Simpson's rule between the requested
-times.
+inflow minus the leak. Filling therefore draws the amount Δn + λ ∫ p V dt from the
+supply. Δn is exact, with V at the free bend. The integral is evaluated by Simpson's
+rule between the requested times.
 """
 
 from __future__ import annotations
@@ -60,14 +61,12 @@ def relaxation_of(
     leak: np.ndarray | float = 0.0,
     other: np.ndarray | float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the relaxation rate a (1/s) of pressures and their asymptote P (Pa).
-
-    The arrays may have any shape.
+    """Return the relaxation rate a (1/s) and the asymptote P (Pa) of pressures.
 
     Args:
         fill: filling rate o/τ_fill, 1/s.
         vent: venting rate (1 − o)/τ_vent, 1/s.
-        supply: supply pressure S, gauge, Pa.
+        supply: gauge supply pressure S, Pa.
         leak: leak rate λ, 1/s.
         other: additional rate of change r, Pa/s.
     """
@@ -89,10 +88,10 @@ def followed(
     tau: float,
     time: float | np.ndarray,
 ) -> np.ndarray:
-    """Return the state of a lag τ₂ behind pressures after a time.
+    """Return the output of a first-order lag τ₂ that follows relaxing pressures, Pa.
 
     Args:
-        lagged: initial state of the lag, Pa.
+        lagged: initial output, Pa.
         pressure: initial pressures, Pa.
         relaxation: rates and asymptotes, as returned by `relaxation_of`.
         tau: time constant τ₂, s.
@@ -107,7 +106,7 @@ def followed(
     response = (
         (pressure - end) * (np.exp(-rate * time) - mode) / np.where(same, 1.0, gap)
     )
-    # The limit for equal time constants, as in `_exponential_response`.
+    # This is the limit for equal time constants, as in `_exponential_response`.
     limit = (pressure - end) * time / tau * mode
     return np.asarray(end + np.where(same, limit, response) + (lagged - end) * mode)
 
@@ -115,23 +114,24 @@ def followed(
 class Relaxation(NamedTuple):
     """Laws of the chambers, and their propagation over a time without valve events.
 
-    Chambers with equal time constants are of one kind. Arrays per kind and valve state have
-    the shape (kinds, 3), with the columns −1, 0, +1. The device engine copies the record.
+    Chambers with equal time constants belong to one kind. Arrays per kind and valve
+    state have the shape (kinds, 3), where the columns are the valve states −1, 0, +1.
+    The device engine copies this record.
 
     Attributes:
         kinds: kind of each chamber, shape (segments, 2).
-        rates, asymptotes: relaxation rate a (1/s) and asymptote P (Pa) per kind and valve
-            state.
-        decay, lag, mode: work arrays with the factor e^{−at} of the deviation p − P, with
-            the response of x to this deviation per gain, and with the factor e^{−t/τ₂} of
-            x.
+        rates, asymptotes: relaxation rate a (1/s) and asymptote P (Pa) per kind and
+            valve state.
+        decay, lag, mode: work arrays for a time t. They contain the factor e^{−at} of
+            the deviation p − P, the response of x to this deviation per gain, and the
+            factor e^{−t/τ₂} of x.
         tau, leak: mode time constant τ₂ (s) and leak rate λ (1/s).
         damping_time: damping time c/k of a segment, s.
         gain: gain of each chamber, shape (segments, 2), rad/Pa.
         bias: rest bends, shape (segments,), rad.
         bend_limit, onset_share, onset, onset_width: see `BendLaw`.
         dead_volume, displacement: V₀ (m³) and A (m³/rad) of a chamber.
-        worth: pneumatic energy per amount of air drawn, dimensionless.
+        worth: pneumatic energy per amount of drawn air, dimensionless.
     """
 
     kinds: np.ndarray
@@ -155,7 +155,7 @@ class Relaxation(NamedTuple):
 
 
 class _Chambers(NamedTuple):
-    """Gauge pressures (Pa), linear bends x and free bends (rad) in a kernel."""
+    """Gauge pressures (Pa), linear bends x (rad) and free bends (rad) in a kernel."""
 
     pressure: np.ndarray
     linear: np.ndarray
@@ -163,11 +163,11 @@ class _Chambers(NamedTuple):
 
 
 _SAME = 1e-6
-"""Value of |1 − a τ₂| below which the two time constants count as equal."""
+"""Value of |1 − a τ₂| below which the two time constants are treated as equal."""
 
 
 class LagChambers(Pneumatics):
-    """Common settings of chambers with a first-order lag."""
+    """Common settings of planar and spatial chambers with a first-order lag."""
 
     kind = "lag"
 
@@ -183,10 +183,11 @@ class LagChambers(Pneumatics):
         """Construct the chambers.
 
         Args:
-            spec: the robot.
-            supply_pa: supply pressure, gauge, Pa.
-            layout: valve layout, one of `LAYOUTS`.
-            leak_per_s: leak rate λ, the relative rate at which a held pressure falls, 1/s.
+            spec: robot.
+            supply_pa: gauge supply pressure, Pa.
+            layout: valve layout, a key of `LAYOUTS`.
+            leak_per_s: leak rate λ, the relative rate at which a held pressure falls,
+                1/s.
             valve_delay_s: time from a command until the valve switches, s.
 
         Raises:
@@ -216,15 +217,15 @@ class LagChambers(Pneumatics):
 
 
 class LagPneumatics(LagChambers):
-    """Chambers with a first-order lag. See the module docstring."""
+    """Planar chambers with a first-order lag. See the module docstring."""
 
     state_attributes = ("_linear", "_asymptote", "_energy_per_amount")
 
     def _prepare(
         self, spec: RobotSpec, tau_fill: np.ndarray, tau_vent: np.ndarray
     ) -> None:
-        # Chambers of one kind have equal time constants, so their exponentials are
-        # evaluated once.
+        # Chambers of one kind have equal time constants, so that each exponential is
+        # evaluated only once per kind.
         kinds, kind = np.unique(
             np.stack([tau_fill.ravel(), tau_vent.ravel()]), axis=1, return_inverse=True
         )
@@ -279,7 +280,7 @@ class LagPneumatics(LagChambers):
         self._energy_per_amount = supply_pa / (supply_pa + AMBIENT_PA)
 
     def relaxation(self, time: float) -> Relaxation:
-        """Return the propagation over a time (s), with each chamber as its own kind."""
+        """Return the propagation over a time (s), with a separate kind per chamber."""
         kinds = self._law.kinds
         rates = self._law.rates[kinds.ravel()]
         relaxation = self._law._replace(
@@ -314,10 +315,9 @@ class LagPneumatics(LagChambers):
 
 @compiled
 def _fill_trace(now, schedule, times, law, trace):  # type: ignore[no-untyped-def]
-    """Fill a trace at `times` and advance the chambers `now` to the end of a schedule.
+    """Advance the chambers over a schedule, and return the drawn amount of air, J.
 
-    The result is the drawn amount of air, J. The trace holds the amount drawn since the
-    start.
+    The trace contains the amount drawn since the start of the schedule.
     """
     starts = schedule.starts
     row = 0
@@ -327,13 +327,13 @@ def _fill_trace(now, schedule, times, law, trace):  # type: ignore[no-untyped-de
         begin = starts[run]
         is_last = run + 1 == starts.shape[0]
         stop = schedule.span if is_last else starts[run + 1]
-        # A filling chamber draws the increase of its content plus its leak. Other
-        # chambers draw nothing.
+        # A filling chamber draws the increase of its content plus its leak from the
+        # supply. Other chambers draw nothing.
         content_before = _filling_content(state, now, law)
         leaked = last = 0.0
         while True:
-            # First come the rows of the trace within the run, then the end of the run,
-            # from which the next run starts.
+            # Rows of the trace within the run come first. The end of the run comes
+            # last, because the next run starts from it.
             requested = row < times.shape[0] and (times[row] <= stop or is_last)
             t = (times[row] if requested else stop) - begin
             if law.leak > 0.0:
@@ -400,7 +400,7 @@ def _drive_rate(state, j, plus, minus, law):  # type: ignore[no-untyped-def]
 def _leaked(last, t, state, now, law):  # type: ignore[no-untyped-def]
     """Return λ ∫ p V dt of the filling chambers by Simpson's rule, J.
 
-    The integral extends from `last` to `t`, in s from the start of the run.
+    The integral extends from the time `last` to `t` (s) after the start of the run.
     """
     leaked = 0.0
     for at, weight in ((last, 1 / 6), (0.5 * (last + t), 4 / 6), (t, 1 / 6)):
@@ -429,16 +429,16 @@ def _fill_decay(t, law):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def advance_segment(state, j, pressure, linear, law):  # type: ignore[no-untyped-def]
-    """Return pressures (Pa) and linear bend (rad) of a segment after a time.
+    """Return pressures (Pa) and linear bend (rad) of a segment without valve events.
 
-    The time has no valve events, and `law` holds its factors.
+    The factors in `law` determine the elapsed time (`_fill_decay`).
 
     Args:
         state: valve states, shape (2,).
-        j: index of the segment.
+        j: segment index.
         pressure: initial gauge pressures, shape (2,), Pa.
         linear: initial linear bend, rad.
-        law: a `Relaxation`.
+        law: `Relaxation`.
     """
     first = law.kinds[j, 0]
     second = law.kinds[j, 1]
@@ -450,6 +450,7 @@ def advance_segment(state, j, pressure, linear, law):  # type: ignore[no-untyped
     target_minus = law.asymptotes[second, down]
     deviation_plus = pressure[0] - target_plus
     deviation_minus = pressure[1] - target_minus
+    # This part of x is the response to both pressures from x = 0.
     lagged = law.gain[j, 0] * (
         target_plus * (1.0 - mode) + deviation_plus * law.lag[first, up]
     )
@@ -472,8 +473,8 @@ def filling_content(state, plus, minus, bend, law, ambient):  # type: ignore[no-
         plus: gauge pressure of the + chamber, Pa.
         minus: gauge pressure of the − chamber, Pa.
         bend: bend q, rad.
-        law: a `Relaxation`.
-        ambient: ambient pressure, or 0 for the content by gauge pressure, Pa.
+        law: `Relaxation`.
+        ambient: ambient pressure, Pa; 0 gives the content at gauge pressure.
     """
     total = float(0.0)
     pressure = float(plus)

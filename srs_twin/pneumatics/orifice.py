@@ -1,4 +1,4 @@
-r"""Chambers behind orifices (ISO 6358), isothermal and growing with the bend.
+r"""Isothermal chambers behind orifices (ISO 6358) whose volumes grow with the bend.
 
 One supply feeds all chambers. The unknowns are the amount of air n = P V of each
 chamber, the linear bends x, and the amount of air in the line between the supply and
@@ -9,17 +9,17 @@ $$ \dot n = \dot n_{in} - \dot n_{out} - \Lambda\,(P - P_a),\qquad P = n / V(q),
 
 `chambers` defines φ, b, V(q) and the gains g, and `flow` defines the flows.
 Conductances follow from the robot's τ₁ (`flow.conductances`). The leak conductance Λ is
-such that a held chamber of a nominal module loses its pressure at the rate `leak_per_s`
-at the working point.
+chosen so that a held chamber of a nominal module loses its pressure at the rate
+`leak_per_s` at the working point.
 
-Without a flow limit the line has the pressure of the supply. With a flow limit, a
-compressor with a regulator feeds the line. Its flow is at most the limit, measured at
-ambient pressure, and decreases to 0 over the last hundredth of the supply pressure. All
-inlets share the line, so a limited flow slows down all segments.
+Without a flow limit, the line has the supply pressure. With a flow limit, a compressor
+with a regulator feeds the line. The flow of the compressor is at most the limit,
+measured at ambient pressure, and decreases to 0 over the last hundredth of the supply
+pressure. All inlets share the line, so a limited flow slows down all segments.
 
-**Integration.** SDIRK2 (two stages, second order, L-stable) solves all chambers
-together with Newton's method. Substeps end on valve events. Within a substep, states
-are cubic Hermite polynomials.
+**Integration.** SDIRK2 (two stages, second order, L-stable) advances all chambers
+together. Its equations are solved by Newton's method. Substeps end on valve events.
+Within a substep, states are cubic Hermite polynomials.
 """
 
 from __future__ import annotations
@@ -62,27 +62,31 @@ from srs_twin.robot.spec import RobotSpec
 CRITICAL_RATIO = 0.3
 """Critical pressure ratio b of a small solenoid valve, dimensionless.
 
-The value is an estimate; such valves have 0.2 to 0.5.
+The value is an estimate. Small solenoid valves have values from 0.2 to 0.5.
 """
 
 MAX_CRITICAL_RATIO = 0.8
 """Maximum critical pressure ratio, dimensionless.
 
-A larger ratio would choke the flow at a working point, which would not determine C.
+With a larger ratio, the flow at a working point would be choked and would not determine
+C.
 """
 
 LINE_VOLUME = 50e-6
 """Estimated volume of compressor outlet, tubes and manifold, m³."""
 
 _SUBSTEP_S = 5e-4
-"""Maximum step of the integrator at a time unit of 1 (`robot.scale`), s."""
+"""Maximum step of the integrator, s.
+
+The value applies to robots with a time unit of 1 (`robot.scale`).
+"""
 
 REGULATOR_BAND = 0.01
-"""Fraction of the supply's gauge pressure over which its regulator closes."""
+"""Fraction of the gauge supply pressure over which the regulator closes."""
 
 
 class OrificeKeywords(TypedDict, total=False):
-    """Keywords of `OrificePneumatics` that set the fields of its `OrificeOptions`."""
+    """Keyword arguments of `OrificePneumatics` that set fields of `OrificeOptions`."""
 
     critical_ratio: float
     flow_limit: float | None
@@ -98,14 +102,15 @@ class OrificeOptions:
 
     Attributes:
         critical_ratio: critical pressure ratio b of all valves, dimensionless.
-        flow_limit: maximum flow of the supply, measured at ambient pressure, m³/s, or None
-            for no limit.
-        line_volume: volume of the line between supply and inlets, m³. It has an effect only
-            with a flow limit.
-        line_begins: initial gauge pressure in the line, Pa; default is the supply pressure.
+        flow_limit: maximum flow of the supply, measured at ambient pressure, m³/s, or
+            None for no limit.
+        line_volume: volume of the line between supply and inlets, m³. The volume
+            matters only with a flow limit.
+        line_begins: initial gauge pressure in the line, Pa; the default is the supply
+            pressure.
         leak_per_s: relative rate at which a held pressure falls, 1/s.
-        substep: maximum step of the integrator, s; default is 0.5 ms times the time unit of
-            the robot (`robot.scale`).
+        substep: maximum step of the integrator, s; the default is 0.5 ms times the time
+            unit of the robot (`robot.scale`).
     """
 
     critical_ratio: float = CRITICAL_RATIO
@@ -161,12 +166,12 @@ class OrificePneumatics(Pneumatics):
     """Chambers behind orifices. See the module docstring.
 
     Attributes:
-        conductances: conductances of the inlets and of the outlets, shape (segments, 2)
-            each, m³/(s Pa).
+        conductances: inlet and outlet conductances, shape (segments, 2) each, m³/(s
+            Pa).
         line_pressure: current gauge pressure between supply and inlets, Pa.
         drawn: amount of air P V drawn from the supply since `reset`, J.
         lost: amount of air P V vented and leaked since `reset`, J.
-        plumbing: parameters of the equations.
+        plumbing: parameters.
     """
 
     kind = "orifice"
@@ -188,9 +193,9 @@ class OrificePneumatics(Pneumatics):
         """Construct the chambers.
 
         Args:
-            spec: the robot.
-            supply_pa: supply pressure, gauge, Pa.
-            layout: valve layout, one of `LAYOUTS`.
+            spec: robot.
+            supply_pa: gauge supply pressure, Pa.
+            layout: valve layout, a key of `LAYOUTS`.
             valve_delay_s: time from a command until the valve switches, s.
             **options: fields of `OrificeOptions`, such as flow_limit=2e-4.
 
@@ -203,9 +208,10 @@ class OrificePneumatics(Pneumatics):
         limited = flow_limit is not None
         begins = valves.line_pressure(supply_pa)
         self._substep = valves.substep or _SUBSTEP_S * spec.scale.time
-        # A closed chamber is a stiff spring. Without a flow limit the speed of gen 2
-        # differs by 0.5 % between 1 ms and 0.25 ms, and 2 ms diverges. A flow limit
-        # couples all chambers, and 1 ms oscillates.
+        # A closed chamber is a stiff spring, which limits the coupling step. Without a
+        # flow limit, the speed of gen 2 differs by 0.5 % between steps of 1 ms and
+        # 0.25 ms, and the simulation diverges with 2 ms. A flow limit couples all
+        # chambers, and the solution oscillates with 1 ms.
         self.coupling_step_s = (0.00025 if limited else 0.001) * spec.scale.time
         self.stiffness = _closed_stiffness(spec, supply_pa)
         nominal = conductances(spec, critical)
@@ -242,7 +248,7 @@ class OrificePneumatics(Pneumatics):
         super().reset()
         self._state = np.zeros((self._segments, 3))
         self._fill(self.pressure, self.plumbing.bias)
-        # Amounts of air in the line, drawn from the supply, and lost.
+        # Amounts of air: in the line, drawn from the supply, and lost.
         self._amounts = np.array(
             [self._line_begins * self.plumbing.line_volume, 0.0, 0.0]
         )
@@ -272,12 +278,12 @@ class OrificePneumatics(Pneumatics):
         self._energy_per_amount = supply_pa / (supply_pa + AMBIENT_PA)
 
     def leak(self, segment: int, side: int, per_s: float) -> None:
-        """Give one chamber a leak from now on.
+        """Add a leak to one chamber from now on.
 
         Args:
             segment: segment number, counted from 1 at the head.
             side: 0 for the + chamber, 1 for the − chamber.
-            per_s: relative rate at which the chamber's pressure falls while it is held, 1/s.
+            per_s: relative rate at which the pressure of the held chamber falls, 1/s.
         """
         leaks = self.plumbing.leak.copy()
         leaks[segment - 1, side] = per_s * self._capacity
@@ -329,7 +335,7 @@ class OrificePneumatics(Pneumatics):
 
 
 def _closed_stiffness(spec: RobotSpec, supply_pa: float) -> float:
-    """Return dM/dq = k G P A/V₀ of a closed chamber at the supply pressure, N·m/rad."""
+    """Return the stiffness k G P A/V₀ of a closed chamber at supply pressure."""
     chamber = spec.chamber
     strongest = float(chamber_gains(spec).max()) * spec.bending.stiffness
     return (

@@ -1,8 +1,8 @@
 """Compiled equations of the orifice chambers and their integration (`orifice`).
 
 The state y of a segment is (n⁺, n⁻, x): two amounts of air (J) and the linear bend
-(rad). The volumes follow either the free bends, or the actual bends of a plant, which
-are extrapolated from the start of a schedule (`ActualBends`).
+(rad). The volumes follow either the free bends or the actual bends of a plant. Actual
+bends are extrapolated from the start of a schedule (`ActualBends`).
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from srs_twin.pneumatics.flow import flow
 GAMMA = 1 - math.sqrt(0.5)
 """Diagonal γ of SDIRK2, whose stages are at γ h and h, dimensionless."""
 
-_MAX_NEWTON = 40  # iterations of a stage
+_MAX_NEWTON = 40  # Maximum number of Newton iterations per stage.
 _NEWTON_TOLERANCE = 1e-12
 """Maximum correction at which Newton's method stops, J and rad."""
 
-_X = 2  # column of y: linear bend
+_X = 2  # Column of the linear bend in y.
 
-# Entries of the amounts of air of the whole robot, J, and two flows, J/s.
+# Indices of the amounts of air of the whole robot (J), followed by two flows (J/s).
 LINE = 0  # in the line
 DRAWN = 1  # drawn from the supply
 LOST = 2  # vented and leaked
@@ -33,11 +33,11 @@ AMOUNTS = 3
 _SUPPLY_FLOW = 3
 _INFLOW = 4
 
-# Last axis of the corrections of a Newton step.
-_ALONE = 0  # without a change of the line
-_BY_LINE = 1  # derivative with respect to the pressure of the line
+# Indices of the last axis of the corrections in a Newton step.
+_ALONE = 0  # Correction at a fixed pressure of the line.
+_BY_LINE = 1  # Derivative with respect to the pressure of the line.
 
-# Quantities of a chamber for the back substitution.
+# Indices of the quantities of a chamber that the back substitution needs.
 _COUPLING = 0
 _FLOW = 1
 _FLOW_BY_LINE = 2
@@ -53,7 +53,7 @@ class Plumbing(NamedTuple):
         dead, displacement: dead volume V₀ (m³) and displacement A (m³/rad).
         gain: gain of each chamber, shape (segments, 2), rad/Pa.
         bias: rest bends b, shape (segments,), rad.
-        law: bend law, a `BendLaw`.
+        law: bend law.
         tau: mode time constant τ₂, s.
         critical: critical pressure ratio b of the valves, dimensionless.
         fill, vent: P₀ C of each inlet and outlet, shape (segments, 2), m³/s.
@@ -61,7 +61,8 @@ class Plumbing(NamedTuple):
         supply, max_flow: absolute pressure (Pa) and maximum flow (J/s) of the supply.
         band: pressure range over which the regulator closes, Pa.
         line_volume: volume of the line, m³.
-        limited: whether the flow is limited. Otherwise the line has the supply pressure.
+        limited: whether the flow is limited. Otherwise the line has the supply
+            pressure.
     """
 
     dead: float
@@ -115,8 +116,8 @@ class _Work(NamedTuple):
     """Work arrays of a step.
 
     Attributes:
-        base, rates: known part of y in a stage, and ẏ, shape (segments, 3).
-        bend: actual bends at a stage, shape (segments,), rad.
+        base, rates: known terms of y in a stage, and ẏ, shape (segments, 3).
+        bend: actual bends at a stage, rad.
         linear: corrections of y (`_ALONE`, `_BY_LINE`), shape (segments, 3, 2).
         terms: quantities of the chambers, shape (segments, 2, _TERMS).
     """
@@ -137,7 +138,8 @@ class ChamberFlow(NamedTuple):
         squeeze: derivative −∂P/∂q, Pa/rad.
         inflow, outflow: flow from the line, and flow to the surroundings, J/s.
         inflow_by_p, outflow_by_p: derivatives of the flows with respect to P, J/(s Pa).
-        inflow_by_line: derivative with respect to the pressure of the line, J/(s Pa).
+        inflow_by_line: derivative of the inflow with respect to the pressure of the
+            line, J/(s Pa).
     """
 
     pressure: float
@@ -157,11 +159,11 @@ def chamber(n, bend, j, side, state, line, air):  # type: ignore[no-untyped-def]
     Args:
         n: amount of air, J.
         bend: bend that determines the volume, rad.
-        j: index of the segment.
+        j: segment index.
         side: 0 for the + chamber, 1 for the − chamber.
         state: valve state.
         line: absolute pressure before the inlets, Pa.
-        air: the plumbing.
+        air: `Plumbing`.
     """
     size, growth = volume(air.dead, air.displacement, bend, side)
     pressure = n / size
@@ -171,6 +173,7 @@ def chamber(n, bend, j, side, state, line, air):  # type: ignore[no-untyped-def]
     outflow = air.leak[j, side] * (pressure - AMBIENT_PA)
     outflow_by_p = air.leak[j, side]
     if state != 0:
+        # Flow into the chamber is positive, so a venting chamber has a negative flow.
         source = line if state == 1 else AMBIENT_PA
         value, by_source, by_here = flow(source, pressure, air.critical)
         if state == 1:
@@ -208,10 +211,11 @@ def supply_flow(line, air):  # type: ignore[no-untyped-def]
 def _newton(y, amounts, line_base, weight, state, coupled, air, work):  # type: ignore[no-untyped-def]
     """Perform one Newton iteration for the stage equation y = base + weight · ẏ.
 
-    The result is the norm of the update. Chambers depend on each other only through the
-    bend of their segment and through the line. Each segment is therefore eliminated
-    separately, as a linear function of the change of the line's pressure. `weight` is γ h,
-    and `line_base` is the known part of the amount of air in the line.
+    The result is the maximum norm of the update. Chambers depend on each other only
+    through the bend of their segment and through the line. Each segment is therefore
+    eliminated separately, as a linear function of the change of the line pressure. The
+    weight is γ h (s), and `line_base` contains the known terms of the amount of air in
+    the line.
     """
     base = work.base
     linear = work.linear
@@ -224,7 +228,7 @@ def _newton(y, amounts, line_base, weight, state, coupled, air, work):  # type: 
     line_residual = amounts[LINE] - line_base - weight * supply
     line_slope = air.line_volume - weight * closing
     for j in range(y.shape[0]):
-        # Derivative of the bend with respect to x: 0 if the plant prescribes the bend.
+        # The derivative of the bend with respect to x is 0 for a prescribed bend.
         q, bend_rate, _ = apply_bend_law(y[j, _X], air.law)
         q, bend_rate = (work.bend[j], 0.0) if coupled else (air.bias[j] + q, bend_rate)
         bend_slope = 1.0 + weight / air.tau
@@ -232,8 +236,8 @@ def _newton(y, amounts, line_base, weight, state, coupled, air, work):  # type: 
         bend_residual = y[j, _X] * bend_slope - base[j, _X]
         for side in range(2):
             c = chamber(y[j, side], q, j, side, state[j, side], line, air)
-            # The chamber's amount of air n is eliminated, which leaves a row that is
-            # linear in x and in the pressure of the line.
+            # The chamber's amount of air n is eliminated by its linearised equation
+            # Δn = alone − coupling · Δx + by_line · Δ(line pressure).
             squeeze = c.squeeze * bend_rate
             rate_by_p = weight * (c.inflow_by_p - c.outflow_by_p)
             pivot = 1.0 - rate_by_p * c.per_volume
@@ -252,7 +256,7 @@ def _newton(y, amounts, line_base, weight, state, coupled, air, work):  # type: 
             terms[j, side, _FLOW_BY_LINE] = c.inflow_by_line
             terms[j, side, _FLOW_BY_AMOUNT] = c.inflow_by_p * c.per_volume
             terms[j, side, _FLOW_BY_BEND] = c.inflow_by_p * squeeze
-        # With both chambers eliminated, the row of x depends on the line only.
+        # After both eliminations, the equation for x depends on the line only.
         linear[j, _X, _ALONE] = -bend_residual / bend_slope
         linear[j, _X, _BY_LINE] = bend_by_line / bend_slope
         line_residual, line_slope = _add_segment_to_line(
@@ -264,7 +268,7 @@ def _newton(y, amounts, line_base, weight, state, coupled, air, work):  # type: 
 
 @inlined
 def _add_segment_to_line(j, residual, slope, weight, linear, terms):  # type: ignore[no-untyped-def]
-    """Correct a segment's chambers for its bend, and add their flow to the line."""
+    """Correct a segment's chambers for its bend, and add their inflow to the line."""
     for side in range(2):
         coupling = terms[j, side, _COUPLING]
         inflow = terms[j, side, _FLOW]
@@ -288,13 +292,13 @@ def _add_segment_to_line(j, residual, slope, weight, linear, terms):  # type: ig
 
 @kernel_only
 def _apply_correction(y, amounts, linear, change, air):  # type: ignore[no-untyped-def]
-    """Add the corrections for a change of the line's pressure (Pa) in place."""
+    """Add the corrections for a change of the line pressure (Pa) in place."""
     amounts[LINE] += change * air.line_volume
     largest = abs(change * air.line_volume)
     for j in range(y.shape[0]):
         for k in range(3):
             step = linear[j, k, _ALONE] + linear[j, k, _BY_LINE] * change
-            # The decrease is limited, so that amounts of air remain positive.
+            # A decrease is limited, so that amounts of air remain positive.
             if k == _X:
                 y[j, k] = y[j, k] + step
             else:
@@ -326,8 +330,8 @@ def _rates(y, line_amount, state, coupled, bend, air, dy):  # type: ignore[no-un
         for side in range(2):
             c = chamber(y[j, side], q, j, side, state[j, side], line, air)
             dy[j, side] = c.inflow - c.outflow
-            # The two gains differ, so ambient pressure would not cancel in absolute
-            # pressures.
+            # Gauge pressures are needed, because the two gains differ and the ambient
+            # pressure would not cancel.
             gauge = c.pressure - AMBIENT_PA
             deviation += (1.0 - 2.0 * side) * air.gain[j, side] * gauge
             total_inflow = total_inflow + c.inflow
@@ -347,8 +351,9 @@ def _extrapolate_bends(bend, actual, time):  # type: ignore[no-untyped-def]
 def _step(now, h, begun, state, actual, air, work):  # type: ignore[no-untyped-def]
     """Advance y and amounts in place by one step of SDIRK2 from the time `begun` (s).
 
-    `work.rates` holds ẏ at the beginning, then at the end of the step. The result is the
-    flow from the supply and the total inflow at the end, J/s.
+    On entry `work.rates` contains ẏ at the beginning of the step, and on return ẏ at
+    the end. The result is the flow from the supply and the total inflow at the end,
+    J/s.
     """
     y = now.y
     amounts = now.amounts
@@ -366,6 +371,7 @@ def _step(now, h, begun, state, actual, air, work):  # type: ignore[no-untyped-d
             for j in range(y.shape[0]):
                 for k in range(3):
                     base[j, k] += (1 - GAMMA) * h * dy[j, k]
+            # The line gains the supply's flow and loses the inflow of the chambers.
             line_base += (1 - GAMMA) * h * (drawn - inflow) if air.limited else 0.0
         at = GAMMA if stage == 0 else 1.0
         _extrapolate_bends(work.bend, actual, begun + at * h)
@@ -378,6 +384,7 @@ def _step(now, h, begun, state, actual, air, work):  # type: ignore[no-untyped-d
         flows = _rates(y, amounts[LINE], state, coupled, work.bend, air, dy)
         drawn = flows.supply
         inflow = flows.inflow
+        # The weights of the two stages are 1 − γ and γ.
         share = h * (1 - GAMMA if stage == 0 else GAMMA)
         amounts[DRAWN] += share * drawn
         amounts[LOST] += share * flows.outflow
@@ -385,15 +392,13 @@ def _step(now, h, begun, state, actual, air, work):  # type: ignore[no-untyped-d
 
 
 class _End(NamedTuple):
-    """State, rates and amounts of air with two flows at one end of a step."""
-
     y: np.ndarray
     rates: np.ndarray
     air: np.ndarray
 
 
 class _StepRows(NamedTuple):
-    """Rows `first` to `until` − 1 of a trace within a step, whose times are in s."""
+    """Rows `first` to `until` − 1 of a trace that lie within one step (times in s)."""
 
     first: int
     until: int
@@ -428,16 +433,16 @@ def _rows_until(times, row, finish, is_last):  # type: ignore[no-untyped-def]
 
 @allocating
 def simulate(now, schedule, times, substep, actual, air, trace):  # type: ignore[no-untyped-def]
-    """Advance a state in place over a schedule, and fill a trace at `times`.
+    """Advance a state in place over a schedule, and fill a trace at the given times.
 
     Args:
-        now: an `OrificeState`, whose pressures and free bends are set at the end.
+        now: `OrificeState`, updated in place.
         schedule: effective valve states.
-        times: times of the rows of the trace, ascending, shape (times,), s.
+        times: ascending times, s.
         substep: maximum step, s.
-        actual: the actual bends.
-        air: the plumbing.
-        trace: output. Its air is the amount drawn, J.
+        actual: actual bends.
+        air: `Plumbing`.
+        trace: output, whose field `air` is the amount drawn, J.
     """
     y = now.y
     starts = schedule.starts
@@ -496,8 +501,6 @@ def _fill_end(now, span, actual, air):  # type: ignore[no-untyped-def]
 
 
 class _Sample(NamedTuple):
-    """State within a step: y, ẏ, and the actual bends (rad)."""
-
     y: np.ndarray
     rates: np.ndarray
     bend: np.ndarray

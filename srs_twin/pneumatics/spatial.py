@@ -1,9 +1,9 @@
 r"""Chambers of a spatial robot, which bend a segment in several directions.
 
-Each chamber fills and vents with the first-order lag of `lag`, and a lag with the time
-constant τ₂ follows the pressure. d_c are the directions of the chambers
-(`Chamber.directions`), p̂_c the lagged pressures, and φ is the bend law of `chambers`.
-The free bend of a segment is a vector with components to the left and upwards,
+Each chamber fills and vents with the first-order lag of `lag`. A further lag with the
+time constant τ₂ follows the pressure. The symbols are the chamber directions d_c
+(`Chamber.directions`), the lagged pressures p̂_c, and the bend law φ of `chambers`. The
+free bend of a segment is a vector with components to the left and upwards,
 
 $$ x = G \sum_c g_c\, \hat p_c\, d_c, \qquad q = b + \varphi(|x|)\, x / |x| , $$
 
@@ -23,10 +23,10 @@ from srs_twin.robot.spec import RobotSpec
 
 
 class SpatialLagPneumatics(LagChambers):
-    """Chambers with a first-order lag in several directions.
+    """Chambers with a first-order lag that bend a segment in several directions.
 
-    See the module docstring. `bend`, `rest_bend` and the bends of a `Trace` have the shape
-    (…, segments, 2) with the components to the left and upwards.
+    The module docstring gives the equations. `bend`, `rest_bend` and the bends of a
+    `Trace` have the shape (…, segments, 2), with components to the left and upwards.
     """
 
     state_attributes = ("_lagged", "_supply")
@@ -40,7 +40,7 @@ class SpatialLagPneumatics(LagChambers):
 
     def reset(self) -> None:
         """See `Pneumatics.reset`."""
-        if self.rest_bend.ndim == 1:  # modules have a rest bend to the left only
+        if self.rest_bend.ndim == 1:  # Modules have a rest bend to the left only.
             self.rest_bend = np.stack(
                 [self.rest_bend, np.zeros_like(self.rest_bend)], axis=-1
             )
@@ -113,7 +113,7 @@ class SpatialLagPneumatics(LagChambers):
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return rates (rad/s) and accelerations (rad/s²) of the free bends.
 
-        They are computed with a linear bend law.
+        The bend law is linearised by its secant.
         """
         rate, end = self._relaxation(state)
         tau = self._spec.actuator.tau_mode
@@ -121,7 +121,7 @@ class SpatialLagPneumatics(LagChambers):
         speed = (pressure - lagged) / tau
         rise = (rate * (end - pressure) - speed) / tau
         linear = (gains * lagged) @ self._spec.chamber.axes
-        # The bend law is replaced by its secant, free bend over linear bend.
+        # The secant of the bend law is the free bend divided by the linear bend.
         size = np.maximum(np.linalg.norm(linear, axis=-1, keepdims=True), 1e-9)
         slope = np.where(
             size > 1e-9,

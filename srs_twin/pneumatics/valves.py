@@ -1,4 +1,4 @@
-"""Valve schedules: piecewise constant valve states over time, and valve faults.
+"""Valve schedules (piecewise constant valve states over time) and valve faults.
 
 A valve state is +1 (filling), 0 (holding) or −1 (venting). Arrays of valve states have
 the columns + chamber and − chamber.
@@ -17,12 +17,12 @@ from srs_twin.robot.scale import Scale, divide
 
 @dataclass(frozen=True)
 class StuckValve:
-    """Fault of one valve that stays in one state.
+    """Fault of a valve that remains in one state.
 
     Attributes:
         segment: segment number, counted from 1 at the head.
         side: 0 for the valve of the + chamber, 1 for the valve of the − chamber.
-        state: valve state in which the valve stays.
+        state: valve state.
         since: time of the fault after `Pneumatics.reset`, s.
     """
 
@@ -33,30 +33,30 @@ class StuckValve:
 
 
 LAYOUTS = {"3/2": (-1, 1), "in_out": (-1, 0, 1)}
-"""Possible valve states per layout: one 3/2 valve, or an inlet and an outlet valve."""
+"""Possible valve states of a 3/2 valve, and of separate inlet and outlet valves."""
 
 SLOT_S = 1e-4
-"""Time raster of valve events at a time unit of 1 (`robot.scale`), s."""
+"""Time grid of valve events for a robot with a time unit of 1 (`robot.scale`), s."""
 
-# Minimum time between two valve events, s. Closer events differ only by rounding and
+# Minimum time (s) between two valve events. Closer events differ only by rounding and
 # are merged.
 _EVENT_TOLERANCE = 1e-9
 
 
 def valve_slot(tick: float, scale: Scale) -> float:
-    """Return the time raster of valve events, s.
+    """Return the duration of a valve slot, s.
 
-    It divides a control tick into a whole number of slots.
+    Valve events lie on a grid that divides a control tick into a whole number of slots.
 
     Args:
         tick: control tick, s.
-        scale: units of the robot.
+        scale: robot units.
     """
     return divide(tick, SLOT_S * scale.time)
 
 
 def count_slots(tick: float, scale: Scale) -> int:
-    """Return the number of valve slots of a control tick.
+    """Return the number of valve slots per control tick.
 
     Raises:
         InputError: the tick is not finite or not positive.
@@ -65,10 +65,10 @@ def count_slots(tick: float, scale: Scale) -> int:
 
 
 class Schedule(NamedTuple):
-    """Piecewise constant valve states over a time span. Kernels take it as a tuple.
+    """Piecewise constant valve states over a time span. Kernels receive it as a tuple.
 
     Attributes:
-        span: length of the schedule, s.
+        span: duration of the schedule, s.
         starts: start time of each run of constant states, ascending from 0, shape
             (runs,), s.
         states: valve states of each run, shape (runs, segments, 2).
@@ -84,7 +84,7 @@ class Schedule(NamedTuple):
 
         Args:
             commands: valve states, shape (slots, segments, 2).
-            span: length of the schedule, s.
+            span: duration, s.
         """
         if len(commands) == 1:
             return cls(span, np.zeros(1), np.ascontiguousarray(commands))
@@ -118,14 +118,14 @@ class Schedule(NamedTuple):
     def with_stuck_valve(
         self, begin: float, segment: int, side: int, state: int
     ) -> Schedule:
-        """Return the schedule with one valve in one state from `begin` on.
+        """Return the schedule with one valve stuck in one state from a time on.
 
         Args:
-            begin: time of the fault, s. It may precede the schedule. A time after the end
-                changes nothing.
-            segment: index of the segment, counted from 0.
+            begin: time of the fault, s, possibly before the schedule. A time after the
+                end of the schedule changes nothing.
+            segment: segment index, counted from 0.
             side: 0 for the valve of the + chamber, 1 for the valve of the − chamber.
-            state: valve state in which the valve stays.
+            state: valve state.
         """
         if begin >= self.span - _EVENT_TOLERANCE:
             return self
@@ -140,7 +140,7 @@ class Schedule(NamedTuple):
         return Schedule(self.span, starts, states)
 
     def followed_by(self, other: Schedule) -> Schedule:
-        """Return the concatenation of this schedule and another one."""
+        """Return this schedule followed by another schedule."""
         # The two runs at the joint are merged if their states are equal.
         merged = int((self.states[-1] == other.states[0]).all())
         starts = np.concatenate([self.starts, self.span + other.starts[merged:]])

@@ -1,1 +1,1 @@
-"""Reproduction of the dissertation: claims, the runs that they need, and a verdict for each plant."""
+"""Reproduction of the dissertation's claims with both plants."""

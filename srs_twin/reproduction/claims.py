@@ -1,7 +1,6 @@
-"""Claims of the dissertation: statements, the runs that check them, and the rules by which they are met.
+"""Claims of the dissertation, the runs that check them, and the rules for a match.
 
-The file is validated strictly. A claim with a table contains many numbers, one row per
-number.
+Each number in the table of a claim becomes one row.
 """
 
 from __future__ import annotations
@@ -25,17 +24,23 @@ from srs_twin.scenario.fields import Section, quantity
 
 
 def _functions(module: ModuleType) -> dict[str, Callable[..., Any]]:
-    """Return the public functions of a module, by name."""
     functions = dict(inspect.getmembers(module, inspect.isfunction))
     own = (name for name in functions if functions[name].__module__ == module.__name__)
     return {name: functions[name] for name in own if name[0] != "_"}
 
 
 COMPUTATIONS = _functions(computations)
-"""Functions for the key `law`: each takes the fields `set` and returns ``<column>.<metric>`` → number."""
+"""Functions for the key `law`.
+
+Each function takes the fields `set` and returns numbers, keyed by
+``<column>.<metric>``.
+"""
 
 TRACES = _functions(traces)
-"""Functions for metrics `trace.…`: each takes a trajectory and returns a number or None."""
+"""Functions for the metrics `trace.…`.
+
+Each function takes a trajectory and returns a number or None.
+"""
 
 Plain = bool | int | float | Annotated[str, Field(max_length=200)]
 Set = Plain | Annotated[list[float], Field(min_length=1, max_length=100)]
@@ -66,13 +71,13 @@ def _check_answer(text: str) -> str:
 
 
 Falsifiability = Annotated[str, Field(max_length=500), AfterValidator(_check_answer)]
-"""Statement whether a row could have been missed, in one sentence."""
+"""Statement in one sentence of whether a row could have been missed."""
 
 _BOUND = 1e9
-"""Largest magnitude of a published value."""
+"""Maximum magnitude of a published value."""
 
 CLAIMS_BYTES = 128 * 1024
-"""Largest size of a claims file; 166 rows with their reasons take 72 kB."""
+"""Maximum size of a claims file. 166 rows with their reasons take 72 kB."""
 
 
 class RunRequest(Section):
@@ -83,13 +88,13 @@ class RunRequest(Section):
     sweep: Name | None = None
     """Shipped sweep."""
     law: Name | None = None
-    """Computation, instead of runs."""
+    """Computation that replaces runs."""
     set: Changes = {}
     """Changed fields of the scenario, or arguments of the computation."""
     periods: float | None = quantity(3.0, 1000.0, None)
     """Simulated time in periods."""
     where: Fields = {}
-    """Points of the sweep that are used: varied field and its value."""
+    """Selected points of the sweep: varied field and its value."""
 
     @model_validator(mode="after")
     def _check_source(self) -> Self:
@@ -110,11 +115,11 @@ class RunRequest(Section):
 
     @property
     def name(self) -> str:
-        """Name of the scenario, sweep or computation."""
+        """Scenario, sweep or computation."""
         return str(getattr(self, self.kind))
 
     def check_names(self, document: Document, loc: Loc) -> None:
-        """Report a scenario, sweep or computation that does not exist."""
+        """Report an unknown name."""
         names = COMPUTATIONS if self.kind == "law" else shipped_names(self.kind)
         if self.name not in names:
             document.report(
@@ -123,19 +128,19 @@ class RunRequest(Section):
 
 
 class Measure(RunRequest):
-    """Number computed from a run, the runs of a sweep or a computation."""
+    """Number computed from a run, the runs of a sweep, or a computation."""
 
     metric: Name
-    """Metric, `comparison.…`, `trace.…` (of the trajectory), or a result of a computation."""
+    """Metric, `comparison.…`, `trace.…` (of the trajectory), or computed result."""
     take: Take | None = None
-    """Aggregate of the values of a sweep's points."""
+    """Aggregation over the points of a sweep."""
     plant: Literal["analytical", "twin"] | None = None
-    """Plant, for all columns."""
+    """Plant that is used in all columns."""
     size: bool = False
-    """Whether the magnitude is used."""
+    """Whether the magnitude is compared."""
 
     def check_names(self, document: Document, loc: Loc) -> None:
-        """Report a scenario, sweep, computation or trace that does not exist."""
+        """Report an unknown name."""
         super().check_names(document, loc)
         prefix, _, trace = self.metric.partition(".")
         if prefix == "trace" and trace not in TRACES:
@@ -145,19 +150,28 @@ class Measure(RunRequest):
 
 
 class Cause(Section):
-    """Cause of a missed row: shown by a switched assumption or by documentation, or presumed."""
+    """Why a claim was missed.
+
+    The cause is demonstrated by a run with a switched assumption or by the
+    documentation, or it is only presumed.
+    """
 
     says: Name
     """Description."""
     columns: list[Column] = ["analytical", "twin"]
-    """Columns that it explains."""
+    """Columns that the cause explains."""
     docs: Name | None = None
-    """Section of the documentation that shows it (docs/agreement.md#why-they-differ).
+    """Section of the documentation that demonstrates the cause.
+
+    An example is docs/agreement.md#why-they-differ.
     """
     switch: Name | None = None
-    """Name of the switched assumption."""
+    """Name of the assumption that is switched."""
     set: Changes = {}
-    """Fields of the scenario that switch it; with them the row must be met."""
+    """Fields of the scenario that switch the assumption.
+
+    With these fields, the row must be met.
+    """
 
     @model_validator(mode="after")
     def _check_evidence(self) -> Self:
@@ -174,24 +188,26 @@ class TableRows(Section):
     at: Name
     """Key of the setting in each row of the table."""
     field: Name
-    """Field of the sweep with this setting."""
+    """Field of the sweep that contains the setting."""
     sweep: Name
-    """Sweep with a point per setting."""
+    """Sweep with one point per setting."""
     columns: dict[Name, Name]
-    """Key in a row of the table → metric."""
+    """Metric for each column of the table."""
     signed: list[Name] = []
-    """Columns that are printed without a sign; they have the sign of `at`, and at 0 magnitudes are
-    compared."""
+    """Columns that are printed without a sign.
+
+    Their numbers have the sign of `at`. Where `at` is 0, magnitudes are compared.
+    """
     fit: list[Name] = []
     """Columns that may be used to calibrate."""
     fit_at: list[float] = []
-    """Settings at which they may be used to calibrate."""
+    """Settings at which these columns may be used to calibrate."""
     could_fail: dict[Name, Falsifiability]
-    """Column → whether its rows could have been missed."""
+    """Statement for each column of whether its rows could have been missed."""
     could_fail_fit: Falsifiability
-    """Whether rows that may be used to calibrate could have been missed."""
+    """Statement of whether rows for calibration could have been missed."""
     cause: dict[Name, list[Cause]] = {}
-    """Column → known causes of its missed rows."""
+    """Known causes of missed rows, for each column."""
 
     @model_validator(mode="after")
     def _check_columns(self) -> Self:
@@ -206,7 +222,10 @@ class TableRows(Section):
     def is_fitted(
         self, column: str, at: float, rows: Sequence[Mapping[str, float]]
     ) -> bool:
-        """Return whether a number may be used to calibrate, or equals one of the same column that may."""
+        """Return whether a number may be used to calibrate.
+
+        A number that equals a calibration number in its column counts as such a number.
+        """
         if column not in self.fit:
             return False
         setting = next(row for row in rows if row[self.at] == at)
@@ -219,7 +238,7 @@ class Claim(Section):
     """Statement of the dissertation and the rule that checks it."""
 
     id: Annotated[str, Field(pattern=r"^[a-z0-9]+([.-][a-z0-9]+)*$", max_length=80)]
-    """Name of the row."""
+    """Row name."""
     source: Name
     """Section, figure, table, errata."""
     robot: Literal["gen1", "gen2", "gen3", "gen4"] | None = None
@@ -229,10 +248,16 @@ class Claim(Section):
     use: Use
     """fit, holdout, law or shape."""
     could_fail: Falsifiability | None = None
-    """Outcome that would be a miss, with the origin of the tolerance ("Yes: …"), or reason why a miss is
-    impossible ("No: …")."""
+    """Whether the row could have been missed.
+
+    "Yes: …" describes the outcome that would be a miss and the origin of the tolerance.
+    "No: …" gives the reason why a miss is impossible.
+    """
     tolerance: Tolerance | None = None
-    """Origin of a prediction's tolerance: the dissertation's statement, its measurement error, or ours."""
+    """Origin of a prediction's tolerance.
+
+    The origin is the dissertation's statement, its measurement error, or our choice.
+    """
     limitation: Limitation | None = None
     """Reason why a prediction is not a headline, regardless of its tolerance."""
     value: float | None = quantity(-_BOUND, _BOUND, None, unit="the unit")
@@ -244,21 +269,21 @@ class Claim(Section):
     abs: float | None = quantity(0.0, _BOUND, None, unit="the unit")
     """Absolute tolerance."""
     rule: Rule | None = None
-    """near, below, above, or ordering: each measure larger than the next."""
+    """Rule: near, below, above, or ordering (each measure exceeds the next)."""
     measure: Measure | None = None
     """Measure that is compared with the value."""
     measures: list[Measure] = []
     """Measures that are combined or ordered."""
     combine: Combine = "value"
-    """Combination of measures into one number."""
+    """Combination of the measures into one number."""
     columns: list[Column] = ["analytical", "twin"]
-    """Judged columns."""
+    """Columns that are judged."""
     quick: bool = False
     """Whether --quick includes the row."""
     cause: list[Cause] = []
     """Known causes of a missed row."""
     table: TableRows | None = None
-    """Rule that makes rows of `rows`."""
+    """Rule that makes rows from the numbers in `rows`."""
     rows: list[dict[Name, float]] = []
     """Numbers of a table."""
     note: Annotated[str, Field(max_length=1000)] | None = None
@@ -314,22 +339,22 @@ class Claim(Section):
         return self
 
     def is_named(self, name: str) -> bool:
-        """Return whether a name is the claim's, or the beginning of its name up to a dot."""
+        """Return whether a name is the claim's name or a part of it up to a dot."""
         return f"{self.id}.".startswith(f"{name}.")
 
     @property
     def fitted(self) -> bool:
-        """Whether it may be used to calibrate, so that it is not a prediction."""
+        """Whether the claim may be used to calibrate and is therefore no prediction."""
         return self.use == "fit"
 
     @property
     def falsifiable(self) -> bool:
-        """Whether the row could have been missed."""
+        """Whether the claim could have been missed."""
         return self.could_fail is None or self.could_fail.startswith("Yes")
 
     @property
     def group(self) -> Group | None:
-        """Group of a prediction; None for other uses."""
+        """Group of a prediction, or None."""
         if self.use != "holdout":
             return None
         if self.limitation is not None:
@@ -338,7 +363,7 @@ class Claim(Section):
 
     @property
     def category(self) -> Category:
-        """Heading of the row: the group of a prediction, otherwise the use."""
+        """Heading of the row: the group of a prediction, or otherwise the use."""
         if self.group is not None:
             return self.group
         if self.use == "shape" and not self.falsifiable:
@@ -347,11 +372,11 @@ class Claim(Section):
 
     @property
     def all_measures(self) -> list[Measure]:
-        """All measures, single or multiple."""
+        """All measures."""
         return [self.measure] if self.measure else self.measures
 
     def with_switch(self, cause: Cause) -> Claim:
-        """Return the claim with the fields of its scenarios changed by a cause."""
+        """Return the claim with the scenario fields that a cause switches."""
         measures = [
             measure.model_copy(update={"set": {**measure.set, **cause.set}})
             for measure in self.all_measures
@@ -360,7 +385,7 @@ class Claim(Section):
 
     @property
     def allowed(self) -> AllowedRange:
-        """Allowed values; a tolerance widens a bound outward."""
+        """Allowed values. A tolerance widens a bound outward."""
         if self.value is None:
             return AllowedRange()
         near = AllowedRange.near(self.value, self.tol, self.abs)
@@ -383,16 +408,16 @@ COLUMNS = get_args(Column)
 
 
 def claims_file() -> Path:
-    """Return the path of the shipped claims."""
+    """Return the shipped claims file."""
     return data_root() / "calibration/published/claims.yaml"
 
 
 def load_claims(path: Path | None = None) -> tuple[Claim, ...]:
-    """Load the rows of a claims file, by default the shipped one.
+    """Load rows of a claims file.
 
     Raises:
         InputError: the file cannot be read.
-        InputFileError: the file is invalid; lists all problems, one per line.
+        InputFileError: the file is invalid. The message lists all problems.
     """
     document, claims = load_list(path or claims_file(), Claim, "claims")
     rows: list[Claim] = []
@@ -412,12 +437,15 @@ def load_claims(path: Path | None = None) -> tuple[Claim, ...]:
 def load_list(
     path: Path, model: type[Model], label: str
 ) -> tuple[Document, list[tuple[int, Model]]]:
-    """Read a list of sections; return the document with its problems, and (index, section) of the valid ones.
+    """Read a list of sections from a YAML file.
 
     Args:
         path: file.
-        model: model of each section.
-        label: name of the sections in messages, plural.
+        model: section model.
+        label: plural name for messages.
+
+    Returns:
+        Document with its problems, and index and section of each valid entry.
 
     Raises:
         InputError: the file cannot be read.
@@ -436,12 +464,12 @@ def load_list(
 def select_claims(
     claims: tuple[Claim, ...], only: tuple[str, ...], *, quick: bool
 ) -> tuple[Claim, ...]:
-    """Return the rows with given names, or with names that start with one and a dot; laws first.
+    """Select rows by names or leading parts of names up to a dot, laws first.
 
     Args:
         claims: all rows.
-        only: names; empty: all.
-        quick: whether only the quick rows are returned.
+        only: names; an empty tuple selects all rows.
+        quick: whether to select only quick rows.
 
     Raises:
         UnknownNameError: no row has this name.
@@ -457,7 +485,6 @@ def select_claims(
 
 
 def _rows(claim: Claim) -> Iterator[Claim]:
-    """Yield the claim itself, or one row per number of its table."""
     table = claim.table
     if table is None:
         yield claim
@@ -494,6 +521,6 @@ def _rows(claim: Claim) -> Iterator[Claim]:
 
 
 def _setting_name(at: float) -> str:
-    """Return a setting as part of a row's name: 0.3 is p03, −0.3 is m03."""
+    """Return a setting as part of a row's name, e.g. p03 for 0.3 or m03 for −0.3."""
     sign = "m" if at < 0 else "p"
     return f"{sign}{abs(at):g}".replace(".", "") if at else "0"

@@ -1,4 +1,4 @@
-"""`srs-twin reproduce`: the dissertation's claims compared with both plants."""
+"""`srs-twin reproduce`: compare the dissertation's claims with both plants."""
 
 from __future__ import annotations
 
@@ -56,8 +56,8 @@ def reproduce(
         return
     from srs_twin.compute.workers import start_server
 
-    # Start it first: it imports the modules of the workers while this process imports
-    # its own.
+    # The server starts first, so that it imports the modules of the workers while this
+    # process imports its own.
     start_server("srs_twin.studies.sweep.warm")
     from srs_twin.reproduction.printing import print_rows
     from srs_twin.reproduction.reproduce import reproduce as judge_claims

@@ -1,4 +1,4 @@
-"""Computations of claims that no scenario covers: pulls, wheel loads, changes of offset, planner success."""
+"""Computations for claims that no scenario covers."""
 
 from __future__ import annotations
 
@@ -19,28 +19,30 @@ if TYPE_CHECKING:
 Numbers = dict[str, float | None]
 
 _PULL_S = 1.0
-"""Duration of a pull."""
+"""Duration of a pull, s."""
 
 _MIN_GAIN_M_S = 1e-3
-"""Gain of speed in the second half of a pull above which the robot slides.
+"""Increase of speed in the second half of a pull above which the robot slides, m/s.
 
-Below the friction limit, axles only creep at a constant speed proportional to the pull
-(at most 13 mm/s in generation 1)."""
+Below the friction limit, axles creep at a constant speed proportional to the pull (at
+most 13 mm/s in generation 1).
+"""
 
 _BISECTIONS = 12
 """Number of bisections of the pull."""
 
 
 def spring_car(robot: str) -> Numbers:
-    """Return friction coefficients from pulling a straight snake (Section 3.4, Eq. 17): μ = F/(m g).
+    """Return friction coefficients μ = F/(m g) from pulling a straight snake.
 
-    The twin is pulled by a force on every body proportional to its mass, a horizontal
-    component of gravity; the coefficient at which it starts to slide is found by
-    bisection. In the analytical model friction is a law, so the coefficient is the
-    largest ratio of force to load of any connector during a gait.
+    The experiment is described in Section 3.4 (Eq. 17). The twin is pulled by a
+    horizontal component of gravity, a force on every body proportional to its mass. The
+    coefficient at which the twin starts to slide is found by bisection. In the
+    analytical model friction is a law, so the coefficient is the maximum ratio of force
+    to load of any connector during a gait.
 
     Args:
-        robot: name of a shipped robot.
+        robot: shipped robot.
 
     Returns:
         ``mu_t`` and ``mu_n`` of both plants.
@@ -55,7 +57,6 @@ def spring_car(robot: str) -> Numbers:
 
 
 def _twin_coefficient(robot: str, *, along: bool) -> float:
-    """Return the ratio of horizontal pull to weight at which the twin starts to slide."""
     friction = load_robot(robot).friction
     guess = friction.mu_t if along else friction.mu_n
     low = 0.0
@@ -81,7 +82,6 @@ def _slides(robot: str, pull: float, *, along: bool) -> bool:
 
 
 def _analytical_coefficients(robot: str) -> tuple[float, float]:
-    """Return the largest ratios of friction to load of the analytical connectors, along and across."""
     from srs_twin.rollout import rollout
 
     scenario = load_scenario(f"{robot}_straight")
@@ -102,7 +102,10 @@ def _analytical_coefficients(robot: str) -> tuple[float, float]:
 
 
 def tail_load(scenario: str, frequency_hz: float) -> Numbers:
-    """Return the twin's smallest tail load relative to rest; below 0 a wheel lifts (Section 3.4.3)."""
+    """Return the minimum tail load of the twin relative to rest (Section 3.4.3).
+
+    A negative ratio means that a wheel lifts off.
+    """
     from srs_twin.plants.twin.snake import TwinSnake
     from srs_twin.rollout import rollout
 
@@ -126,17 +129,17 @@ def tail_load(scenario: str, frequency_hz: float) -> Numbers:
 def change_of_offset(
     scenario: str, before: float, after: float, at_period: float
 ) -> Numbers:
-    """Return the first and final curvature of the path after a change of offset with learning (Section 5.3).
+    """Return the path curvature after a change of offset with learning (Section 5.3).
 
     Args:
-        scenario: scenario with iterative learning.
-        before: offset before the change.
-        after: offset after the change.
-        at_period: time of the change, gait periods.
+        scenario: learning scenario.
+        before: initial offset.
+        after: final offset.
+        at_period: time, gait periods.
 
     Returns:
         ``first`` of both plants: curvature over the first period after the change,
-        relative to the final one.
+        relative to the final curvature.
     """
     from srs_twin.control.commands import ScheduledOffset
     from srs_twin.control.gait import Gait
@@ -160,7 +163,7 @@ def change_of_offset(
 
 
 def _curvature(run: Trajectory, begin: float, period: float) -> float:
-    """Return the turn over one period divided by the distance of the centre of mass, 1/m."""
+    """Return the turn over one period divided by the travelled distance, 1/m."""
     times = np.array([begin, begin + period])
     heading = np.interp(times, run.time, run["heading"])
     x, y = (np.interp(times, run.time, run[name]) for name in ("com_x", "com_y"))
@@ -168,7 +171,6 @@ def _curvature(run: Trajectory, begin: float, period: float) -> float:
 
 
 def _with_controller(scenario: Scenario, **controller: float) -> Scenario:
-    """Return a scenario with other controller settings."""
     document = scenario.document
     settings = {**document["controller"], **controller}
     return parse_scenario({**document, "controller": settings})
@@ -177,13 +179,15 @@ def _with_controller(scenario: Scenario, **controller: float) -> Scenario:
 def contact_force(
     robot: str, frequency_hz: float, force_n: float, connector: float
 ) -> Numbers:
-    """Return the estimate of a force on a connector without force sensors (Section 6.2).
+    """Estimate a force on a connector without force sensors (Section 6.2).
+
+    The force acts to the left for 0.5 s after 12 s of free crawling.
 
     Args:
-        robot: name of the robot.
-        frequency_hz: gait frequency, Hz; a period must be a whole number of ticks.
-        force_n: force to the left, for 0.5 s after 12 s of free crawling, N.
-        connector: number of the connector, from the head.
+        robot: robot name.
+        frequency_hz: gait frequency, Hz. A period must be a whole number of ticks.
+        force_n: force, N.
+        connector: number of the connector, counted from the head.
 
     Returns:
         ``score`` of the detection, and ``ratio`` of the estimated to the applied force.
@@ -216,19 +220,22 @@ def contact_force(
 
 
 def bend_at(robot: str, pressure_psi: float) -> Numbers:
-    """Return the bend of an unloaded module at a pressure by the robot's gain, degrees (Section 2.1)."""
+    """Return the bend of an unloaded module at a pressure, degrees (Section 2.1)."""
     actuator = load_robot(robot).actuator
     pascal = 6894.757 * pressure_psi
     return {"alone.bend_deg": math.degrees(actuator.gain * pascal)}
 
 
 def turn_limit(speed_m_s: float, radius_m: float) -> Numbers:
-    """Return the turning rate on a circle of Table 8, degrees per second (Section 5.3)."""
+    """Return the yaw rate on a circle of Table 8, degrees per second (Section 5.3)."""
     return {"alone.turn_deg_s": math.degrees(speed_m_s / radius_m)}
 
 
 def footprint_edges(footprint: str) -> Numbers:
-    """Return a footprint's width when straight, and its shift at the largest curvature, m (Table 9)."""
+    """Return the straight width of a footprint and its shift at maximum curvature, m.
+
+    Table 9 of the dissertation lists both.
+    """
     from srs_twin.planning.footprint_file import load_footprint
 
     body = load_footprint(footprint)
@@ -242,7 +249,10 @@ def footprint_edges(footprint: str) -> Numbers:
 
 
 def primitive_error(count: int, turn_rad: float, length_m: float) -> Numbers:
-    """Return the largest distance between ends of the planner's arcs and Eq. 33 (signs as in E7), m."""
+    """Return the maximum distance of the planner's arcs from Eq. 33, m.
+
+    Eq. 33 is evaluated with the signs of the erratum E7.
+    """
     from srs_twin.planning.arcs import Primitives
     from srs_twin.robot.world import Pose
 

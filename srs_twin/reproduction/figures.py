@@ -1,6 +1,6 @@
-"""Figures of the dissertation, drawn from finished runs, in the order of the dissertation.
+"""Figures of the dissertation, drawn from finished runs.
 
-A figure without its runs is left out. Only `figure_jobs` requests runs for figures
+A figure without its runs is omitted. Only `figure_jobs` requests runs for figures
 alone.
 """
 
@@ -44,25 +44,25 @@ class FigureEntry(Section):
     """Figure of the dissertation and the runs that it shows."""
 
     figure: Name
-    """Number in the dissertation: 31a."""
+    """Number in the dissertation, for example 31a."""
     caption: Name
     """Caption."""
     draw: Name
-    """Kind of drawing, see `DRAWINGS`."""
+    """Kind of drawing, a key of `DRAWINGS`."""
     of: Annotated[list[RunRequest], Field(min_length=1, max_length=10)]
     """Runs of the figure."""
     metric: Name | None = None
-    """For a sweep: metric, drawn by the sweep's own plot of it."""
+    """Metric of a sweep, drawn by the plot of the sweep."""
     names: list[Name] = []
-    """Labels of the runs, if several are drawn together."""
+    """Labels of the runs if several runs are drawn together."""
 
 
 def load_figures(path: Path | None = None) -> tuple[FigureEntry, ...]:
-    """Load a file of figures, by default the shipped one.
+    """Load a file of figures, by default the shipped file.
 
     Raises:
         InputError: the file cannot be read.
-        InputFileError: the file is invalid; lists all problems, one per line.
+        InputFileError: the file is invalid. The message lists all problems.
     """
     file = path or data_root() / "calibration/published/figures.yaml"
     document, entries = load_list(file, FigureEntry, "figures")
@@ -87,7 +87,7 @@ def figure_jobs(
 def draw_figures(
     entries: tuple[FigureEntry, ...], store: RunStore
 ) -> Iterator[tuple[FigureEntry, Figure]]:
-    """Yield the figures whose runs are finished and have the data to draw."""
+    """Yield the figures whose runs are finished and contain the required data."""
     for entry in entries:
         if all(store.row(job.key) is not None for job in figure_jobs((entry,), store)):
             with own_settings():
@@ -101,22 +101,18 @@ Drawing = Callable[[RunStore, FigureEntry], Figure | None]
 
 
 def _trajectories(store: RunStore, runs: RunRequest) -> Trajectories:
-    """Return plant → trajectory of a finished scenario."""
     (job,) = store.jobs(runs)
     trajectories = {plant: store.trajectory(job.key, plant) for plant in COLUMNS[:2]}
     return {plant: run for plant, run in trajectories.items() if run is not None}
 
 
 def _from_runs(plot: Callable[[Trajectories], Figure]) -> Drawing:
-    """Return the drawing of a plot that needs only runs."""
     return lambda store, entry: plot(_trajectories(store, entry.of[0]))
 
 
 def _from_runs_and_robot(
     plot: Callable[[Trajectories, RobotSpec], Figure | None],
 ) -> Drawing:
-    """Return the drawing of a plot that needs runs and the robot."""
-
     def drawing(store: RunStore, entry: FigureEntry) -> Figure | None:
         (job,) = store.jobs(entry.of[0])
         assert job.experiment is not None, "only for scenarios"
@@ -128,14 +124,12 @@ def _from_runs_and_robot(
 
 
 def _difference(runs: Trajectories, robot: RobotSpec) -> Figure | None:
-    """Draw the difference of the body shapes over time (Fig. 27, 28)."""
     if len(runs) == 2:
         return error_plot(compare(runs["analytical"], runs["twin"]), robot)
     return None
 
 
 def _learning(store: RunStore, entry: FigureEntry) -> Figure | None:
-    """Draw amplitudes, targets and duties by period (Fig. 48, 50)."""
     runs = _trajectories(store, entry.of[0])
     if all(map(is_learning, runs.values())):
         return learning_plot(runs)
@@ -143,7 +137,6 @@ def _learning(store: RunStore, entry: FigureEntry) -> Figure | None:
 
 
 def _sweep(store: RunStore, entry: FigureEntry) -> Figure:
-    """Draw a metric of a sweep as its file specifies (Fig. 31 to 33, 38, 39, 41, 44)."""
     (runs,) = entry.of
     sweep = sweep_of(runs.name)
     points = points_of(runs)
@@ -172,14 +165,12 @@ def _over_time(
 
 
 def _tail(runs: Trajectories) -> Figure:
-    """Draw the heading of the tail over time (Fig. 30)."""
     return _over_time(
         runs, lambda run: run.stack("theta")[:, -1], "tail's heading (rad)"
     )
 
 
 def _readings(runs: Trajectories) -> Figure:
-    """Draw sensor readings with the bends (Fig. 40, 47)."""
     count = next(iter(runs.values())).stack("bend").shape[1]
     figure, rows = panels(1.2 + 1.3 * count, count, share_y=True)
     for style, run in runs_with_styles(runs):
@@ -198,7 +189,10 @@ def _readings(runs: Trajectories) -> Figure:
 
 
 def _step(runs: Trajectories, robot: RobotSpec) -> Figure:
-    """Draw the step to 8 psi and Eq. 14 with the robot's time constants, the published ones (Fig. 20)."""
+    """Draw the step to 8 psi and Eq. 14 (Fig. 20).
+
+    The robot's time constants in Eq. 14 are the published ones.
+    """
     figure = _over_time(runs, lambda run: run["bend_1"], "bend (rad)")
     axes = figure.axes[0]
     slow = robot.actuator.tau_fill
@@ -214,7 +208,6 @@ def _step(runs: Trajectories, robot: RobotSpec) -> Figure:
 
 
 def _paths(store: RunStore, entry: FigureEntry) -> Figure:
-    """Draw the labelled paths of several runs (Fig. 34, 37)."""
     figure, (axes,) = panels(4.5)
     colors = colormaps["viridis"](np.linspace(0.0, 0.9, len(entry.of)))
     for name, color, runs in zip(entry.names, colors, entry.of, strict=True):
@@ -245,4 +238,4 @@ DRAWINGS: Mapping[str, Drawing] = {
     "tail": _from_runs(_tail),
     "tracking": _from_runs(tracking_plot),
 }
-"""Drawings for the key `draw` of figures.yaml."""
+"""Drawing functions for the key `draw` of figures.yaml."""

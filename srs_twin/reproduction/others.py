@@ -1,10 +1,10 @@
 """Predicted and published motion of robots that others built.
 
 A prediction is a file in calibration/predictions. The file of the same name in
-calibration/published/others has the published values. In a checkout, their commits show
-that the prediction came first. The file of the same name in
-calibration/predictions/recomputed has numbers that were computed after the published
-values were known, so they are not predictions.
+calibration/published/others contains the published values. In a checkout, the commits
+of both files show that the prediction came first. The folder
+calibration/predictions/recomputed contains numbers that are not predictions, because
+they were computed after the published values were known.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from srs_twin.scenario.expectation import IntervalVerdict, interval_verdict
 from srs_twin.studies.uncertainty.metric_uncertainty import MIN_BOUNDING_SAMPLES
 
 _GIT_SECONDS = 10.0
-"""Longest time of a git command, s."""
+"""Time limit of a git command, s."""
 
 
 class PublishedValue(StrictModel):
@@ -35,7 +35,7 @@ class PublishedValue(StrictModel):
     of: Literal["robot", "simulation"]
     """robot: measured on the robot; simulation: simulated by its builders."""
     known: bool
-    """Whether the value was known when the motion was predicted."""
+    """Whether the value was known at the time of the prediction."""
     source: Annotated[str, Field(min_length=1, max_length=300)]
     """Publication and place."""
 
@@ -44,18 +44,18 @@ class PublishedFile(StrictModel):
     """Published values of a robot."""
 
     values: Annotated[dict[str, PublishedValue], Field(min_length=1)]
-    """Predicted quantity → published value."""
+    """Published value for each predicted quantity."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Quantiles:
-    """Quantiles of a quantity over drawn robots.
+    """Quantiles of a quantity over sampled robots.
 
     Attributes:
         median: median.
-        interval_95: ends of the 95 % interval.
+        interval_95: 95 % interval.
         interval_95_error: standard errors of both ends, or None.
-        robots: number of robots; 0 if unknown.
+        robots: number of robots, or 0 if unknown.
     """
 
     median: float
@@ -64,12 +64,15 @@ class Quantiles:
     robots: int
 
     def contains(self, published: PublishedValue) -> bool:
-        """Return whether a published value is in the interval."""
+        """Return whether the interval contains a published value."""
         low, high = self.interval_95
         return low <= published.value <= high
 
     def verdict(self, published: PublishedValue) -> IntervalVerdict:
-        """Return the verdict on a published value: undecided if the robots do not bound the interval."""
+        """Return the verdict on a published value.
+
+        The verdict is undecided if too few robots bound the interval.
+        """
         if self.robots < MIN_BOUNDING_SAMPLES:
             return IntervalVerdict.UNDECIDED
         return interval_verdict(
@@ -77,7 +80,7 @@ class Quantiles:
         )
 
     def cells(self, published: PublishedValue) -> tuple[str, ...]:
-        """Return interval, published value and result as texts."""
+        """Return interval, published value and result."""
         low, high = self.interval_95
         result = "inside" if self.contains(published) else "outside"
         if self.verdict(published) is IntervalVerdict.UNDECIDED:
@@ -90,15 +93,14 @@ class PredictedQuantity:
     """Prediction of a quantity, and its published value.
 
     Attributes:
-        robot: name of the robot file.
-        quantity: quantity, with the settings of the gait.
+        robot: robot file name.
+        quantity: quantity.
         predicted: prediction.
         recomputed: numbers computed after the published value was known, or None.
-        published: published value, or None.
-        prediction_commit: last commit that changed a number of the prediction; None
+        published: published value.
+        prediction_commit: last commit that changed a number of the prediction, or None
             outside a checkout.
-        comparison_commit: first commit with published values of the robot; None if
-            there is none.
+        comparison_commit: first commit with published values of the robot, or None.
     """
 
     robot: str
@@ -148,7 +150,7 @@ class PredictedQuantity:
 
 
 def load_predicted_quantities() -> list[PredictedQuantity]:
-    """Return all predicted quantities, by robot.
+    """Return predicted quantities by robot.
 
     Raises:
         UnknownNameError: a published quantity was not predicted.
@@ -183,10 +185,10 @@ def load_predicted_quantities() -> list[PredictedQuantity]:
 
 
 def _predictions(path: Path) -> dict[str, Quantiles]:
-    """Return the quantiles of a file by quantity; none if there is no file.
+    """Return the quantiles of each quantity in a file, or {} without a file.
 
-    The first prediction, of a spatial snake, has its own keys: it keeps the text that
-    was committed.
+    The first prediction, of a spatial snake, uses other keys, because its text must
+    remain as it was committed.
     """
     if not path.exists():
         return {}
@@ -216,7 +218,6 @@ def _predictions(path: Path) -> dict[str, Quantiles]:
 
 
 def _commit(path: Path, *options: str) -> str | None:
-    """Return the abbreviated commit of a file that `git log` selects; None without git or history."""
     command = ["git", "log", "--format=%h", *options, "--", path.name]
     try:
         done = subprocess.run(

@@ -1,4 +1,4 @@
-"""Printed results of `srs-twin reproduce`: verdicts, credibility grades, and robots that others built."""
+"""Printed results of `srs-twin reproduce`."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _FORMAT = "{:<30} {:>9} {:>11} {:>11} {:>6}  {}"
 
 
 def print_scorecard(*, as_json: bool) -> None:
-    """Print the grades of all capabilities and their reasons."""
+    """Print the grades of all capabilities."""
     grades = scorecard(load_claims(), load_baseline())
     if as_json:
         print_json(
@@ -53,7 +53,7 @@ def print_scorecard(*, as_json: bool) -> None:
 
 
 def print_others(*, as_json: bool) -> None:
-    """Print the predicted and published motion of robots that others built."""
+    """Print predicted and published motion of robots that others built."""
     rows = load_predicted_quantities()
     if as_json:
         print_json({"robots": [row.document() for row in rows]})
@@ -93,7 +93,7 @@ def print_others(*, as_json: bool) -> None:
 
 
 def print_rows(rows: Sequence[JudgedClaim]) -> None:
-    """Print a line per row, by category with the headline first, and the numbers of rows that are met."""
+    """Print one line per row, grouped by category, and a summary."""
     print(_FORMAT.format("row", "published", "analytical", "twin", "error", "verdict"))
     for name, category_rows in by_category(rows).items():
         if category_rows:
@@ -118,7 +118,7 @@ def print_rows(rows: Sequence[JudgedClaim]) -> None:
 
 
 def _short_text(outcome: Outcome | None) -> str:
-    """Return an outcome in at most 11 characters; for an ordering its first and last value."""
+    """Return an outcome in at most 11 characters, shortening an ordering."""
     if outcome is None:
         return ""
     text = outcome_text(outcome)

@@ -1,21 +1,21 @@
-"""Output of a reproduction: reproduce.json, reproduce.html, rows as text, and a scorecard.
+"""Output of a reproduction: reproduce.json, reproduce.html, text, and a scorecard.
 
-The scorecard has credibility grades of each capability after NASA-STD-7009, with their
+The scorecard lists credibility grades of each capability after NASA-STD-7009 with their
 reasons. Grades range from 0 (nothing is known) to 4. They are derived from stored
 results: verdicts of the baseline, intervals of `srs-twin uncertainty`, and sources of
 the robots' parameters.
 
-- verification: 2 if all laws of the dissertation are met; 3 if in addition a refined
-  time step changes a prediction by less than a fifth of its input uncertainty.
-- validation: 2 if three quarters of the headline predictions are met, 1 if fewer, 0 if
-  none. Predictions of other groups (own tolerance, fitted robot, …) are listed but not
-  counted. More than 2 needs own measurements; nothing here was validated against
+- Verification is 2 if all laws of the dissertation are met. It is 3 if in addition a
+  refined time step changes a prediction by less than a fifth of its input uncertainty.
+- Validation is 2 if three quarters of the headline predictions are met, 1 if fewer, and
+  0 if none. Predictions of other groups (own tolerance, fitted robot, …) are listed but
+  not counted. A higher grade needs own measurements; nothing here was validated against
   hardware.
-- input pedigree: fraction of measured robot parameters: 3 for three quarters, 2 for two
-  fifths, 1 for fewer.
-- uncertainty: 2 if intervals were propagated from the inputs, otherwise 0.
-- robustness: 2 if sensitivities are known, 1 if only trends that could have failed were
-  checked, otherwise 0.
+- Input pedigree is the fraction of measured robot parameters: 3 for three quarters, 2
+  for two fifths, 1 for fewer.
+- Uncertainty is 2 if intervals were propagated from the inputs, otherwise 0.
+- Robustness is 2 if sensitivities are known, 1 if only trends that could have failed
+  were checked, otherwise 0.
 """
 
 from __future__ import annotations
@@ -71,21 +71,21 @@ _OTHER_GROUPS: dict[Category, str] = {
     "chosen_obstacles": "own obstacles",
     "between_models": "models",
 }
-"""Category of a prediction that is not a headline → its label."""
+"""Labels of the categories of predictions that are not headlines."""
 
 _MOST = 0.75
-"""Smallest fraction that counts as "most"."""
+"""Minimum fraction that counts as "most"."""
 
 _MANY = 0.4
-"""Smallest fraction that counts as "many"."""
+"""Minimum fraction that counts as "many"."""
 
 _SMALL_NUMERICAL_ERROR = 0.2
-"""Numerical error relative to the input uncertainty that counts as small."""
+"""Maximum ratio of a small numerical error to the input uncertainty."""
 
 
 @dataclass(frozen=True)
 class Grade:
-    """Grade from 0 to 4 and the reason for it."""
+    """Grade (0 to 4) and its reason."""
 
     grade: int
     why: str
@@ -94,7 +94,7 @@ class Grade:
 def scorecard(
     claims: Sequence[Claim], baseline: Baseline
 ) -> dict[str, dict[str, Grade]]:
-    """Return capability → factor → grade."""
+    """Return grades, keyed by capability and factor."""
     folder = data_root() / INTERVALS
     documents = [
         json.loads(path.read_text("utf-8")) for path in sorted(folder.glob("*.json"))
@@ -120,7 +120,6 @@ def scorecard(
 def _count_met(
     claims: Sequence[Claim], baseline: Baseline, category: Category
 ) -> tuple[int, int]:
-    """Return the number of rows of a category that the twin (or no plant) meets, and the number of rows."""
     verdicts = []
     for claim in claims:
         row = baseline.outcomes.get(claim.id, {})
@@ -133,7 +132,12 @@ def _count_met(
 def verification_grade(
     law: tuple[int, int], intervals: Sequence[Mapping[str, Any]]
 ) -> Grade:
-    """Return the grade of the verification from the numbers of laws met and stored intervals."""
+    """Return the verification grade.
+
+    Args:
+        law: met and all laws.
+        intervals: stored intervals.
+    """
     met, rows = law
     text = "its laws are tests of the program"
     if rows:
@@ -229,7 +233,7 @@ TITLES: dict[Category, str] = {
     "law": "Laws",
     "fit": "Calibration data, not predictions",
 }
-"""Category → heading, in the order of the page: headline first, rows that may be fitted last."""
+"""Headings of the categories in the order of the page."""
 
 MEANINGS: dict[Category, str] = {
     "headline": (
@@ -266,7 +270,7 @@ MEANINGS: dict[Category, str] = {
     "law": "Laws are true by construction or theory; they test the program.",
     "fit": "Robots were calibrated with these values, or may be.",
 }
-"""Category → properties that its rows have in common."""
+"""Properties that the rows of each category have in common."""
 
 _NOTHING = "–"
 
@@ -274,7 +278,7 @@ _NOTHING = "–"
 def count_verdicts(
     rows: Sequence[JudgedClaim], column: str, uses: Sequence[str] = USES
 ) -> dict[str, int]:
-    """Return the numbers of rows of a column that are "met", "explained" and "missed", and of "all"."""
+    """Return the numbers of "met", "explained", "missed" and "all" rows of a column."""
     verdicts = [
         row.outcomes[column].verdict
         for row in rows
@@ -285,14 +289,14 @@ def count_verdicts(
 
 
 def by_category(rows: Sequence[JudgedClaim]) -> dict[Category, list[JudgedClaim]]:
-    """Return category → its rows, in the order of the page, including empty categories."""
+    """Group rows by category."""
     return {
         name: [row for row in rows if row.claim.category == name] for name in TITLES
     }
 
 
 def summary_line(rows: Sequence[JudgedClaim]) -> str:
-    """Return a sentence with the numbers of rows that each plant meets, headline predictions first."""
+    """Return a sentence with the number of rows that each plant meets."""
     columns = {
         "twin": "the twin meets",
         "analytical": "the analytical model",
@@ -325,7 +329,7 @@ def summary_line(rows: Sequence[JudgedClaim]) -> str:
 
 
 def published_text(claim: Claim) -> str:
-    """Return the published value, or the rule of a row without one."""
+    """Return the published value, or the rule of a row without a value."""
     if claim.value is None:
         return "order"
     sign = {"below": "≤ ", "above": "≥ "}.get(str(claim.rule), "")
@@ -333,7 +337,7 @@ def published_text(claim: Claim) -> str:
 
 
 def outcome_text(outcome: Outcome | None) -> str:
-    """Return the value of an outcome, or those of an ordering; a dash if missing."""
+    """Return the value of an outcome, or the values of an ordering, as text."""
     if outcome is None:
         return _NOTHING
     if math.isfinite(outcome.value):
@@ -345,7 +349,7 @@ def outcome_text(outcome: Outcome | None) -> str:
 
 
 def number_text(value: float) -> str:
-    """Return a number with three significant digits, whole ones with all digits."""
+    """Return a number with three significant digits; integers keep all digits."""
     if value == 0:
         return "0"
     if float(value).is_integer() and abs(value) < 1e6:
@@ -354,7 +358,7 @@ def number_text(value: float) -> str:
 
 
 def error_text(claim: Claim, outcome: Outcome | None) -> str:
-    """Return the relative error in per cent; empty if it is undefined or only a bound is published."""
+    """Return the relative error in per cent, or "" if it is undefined."""
     if outcome is None or claim.rule != "near" or not math.isfinite(outcome.error):
         return ""
     rounded = round(100 * outcome.error)
@@ -362,7 +366,7 @@ def error_text(claim: Claim, outcome: Outcome | None) -> str:
 
 
 def verdict_text(row: JudgedClaim) -> str:
-    """Return the verdict of a row, or one per plant if they differ."""
+    """Return the verdict of a row, or one verdict per plant if they differ."""
     verdicts = [row.outcomes[name].verdict for name in COLUMNS if name in row.outcomes]
     if len(set(verdicts)) == 1:
         return verdicts[0]
@@ -387,9 +391,9 @@ def write_json(path: Path, rows: Sequence[JudgedClaim], changes: Sequence[str]) 
     """Write claims and outcomes as JSON atomically.
 
     Args:
-        path: file to write or replace.
+        path: output file.
         rows: judged claims.
-        changes: changes from the baseline, as text.
+        changes: changed verdicts.
 
     Raises:
         InputError: the path cannot be written.
@@ -445,10 +449,10 @@ def write_html(
     """Write the self-contained HTML page atomically.
 
     Args:
-        path: file to write or replace.
+        path: output file.
         rows: judged claims.
-        figures: figures in the order of the dissertation.
-        changes: changes from the baseline, as text.
+        figures: dissertation figures.
+        changes: changed verdicts.
 
     Raises:
         InputError: the path cannot be written.

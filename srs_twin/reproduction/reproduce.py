@@ -1,4 +1,4 @@
-"""`reproduce`: judge the dissertation's claims on both plants, and write the report."""
+"""Judge the dissertation's claims on both plants, and write the report."""
 
 from __future__ import annotations
 
@@ -56,16 +56,17 @@ def reproduce(
     write_baseline: bool = False,
     progress: Progress = quiet,
 ) -> Reproduction:
-    """Judge the dissertation's claims on both plants, as `srs-twin reproduce`.
+    """Judge the dissertation's claims on both plants, like `srs-twin reproduce`.
 
     Args:
-        only: names of rows, or prefixes of several names; default: all rows.
-        quick: whether only the rows with short runs are judged.
-        out: output folder, which also stores finished runs; None: nothing is kept.
-        workers: number of parallel runs; None: one per processor.
-        figures: whether the figures are drawn.
+        only: names of rows, or prefixes of several names; an empty sequence selects all
+            rows.
+        quick: whether to judge only the rows with short runs.
+        out: output folder, which also stores finished runs, or None to keep nothing.
+        workers: number of parallel runs. None selects one run per processor.
+        figures: whether to draw figures.
         write_baseline: whether the verdicts become the new baseline.
-        progress: function that follows the runs.
+        progress: progress callback.
 
     Raises:
         InputError: there is no such row, or the folder cannot be used.
@@ -93,8 +94,6 @@ def reproduce(
 
 
 def _test_suites(rows: Sequence[JudgedClaim]) -> Iterator[tuple[str, list[TestCase]]]:
-    """Yield a test suite per use, with a test case per row and column; missed or explained is a failure."""
-
     def test_case(claim: Claim, column: str, outcome: Outcome) -> TestCase:
         if outcome.verdict == MET:
             return TestCase(claim.id, column)

@@ -1,7 +1,7 @@
-"""Runs for claims, stored under a hash of all their inputs, so that claims share runs and keep finished ones.
+"""Runs for claims, stored under a hash of all their inputs.
 
-Missing runs are done by worker processes, and each result is stored as soon as it is
-finished.
+Claims share runs. Worker processes compute missing runs, and each result is stored as
+soon as it is finished.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from srs_twin.trajectory import Trajectory
 Document = dict[str, Any]
 
 DocumentChange = Callable[[Document], Document]
-"""Function that changes a scenario document; tests inject faults with it."""
+"""Function that changes a scenario document. Tests inject faults with it."""
 
 
 @dataclass(frozen=True)
@@ -41,10 +41,10 @@ class ReproductionJob:
     """Scenario or computation that a worker runs.
 
     Attributes:
-        key: SHA-256 of all inputs of the results, hexadecimal.
-        experiment: complete scenario; None for a computation.
-        law: name of the computation; None for a scenario.
-        arguments: arguments of the computation.
+        key: SHA-256 of all inputs.
+        experiment: complete scenario.
+        law: computation.
+        arguments: computation arguments.
     """
 
     key: str
@@ -54,12 +54,15 @@ class ReproductionJob:
 
     @property
     def stores_trajectories(self) -> bool:
-        """Whether its trajectories are stored."""
+        """Whether trajectories are stored."""
         return self.experiment is not None and self.experiment.trajectories
 
     @property
     def steps(self) -> float:
-        """Number of time steps; long jobs start first, so that the last one does not delay the end."""
+        """Number of time steps.
+
+        Long jobs start first, so that the last job does not delay the end.
+        """
         if self.experiment is None:
             return math.inf
         base = self.experiment.base
@@ -69,7 +72,7 @@ class ReproductionJob:
 
 @cache
 def sweep_of(name: str) -> Sweep:
-    """Return a shipped sweep, cached."""
+    """Return a shipped sweep."""
     return load_sweep(name)
 
 
@@ -80,7 +83,7 @@ def _experiment(name: str, periods: float | None) -> Experiment:
 
 
 def points_of(request: RunRequest) -> tuple[Point, ...]:
-    """Return the points of a sweep that a request uses, in the order of their jobs."""
+    """Return the requested sweep points."""
     points = sweep_of(request.name).points
     return tuple(point for point in points if _matches(point.changes, request.where))
 
@@ -97,7 +100,6 @@ def _equal(one: Plain, other: Plain) -> bool:
 
 @cache
 def _data_digests() -> dict[str, str]:
-    """Return the SHA-256 of the shipped robots and footprints, by name, as computations read them."""
     folders = map(shipped_folder, ("robot", "footprint"))
     files = sorted(path for folder in folders for path in folder.glob("*.yaml"))
     return {path.stem: hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
@@ -115,8 +117,8 @@ def open_store(
     """Open and lock a folder of stored runs.
 
     Args:
-        folder: folder; created if missing.
-        change: change of every scenario document before it is run, for tests.
+        folder: folder.
+        change: function that changes every scenario document, for tests.
 
     Raises:
         InputError: the folder cannot be written, is locked, or contains other results.
@@ -127,7 +129,7 @@ def open_store(
 
 
 class RunStore:
-    """Jobs for requests and their stored results."""
+    """Jobs and their stored results."""
 
     def __init__(self, store: RowStore, change: DocumentChange | None) -> None:
         self._store = store
@@ -138,7 +140,7 @@ class RunStore:
         self._keys: dict[str, tuple[str, ...]] = {}
 
     def jobs(self, request: RunRequest) -> tuple[ReproductionJob, ...]:
-        """Return the job of a request, or one per point of its sweep; equal requests share jobs.
+        """Return one job, or one job per point of a sweep. Equal requests share jobs.
 
         Raises:
             InputError: the scenario or sweep is invalid.
@@ -149,8 +151,7 @@ class RunStore:
         if text not in self._keys:
             jobs = list(self._make_jobs(request))
             for job in jobs:
-                # A job that stores trajectories replaces an equal job that does not
-                # store them.
+                # A job with trajectories replaces an equal job without trajectories.
                 if job.key not in self._jobs or job.stores_trajectories:
                     self._jobs[job.key] = job
             self._keys[text] = tuple(job.key for job in jobs)
@@ -190,18 +191,20 @@ class RunStore:
         workers: int | None = None,
         progress: Progress = quiet,
     ) -> None:
-        """Run missing jobs and store each result as it finishes; an error gives a failed row.
+        """Run missing jobs, and store each result as soon as it is finished.
+
+        An error gives a failed row.
 
         Args:
-            jobs: jobs from `jobs`.
-            part: name of these jobs for `progress`.
-            workers: number of processes; default: one per processor.
-            progress: function that follows the missing jobs, if there are any.
+            jobs: jobs.
+            part: label for `progress`.
+            workers: number of processes.
+            progress: progress callback.
 
         Raises:
             InputError: a row cannot be stored.
         """
-        # A job may have been replaced by an equal one that also stores trajectories.
+        # A job may have been replaced by an equal job that also stores trajectories.
         current = [self._jobs[key] for key in dict.fromkeys(job.key for job in jobs)]
         missing = [job for job in current if not self._is_finished(job)]
         missing.sort(key=lambda job: job.steps, reverse=True)
@@ -221,15 +224,15 @@ class RunStore:
         self._store.collect(finished, [job.key for job in missing], keep)
 
     def row(self, key: str) -> Row | None:
-        """Return the result of a job; None if it has not run or has failed."""
+        """Return a job's result, if any."""
         return self._rows.get(key)
 
     def failure(self, key: str) -> str:
-        """Return the reason why a job failed; empty if it did not."""
+        """Return why a job failed, or ""."""
         return self._failures.get(key, "")
 
     def trajectory(self, key: str, plant: str) -> Trajectory | None:
-        """Return a stored trajectory; None if there is none."""
+        """Return a stored trajectory, if any."""
         path = self._store.trajectory_file(key, plant)
         if path.is_file():
             return Trajectory.from_parquet(path)
@@ -246,7 +249,7 @@ class RunStore:
 
 
 def run_job(job: ReproductionJob) -> Row:
-    """Run a job in this process; an error gives a failed row."""
+    """Run a job in this process. An error gives a failed row."""
     if job.experiment is not None:
         return run_point(job.experiment, Point(job.key, {}))
     assert job.law is not None, "a job is a scenario or a computation"

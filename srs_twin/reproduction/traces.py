@@ -1,4 +1,4 @@
-"""Quantities of a trajectory that claims need and no metric covers: drifts, regularity, time constants."""
+"""Quantities of a trajectory that claims need and no metric covers."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from srs_twin.robot.geometry import arc_between, measured_bend, pair_heading
 from srs_twin.trajectory import Trajectory
 
 _MARKER_M = 0.01
-"""Distance of each of the two markers of a connector from its centre."""
+"""Distance of each of the two markers of a connector from its centre, m."""
 
 _ARC_POINTS = 101
 """Number of points of an arc."""
 
 
 def tail_drift(run: Trajectory) -> float | None:
-    """Return the drift of the tail's heading, rad/s: slope of its mean over gait periods (Fig. 30)."""
+    """Return the derivative of the tail's period-mean heading, rad/s (Fig. 30)."""
     window = GaitWindow.from_trajectory(run)
     if window is None:
         return None
@@ -30,7 +30,7 @@ def tail_drift(run: Trajectory) -> float | None:
 
 
 def speed_regularity(run: Trajectory) -> float | None:
-    """Return the correlation of the speed of the centre of mass with itself one gait period later."""
+    """Return the autocorrelation of the speed at a lag of one gait period."""
     window = GaitWindow.from_trajectory(run)
     if window is None:
         return None
@@ -44,7 +44,10 @@ def speed_regularity(run: Trajectory) -> float | None:
 
 
 def third_harmonic(run: Trajectory) -> float | None:
-    """Return the largest ratio of a bend's third harmonic to its first; 1/3 for a square wave."""
+    """Return the maximum ratio of a bend's third harmonic to its first harmonic.
+
+    The ratio is 1/3 for a square wave.
+    """
     window = GaitWindow.from_trajectory(run)
     if window is None:
         return None
@@ -61,7 +64,7 @@ def third_harmonic(run: Trajectory) -> float | None:
 
 
 def sensor_error(run: Trajectory) -> float | None:
-    """Return the RMS of the sensor error over all segments, relative to the RMS of the bends."""
+    """Return the RMS of the sensor error relative to the RMS of the bends."""
     if not run.has("sensed_1"):
         return None
     bend = run.stack("bend")
@@ -69,17 +72,20 @@ def sensor_error(run: Trajectory) -> float | None:
 
 
 def algorithm_1_error(run: Trajectory) -> float | None:
-    """Return the largest error of the bends of Algorithm 1 (Table 3), from two markers per connector, rad."""
+    """Return the maximum error of the bends of Algorithm 1 (Table 3), rad.
+
+    Each connector has two markers.
+    """
     heading = _marker_headings(run)
     bend = measured_bend(heading[:, :-1], heading[:, 1:])
     return float(np.abs(bend - run.stack("bend")).max())
 
 
 def algorithm_2_error(run: Trajectory) -> float | None:
-    """Return the largest relative error of the arc lengths of Algorithm 2 (Table 4).
+    """Return the maximum relative error of the arc lengths of Algorithm 2 (Table 4).
 
-    The arcs go through the connectors with the curvature of Algorithm 1. This is only
-    for robots without rigid gaps, whose segments are complete arcs.
+    The arcs go through the connectors and have the curvature computed by Algorithm 1.
+    The robot must have no rigid gaps, so that its segments are complete arcs.
     """
     length = body_length(run) / (run.position.shape[1] - 1)
     position = run.position
@@ -91,35 +97,35 @@ def algorithm_2_error(run: Trajectory) -> float | None:
 
 
 def _marker_headings(run: Trajectory) -> np.ndarray:
-    """Return headings from markers 1 cm in front of and behind each connector, (samples, N), rad."""
+    """Return headings from two markers per connector."""
     theta = run.stack("theta")
     offset = _MARKER_M * np.stack([np.cos(theta), np.sin(theta)], axis=-1)
     return pair_heading(run.position - offset, run.position + offset)
 
 
 def step_tau_1(run: Trajectory) -> float | None:
-    """Return the longer time constant of a step response, s."""
+    """Return the longer time constant."""
     return _time_constants(run)[0]
 
 
 def step_tau_2(run: Trajectory) -> float | None:
-    """Return the shorter time constant of a step response, s."""
+    """Return the shorter time constant."""
     return _time_constants(run)[1]
 
 
 def step_c0(run: Trajectory) -> float:
-    """Return the bend at the end of a step response, rad."""
+    """Return the final bend, rad."""
     return float(run["bend_1"][-1])
 
 
 def step_c1(run: Trajectory) -> float:
-    """Return C₁ of Eq. 14, rad, which makes bend and rate zero at the start (E2)."""
+    """Return C₁ of Eq. 14, which makes the bend and its rate zero at the start (E2)."""
     slow, fast = _time_constants(run)
     return -step_c0(run) * slow / (slow - fast)
 
 
 def step_c2(run: Trajectory) -> float:
-    """Return C₂ of Eq. 14, rad."""
+    """Return C₂ of Eq. 14."""
     return -step_c0(run) - step_c1(run)
 
 
@@ -143,8 +149,8 @@ def step_c(run: Trajectory) -> float:
 def _time_constants(run: Trajectory) -> tuple[float, float]:
     """Return τ₁ and τ₂ of an overdamped step response y from the moments of 1 − y.
 
-    ∫(1 − y) dt = τ₁ + τ₂ and ∫ t (1 − y) dt = τ₁² + τ₁τ₂ + τ₂², so that neither a fit
-    nor initial values are needed.
+    Since ∫(1 − y) dt = τ₁ + τ₂ and ∫ t (1 − y) dt = τ₁² + τ₁τ₂ + τ₂², neither a fit nor
+    initial values are needed.
     """
     remainder = 1 - run["bend_1"] / run["bend_1"][-1]
     total = float(np.trapezoid(remainder, run.time))
@@ -155,10 +161,10 @@ def _time_constants(run: Trajectory) -> tuple[float, float]:
 
 
 def learning_law_error(run: Trajectory) -> float:
-    """Return the largest difference of a duty from that of Eq. 32 with k = 0.3 and the previous period.
+    """Return the maximum difference between the duties and Eq. 32 with k = 0.3.
 
-    The error and duty of each chamber in one period determine its duty in the next,
-    clipped to 0 to 1.
+    The equation computes the duty of each chamber from the error and duty of the
+    previous period, limited to 0 to 1.
     """
     periods = PeriodAmplitudes.from_trajectory(run)
     expected = np.clip(periods.duty[:-1] + 0.3 * periods.error[:-1], 0, 1)
@@ -174,23 +180,29 @@ def free_periods(run: Trajectory) -> float:
 
 
 def target_left(run: Trajectory) -> float:
-    """Return the final target of the + chambers, rad."""
+    """Return the final + target, rad."""
     return float(np.nanmean(PeriodAmplitudes.from_trajectory(run).target[-1, :, 0]))
 
 
 def target_right(run: Trajectory) -> float:
-    """Return the final target of the − chambers, rad."""
+    """Return the final − target, rad."""
     return float(np.nanmean(PeriodAmplitudes.from_trajectory(run).target[-1, :, 1]))
 
 
 def smallest_amplitude(run: Trajectory) -> float:
-    """Return the ratio of the target to the smallest amplitude of the recorded third period (Section 5.1)."""
+    """Return the ratio of target to minimum amplitude in the third period.
+
+    The third period is the one recorded in Section 5.1.
+    """
     periods = PeriodAmplitudes.from_trajectory(run)
     return float(np.nanmean(periods.target[-1]) / periods.amplitude[2].min())
 
 
 def saturated_after(run: Trajectory) -> float:
-    """Return the number of periods after the first update in which a chamber exceeds its target by 5 %."""
+    """Return the number of periods in which a chamber exceeds its target by 5 %.
+
+    Periods are counted from the first update.
+    """
     periods = PeriodAmplitudes.from_trajectory(run)
     begin = int(free_periods(run))
     over: np.ndarray = periods.amplitude[begin:] > 1.05 * periods.target[begin:]

@@ -1,4 +1,4 @@
-"""Verdicts: outcome of each claim in each column, its cause if missed, and comparison with the baseline."""
+"""Verdicts on claims: outcomes, causes of misses, and comparison with the baseline."""
 
 from __future__ import annotations
 
@@ -50,11 +50,11 @@ class Outcome:
     """Outcome of a claim in one column.
 
     Attributes:
-        verdict: "met", "missed", or "explained" if it is missed and the cause is shown.
+        verdict: "met", "missed", or "explained" if the cause of a miss is demonstrated.
         values: values of the measures in the claim's unit; NaN if missing.
-        value: number that is compared with the published one; NaN for an ordering or if
-            missing.
-        error: (value − published)/|published|; NaN if undefined.
+        value: number that is compared with the published number; NaN for an ordering or
+            if missing.
+        error: (value − published)/|published|, or NaN.
         why: cause of a miss, or reason why there is no value; empty if unknown.
     """
 
@@ -71,7 +71,7 @@ class JudgedClaim:
 
     Attributes:
         claim: claim.
-        outcomes: column → outcome.
+        outcomes: outcomes, keyed by column.
     """
 
     claim: Claim
@@ -79,10 +79,10 @@ class JudgedClaim:
 
 
 def judge_column(store: RunStore, claim: Claim, column: str) -> Outcome:
-    """Return the outcome of a claim in a column, from finished runs.
+    """Return the outcome of a claim in a column, computed from finished runs.
 
     Args:
-        store: store of runs.
+        store: run store.
         claim: claim.
         column: "analytical", "twin" or "alone".
     """
@@ -130,7 +130,6 @@ def _value(store: RunStore, job: ReproductionJob, owner: str, metric: str) -> fl
 
 
 def _missing_reason(store: RunStore, claim: Claim) -> str:
-    """Return the reason why a claim has no value."""
     failures = (
         store.failure(job.key)
         for measure in claim.all_measures
@@ -141,12 +140,12 @@ def _missing_reason(store: RunStore, claim: Claim) -> str:
 
 
 def combine(combination: str, values: tuple[float, ...]) -> float:
-    """Return the combination of one or two measures; NaN for a division by zero.
+    """Combine one or two measures. A division by zero gives NaN.
 
     Args:
         combination: "value", "ratio" a/b, "excess" a/b − 1, "difference" a − b, or
             "unevenness" |a + b|/|a|.
-        values: values of the measures.
+        values: measured values.
     """
     a = values[0]
     b = values[-1]
@@ -169,7 +168,7 @@ def _ratio(numerator: float, denominator: float) -> float:
 
 
 def aggregate(name: str | None, values: np.ndarray) -> float:
-    """Return an aggregate of the values of several runs, "most", "least", "spread" or the mean."""
+    """Aggregate the values of several runs by "most", "least", "spread" or mean."""
     if name == "most":
         return float(values.max())
     if name == "least":
@@ -180,28 +179,26 @@ def aggregate(name: str | None, values: np.ndarray) -> float:
 
 
 _OUTCOMES = TypeAdapter(Mapping[str, Mapping[str, Outcome]])
-"""Row → column → outcome."""
+"""Outcomes, keyed by row and column."""
 
 
 @dataclass(frozen=True)
 class Baseline:
-    """Outcomes at the time when the baseline was written.
+    """Stored outcomes that later reproductions are compared with.
 
     Attributes:
-        outcomes: claim → column → outcome.
-        versions: package → version at that time.
+        outcomes: outcomes, keyed by claim and column.
+        versions: package versions.
     """
 
     outcomes: Mapping[str, Mapping[str, Outcome]]
     versions: Mapping[str, str]
 
     def changes(self, rows: Sequence[JudgedClaim]) -> list[str]:
-        """Return a line for each changed verdict; a new claim is not a change.
+        """Return one line for each changed verdict, even if it has improved.
 
-        A better verdict is a change as well, because a tolerance may have been widened.
-
-        Args:
-            rows: present verdicts.
+        An improved verdict may result from a tolerance that was widened. A new claim is
+        not a change.
         """
         lines = []
         for row in rows:
@@ -215,12 +212,12 @@ class Baseline:
 
 
 def baseline_file() -> Path:
-    """Return the path of the shipped baseline."""
+    """Return the shipped baseline file."""
     return data_root() / "calibration/published/baseline.json"
 
 
 def load_baseline(path: Path | None = None) -> Baseline:
-    """Load a baseline, by default the shipped one.
+    """Load a baseline, by default the shipped baseline.
 
     Raises:
         InputError: the file does not exist or is not a baseline.
@@ -238,7 +235,7 @@ def load_baseline(path: Path | None = None) -> Baseline:
 
 
 def write_baseline(rows: Sequence[JudgedClaim], path: Path | None = None) -> Path:
-    """Write outcomes as the baseline atomically; return its path.
+    """Write outcomes as the baseline atomically, and return its path.
 
     Raises:
         InputError: the path cannot be written.
@@ -252,12 +249,7 @@ def write_baseline(rows: Sequence[JudgedClaim], path: Path | None = None) -> Pat
 def outcomes_document(
     rows: Sequence[JudgedClaim], *, digits: int | None = None
 ) -> dict[str, object]:
-    """Return outcomes as JSON values: claim → column → verdict, values, value, error, why.
-
-    Args:
-        rows: judged claims.
-        digits: number of significant digits; None: all.
-    """
+    """Return outcomes as JSON values, keyed by claim and column."""
     outcomes = {row.claim.id: row.outcomes for row in rows}
     document: dict[str, object] = _OUTCOMES.dump_python(
         outcomes, mode="json", context={"digits": digits}
@@ -272,13 +264,15 @@ def judge(
     workers: int | None = None,
     progress: Progress = quiet,
 ) -> tuple[JudgedClaim, ...]:
-    """Run and judge claims; then run variants with switched assumptions that may explain missed claims.
+    """Run and judge claims, and find the causes of missed claims.
+
+    Variants of missed claims are run with switched assumptions.
 
     Args:
         claims: claims.
-        store: store of runs.
-        workers: number of processes; default: one per processor.
-        progress: function that follows the missing runs of each round.
+        store: run store.
+        workers: number of processes.
+        progress: progress callback.
 
     Raises:
         InputError: a scenario or sweep is invalid, or a result cannot be stored.
@@ -310,7 +304,6 @@ def judge(
 
 
 def _switchable_causes(row: JudgedClaim) -> list[Cause]:
-    """Return the causes of missed columns that runs with a switched assumption must show."""
     missed = {name for name, outcome in row.outcomes.items() if outcome.verdict != MET}
     return [
         cause
@@ -320,7 +313,6 @@ def _switchable_causes(row: JudgedClaim) -> list[Cause]:
 
 
 def _explained(store: RunStore, row: JudgedClaim) -> JudgedClaim:
-    """Return a row with the causes of its missed outcomes."""
     outcomes = {
         name: _explain(store, row.claim, name, outcome)
         for name, outcome in row.outcomes.items()
@@ -329,7 +321,6 @@ def _explained(store: RunStore, row: JudgedClaim) -> JudgedClaim:
 
 
 def _explain(store: RunStore, claim: Claim, column: str, outcome: Outcome) -> Outcome:
-    """Return a missed outcome with the first cause that is shown, or with the presumed cause."""
     causes = [cause for cause in claim.cause if column in cause.columns]
     if outcome.verdict == MET or not causes:
         return outcome

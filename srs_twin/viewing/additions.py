@@ -1,4 +1,4 @@
-"""Additions of extensions to the plots and recordings of runs."""
+"""Plots and recording elements that extensions add."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ if TYPE_CHECKING:
 
 
 class FloorLine(NamedTuple):
-    """Line on the floor.
+    """Line drawn on the floor.
 
     Attributes:
-        name: name of its entity in a recording.
-        strips: polylines, each of shape (n, 2), m.
+        name: entity name.
+        strips: polylines (n, 2), m.
         color: colour, #rrggbb.
-        radius: half of the line width, m.
+        radius: half width, m.
     """
 
     name: str
@@ -36,10 +36,10 @@ class FollowedSignal(NamedTuple):
     """Recorded signal that gets its own plot.
 
     Attributes:
-        column: column of the trajectory.
-        entity: name of its entity in a recording.
-        factor: plotted value per SI value.
-        title: title of the plot.
+        column: trajectory column.
+        entity: entity name.
+        factor: factor that converts the SI value to the plotted unit.
+        title: plot title.
     """
 
     column: str
@@ -49,14 +49,14 @@ class FollowedSignal(NamedTuple):
 
 
 class RunPictures:
-    """Additions to the plots and recordings of one kind of run.
+    """Elements that an extension adds to the plots and recordings of one kind of run.
 
-    By default, all methods add nothing.
+    The base class adds nothing.
 
     Attributes:
         kind: kind of experiment.
-        legend: name of a line on the floor → colour, #rrggbb.
-        signals: signals that recordings plot.
+        legend: colour (#rrggbb) of each line on the floor, keyed by its label.
+        signals: additional plotted signals.
     """
 
     kind: ClassVar[str] = ""
@@ -70,20 +70,31 @@ class RunPictures:
     def figures(
         self, runs: Mapping[str, Trajectory], spec: RobotSpec
     ) -> dict[str, Figure]:
-        """Return caption → figure for the report, given plant → trajectory."""
+        """Return additional figures for the report, keyed by caption.
+
+        Args:
+            runs: trajectories, keyed by plant.
+            spec: robot.
+        """
         return {}
 
     def floor_lines(self, run: Trajectory, *, latest: bool = False) -> list[FloorLine]:
-        """Return the lines on the floor at the start of a run, or the latest ones."""
+        """Return lines to draw on the floor.
+
+        Args:
+            run: trajectory.
+            latest: whether to return the lines at the end of the run instead of the
+                start.
+        """
         return []
 
 
 @cache
 def additions() -> tuple[RunPictures, ...]:
-    """Return the additions of the installed extensions."""
+    """Return all installed additions."""
     return tuple(pictures for _, pictures in objects(PICTURES))
 
 
 def added_to(run: Trajectory) -> RunPictures | None:
-    """Return the additions to a run; None if no extension adds anything."""
+    """Return the additions to a run, or None if no extension adds anything."""
     return next((pictures for pictures in additions() if pictures.applies(run)), None)

@@ -1,4 +1,4 @@
-"""Content of a run for its report and its recording, and its events."""
+"""Content of reports and recordings, and the events of a run."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ class RunContent:
 
     Attributes:
         spec: robot.
-        trajectories: plant → trajectory. If there is a twin, all other plants are
-            ghosts in the recording.
-        comparison: difference of the plants over time; None: not plotted.
-        measured: plant → difference from the measured robot; empty: not plotted.
-        world: obstacles and movable objects.
+        trajectories: trajectories, keyed by plant. If there is a twin, a recording
+            draws all other plants as ghosts.
+        comparison: differences between the plants over time, or None.
+        measured: differences from the measured robot, keyed by plant.
+        world: obstacles and objects.
 
     Raises:
-        InputError: there is no trajectory, or a trajectory is empty.
+        InputError: a trajectory is missing or empty.
     """
 
     spec: RobotSpec
@@ -48,7 +48,7 @@ class RunContent:
 
 
 def events_of(run: Trajectory) -> list[Event]:
-    """Return the events of a run and its contacts with obstacles, ordered by time."""
+    """Return the events of a run and its contacts with obstacles, sorted by time."""
     return sorted(
         [*run.events, *contact_events(run), *end_event(run)],
         key=lambda event: event.time,
@@ -56,7 +56,7 @@ def events_of(run: Trajectory) -> list[Event]:
 
 
 def end_event(run: Trajectory) -> list[Event]:
-    """Return the end of a run as an event if the run ended early."""
+    """Return one event if the run ended early, or an empty list."""
     by = run.metadata.get("ended_by")
     if by is None:
         return []

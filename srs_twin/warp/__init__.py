@@ -1,4 +1,4 @@
-"""Twins on a GPU, stepped by MuJoCo Warp with the same laws as on the CPU."""
+"""Twins on a GPU, simulated by MuJoCo Warp with the laws that the CPU twins use."""
 
 import warp
 

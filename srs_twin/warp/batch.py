@@ -1,8 +1,8 @@
-"""WarpBatch: many twins stepped together by MuJoCo Warp, on a GPU.
+"""`WarpBatch` simulates many twins together on a GPU with MuJoCo Warp.
 
-Tests also run it on the CPU. Engine, chambers and friction are the same as in
-`TwinSnake`, in single precision. The model of each distinct robot is built on the CPU
-and copied to the device, so no formula of the model is repeated here.
+Tests also run it on the CPU. Engine, chambers and friction are those of `TwinSnake`, in
+single precision. The model of each distinct robot is built on the CPU and copied to the
+device, so no formula of the model is repeated here.
 """
 
 from __future__ import annotations
@@ -27,33 +27,35 @@ from srs_twin.warp.engine import DeviceEngine
 from srs_twin.warp.kernels import GaitWave
 
 _INITIAL_LIFT = 1e-8
-"""Lift of the snakes at the start, m.
+"""Height by which snakes are lifted at the start, m.
 
-At rest they just touch the floor, so rounding would decide on contact.
+Snakes at rest just touch the floor, so rounding would decide whether they have contact.
 """
 
 _MAX_START_DISTANCE = 16.0
 """Maximum distance of a start from the origin of the device coordinates, m.
 
-Single precision rounds a coordinate x by up to 2⁻²⁴ x, which is 2⁻²⁰ m or 1 µm at 16 m.
-A snake with 0.1 m/s travels 0.1 mm per step of 1 ms. The error is therefore 1 % of a
-step at 16 m, and a whole step at 2 km.
+Single precision rounds a coordinate x by up to 2⁻²⁴ x, which is 1 µm at 16 m. A snake
+with 0.1 m/s travels 0.1 mm per step of 1 ms. The rounding error is therefore 1 % of the
+motion in a step at 16 m, and equals the motion at about 2 km.
 """
 
 
 class WarpBatch(Claimable):
-    """Twins with equal numbers of connectors and ticks on a device, like `TwinBatch`.
+    """Batch of twins on a device, with the interface of `TwinBatch`.
+
+    All twins have equal numbers of connectors and equal control ticks.
 
     Attributes:
-        twins: twin of each run, which holds its settings. Runs with the same robot share
-            one twin.
+        twins: twin of each run. It holds the run's settings, and runs with equal robots
+            share one twin.
         tick: control tick, s.
-        state: latest state of every run, with a leading axis of runs on every field.
+        state: latest state of every run. Each field has a leading axis of runs.
         errors: error that ended each run, or None.
-        device: the Warp device.
-        origins: origin of each run's device coordinates in the world, shape (runs, 2), m.
-            Runs that start more than 16 m from the world's origin have their origin at the
-            start, because of single precision.
+        device: Warp device.
+        origins: origin of each run's device coordinates in the world, shape (runs, 2),
+            m. A run that starts more than 16 m from the world's origin has its device
+            origin at the start, because of single precision.
     """
 
     claiming_methods = (*Claimable.claiming_methods, "run", "follow", "command")
@@ -73,14 +75,14 @@ class WarpBatch(Claimable):
         """Copy twins to a device.
 
         Args:
-            twins: twin of each run; runs with the same robot may share one object.
-            device: Warp's name of the device, such as "cuda:0", or None for Warp's default.
+            twins: twin of each run. Runs with equal robots may share one object.
+            device: Warp's device name, such as "cuda:0", or None for Warp's default.
             deterministic: whether to sum in a fixed order, so that repeated runs are
                 bit-identical.
 
         Raises:
-            InputError: there is no twin, the twins differ in settings that all runs share, or
-                the device engine does not support a setting.
+            InputError: there is no twin, the twins differ in settings that all runs
+                share, or the device engine does not support a setting.
         """
         self.device = wp.get_device(device)
         if device is None and not self.device.is_cuda:
@@ -112,7 +114,7 @@ class WarpBatch(Claimable):
         """Check that the device engine supports a twin.
 
         Raises:
-            InputError: a setting is not supported; the message names it.
+            InputError: a setting is not supported.
         """
         _check_supported(twin, twin)
 
@@ -122,7 +124,7 @@ class WarpBatch(Claimable):
         return bool(wp.get_preferred_device().is_cuda)
 
     def __reduce_ex__(self, protocol: SupportsIndex) -> NoReturn:
-        """Refuse to be copied, because the states of the runs are on the device.
+        """Refuse to be copied or pickled, because the states are on the device.
 
         Raises:
             InputError: always.
@@ -141,15 +143,14 @@ class WarpBatch(Claimable):
 
         Args:
             steps: number of steps.
-            gait: whether the gaits of `set_gaits` command the valves, instead of the latest
-                commands.
+            gait: whether the gaits of `set_gaits` replace the latest valve commands.
         """
         self._time += steps * self._h
         self._unobserved_steps += steps
         self._engine.run(steps, gait=gait)
 
     def set_gaits(self, gaits: Sequence[Any]) -> None:
-        """Set the `control.gait.Gait` of each run, which `run` and `follow` use.
+        """Set the gait (`control.gait.Gait`) of each run for `run` and `follow`.
 
         Raises:
             InputError: the number of gaits differs from the number of runs.
@@ -169,17 +170,17 @@ class WarpBatch(Claimable):
         seed: int = 0,
         worlds: Sequence[int] | None = None,
     ) -> SnakeState:
-        """Lay snakes straight and at rest with empty chambers.
+        """Place straight snakes at rest with empty chambers.
 
         Args:
-            poses: centre of mass x, y (m) and mean heading (rad) of each run that is reset; the
-                default is the origin.
+            poses: centre of mass x, y (m) and mean heading (rad) of each run that is
+                reset, by default zero.
             seed: random seed of the sensor noise.
-            worlds: indices of the runs to reset, or None for all, which also resets the time.
+            worlds: indices of the runs to reset. None resets all runs and the time.
 
         Raises:
-            InputError: the number of poses is wrong, or a start is too far from the origin in a
-                world with obstacles.
+            InputError: the number of poses is wrong, or a start is too far from the
+                origin in a world with obstacles.
         """
         chosen = np.arange(len(self)) if worlds is None else np.asarray(worlds, int)
         if poses is None:
@@ -243,23 +244,23 @@ class WarpBatch(Claimable):
         """Advance all runs by one tick. See `TwinBatch.advance`.
 
         Args:
-            valves: valve commands as in `TwinBatch.step`, in an array or an object with the
-                DLPack interface.
+            valves: valve commands in an array or an object with the DLPack interface.
             samples: number of equally spaced samples.
         """
         self.command(valves)
         return self._run_observed(self._engine.steps, samples, gait=False)
 
     def command(self, valves: Any) -> None:
-        """Set the valve states of each tick from now on.
+        """Set the valve states for each tick from now on.
 
         Args:
-            valves: valve states −1 or 1, shape (runs, segments, 2) or (runs, slots, segments,
-                2). They are a NumPy array, or an int32 array on the device with the DLPack
-                interface, whose values are not checked.
+            valves: valve states −1 or 1, shape (runs, segments, 2) or (runs, slots,
+                segments, 2). A NumPy array is checked. Values of an int32 array on the
+                device (DLPack) are not checked.
 
         Raises:
-            InputError: the shape or type is wrong, or the valves do not have a state.
+            InputError: the shape or type is wrong, or a valve does not have a given
+                state.
         """
         shape = tuple(valves.shape)
         segments = self.twins[0].spec.segments
@@ -336,17 +337,17 @@ class WarpBatch(Claimable):
     def follow(self, duration: float, samples: int) -> list[SnakeState | None]:
         """Follow the gaits of `set_gaits` for a duration (s).
 
-        The samples are equally spaced, with the last one at the end.
+        The samples are equally spaced, and the last sample is at the end.
         """
         return self._run_observed(
             count_steps("duration", duration, "time step", self._h), samples, gait=True
         )
 
     def arrays(self) -> dict[str, Any]:
-        """Return qpos, qvel, pressure and valves as arrays on the device, by name.
+        """Return qpos, qvel, pressure and valves as device arrays, keyed by name.
 
-        They have a leading axis of runs and the DLPack interface. Positions in `qpos` are
-        relative to `origins`.
+        The arrays have a leading axis of runs and the DLPack interface. Positions in
+        `qpos` are relative to `origins`.
         """
         chambers = self._engine.structs["chambers"]
         data = self._engine.data
@@ -358,11 +359,11 @@ class WarpBatch(Claimable):
         }
 
     def openings(self) -> np.ndarray:
-        """Return the number of openings of each inlet, shape (runs, segments, 2)."""
+        """Return how often each inlet has opened, shape (runs, segments, 2)."""
         return np.asarray(self._engine.structs["chambers"].openings.numpy())
 
     def describe(self) -> dict[str, object]:
-        """Return settings for the provenance of a run, besides the twins' own."""
+        """Return the settings of the engine for the provenance of a run."""
         return {"engine": "warp", "device": self.device.name}
 
     def _run_observed(
@@ -399,7 +400,7 @@ class WarpBatch(Claimable):
         return replace(history.at(-1), time=self._time - self._begun)
 
     def _history_of_run(self, together: SnakeState, k: int) -> SnakeState | None:
-        """Return the history of run k until it diverges, and set its error."""
+        """Return the history of run k until it diverges, and store its error."""
         history = SnakeState(
             together.time - self._begun[k],
             *(getattr(together, f.name)[:, k] for f in fields(SnakeState)[1:]),
@@ -428,8 +429,7 @@ class WarpBatch(Claimable):
     ) -> SnakeState:
         """Return the history of all runs, with axes of samples and runs.
 
-        `rows` holds one observation per sample. Forces are averaged over the time steps before
-        each sample, `steps`.
+        Forces are averaged over the number of time steps before each sample, `steps`.
         """
         table = np.stack([row.numpy() for row in rows]).astype(float)
         shape = table.shape[:2]
@@ -486,8 +486,8 @@ class WarpBatch(Claimable):
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the moments of the segments (N·m) and their stored energy (J).
 
-        All arguments have leading axes of samples and runs, and angles in rad. `free` excludes
-        the rest bends.
+        All arguments have leading axes of samples and runs, with angles in rad. Rest
+        bends are not included in `free`.
         """
         torque = np.empty_like(bend)
         stored = np.empty(bend.shape[:2])
@@ -510,9 +510,9 @@ class WarpBatch(Claimable):
 
 
 def _moved(qpos: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Return positions after a rotation, a translation and a small lift.
+    """Rotate, translate and slightly lift the positions of snakes.
 
-    `places` holds the translation x, y (m) and the rotation (rad) of each snake.
+    Each row of `places` contains a translation x, y (m) and a rotation (rad).
     """
     moved = qpos.copy()
     yaw = places[:, 2]
@@ -552,7 +552,7 @@ def _check_supported(twin: TwinSnake, first: TwinSnake) -> None:
     same = settings.keys() - {"robot", "robot_digest", "supply_pa"}
     same -= (
         set() if twin.touches or first.touches else {"world"}
-    )  # goals and bounds do not affect the motion
+    )  # Goals and bounds do not affect the motion.
     unsupported |= {
         f"runs that differ in {name}": settings[name] != first_settings[name]
         for name in sorted(same)

@@ -1,4 +1,4 @@
-"""DeviceEngine: models, states and time steps of twins on a device, by MuJoCo Warp."""
+"""Models, states and time steps of twins on a device, using MuJoCo Warp."""
 
 from __future__ import annotations
 
@@ -34,27 +34,27 @@ from srs_twin.warp.translation import (
 )
 
 _CAPACITY_FACTOR = 4
-"""Capacity for contacts and constraint rows, as a multiple of their number at rest."""
+"""Ratio of the capacity for contacts and constraint rows to their number at rest."""
 
 _UNUSED_FIELDS = ("dof_length",)
 """Model fields that may differ between runs, because only sleeping bodies use them."""
 
 _MAX_ITERATIONS = 50
-"""Iterations of the engine's solver."""
+"""Maximum number of solver iterations of the engine."""
 
 _AUTORESET = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
 
 
 class DeviceEngine:
-    """Twins of a batch on a device.
+    """Twins of a batch on a device, one per world.
 
     Attributes:
-        loaded: whether the contacts are loaded.
+        loaded: whether the twins have the loaded contact model.
         slots: valve slots per time step.
         steps: time steps per control tick.
         data: MuJoCo Warp's data of all worlds.
-        structs: structs of all worlds by name, as `build_kernels` takes them.
-        count: number of time steps since the reset, in an array of one number.
+        structs: structs of all worlds, keyed by the names in `build_kernels`.
+        count: array that contains the number of time steps since the reset.
         widths: number of columns of each part of an observation (kernel `observe`).
     """
 
@@ -68,9 +68,9 @@ class DeviceEngine:
         """Copy models, states and records to the device, and compile the kernels.
 
         Args:
-            robots: the distinct twins.
-            robot_of_run: index of each run's twin.
-            device: Warp's device.
+            robots: distinct twins.
+            robot_of_run: twin index of each run.
+            device: Warp device.
             deterministic: whether to sum in a fixed order, so that repeated runs are
                 bit-identical.
 
@@ -93,7 +93,7 @@ class DeviceEngine:
         mujoco.mj_forward(raw, data)
         capacity = {
             "nconmax": _CAPACITY_FACTOR * max(data.ncon, 8),
-            # A contact that just touches has no row yet.
+            # A contact that just touches the floor has no constraint row yet.
             "njmax": _CAPACITY_FACTOR * max(data.nefc, data.ncon, 8),
         }
         tick = robots[0].tick
@@ -140,7 +140,7 @@ class DeviceEngine:
             for name in ("contacts", "sparsity", "contact_state", "work"):
                 records[name] = [solve[name] for solve in solves]
         structs = {name: warp_struct(values[0]) for name, values in records.items()}
-        # There is one record for all robots, or one per robot.
+        # All robots share a single record, or each robot has its own.
         self.structs = {
             name: stack_records(
                 structs[name],
@@ -205,7 +205,7 @@ class DeviceEngine:
         }
 
     def _view(self, name: str) -> wp.array:
-        """Return an array of vectors or matrices as an array of numbers."""
+        """View an array of vectors or matrices as an array of scalars."""
         array = getattr(self.data, name)
         size = wp.types.type_size(array.dtype)
         if size == 1:
@@ -266,7 +266,6 @@ class DeviceEngine:
         self._start(k.finish_step, *friction, accumulators, self._energy_loss)
 
     def _start(self, kernel: Any, *inputs: Any, axes: int = 1) -> None:
-        """Launch a kernel with one thread per world, or per world and segment."""
         threads = (self._worlds, self._segments)[:axes]
         wp.launch(kernel, dim=threads, inputs=inputs)
 
@@ -276,9 +275,10 @@ class DeviceEngine:
         """Set worlds to rest with empty chambers.
 
         Args:
-            chosen: indices of the worlds.
+            chosen: world indices.
             qpos: positions, one row per chosen world.
-            contacts: states of loaded contacts, one per chosen world, or empty for others.
+            contacts: loaded contact states, one per chosen world, or empty without
+                loaded contacts.
         """
         self._set(self.data.qpos, chosen, qpos)
         for array in (
@@ -309,7 +309,7 @@ class DeviceEngine:
         array.assign(whole)
 
     def set_waves(self, waves: Sequence[GaitWave]) -> None:
-        """Set the parameters of each world's gait."""
+        """Set the gait parameters of each world."""
         stacked = stack_records(warp_struct(waves[0]), waves, self._device)
         for name in GaitWave._fields:
             wp.copy(getattr(self.structs["wave"], name), getattr(stacked, name))
@@ -336,8 +336,7 @@ class DeviceEngine:
 
         Args:
             steps: number of steps.
-            gait: whether the gaits of `set_waves` command the valves, instead of the latest
-                commands.
+            gait: whether the gaits of `set_waves` replace the latest valve commands.
         """
         with wp.ScopedDevice(self._device):
             if not self._device.is_cuda:

@@ -1,7 +1,8 @@
-"""Warp kernels for chambers, loaded contacts and accumulation.
+"""Warp kernels for chambers, loaded contacts and sums of forces.
 
-They run around the steps of MuJoCo Warp. A kernel has one thread per world, or one per
-world and segment. The struct of one world is a view of the struct of all worlds.
+The kernels run before and after the steps of MuJoCo Warp. A kernel has one thread per
+world, or one per world and segment. The struct of one world is a view of the struct of
+all worlds.
 """
 
 # No `from __future__ import annotations`: Warp needs the types themselves.
@@ -22,11 +23,11 @@ class StepSettings(NamedTuple):
 
     Attributes:
         h: time step, s.
-        slot: length of a valve slot, s.
+        slot: duration of a valve slot, s.
         slots: number of valve slots per time step.
         tick: number of time steps per tick.
-        mean_control: whether the mean control over a step drives the bodies, instead of the
-            control at the beginning of the step.
+        mean_control: whether the mean control over a step drives the bodies, instead of
+            the control at the beginning of the step.
     """
 
     h: float
@@ -42,8 +43,8 @@ class ChamberState(NamedTuple):
     Attributes:
         pressure: gauge pressure, shape (segments, 2), Pa.
         linear: linear bend x, shape (segments,), rad.
-        bend, bend_rate: free bend without the rest bend (rad) and its rate (rad/s), shape
-            (segments,).
+        bend, bend_rate: free bend without the rest bend (rad) and its derivative
+            (rad/s), shape (segments,).
         valves: valve states of the latest slot, shape (segments, 2).
         openings: number of openings of each inlet, shape (segments, 2).
         drawn: pneumatic energy of each segment since `reset`, shape (segments,), J.
@@ -75,7 +76,7 @@ class GaitWave(NamedTuple):
 
 
 class BodyViews(NamedTuple):
-    """Views of the engine's data for observation, named as in MjData."""
+    """Views of the engine's data for observation, named like the fields of MjData."""
 
     qpos: np.ndarray
     qvel: np.ndarray
@@ -87,14 +88,14 @@ class BodyViews(NamedTuple):
 
 
 class Accumulators(NamedTuple):
-    """Quantities of one world between samples.
+    """Quantities of one world that are summed between samples.
 
     Attributes:
-        mid_qpos: qpos at mid-step, shape (nq,).
-        step_force, force_sum: forces on wheels and hulls in the latest step, and their sum
-            since the latest sample, shape (contacts, 3), N.
-        obstacle_sum: sum of the normal forces of obstacles since the latest sample, shape
-            (hulls, 3), N.
+        mid_qpos: qpos in the middle of the step, shape (nq,).
+        step_force, force_sum: forces on wheels and hulls in the latest step, and the
+            sum of these forces since the latest sample, shape (contacts, 3), N.
+        obstacle_sum: sum of the normal forces exerted by obstacles since the latest
+            sample, shape (hulls, 3), N.
     """
 
     mid_qpos: np.ndarray
@@ -110,19 +111,19 @@ Each kernel is compiled separately, because its constants depend on the batch.
 """
 
 Kernels = dict[str, Any]
-"""Kernels by name."""
+"""Kernels, keyed by name."""
 
 
 def build_kernels(
     structs: Mapping[str, WarpStruct], settings: StepSettings
 ) -> SimpleNamespace:
-    """Return the kernels for structs of given shapes.
+    """Build the kernels for structs of given shapes.
 
     Args:
-        structs: structs by name: `relaxation`, `chambers`, `wave`, `accumulators`,
-            `addresses`, `bodies`, and under loaded contact `engine`, `contacts`,
-            `sparsity`, `contact_state` and `work`.
-        settings: constants that are the same for all worlds.
+        structs: `relaxation`, `chambers`, `wave`, `accumulators`, `addresses` and
+            `bodies`, and for loaded contacts `engine`, `contacts`, `sparsity`,
+            `contact_state` and `work`.
+        settings: constants for all worlds.
     """
     functions = as_warp_functions(_PARTS, **warp_functions())
     loaded = "work" in structs
@@ -141,7 +142,7 @@ def build_kernels(
 def _valve_kernels(wave: WarpStruct, settings: StepSettings) -> Kernels:
     GaitWaves = wave.batched
     wave_of = wave.select
-    # Warp takes these as compile-time constants.
+    # Warp treats these captured variables as compile-time constants.
     SLOT = settings.slot
     SLOTS = settings.slots
     TICK = settings.tick
@@ -169,11 +170,13 @@ def _valve_kernels(wave: WarpStruct, settings: StepSettings) -> Kernels:
             time = (wp.float64(count[0] * SLOTS + s) + wp.float64(0.5)) * wp.float64(
                 SLOT
             )
+            # Double precision keeps the phase accurate in long runs.
             turns = wp.float64(gait.frequency) * time
             angle = wp.float64(6.283185307179586) * (
                 turns - wp.floor(turns)
             ) - wp.float64(gait.lag[j])
             value = wp.sin(angle) + wp.float64(gait.offset)
+            # The margin prevents rounding from delaying a switch by one slot.
             edge = wp.float64(gait.rest) - wp.float64(1e-9)
             out[i, s, j, 0] = 2 * int(value >= edge) - 1
             out[i, s, j, 1] = 2 * int(value < -edge) - 1
@@ -203,12 +206,12 @@ def _chamber_kernel(
         valves: wp.array4d(dtype=int),
         ctrl: wp.array2d(dtype=float),
     ):
-        """Advance the chambers slot by slot, and set the controls of the bodies."""
         i, j = wp.tid()
         law = relaxation_of(relaxations, i)
         air = chambers_of(all_chambers, i)
         pressure = air.pressure[j]
-        # At the beginning of the step.
+        # With this drive, a segment with the damping time c/k follows the free bend
+        # without lag. The values are those at the beginning of the step.
         driven = air.bend[j] + law.damping_time * air.bend_rate[j]
         bend = air.bend[j] + law.bias[j]
         for s in range(SLOTS):
@@ -219,6 +222,7 @@ def _chamber_kernel(
         air.bend_rate[j] = slope * (pull - air.linear[j]) / law.tau
         end = air.bend[j] + law.damping_time * air.bend_rate[j]
         driven += END_WEIGHT * (end - driven)
+        # A control is the pressure of one chamber, so it cannot be negative.
         ctrl[i, 2 * j] = wp.max(driven, 0.0) / law.gain[j, 0]
         ctrl[i, 2 * j + 1] = wp.max(-driven, 0.0) / law.gain[j, 1]
 
@@ -257,7 +261,7 @@ def _accumulation_kernel(
     ):
         """Add the forces and energy losses of a step.
 
-        Under a preloaded contact the engine's sensors give the forces.
+        With a preloaded contact, the engine's sensors provide the forces.
         """
         i = wp.tid()
         air = chambers_of(all_chambers, i)
@@ -316,7 +320,10 @@ def _observation_kernel(
 
 
 def advance_slot(law, air, state, j, before):  # type: ignore[no-untyped-def]
-    """Advance the chambers of segment j over a valve slot; return its bend, rad."""
+    """Advance the chambers of segment j over a valve slot, and return its bend, rad.
+
+    The argument `before` is the bend at the beginning of the slot.
+    """
     pressure = air.pressure[j]
     content_before = filling_content(
         state, pressure[0], pressure[1], before, law, AMBIENT_PA
@@ -325,6 +332,7 @@ def advance_slot(law, air, state, j, before):  # type: ignore[no-untyped-def]
     after, _, _ = apply_bend_law(x, law)
     after += law.bias[j]
     content = filling_content(state, plus, minus, after, law, AMBIENT_PA)
+    # The supply delivers the increase of the content of filling chambers.
     air.drawn[j] = air.drawn[j] + law.worth * (content - content_before)
     pressure[0] = plus
     pressure[1] = minus
@@ -337,10 +345,12 @@ def advance_slot(law, air, state, j, before):  # type: ignore[no-untyped-def]
 
 
 def internal_power(air, at, qvel, damping):  # type: ignore[no-untyped-def]
-    """Return the power that the dampers of the segments dissipate, W."""
+    """Return the power dissipated by the dampers of the segments, W."""
     power = float(0.0)
     hinges = at.hinges.shape[1]
     for j in range(at.hinges.shape[0]):
+        # Dampers act on deviations from the free bend rate, which is divided equally
+        # among the hinges.
         share = air.bend_rate[j] / float(hinges)
         for n in range(hinges):
             deviation = qvel[at.hinges[j, n]] - share
@@ -352,7 +362,7 @@ def internal_power(air, at, qvel, damping):  # type: ignore[no-untyped-def]
 
 
 def preloaded_power(sums, at, sensors):  # type: ignore[no-untyped-def]
-    """Return the power that the floor takes (W), and read its forces on the wheels.
+    """Return the power that the floor takes (W), and read the wheel forces.
 
     The force of the previous step acts with the velocity that the sensors report now.
     """
@@ -366,7 +376,7 @@ def preloaded_power(sums, at, sensors):  # type: ignore[no-untyped-def]
 
 
 def external_power(at, sensors):  # type: ignore[no-untyped-def]
-    """Return the power that forces other than those on wheels take, W."""
+    """Return the power that external forces other than wheel forces take, W."""
     power = float(0.0)
     for w in range(at.external_force.shape[0]):
         power -= sensors[at.external_force[w]] * sensors[at.external_velocity[w]]
@@ -401,6 +411,7 @@ def write_bodies(body, at, row):  # type: ignore[no-untyped-def]
         b = at.connectors[c]
         for n in range(3):
             row[k + n] = body.xpos[b, n]
+        # The heading is the direction of the connector's x axis in the plane.
         row[k + 3] = wp.atan2(body.xmat[b, 3], body.xmat[b, 0])
         k += 4
     return k
@@ -421,7 +432,7 @@ def write_chambers(air, row, begin):  # type: ignore[no-untyped-def]
 
 
 def move_sums(sums, row, begin):  # type: ignore[no-untyped-def]
-    """Move sums of forces into a row, reset them, and return the next column."""
+    """Move sums of forces into a row, reset the sums, and return the next column."""
     k = int(begin)
     for w in range(sums.shape[0]):
         for n in range(3):
@@ -441,7 +452,7 @@ _PARTS = (
     write_chambers,
     move_sums,
 )
-"""Functions that the kernels call; `as_warp_functions` translates them."""
+"""Functions that the kernels call. `as_warp_functions` translates them."""
 
 
 @wp.func
@@ -457,6 +468,7 @@ def integrate_position(
     rotation = wp.vec3(qvel[3], qvel[4], qvel[5])
     speed = wp.length(rotation)
     half = 0.5 * h * speed
+    # The lower bound avoids a division by zero for a body that does not rotate.
     axis = rotation / wp.max(speed, 1e-20)
     w = qpos[3]
     x = qpos[4]

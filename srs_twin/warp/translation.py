@@ -1,10 +1,10 @@
 """Translation of numba kernels and their records for Warp.
 
-Warp needs argument types, the Warp versions of called functions under their names, and
-single precision. A function in the common subset of both compilers is copied with these
-changes. Its tolerances are replaced by tolerances for single precision. A record is a
-named tuple of arrays, numbers and further records. It becomes a Warp struct of one
-world and a Warp struct of all worlds.
+Warp needs argument types, single precision, and the Warp versions of called functions
+under the functions' names. A function in the common subset of both compilers is copied
+with these changes. Its tolerances are replaced by tolerances for single precision. A
+record is a named tuple of arrays, numbers and further records. It becomes a Warp struct
+of one world and a Warp struct of all worlds.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _TOLERANCES = {
     # (kg·m/s)², of the squared residual (`friction_solve`)
     "_ABSOLUTE_TOLERANCE": 1e-15,
 }
-"""Values of module constants of the translated functions in single precision."""
+"""Single-precision values of module constants in translated functions."""
 
 
 def as_warp_functions(
@@ -35,8 +35,8 @@ def as_warp_functions(
     """Return the Warp versions of functions by name, together with `translated`.
 
     Args:
-        functions: functions compiled by numba, callees before their callers.
-        **translated: Warp functions that the functions call, by name.
+        functions: functions compiled by numba. Callees come before their callers.
+        **translated: Warp functions that the functions call, keyed by name.
     """
     namespace: dict[str, Any] = _TOLERANCES | {"Traction": _TRACTION} | translated
     for function in functions:
@@ -89,7 +89,7 @@ _FRICTION_STEP = (
     "solve_friction",
     "store_friction",
 )
-"""Functions of `friction_solve` that use the Newton step, callees first."""
+"""Functions of `friction_solve` that use the Newton step. Callees come first."""
 
 _OBJECT_FUNCTIONS = (
     "apply_object_friction",
@@ -126,7 +126,7 @@ def warp_functions() -> dict[str, Any]:
     functions |= dict.fromkeys(_OBJECT_FUNCTIONS, no_objects)
     solve = [getattr(friction_solve, name) for name in _FRICTION_SOLVE]
     functions = as_warp_functions(solve, **functions)
-    # The CPU version calls the engine's C functions.
+    # The CPU version calls C functions of the engine, which Warp cannot call.
     functions["_solve_direction"] = functions["solve_direction_portably"]
     step = [getattr(friction_solve, name) for name in _FRICTION_STEP]
     return as_warp_functions(step, **functions)
@@ -139,8 +139,8 @@ class WarpStruct(NamedTuple):
         single: struct of one world, the argument of translated functions.
         batched: struct of all worlds, whose fields have a leading axis of worlds.
         select: Warp function that maps a batched struct and an index to the struct of
-            that world.
-        inner: Warp versions of the fields that are records themselves, by name.
+            one world.
+        inner: Warp versions of the fields that are records, keyed by name.
     """
 
     single: Any
@@ -150,11 +150,11 @@ class WarpStruct(NamedTuple):
 
 
 def warp_struct(example: Any, without: Sequence[str] = ()) -> WarpStruct:
-    """Return the Warp versions of a record.
+    """Create the Warp versions of a record.
 
     Args:
         example: record of one world, a named tuple of arrays, numbers and records.
-        without: names of fields that are left out.
+        without: names of omitted fields.
     """
     kind = type(example).__name__
     inner: dict[str, WarpStruct] = {}
@@ -196,7 +196,7 @@ _TRACTION = _struct("Traction", dict.fromkeys(stick_slip.Traction._fields, float
 
 
 def stack_records(struct: WarpStruct, records: Sequence[Any], device: Any) -> Any:
-    """Return the records of several worlds as one batched struct on a device."""
+    """Copy the records of several worlds to a device as one batched struct."""
     batched = struct.batched()
     for name in records[0]._fields:
         values = [getattr(record, name) for record in records]
@@ -211,7 +211,7 @@ def stack_records(struct: WarpStruct, records: Sequence[Any], device: Any) -> An
 
 
 def single_record(struct: WarpStruct, record: Any) -> Any:
-    """Return a record of integers and integer arrays as the struct of one world."""
+    """Convert a record of integers and integer arrays to the struct of one world."""
     single = struct.single()
     for name, value in record._asdict().items():
         is_array = isinstance(value, np.ndarray)

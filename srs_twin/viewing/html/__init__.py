@@ -1,4 +1,4 @@
-"""HTML pages from templates, each a single file without external resources."""
+"""HTML pages rendered from templates as single files without external resources."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ class Table(NamedTuple):
     """Table of a page.
 
     Attributes:
-        headings: column headings with units.
-        rows: cells, text or `Markup`.
-        numbers: indices of the right-aligned columns.
-        note: remark below the table, e.g. on omitted rows.
-        title: title, if the page does not name the content elsewhere.
+        headings: headings with units.
+        rows: strings or `Markup`.
+        numbers: indices of right-aligned columns.
+        note: remark below the table.
+        title: table title.
     """
 
     headings: Sequence[str]
@@ -42,7 +42,7 @@ class Picture(NamedTuple):
     """Image embedded in a page.
 
     Attributes:
-        source: content as a ``data:`` URL.
+        source: ``data:`` URL.
         caption: caption.
     """
 
@@ -51,17 +51,21 @@ class Picture(NamedTuple):
 
 
 def render(template: str, **content: Any) -> str:
-    """Return a page from a template; text is escaped, `Markup` is not.
+    """Render a template, given by its path relative to the package.
 
-    Args:
-        template: path of the template relative to the package.
-        content: variables of the template.
+    Strings are escaped, and `Markup` is inserted unchanged.
     """
     return _environment().get_template(template).render(content, validated=VALIDATION)
 
 
 def notebook_output(summary: str, table: Table, plot: Picture | None = None) -> str:
-    """Return HTML for the output cell of a notebook: a summary, a table and an optional plot."""
+    """Return the HTML of a notebook output cell.
+
+    Args:
+        summary: heading.
+        table: table.
+        plot: optional plot.
+    """
     macros: Any = _environment().get_template("viewing/html/parts.html").module
     pictures = macros.pictures([plot]) if plot else ""
     return str(
@@ -84,20 +88,20 @@ def _environment() -> Environment:
 
 
 def _clean(value: object) -> object:
-    # HTML does not allow control characters, and a terminal that prints the file would
-    # execute them.
+    # HTML does not allow control characters, and a terminal that shows the file would
+    # interpret them as commands.
     if isinstance(value, Markup):
         return value
     return escape_unprintable(str(value), keep="\t\n")
 
 
 def colored(text: str, color: str) -> Markup:
-    """Return text in a CSS class of the page: "met", "missed" or "sub"."""
+    """Wrap text in a CSS class of the page: "met", "missed" or "sub"."""
     return Markup('<span class="{}">{}</span>').format(color, text)
 
 
 def picture(figure: Figure, caption: str) -> Picture:
-    """Return a figure as SVG; equal figures give equal bytes."""
+    """Convert a figure to SVG. Identical figures give identical bytes."""
     # The import is slow, and pages without figures do not need it.
     from srs_twin.viewing.plots.style import own_settings
 
@@ -108,14 +112,14 @@ def picture(figure: Figure, caption: str) -> Picture:
 
 
 def image(content: bytes, kind: str, caption: str) -> Picture:
-    """Return an image from the content of its file, of kind "svg+xml" or "png"."""
+    """Embed the content of an image file of kind "svg+xml" or "png" in a page."""
     return Picture(
         f"data:image/{kind};base64,{base64.b64encode(content).decode('ascii')}", caption
     )
 
 
 def cell(value: Any) -> str:
-    """Format a JSON value as the text of a table cell; None becomes a dash."""
+    """Format a JSON value as text of a table cell. None becomes a dash."""
     match value:
         case None:
             return "–"

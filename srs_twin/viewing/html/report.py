@@ -1,4 +1,4 @@
-"""Report of a run as HTML: settings, metrics, expectations, differences with their attribution, and plots."""
+"""HTML report of a run: settings, metrics, expectations, attribution and plots."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ if TYPE_CHECKING:
     from srs_twin.scenario.expectation import ExpectationRow
 
 _ZERO = 5e-6
-"""Absolute value below which a difference is printed as 0; the same for m, m/s, rad and rad/s."""
+"""Absolute value below which a difference is printed as 0, in m, m/s, rad and rad/s."""
 
 
 def write_report(
@@ -73,11 +73,11 @@ def write_report(
     """Write the report of one run as a single file without external resources.
 
     Args:
-        path: output file; an existing file is replaced.
-        content: content of the run.
-        scenario_title: title of the scenario.
+        path: output file.
+        content: run content.
+        scenario_title: scenario title.
         metrics: content of `metrics.json`.
-        attribution: adds the attribution of the differences.
+        attribution: attribution of the differences, or None to omit the section.
     """
     trajectories = content.trajectories
     spec = content.spec
@@ -112,7 +112,7 @@ def notebook_run(
     trajectories: Mapping[str, Trajectory],
     spec: RobotSpec,
 ) -> str:
-    """Return a run as HTML for a notebook: headline, table of metrics and plan view."""
+    """Return the headline, metrics and plan view of a run as HTML for a notebook."""
     view = picture(plan_view(trajectories, spec), "Paths and bodies from above.")
     return notebook_output(
         f"{title}: {headline(metrics)}",
@@ -148,7 +148,6 @@ def page_of_comparison(comparison: Comparison) -> str:
 
 
 def _results(metrics: Mapping[str, Any], names: Iterable[str]) -> Table:
-    """Return a table of metrics: one column per plant, differences, and the published value."""
     plants = metrics["plants"]
     published_values = published(metrics.get("expectations") or ())
     both = {"analytical", "twin"} <= plants.keys()
@@ -167,7 +166,6 @@ def _results(metrics: Mapping[str, Any], names: Iterable[str]) -> Table:
 
 
 def _changes(changes: Changes) -> Table:
-    """Return the table of the fields that differ from the scenario file."""
     rows = [
         [change["field"], text_of(change["from"]), text_of(change["to"])]
         for change in changes
@@ -203,7 +201,6 @@ def _expectations(
 
 
 def _attribution(attribution: Attribution | None) -> dict[str, Any]:
-    """Return the content of the section on the attribution: plot, table and identical assumptions."""
     if attribution is None:
         return {"attribution": None}
     measures = [f"{title}, {unit}" for title, unit in MEASURES.values()]
@@ -254,7 +251,6 @@ def _signed(value: float) -> str:
 
 
 def _plots(content: RunContent, *, tracked: bool) -> list[Picture]:
-    """Return the available plots, beginning with those of the kind of experiment."""
     runs = content.trajectories
     spec = content.spec
     figures: dict[str, Figure | None] = {}
@@ -303,7 +299,6 @@ def _settings(
 
 
 def _events(trajectories: Mapping[str, Trajectory]) -> Table:
-    """Return the table of the events of all plants, ordered by time."""
     rows = [
         (event.time, plant, event.kind.replace("_", " "), event.text)
         for plant, run in trajectories.items()
@@ -324,7 +319,6 @@ def robot_table(spec: RobotSpec) -> Table:
 
 
 def _robot_units() -> dict[str, str]:
-    """Return parameter of a `RobotSpec` → SI unit, for the keys of robot files and for derived parameters."""
     units = {
         "actuator.gain": "rad/Pa",
         "chamber.displacement": "m³/rad",
@@ -340,7 +334,6 @@ def _robot_units() -> dict[str, str]:
 
 
 def _leaves(tree: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
-    """Return path and value of each leaf of nested mappings, e.g. ('geometry.width', 0.03)."""
     leaves: list[tuple[str, Any]] = []
     for name, value in tree.items():
         if isinstance(value, Mapping):

@@ -1,1 +1,1 @@
-"""Images and videos of the twin rendered by MuJoCo, and a window for keyboard control."""
+"""Images and videos of the twin, and a window for keyboard control, using MuJoCo."""

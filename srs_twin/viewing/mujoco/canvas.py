@@ -15,17 +15,19 @@ from srs_twin.viewing.plots.style import unit_rgba
 
 _MAX_GEOMS = 20_000
 _SHADOW_FACTOR = 2
-"""Ratio of the size of the shadow map to that of the image; MuJoCo's default of 4096 pixels slows small
-images down."""
+"""Ratio of the shadow map size to the image size.
+
+MuJoCo's default of 4096 pixels slows down the rendering of small images.
+"""
 
 _FONT_PIXELS = 180
-"""Image height for each 50 % of MuJoCo's font scale, pixels."""
+"""Image height per 50 % of MuJoCo's font scale, pixels."""
 
 _LABEL_HEIGHT = 0.065
-"""Height of the labels relative to the image."""
+"""Height of the labels as a fraction of the image height."""
 
 _MIN_LABELS_WIDTH = 480
-"""Image width below which only the first label fits, pixels."""
+"""Minimum image width for more than one label, pixels."""
 
 Decorate = Callable[[mujoco.MjvScene], None]
 
@@ -35,7 +37,7 @@ class Label(NamedTuple):
 
     Attributes:
         text: text, ASCII only, because MuJoCo's font has no other characters.
-        color: colour of the box, #rrggbb.
+        color: box colour, #rrggbb.
     """
 
     text: str
@@ -43,7 +45,7 @@ class Label(NamedTuple):
 
 
 class Canvas:
-    """Renderer of a model for images of one size; a context manager that frees the OpenGL resources."""
+    """Off-screen renderer of a model for images of a fixed size."""
 
     def __init__(
         self, model: mujoco.MjModel, width: int, height: int, *, opengl: str = ""
@@ -51,10 +53,11 @@ class Canvas:
         """Create the OpenGL context and its buffers.
 
         Args:
-            model: model; its offscreen and shadow sizes are changed.
-            width: width of the images, pixels.
-            height: height of the images, pixels.
-            opengl: OpenGL backend, named as in MUJOCO_GL; default: a working one.
+            model: MuJoCo model. Its offscreen size and shadow size are changed.
+            width: image width, pixels.
+            height: image height, pixels.
+            opengl: OpenGL backend, named as in MUJOCO_GL, or an empty string for the
+                first working backend.
 
         Raises:
             InputError: no backend works.
@@ -73,8 +76,8 @@ class Canvas:
         font = 50 * int(np.clip(round(height / _FONT_PIXELS), 1, 6))
         self._context = mujoco.MjrContext(model, font)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
-        # Free the context before the interpreter unloads OpenGL: exit handlers run in
-        # reverse order of registration.
+        # The context must be freed before the interpreter unloads OpenGL. Exit handlers
+        # run in reverse order, so a handler registered here runs early enough.
         self._close = weakref.finalize(self, _free, self._context, self._opengl)
         self._close.atexit = False
         atexit.register(self._close)
@@ -93,13 +96,13 @@ class Canvas:
         decorate: Decorate | None = None,
         labels: Sequence[Label] = (),
     ) -> np.ndarray:
-        """Return an image, shape (height, width, 3), bytes.
+        """Render an image, shape (height, width, 3), uint8.
 
         Args:
             data: state with computed positions (`mj_kinematics`, `mj_comPos`).
             camera: camera.
             decorate: function that adds geoms to the scene.
-            labels: labels, side by side at the lower edge.
+            labels: labels.
         """
         all_categories = mujoco.mjtCatBit.mjCAT_ALL.value
         mujoco.mjv_updateScene(

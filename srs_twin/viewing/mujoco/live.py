@@ -1,9 +1,9 @@
-"""A twin in real time in a window of MuJoCo's viewer, under the controller of a scenario or the keyboard.
+"""Simulate the twin in real time in a window of MuJoCo's viewer.
 
-Left and right change the offset, up and down the frequency, page up and page down the
-supply pressure; home resets the offset, space pauses, backspace restarts. The first of
-these that steers takes over from the controller of a scenario. Key codes are those of
-GLFW, which the viewer reports.
+Either the controller of a scenario or the keyboard steers the twin. The left and right
+arrow keys change the offset, the up and down keys the frequency, and the page keys the
+supply pressure. Home resets the offset, space pauses, and backspace restarts the run.
+The first steering key takes over from the controller. Key codes are defined by GLFW.
 """
 
 from __future__ import annotations
@@ -47,27 +47,28 @@ _KEY_STEPS = {
     PAGE_UP: ("pressure", 14),
     PAGE_DOWN: ("pressure", -14),
 }
-"""Key → command and number of steps between its limits.
+"""Command changed by each key, and the number of steps between the command's limits.
 
-The steps are 0.05 (offset), 0.1 Hz and about 1 kPa."""
+One step is 0.05 (offset), 0.1 Hz (frequency) or about 1 kPa (pressure).
+"""
 
 MAX_LAG_S = 0.25
-"""Largest delay of the simulation that is recovered by simulating faster, s."""
+"""Maximum delay of the simulation behind real time that is caught up, s."""
 
 
 class LiveSnake:
     """Twin controlled by the controller of a scenario or by keys.
 
     Attributes:
-        scenario: scenario that is played; None: the keys steer a robot on an empty
-            floor.
+        scenario: scenario to simulate, or None to steer a robot on an empty floor by
+            keys.
         twin: plant.
-        state: current state of the plant.
-        limits: limits of the commands.
+        state: plant state.
+        limits: command limits.
         command: current command.
-        paused: whether the simulation is paused.
-        floor_lines: goal of the scenario and the plan that its controller follows, as
-            lines on the floor.
+        paused: whether paused.
+        floor_lines: goal of the scenario and current plan of the controller, as lines
+            on the floor.
     """
 
     state: SnakeState
@@ -84,12 +85,13 @@ class LiveSnake:
         scenario: Scenario | None = None,
         modified: str = "",
     ) -> None:
-        """Create a twin, either of a robot with a gait in the middle of its limits, or of a scenario.
+        """Create the twin from a robot or from a scenario.
+
+        Without a scenario, the gait starts in the middle of its limits.
 
         Args:
             spec: robot.
-            scenario: scenario with robot, world, start and controller, instead of a
-                robot.
+            scenario: scenario, instead of a robot.
             modified: overridden fields, shown in the window.
 
         Raises:
@@ -101,7 +103,7 @@ class LiveSnake:
         if scenario is not None:
             self.twin: Any = scenario.build_plant("twin")
             limits = GaitLimits.for_robot(self.twin.spec)
-            # The pneumatics of the scenario are made for its supply pressure.
+            # The pneumatic model accepts at most the supply pressure of the scenario.
             low, high = (min(limit, scenario.supply_pa) for limit in limits.pressure)
             limits = replace(limits, pressure=(low, high))
             pressure = high
@@ -120,21 +122,18 @@ class LiveSnake:
 
     @property
     def finished(self) -> bool:
-        """Whether the controller of the scenario has finished, such as a follower at its goal."""
+        """Whether the controller of the scenario has finished."""
         return self._controller is not None and self._controller.finished
 
     def press(self, key: int) -> None:
-        """Queue a key, from any thread, for the next control tick.
-
-        Unknown keys are ignored.
-        """
+        """Queue a key for the next control tick. This method is thread-safe."""
         self._keys.append(key)
 
     def advance(self) -> SnakeState:
         """Handle the queued keys, simulate one control tick and return the state.
 
         Raises:
-            DivergedError: as `TwinSnake.step`.
+            DivergedError: the simulation diverged.
         """
         while self._keys:
             self._handle(self._keys.popleft())
@@ -152,7 +151,7 @@ class LiveSnake:
         return self.state
 
     def status_lines(self) -> list[tuple[str, str]]:
-        """Return label and value of each line in the window."""
+        """Return label and value of each status line in the window."""
         command = self.command
         speed = self.state.com_velocity
         if self._controller is None:
@@ -203,7 +202,6 @@ class LiveSnake:
         self._find_floor_lines()
 
     def _find_floor_lines(self) -> None:
-        """Update the lines on the floor."""
         assert self.scenario is not None, "a scenario is played"
         assert self._controller is not None, "a scenario is played"
         goal = self.scenario.world.goal
@@ -215,7 +213,6 @@ class LiveSnake:
             self.floor_lines = [FloorLine("goal", (ring,), GOAL_COLOR, _GOAL_LINE_M)]
 
     def _take_over(self) -> None:
-        """Let the keys steer, instead of the controller of the scenario."""
         twin = self.twin
         self._gait = CommandedGait(
             twin.spec, twin.tick, twin.pneumatics, self._initial_command
@@ -249,17 +246,17 @@ def steer(
 ) -> None:
     """Simulate and draw a snake in real time until the window is closed.
 
-    If drawing takes too long, ticks are simulated without drawing until the simulation
-    is in time again.
+    If drawing is too slow, control ticks are simulated without drawing until the
+    simulation has caught up with real time.
 
     Args:
-        snake: snake to simulate.
-        window: window, redrawn after each control tick if time permits.
+        snake: snake.
+        window: window.
         clock: function that returns the time, s.
         sleep: function that waits for a given time, s.
 
     Raises:
-        DivergedError: as `LiveSnake.advance`.
+        DivergedError: the simulation diverged.
     """
     tick = snake.twin.tick
     due = clock()
@@ -280,14 +277,14 @@ _DISTANCE_LENGTHS = 4.0
 """Camera distance, body lengths."""
 
 _GOAL_LINE_M = 0.002
-"""Half width of the goal's ring, m."""
+"""Half of the line width of the goal circle, m."""
 
 _AZIMUTH_DEG = 90.0
 _ELEVATION_DEG = -35.0
 
 
 class MujocoWindow:
-    """Window of MuJoCo's viewer that displays a snake and forwards keys; a context manager."""
+    """Window of MuJoCo's viewer that shows a snake and forwards keys to it."""
 
     def __init__(self, snake: LiveSnake) -> None:
         """Open the window.
@@ -345,7 +342,6 @@ class MujocoWindow:
         self._viewer.sync()
 
     def _draw_floor_lines(self, lines: list[FloorLine]) -> None:
-        """Draw lines on the floor if they are new; the scene keeps them until then."""
         from srs_twin.viewing.mujoco.stage import add_line
 
         scene = self._viewer.user_scn
@@ -363,7 +359,7 @@ def require_display() -> None:
     """Check that a window can be opened.
 
     Raises:
-        InputError: there is no display, or it does not respond.
+        InputError: the display is missing or does not respond.
     """
     if lacks_display():
         raise InputError(

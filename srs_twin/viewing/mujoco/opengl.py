@@ -1,10 +1,9 @@
-"""Selection of an OpenGL backend for off-screen rendering.
+"""Select an OpenGL backend for off-screen rendering.
 
-MuJoCo reads its backend from the variable MUJOCO_GL; simulations without rendering use
-"disabled". The backend is selected before the first image, whether MuJoCo has been
-imported or not. An installed library need not work, so each candidate renders a small
-image in a separate process: a faulty library may crash its process, and PyOpenGL cannot
-change its backend within a process.
+Simulations without rendering set MUJOCO_GL to "disabled", so the backend is selected
+when the first image is drawn. Each candidate renders a small image in a separate
+process, because a faulty library may crash its process. PyOpenGL also cannot change its
+backend within a process.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ import numpy as np
 from srs_twin.errors import InputError
 
 PACKAGES = {"egl": "libegl1 libgl1-mesa-dri", "osmesa": "libosmesa6"}
-"""Backend → packages of Debian and Ubuntu."""
+"""Debian and Ubuntu packages that provide each backend."""
 
 _MODULES = {
     "egl": "mujoco.egl",
@@ -46,19 +45,18 @@ _UNSPECIFIED = (
 """Values of MUJOCO_GL that do not select a backend."""
 
 _TIMEOUT_S = 60.0
-"""Time limit of the test of a backend, s."""
+"""Time limit for the test of a backend, s."""
 
 
 @lru_cache(maxsize=1)
 def usable_opengl() -> str:
-    """Return a working OpenGL backend, and set MUJOCO_GL to it.
+    """Return a working OpenGL backend, and set MUJOCO_GL to its name.
 
-    The backend is the one that MUJOCO_GL selects, if it works. Without a selection it
-    is the first working one of egl and osmesa.
+    A backend selected in MUJOCO_GL is the only candidate. Otherwise the candidates of
+    the platform are tested in turn (egl, then osmesa on Linux).
 
     Raises:
-        InputError: no backend works; the message has the reasons and the packages to
-            install.
+        InputError: no backend works.
     """
     selected = os.environ.get("MUJOCO_GL", "").lower().strip()
     candidates: tuple[str, ...] = (selected,)
@@ -87,12 +85,12 @@ def usable_opengl() -> str:
 
 
 def new_context(name: str, width: int, height: int) -> Any:
-    """Return a context of a working OpenGL backend; it has the methods `make_current` and `free`."""
+    """Create a context of an OpenGL backend."""
     return importlib.import_module(_MODULES[name]).GLContext(width, height)
 
 
 def _test(name: str) -> str:
-    """Return the reason why an OpenGL backend does not work; empty if it works."""
+    """Return why an OpenGL backend does not work, or an empty string if it works."""
     if name not in _MODULES:
         return f"unknown backend; allowed are {', '.join(_MODULES)}"
     command = [sys.executable, "-m", __spec__.name, name]
@@ -118,19 +116,21 @@ def _test(name: str) -> str:
 
 
 def draw_box(name: str) -> None:
-    """Render a white box on black; call it in a child process, because a faulty library may crash.
+    """Render a white box on a black background to test a backend.
+
+    Call this function in a child process, because a faulty library may crash or raise
+    any error.
 
     Args:
-        name: OpenGL backend, named as in MUJOCO_GL.
+        name: backend name.
 
     Raises:
-        InputError: all pixels have the same colour. Libraries may raise errors of any
-            type.
+        InputError: all pixels have the same colour.
     """
     import mujoco
 
     model = mujoco.MjModel.from_xml_string(
-        # Shadows and multisampling would dominate the time of software rendering.
+        # Software rendering would spend most of its time on shadows and multisampling.
         "<mujoco><visual><quality shadowsize='0'"
         " offsamples='0'/></visual><worldbody><geom type='box' size='.1 .1 .1' rgba='1"
         " 1 1 1'/></worldbody></mujoco>"

@@ -1,8 +1,7 @@
 """Off-screen videos, images and stroboscopic figures of the twin, rendered by MuJoCo.
 
-The camera follows the period-averaged path of the snake. Videos are MP4 files with the
-codec H.264, which all browsers support. A stroboscopic figure shows the snake at
-several times of a run in one plan view (after Fig. 36).
+A stroboscopic figure shows the snake at several times of a run in one plan view, as in
+Fig. 36 of the dissertation.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ AddFrame = Callable[[np.ndarray], None]
 
 
 def encoder() -> Any:
-    """Return the module `av` (PyAV), the video encoder.
+    """Return the video encoder, the module `av` (PyAV).
 
     Raises:
         InputError: PyAV is not installed.
@@ -54,16 +53,18 @@ def encoder() -> Any:
 def video_writer(
     path: Path, *, width: int, height: int, fps: int
 ) -> Iterator[AddFrame]:
-    """Yield a function that appends a frame, shape (height, width, 3), bytes; the file is written atomically.
+    """Open a video file and yield a function that appends a frame.
+
+    A frame has shape (height, width, 3) and type uint8.
 
     Args:
-        path: output file, ending in .mp4.
-        width: width of the frames, pixels; even.
-        height: height of the frames, pixels; even.
+        path: MP4 file.
+        width: even width, pixels.
+        height: even height, pixels.
         fps: frame rate, Hz.
 
     Raises:
-        InputError: there is no encoder, or the file cannot be written.
+        InputError: the encoder is missing, or the file cannot be written.
     """
     av = encoder()
     with atomic_write(path) as temporary:
@@ -93,24 +94,28 @@ def video_writer(
 
 
 _SMOOTHING_S = 0.5
-"""Averaging time of the camera path without a gait, s."""
+"""Averaging time of the camera path for runs without a gait, s."""
 
 _FORWARD_DEG = 25.0
-"""Rotation of the view towards the direction of motion, degrees; 0 looks across the snake."""
+"""Angle by which the view turns towards the direction of motion, degrees.
+
+At 0 degrees the camera looks across the snake.
+"""
 
 _DISTANCE_PER_SEPARATION = 0.7
-"""Additional camera distance, relative to the largest distance of the plants from the centre of the view."""
+"""Ratio of the additional camera distance to the distance between the plants."""
 
 _ELEVATION_DEG = {"bench": -60.0, "floor": -35.0}
 _DISTANCE_LENGTHS = {"bench": 2.6, "floor": 1.7}
-"""Camera distance in body lengths."""
+"""Camera distance, body lengths."""
 
 
 class FollowCamera:
-    """Camera on the right of the snake that follows its centre of mass, averaged over a gait period.
+    """Camera to the right of the snake that follows its centre of mass.
 
-    With a ghost, the camera follows the midpoint of both bodies, at a distance that
-    shows both. A snake on a bench is viewed from above by a fixed camera.
+    The camera path is averaged over one gait period. With a ghost, the camera follows
+    the midpoint of both bodies at a distance that shows both. A snake on a bench is
+    viewed from above by a fixed camera.
     """
 
     def __init__(
@@ -124,10 +129,10 @@ class FollowCamera:
         """Compute the camera path of a run.
 
         Args:
-            run: trajectory of the twin.
-            body_length: length of the body, m; scales the camera distance.
+            run: twin's trajectory.
+            body_length: body length, m.
             bench: whether the head is clamped.
-            ghost: trajectory of another plant.
+            ghost: another plant's trajectory.
         """
         setup = "bench" if bench else "floor"
         distance = _DISTANCE_LENGTHS[setup] * body_length
@@ -158,15 +163,14 @@ class FollowCamera:
 
 
 def _smooth_path(run: Trajectory) -> np.ndarray:
-    """Return the centre of mass averaged over a gait period around each sample, shape (samples, 2), m."""
     window = gait_period(run) or _SMOOTHING_S
     time = run.time
     duration = float(run.time[-1] - run.time[0])
     half = min(window, duration) / 2
     if half <= 0:
         return run.com
-    # Compute the mean from the integral of the path, because samples may not be equally
-    # spaced.
+    # The mean is computed from the integral of the path, because samples may not be
+    # equally spaced.
     steps = np.diff(time)[:, None] * (run.com[1:] + run.com[:-1]) / 2
     integral = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
     begin = np.clip(time - half, time[0], None)
@@ -177,7 +181,7 @@ def _smooth_path(run: Trajectory) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Size:
-    """Size of an image, pixels; both sides even, as video encoders require."""
+    """Image size in pixels; video encoders require even sides."""
 
     width: int = 1280
     height: int = 720
@@ -194,21 +198,21 @@ def write_video(
     ghost: tuple[str, Trajectory] | None = None,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> int:
-    """Write a run as a video; return the number of frames.
+    """Write a run as a video and return the number of frames.
 
     Args:
         path: MP4 file.
-        scenario: scenario of the run.
-        run: trajectory of the twin.
-        size: size of the frames.
+        scenario: simulated scenario.
+        run: twin's trajectory.
+        size: frame size.
         fps: frame rate, Hz.
-        speed: simulated time per playback time; 0.25 is slow motion.
-        ghost: another plant, drawn translucently.
-        progress: callback with the completed fraction, 0 to 1.
+        speed: simulated time per playback time; 0.25 gives slow motion.
+        ghost: another plant.
+        progress: callback that receives the completed fraction, 0 to 1.
 
     Raises:
-        InputError: there is nothing to draw, no OpenGL or no encoder, or the file
-            cannot be written.
+        InputError: the run cannot be drawn, OpenGL or the encoder is missing, or the
+            file cannot be written.
     """
     encoder()  # report a missing encoder before the frames are rendered
     stage, camera = _scene(scenario, run, ghost)
@@ -234,18 +238,19 @@ def write_image(
     size: Size = Size(),  # noqa: B008
     ghost: tuple[str, Trajectory] | None = None,
 ) -> None:
-    """Write an image of a run at a given time as PNG, with the camera of the video.
+    """Write an image of a run at a given time as PNG, seen from the video's camera.
 
     Args:
         path: output file.
-        scenario: scenario of the run.
-        run: trajectory of the twin.
-        time: time, s; the nearest sample is drawn.
-        size: size of the image.
-        ghost: another plant, drawn translucently.
+        scenario: simulated scenario.
+        run: twin's trajectory.
+        time: time of the image, s; the nearest sample is drawn.
+        size: image size.
+        ghost: another plant.
 
     Raises:
-        InputError: the time is outside the run, or as in `write_video`.
+        InputError: the time is outside the run, the run cannot be drawn, OpenGL is
+            missing, or the file cannot be written.
     """
     stage, camera = _scene(scenario, run, ghost)
     first = float(run.time[0])
@@ -272,7 +277,7 @@ def _scene(
 
 @drawing
 def write_png(path: Path, pixels: np.ndarray) -> None:
-    """Write an image, shape (height, width, 3), bytes.
+    """Write an image of shape (height, width, 3) and type uint8 as PNG.
 
     Raises:
         InputError: the file cannot be written.
@@ -291,7 +296,7 @@ _TOP = 0.35
 _BOTTOM = 0.85
 
 _MAX_ASPECT = 5.0
-"""Largest width per height of the drawn floor."""
+"""Maximum ratio of width to height of the drawn floor."""
 
 _MIN_ASPECT = 1.0
 _LINE_PIXELS = 3.0
@@ -305,17 +310,17 @@ def write_strobe(
 ) -> None:
     """Write the stroboscopic figure of a run as PNG.
 
-    The projection is orthographic, so that the axes in metres hold everywhere on the
-    floor.
+    The projection is orthographic, so that the axes in metres are valid everywhere on
+    the floor.
 
     Args:
         path: output file.
-        scenario: scenario of the run.
-        run: trajectory of the twin.
-        width: width of the figure, pixels.
+        scenario: simulated scenario.
+        run: twin's trajectory.
+        width: figure width, pixels.
 
     Raises:
-        InputError: there is nothing to draw or no OpenGL, or the file cannot be
+        InputError: the run cannot be drawn, OpenGL is missing, or the file cannot be
             written.
     """
     stage = Stage(scenario, run)
@@ -350,7 +355,6 @@ def write_strobe(
 def _floor_corners(
     scenario: Scenario, run: Trajectory
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the lower left and upper right corner of a floor that contains the run and the world, m."""
     world = scenario.world
     points = [run.position.reshape(-1, 2)]
     points += [np.array(polygon.corners) for polygon in world.polygons]
@@ -382,15 +386,6 @@ def _render_from_above(
     height: float,
     size: Size,
 ) -> np.ndarray:
-    """Return an orthographic image from above that shows several samples at once.
-
-    Args:
-        stage: scene of the run.
-        rows: samples to draw.
-        centre: centre of the view, m.
-        height: height of the view, m.
-        size: size of the image.
-    """
     camera = mujoco.MjvCamera()
     camera.type = mujoco.mjtCamera.mjCAMERA_FREE
     camera.azimuth = 90.0

@@ -1,4 +1,4 @@
-"""Scene of a finished run of the twin in MuJoCo, drawn sample by sample."""
+"""MuJoCo scene of a finished run, drawn sample by sample."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Ghost(NamedTuple):
     """Plant that is drawn translucently.
 
     Attributes:
-        plant: name.
+        plant: plant name.
         run: trajectory.
     """
 
@@ -41,35 +41,37 @@ class Ghost(NamedTuple):
 
 _MAX_TRAIL_POINTS = 400
 _MAX_MARKS = 2000
-"""Largest number of marks of contacts on the floor."""
+"""Maximum number of contact marks on the floor."""
 _MARK_RATIO = 0.005
-"""Radius of a mark over the body length, 1."""
+"""Ratio of the radius of a contact mark to the body length."""
 _OBSTACLE_ALPHA = 0.35
 _TEXT_COLOR = "#30333a"
 _GHOST_ALPHA = 0.13
-"""Opacity of a capsule of the ghost; low, because four or five capsules overlap at each point."""
+"""Opacity of a capsule of the ghost.
+
+The opacity is low, because four or five capsules overlap at each point.
+"""
 
 _GHOST_CHORDS = 6
-"""Capsules per segment of the ghost."""
+"""Number of capsules per segment of the ghost."""
 
 _SCALE_BAR_M = 0.1
 _LINE_M = 0.001
-"""Thickness and half width of lines on the floor, m."""
+"""Thickness and half of the width of lines on the floor, m."""
 
 
 class Stage:
     """Scene of a run: robot and world of the scenario at the recorded positions.
 
     The colour of a segment shows its pressure difference. The scene contains the trail
-    of the centre of mass, the lines on the floor that extensions add, and optionally
-    another plant as a ghost.
+    of the centre of mass and the lines on the floor that extensions add.
 
     Attributes:
-        run: trajectory of the twin.
-        model: MuJoCo model, not shared.
+        run: twin's trajectory.
+        model: MuJoCo model.
         data: current state.
         bench: whether the head is clamped.
-        ghost: another plant; None: no ghost.
+        ghost: another plant, or None.
     """
 
     def __init__(
@@ -81,13 +83,13 @@ class Stage:
         """Build the scene.
 
         Args:
-            scenario: scenario of the run.
-            run: trajectory of the twin, with its ``qpos`` columns.
-            ghost: name and trajectory of another plant.
+            scenario: simulated scenario.
+            run: trajectory with ``qpos`` columns.
+            ghost: another plant.
 
         Raises:
-            InputError: the run has no samples or no ``qpos`` columns, or those of
-                another robot.
+            InputError: the run has no samples or no ``qpos`` columns, or the columns
+                belong to another robot.
         """
         if not run.has("qpos") or not len(run):
             raise InputError(
@@ -122,12 +124,12 @@ class Stage:
 
     @property
     def duration(self) -> float:
-        """Length of the run, s."""
+        """Run duration, s."""
         return float(self.run.time[-1] - self.run.time[0])
 
     @property
     def legend(self) -> Mapping[str, str]:
-        """Name of a line on the floor → colour."""
+        """Colours of the lines on the floor, keyed by label."""
         pictures = added_to(self.run)
         return pictures.legend if pictures else {}
 
@@ -136,7 +138,7 @@ class Stage:
         return int(np.abs(self.run.time - time).argmin())
 
     def show(self, row: int) -> None:
-        """Set the state to that of a sample."""
+        """Show a sample."""
         self.data.qpos[:] = self._qpos[row]
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_comPos(self.model, self.data)
@@ -144,7 +146,7 @@ class Stage:
         self._skins.paint(self._colors[row])
 
     def render(self, canvas: Canvas, camera: mujoco.MjvCamera, row: int) -> np.ndarray:
-        """Return an image of a sample, shape (height, width, 3), bytes."""
+        """Render a sample as an image, shape (height, width, 3), uint8."""
         self.show(row)
 
         def add(scene: mujoco.MjvScene) -> None:
@@ -159,7 +161,13 @@ class Stage:
     def add_lines(
         self, scene: mujoco.MjvScene, row: int, half_width: float = _LINE_M
     ) -> None:
-        """Add the trail up to a sample and the lines on the floor; half_width: m."""
+        """Add the trail up to a sample and the lines on the floor.
+
+        Args:
+            scene: scene.
+            row: sample index.
+            half_width: half width, m.
+        """
         if not self.bench:
             rows = np.append(self._trail_rows[self._trail_rows < row], row)
             add_line(
@@ -169,7 +177,6 @@ class Stage:
             add_line(scene, points, color, half_width)
 
     def _add_marks(self, scene: mujoco.MjvScene, row: int) -> None:
-        """Add the places where connectors of a spatial snake pressed on the floor up to a sample."""
         rows, points = self._marks
         disc = mujoco.mjtGeom.mjGEOM_CYLINDER
         rgba = np.array(unit_rgba(CONTACT_COLOR), dtype=np.float32)
@@ -183,7 +190,6 @@ class Stage:
             scene.ngeom += 1
 
     def _add_scale_bar(self, scene: mujoco.MjvScene, camera: mujoco.MjvCamera) -> None:
-        """Add a scale bar of 0.1 m with a label, between the camera and its target."""
         azimuth = math.radians(camera.azimuth)
         forward = np.array([math.cos(azimuth), math.sin(azimuth)])
         right = np.array([math.sin(azimuth), -math.cos(azimuth)])
@@ -195,7 +201,6 @@ class Stage:
             scene.geoms[first].label = f"{_SCALE_BAR_M:g} m"
 
     def _add_ghost(self, scene: mujoco.MjvScene, row: int) -> None:
-        """Add the ghost at the time of a sample; after its run, it remains at its last position."""
         if self.ghost is None:
             return
         plant, run = self.ghost
@@ -205,7 +210,8 @@ class Stage:
         skin = self._skins.geoms[0][0]
         height = self.data.geom_xpos[skin, 2]
         points = np.pad(line, ((0, 0), (0, 1)), constant_values=height)
-        # Slightly thinner than the twin, so that coincident surfaces do not flicker.
+        # The ghost is slightly thinner than the twin, because coincident surfaces would
+        # flicker.
         radius = 0.92 * self.model.geom_size[skin, 0]
         for begin, end in zip(points, points[1:], strict=False):
             if scene.ngeom == scene.maxgeom:
@@ -219,11 +225,10 @@ class Stage:
 
 
 def contact_marks(run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Return the places where connectors of a spatial snake press on the floor; none for a planar one.
+    """Return where connectors of a spatial snake touch the floor during a run.
 
     Returns:
-        Samples, shape (marks,), and points, shape (marks, 2), m; the samples are
-        thinned out to `_MAX_MARKS`.
+        Sample indices and points (m) of at most `_MAX_MARKS` marks.
     """
     if not run.has("load"):
         return np.empty(0, dtype=int), np.empty((0, 2))
@@ -241,18 +246,18 @@ def add_line(
     half_width: float,
     level: int = 1,
 ) -> None:
-    """Add a line on the floor to a scene, until the scene is full.
+    """Add a line on the floor to a scene, as far as the scene has free geoms.
 
     The line consists of flat boxes, because capsules would take longer to draw than the
     rest of the scene. Each box is slightly higher than the previous one, because MuJoCo
     lights coincident faces twice.
 
     Args:
-        scene: scene of an image.
-        points: points of the line, shape (n, 2), m.
+        scene: scene.
+        points: points (n, 2), m.
         color: colour, #rrggbb.
-        half_width: half of the line width, m.
-        level: layer; lines of higher layers cover those of lower ones.
+        half_width: half width, m.
+        level: layer of the line; higher layers cover lower ones.
     """
     box = mujoco.mjtGeom.mjGEOM_BOX
     rgba = np.array(unit_rgba(color), dtype=np.float32)
@@ -270,7 +275,6 @@ def add_line(
 
 
 def _legend(run: Trajectory, ghost: Ghost | None, *, bench: bool) -> list[Label]:
-    """Return the labels that explain the colours."""
     labels: dict[str, str] = {}
     if run.has("pressure_plus"):
         labels |= {"p+ > p-": PLUS_COLOR, "p+ < p-": MINUS_COLOR}
@@ -286,7 +290,7 @@ def _legend(run: Trajectory, ghost: Ghost | None, *, bench: bool) -> list[Label]
 
 
 def make_obstacles_translucent(model: mujoco.MjModel) -> None:
-    """Make obstacles translucent, so that a snake behind them is visible."""
+    """Make obstacles translucent, because they may hide the snake."""
     for geom in range(model.ngeom):
         if re.match(r"(obstacle|polygon)_\d", model.geom(geom).name):
             model.geom_rgba[geom, 3] = _OBSTACLE_ALPHA
@@ -296,11 +300,11 @@ class Skins:
     """Visible geoms of the segments, coloured by pressure.
 
     Attributes:
-        geoms: indices of the geoms of each segment.
+        geoms: indices per segment.
     """
 
     def __init__(self, model: mujoco.MjModel, segments: int) -> None:
-        """Find the geoms, and limit the lights so that colours are not overexposed."""
+        """Find the geoms, and dim the lights so that colours are not overexposed."""
         model.vis.headlight.ambient = [0.45] * 3
         model.vis.headlight.diffuse = [0.2] * 3
         model.light_diffuse[:] = 0.45
@@ -313,23 +317,22 @@ class Skins:
                 self.geoms[int(match[1]) - 1].append(geom)
 
     def paint(self, colors: np.ndarray) -> None:
-        """Set the colours of the segments, shape (segments, 4), 0 to 1."""
+        """Set the segment colours, RGBA from 0 to 1, shape (segments, 4)."""
         for geoms, color in zip(self.geoms, colors, strict=True):
             self._model.geom_rgba[geoms] = color
 
     def show(self, pressure: np.ndarray, full_scale: float) -> None:
-        """Set the colours from the pressures of the + and − chambers.
+        """Colour the segments by the pressures of the + and − chambers.
 
         Args:
-            pressure: pressures, shape (segments, 2), any unit.
-            full_scale: pressure difference that is drawn in the full colour.
+            pressure: pressures (segments, 2).
+            full_scale: pressure difference at full colour, in the unit of `pressure`.
         """
         colors = pressure_colors(pressure[:, 0] - pressure[:, 1], full_scale)
         self.paint(colors / np.float32(255))
 
 
 def _floor_lines(run: Trajectory) -> list[tuple[np.ndarray, str]]:
-    """Return points and colour of the lines on the floor that extensions add and list in their legend."""
     pictures = added_to(run)
     if pictures is None:
         return []

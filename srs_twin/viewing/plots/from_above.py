@@ -26,24 +26,24 @@ from srs_twin.viewing.plots.style import (
 )
 
 _MAX_BODIES = 6
-"""Largest number of bodies in a plan view."""
+"""Maximum number of bodies in a plan view."""
 
 _MIN_SPACING = 1.35
-"""Distance between drawn bodies in body lengths, below which they overlap."""
+"""Distance between drawn bodies below which they overlap, body lengths."""
 
 
 @drawing
 def plan_view(
     trajectories: Mapping[str, Trajectory], spec: RobotSpec, world: World | None = None
 ) -> Figure:
-    """Plot the paths of the centres of mass, with the bodies at a few equal times (after Fig. 36).
+    """Plot centre-of-mass paths with bodies at a few equally spaced times (Fig. 36).
+
+    Bodies of the twin are filled, and bodies of other plants are outlines.
 
     Args:
-        trajectories: plant → trajectory; bodies of the twin are filled, those of other
-            plants are outlines.
+        trajectories: trajectories by plant.
         spec: robot.
-        world: adds the obstacles in view, and the movable objects at the times of the
-            bodies.
+        world: obstacles and objects.
     """
     world = world or World()
     times = strobe_times(trajectories, spec.geometry)
@@ -73,7 +73,7 @@ def plan_view(
     circles = ((item.x, item.y, item.radius) for item in world.obstacles)
     polygons = (item.corners for item in world.polygons)
     for patch in obstacle_patches(circles, polygons):
-        axes.add_artist(patch)  # unlike add_patch, leaves far obstacles out of view
+        axes.add_artist(patch)  # add_patch would extend the view to far obstacles
     axes.set_aspect("equal", adjustable="datalim")
     listed = ", ".join(f"{time:.3g}" for time in times)
     title = (
@@ -87,24 +87,19 @@ def plan_view(
 def strobe_times(
     trajectories: Mapping[str, Trajectory], geometry: Geometry
 ) -> list[float]:
-    """Return equally spaced times, s, at which the drawn bodies do not overlap; at most six.
-
-    Args:
-        trajectories: plant → trajectory.
-        geometry: geometry of the robot.
-    """
+    """Return at most six equally spaced times (s) at which bodies do not overlap."""
     run = next(iter(trajectories.values()))
     end = min(float(trajectory.time[-1]) for trajectory in trajectories.values())
     distance = np.hypot(*(run.com - run.com[0]).T)
     spacing = _MIN_SPACING * geometry.body_length
     count = int(np.interp(end, run.time, distance) / spacing + 1e-6) + 1
-    # Draw a snake that hardly moved only at the start and the end.
+    # A snake that hardly moved is drawn only at the start and the end.
     times = np.linspace(float(run.time[0]), end, int(np.clip(count, 2, _MAX_BODIES)))
     return [float(time) for time in times]
 
 
 def samples_at(run: Trajectory, times: list[float]) -> list[Trajectory]:
-    """Return the samples at given times, s, as trajectories of one sample."""
+    """Return samples at the given times (s) as trajectories of one sample each."""
     rows = np.searchsorted(run.time, np.array(times) - 1e-9).clip(max=len(run) - 1)
     return [
         Trajectory({name: column[[row]] for name, column in run.columns.items()})
@@ -121,7 +116,7 @@ def draw_run(
     *,
     filled: bool,
 ) -> None:
-    """Draw the path of the centre of mass and the body at given times, s."""
+    """Draw the path of the centre of mass, and the body at the given times (s)."""
     for sample in samples_at(run, times):
         draw_body(axes, sample, geometry, style, filled=filled)
     axes.plot(*run.com.T, **style.line)
@@ -131,7 +126,12 @@ def obstacle_patches(
     circles: Iterable[tuple[float, float, float]],
     polygons: Iterable[Iterable[tuple[float, float]]],
 ) -> list[Patch]:
-    """Return patches of round obstacles (x, y and radius, m) and of polygons (corners, m)."""
+    """Return patches of obstacles.
+
+    Args:
+        circles: x, y, radius, m.
+        polygons: corners, m.
+    """
     style: dict[str, Any] = {"facecolor": "0.35", "zorder": 1}
     return [
         *(Circle((x, y), radius, **style) for x, y, radius in circles),
@@ -142,9 +142,9 @@ def obstacle_patches(
 def object_outlines(
     run: Trajectory, times: list[float], world: World
 ) -> list[np.ndarray]:
-    """Return the outlines of the movable objects at given times, s; each of shape (k, 2), m.
+    """Return outlines of the movable objects at the given times (s), each (k, 2), m.
 
-    A radius in the outline of a cylinder shows its rotation.
+    A radius in the outline of a cylinder shows the rotation of the cylinder.
     """
     if not run.has("object_x_1"):
         return []
@@ -161,7 +161,6 @@ def object_outlines(
 
 
 def _outline(item: MovableObject) -> np.ndarray:
-    """Return the outline of an object at the origin with a heading of 0, shape (k, 2), m."""
     if item.is_box:
         corners = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])
         return np.asarray(corners * np.array(item.size) / 2)
@@ -189,7 +188,7 @@ def draw_body(
 def bounds(
     trajectories: Mapping[str, Trajectory], geometry: Geometry, times: list[float]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the lower left and upper right corner of the bodies at given times, with a margin, m."""
+    """Return two opposite corners of a region that contains the bodies, m."""
     bodies = [
         row.position[0]
         for run in trajectories.values()
@@ -202,7 +201,7 @@ def bounds(
 
 @drawing
 def lines_plot(lines: Mapping[str, np.ndarray]) -> Figure:
-    """Plot name → line on the floor, each of shape (k, 2), m."""
+    """Plot named lines on the floor, each of shape (k, 2), m."""
     figure, (axes,) = panels(3.0)
     for name, points in lines.items():
         axes.plot(*points.T, label=name)

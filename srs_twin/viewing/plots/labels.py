@@ -12,7 +12,7 @@ from srs_twin.comparison.sampling import split_unit as split_metric
 from srs_twin.robot.sourced import split_unit
 from srs_twin.scenario.file import with_extensions
 
-# Suffix of a metric name → its text in a label.
+# Label text for each suffix of a metric name.
 _SUFFIXES = {
     "_rel": ", relative difference",
     "_abs": ", size of difference",
@@ -47,16 +47,16 @@ _TITLES = {
 """Labels of metrics whose names do not describe them well."""
 
 _SENTENCE_STARTS = ("What ", "Which ", "How ")
-"""First words of titles in the schema that are sentences, not labels."""
+"""First words of schema titles that are sentences and therefore no labels."""
 
 _MAX_TITLE = 36
-"""Largest number of characters of a title in the schema that serves as a label."""
+"""Maximum length of a schema title that serves as a label, characters."""
 
 
 def field_label(path: str) -> str:
-    """Return the label of a field, e.g. 'gait frequency (Hz)' for `controller.frequency_hz`.
+    """Return the label of a field, for example 'gait frequency (Hz)'.
 
-    The label is the title in the schema if there is a short one, else the key.
+    The label is the title in the schema if it is short, and otherwise the key.
     """
     keys = path.split(".")
     name, unit = split_unit(keys[-1])
@@ -74,7 +74,7 @@ def field_label(path: str) -> str:
 
 
 def metric_label(metric: str) -> str:
-    """Return the label of a metric, e.g. 'CoM speed (m/s)' for `com_speed_m_s`.
+    """Return the label of a metric, for example 'CoM speed (m/s)' for `com_speed_m_s`.
 
     A number after the name selects an element of a list: 'bend amplitude 2 (rad)'.
     """
@@ -86,7 +86,7 @@ def metric_label(metric: str) -> str:
 
 
 def metric_title(metric: str) -> str:
-    """Return the label of a metric without its unit, e.g. 'CoM speed' for `com_speed_m_s`."""
+    """Return the label of a metric without unit, for example 'CoM speed'."""
     if metric in _TITLES:
         return _TITLES[metric]
     name, _ = split_metric(metric)
@@ -113,7 +113,6 @@ def _spaced(name: str) -> str:
 
 
 def _title(path: str) -> str:
-    """Return the title of a field in the schema of scenario files; empty without a title."""
     nodes = [_schema()]
     for key in path.split("."):
         children = (
@@ -131,7 +130,7 @@ def _schema() -> dict[str, Any]:
 
 
 def _options(node: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
-    """Yield a node of the schema, its reference and its alternatives, recursively."""
+    """Yield a schema node, its reference and its alternatives, recursively."""
     yield node
     if "$ref" in node:
         yield from _options(_schema()["$defs"][node["$ref"].rsplit("/", 1)[1]])

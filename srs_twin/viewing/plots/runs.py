@@ -1,6 +1,5 @@
-"""Plots of runs: signals over time, learning, tracking, sensor readings, and differences of the plants.
+"""Plots of runs and of the differences between plants.
 
-The figures use the object-oriented interface of matplotlib, which has no global state.
 Lines differ in colour (a palette for colour-blind readers), dash and width, so that
 they remain distinguishable in greyscale.
 """
@@ -54,15 +53,16 @@ if TYPE_CHECKING:
 Runs = Mapping[str, Trajectory]
 
 _MAX_ROWS = 8
-"""Largest number of panels; of robots with more segments, evenly spaced segments are plotted."""
+"""Maximum number of panels. With more segments, evenly spaced segments are plotted."""
 
 _PERIODS_SHOWN = 4
 """Number of gait periods in the plots of a long run."""
 
 _MAX_DOTS = 4000
-"""Largest number of single sensor readings in a plot."""
+"""Maximum number of sensor readings in a plot."""
 
-# Signal of a difference from a measured motion → label, plotted value per SI value.
+# Label and factor (plotted value per SI value) of each difference from a measured
+# motion.
 _MEASURED_SIGNALS = {
     "shape_m": ("shape (mm)", 1e3),
     "path_m": ("CoM path (mm)", 1e3),
@@ -72,7 +72,10 @@ _MEASURED_SIGNALS = {
 
 @drawing
 def bend_plot(trajectories: Runs) -> Figure:
-    """Plot the bend of each segment over the last gait periods, or over a whole run without a gait."""
+    """Plot the bend of each segment over the last gait periods.
+
+    Runs without a gait are plotted as a whole.
+    """
     return _by_segment(
         trajectories, lambda run: run.stack("bend"), "$q_{{{}}}$ (rad)", "Bends"
     )
@@ -80,7 +83,7 @@ def bend_plot(trajectories: Runs) -> Figure:
 
 @drawing
 def pressure_plot(trajectories: Runs) -> Figure:
-    """Plot p⁺ − p⁻ of each segment over the same time as `bend_plot`."""
+    """Plot p⁺ − p⁻ of each segment over the time range of `bend_plot`."""
     title = "Pressure differences $p^+ - p^-$ (kPa)"
     return _by_segment(
         trajectories, lambda run: 1e-3 * pressure_difference(run), "segment {}", title
@@ -89,7 +92,7 @@ def pressure_plot(trajectories: Runs) -> Figure:
 
 @drawing
 def speed_plot(trajectories: Runs) -> Figure:
-    """Plot the speed of the centre of mass along the heading, and its mean over a gait period (thick)."""
+    """Plot the forward speed of the centre of mass and its mean over a gait period."""
     figure, (axes,) = panels(3.0)
     for style, run in runs_with_styles(trajectories):
         period = gait_period(run)
@@ -118,7 +121,7 @@ def speed_plot(trajectories: Runs) -> Figure:
 
 @drawing
 def error_plot(comparison: Comparison, spec: RobotSpec) -> Figure:
-    """Plot the differences of shape and path over time, in mm and per cent of the body length."""
+    """Plot the differences of shape and path in mm and per cent of the body length."""
     figure, (shape, path) = panels(4.0, 2, right=0.75)
     length = 1e3 * spec.geometry.body_length
     conversions = (
@@ -140,7 +143,7 @@ def error_plot(comparison: Comparison, spec: RobotSpec) -> Figure:
 
 
 def runs_with_styles(trajectories: Runs) -> list[tuple[Style, Trajectory]]:
-    """Return the runs with the styles of their plants."""
+    """Return runs with their styles."""
     return [
         (style_of(plant, index), run)
         for index, (plant, run) in enumerate(trajectories.items())
@@ -153,7 +156,6 @@ def _by_segment(
     label: str,
     title: str,
 ) -> Figure:
-    """Plot one panel per segment from head to tail, for at most eight segments spread over the body."""
     signals = [signal(run) for run in trajectories.values()]
     segments = min(values.shape[1] for values in signals)
     count = min(segments, _MAX_ROWS)
@@ -178,19 +180,15 @@ def _by_segment(
 
 
 class _Window(NamedTuple):
-    """Plotted time, s, and a remark for the title."""
-
     first: float
     last: float
     remark: str = ""
 
     def contains(self, run: Trajectory) -> np.ndarray:
-        """Return whether the samples of a run are in the window."""
         return (run.time >= self.first - 1e-9) & (run.time <= self.last + 1e-9)
 
 
 def _finish_time(figure: Figure, rows: Sequence[Axes], window: _Window) -> None:
-    """Add a legend above the first panel, and set the range of the time axis."""
     handles, labels = rows[0].get_legend_handles_labels()
     figure.legend(
         handles, labels, loc="upper right", ncols=len(labels), fontsize=8, frameon=False
@@ -201,7 +199,7 @@ def _finish_time(figure: Figure, rows: Sequence[Axes], window: _Window) -> None:
 
 
 def _common_window(trajectories: Runs) -> _Window:
-    """Return the whole time of all runs, or the last gait periods that long runs have in common."""
+    """Return the last gait periods that all runs cover, or the whole of a short run."""
     first = min(float(run.time[0]) for run in trajectories.values())
     ends = [float(run.time[-1]) for run in trajectories.values()]
     period = max(gait_period(run) or 0.0 for run in trajectories.values())
@@ -216,9 +214,10 @@ def _common_window(trajectories: Runs) -> _Window:
 
 @drawing
 def learning_plot(trajectories: Runs) -> Figure:
-    """Plot amplitudes with targets (left) and duties (right), one row per module for at most eight modules.
+    """Plot bend amplitudes with targets (left) and duties (right), one row per module.
 
-    Colours distinguish the chambers, dashes the plants; targets are thin dotted lines.
+    Colours distinguish the chambers, and dashes distinguish the plants. Targets are
+    thin dotted lines.
     """
     runs = [
         (style, PeriodAmplitudes.from_trajectory(run))
@@ -267,7 +266,6 @@ _CHAMBERS = {"+": PLUS_COLOR, "\u2212": MINUS_COLOR}
 def _plot_learning(
     bends: Axes, duties: Axes, style: Style, run: PeriodAmplitudes, j: int
 ) -> None:
-    """Plot amplitudes, targets and duties of module j of a run."""
     periods = np.arange(1, len(run.duty) + 1)
     for side, color in enumerate(_CHAMBERS.values()):
         line: dict[str, Any] = {
@@ -283,11 +281,11 @@ def _plot_learning(
 
 @drawing
 def tracking_plot(trajectories: Runs) -> Figure:
-    """Plot reference, bends and sensor readings of the first segment, and the valve state of each plant.
+    """Plot reference, bends and readings of the first segment, and the valve states.
 
-    The plot shows the last four periods of a periodic reference, else the whole run.
-    The valve state is defined as in the dissertation: 1 if the valves drive positive
-    bends, −1 negative bends, 0 if both hold.
+    The plot shows the last four periods of a periodic reference, or else the whole run.
+    The valve state of the dissertation is 1 if the valves drive positive bends, −1 if
+    they drive negative bends, and 0 if both hold.
     """
     count = len(trajectories)
     figure, (bends, *valves) = panels(
@@ -311,7 +309,7 @@ def tracking_plot(trajectories: Runs) -> Figure:
             bends.plot(time, sensed, color=style.color, linewidth=0.4, alpha=0.3)
         bends.plot(time, run["bend_1"][shown], **style.line, zorder=style.zorder)
         state = (run["valve_plus_1"] - run["valve_minus_1"])[shown] / 2
-        # The valve states of a sample hold since the previous sample.
+        # The valve states of a sample have been valid since the previous sample.
         axes.step(time, state, where="pre", color=style.color, linewidth=0.8)
         axes.set(ylim=(-1.3, 1.3), yticks=[-1, 0, 1])
         finish(axes, f"{plant}\nvalves")
@@ -323,9 +321,9 @@ def tracking_plot(trajectories: Runs) -> Figure:
 
 @drawing
 def reading_plot(trajectories: Runs) -> Figure | None:
-    """Plot sensor readings (dots) with their mean at each bend, and the mean error of the reading.
+    """Plot sensor readings with their mean at each bend, and the mean reading error.
 
-    Returns None if all sensors are ideal.
+    The result is None if all sensors are ideal.
     """
     curves = [
         (style, run, curve)
@@ -356,9 +354,9 @@ def reading_plot(trajectories: Runs) -> Figure | None:
 
 @drawing
 def measured_plot(differences: Mapping[str, MeasuredDifference]) -> Figure | None:
-    """Plot the differences from the measured shape, path, heading and bends (RMS over segments).
+    """Plot the differences from the measured shape, path, heading and bends (RMS).
 
-    Returns None without measurements.
+    The result is None without measurements.
     """
     if not differences:
         return None
@@ -388,18 +386,18 @@ _POSITIVE_COLOR = "#009E73"
 _NEGATIVE_COLOR = "#CC79A7"
 _REMAINDER_COLOR = "#8a8f98"
 _BAR_PITCH = 0.23
-"""Height of a bar with its gap, inches."""
+"""Height of a bar including the gap to the next bar, inches."""
 _PANEL_GAP = 0.7
-"""Height of the tick labels of a panel and the heading of the next one, inches."""
+"""Height between two panels for tick labels and a heading, inches."""
 
 
 @drawing
 def attribution_plot(attribution: Attribution) -> Figure:
-    """Plot the contributions of the assumptions as bars, largest first, one panel per measure.
+    """Plot the contributions of the assumptions, sorted by size, one panel per measure.
 
     Thin lines show the range of a contribution over the orders in which assumptions are
-    replaced. The last two bars are the part that is not explained, and the difference,
-    which is the sum of the bars above it.
+    replaced. The last two bars show the unexplained part and the total difference, the
+    sum of the bars above.
     """
     shares = _by_size(attribution.shares)
     names = [*(share.name for share in shares), "not explained", "twin − analytical"]
@@ -444,7 +442,7 @@ def attribution_plot(attribution: Attribution) -> Figure:
 
 
 def _by_size(shares: Sequence[AssumptionShare]) -> list[AssumptionShare]:
-    """Return the contributions, those with the largest values relative to the largest of a measure first."""
+    """Sort the contributions by their sum of magnitudes, normalised per measure."""
     value = np.abs([share.value for share in shares])
     size = (value / value.max(axis=0).clip(1e-12)).sum(axis=1)
     return [shares[i] for i in np.argsort(-size)]
@@ -453,7 +451,6 @@ def _by_size(shares: Sequence[AssumptionShare]) -> list[AssumptionShare]:
 def _plot_contributions(
     axes: Axes, bars: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> None:
-    """Draw the bars of one measure, and the range of each of them but the last two as a thin line."""
     colors = [
         *np.where(bars[:-2] < 0, _NEGATIVE_COLOR, _POSITIVE_COLOR),
         _REMAINDER_COLOR,
@@ -470,7 +467,6 @@ def _plot_contributions(
 def _write_values(
     axes: Axes, bars: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> None:
-    """Write each value next to its bar and its thin line, and widen the axis accordingly."""
     low = np.minimum(low, 0.0)
     high = np.maximum(high, 0.0)
     span = max(float(high.max() - low.min()), 1e-12)

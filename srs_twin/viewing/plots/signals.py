@@ -1,4 +1,4 @@
-"""Plotted signals computed from a trajectory: speeds, pressure differences, centre line, wheels."""
+"""Plotted signals of a trajectory."""
 
 from __future__ import annotations
 
@@ -18,28 +18,31 @@ from srs_twin.viewing.additions import added_to
 def body_line(trajectory: Trajectory, geometry: Geometry, chords: int = 8) -> Array:
     """Return the centre line from head to tail, shape (samples, points, 2), m."""
     lines = centre_lines(trajectory, geometry, chords)
-    # Without a rigid gap the ends of an arc coincide with the connectors; omit the
-    # duplicate points.
+    # Without a rigid gap, the ends of an arc coincide with the connectors, so the
+    # duplicate points are omitted.
     unique = slice(0, -1) if geometry.rigid_gap else slice(1, -2)
     inner = lines[:, :, unique].reshape(len(lines), -1, 2)
     return np.concatenate([inner, lines[:, -1, -1:]], axis=1)
 
 
 def goal_ring(x: float, y: float, radius: float) -> Array:
-    """Return the circumference of a goal, shape (n, 2), m."""
+    """Return points on the circumference of a goal, shape (n, 2), m."""
     angle = np.linspace(0, 2 * np.pi, 49)
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
     return np.array([x, y]) + radius * circle
 
 
 def wheel_centres(trajectory: Trajectory, geometry: Geometry) -> Array:
-    """Return the wheel centres, left then right, shape (samples, N, 2, 2), m."""
+    """Return the centres of the wheels (left, right), shape (samples, N, 2, 2), m."""
     theta = trajectory.stack("theta")[..., None]
     return offset_to_sides(trajectory.position[:, :, None], theta, geometry.half_track)
 
 
 def wheel_turns(trajectory: Trajectory, geometry: Geometry) -> Array:
-    """Return the rotation of each wheel without slip, shape (samples, N, 2), rad, forward positive."""
+    """Return the rotation of each wheel without slip, shape (samples, N, 2), rad.
+
+    Forward rolling is positive.
+    """
     centres = wheel_centres(trajectory, geometry)
     theta = trajectory.stack("theta")
     mean_theta = (theta[1:] + theta[:-1]) / 2
@@ -50,14 +53,14 @@ def wheel_turns(trajectory: Trajectory, geometry: Geometry) -> Array:
 
 
 def pressure_difference(trajectory: Trajectory) -> Array:
-    """Return p⁺ − p⁻ of each segment, shape (samples, segments), Pa; NaN if it was not recorded."""
+    """Return p⁺ − p⁻, shape (samples, segments), Pa, or NaN if it was not recorded."""
     if not (trajectory.has("pressure_plus") and trajectory.has("pressure_minus")):
         return np.full_like(trajectory.stack("bend"), np.nan)
     return trajectory.stack("pressure_plus") - trajectory.stack("pressure_minus")
 
 
 def kind_of(trajectories: Mapping[str, Trajectory]) -> str:
-    """Return the kind of experiment: gait, bench, learning, or a kind of an extension."""
+    """Return the kind of experiment: gait, bench, learning, or an extension's kind."""
     runs = trajectories.values()
     for run in runs:
         if run.has("reference_1") or run.metadata.get("base") == "clamped":
@@ -69,13 +72,16 @@ def kind_of(trajectories: Mapping[str, Trajectory]) -> str:
 
 
 def gait_period(trajectory: Trajectory) -> float | None:
-    """Return the gait period, s; None without a gait."""
+    """Return the gait period (s), or None without a gait."""
     frequency = trajectory.metadata.get("gait_frequency_hz")
     return 1.0 / frequency if frequency else None
 
 
 def reference_period(trajectory: Trajectory) -> float | None:
-    """Return the period of the first segment's reference, s, if it is a sine or a square wave, else None."""
+    """Return the period of the first segment's reference, s.
+
+    The result is None unless the reference is a sine or a square wave.
+    """
     if not trajectory.has("reference_1"):
         return None
     time = trajectory.time
@@ -90,7 +96,7 @@ def reference_period(trajectory: Trajectory) -> float | None:
 
 
 def forward_speed(trajectory: Trajectory) -> Array:
-    """Return the velocity of the centre of mass along the heading, (samples,), m/s; 0 for a single sample."""
+    """Return the velocity of the centre of mass along the heading, (samples,), m/s."""
     if len(trajectory) < 2:
         return np.zeros(len(trajectory))
     velocity = np.gradient(trajectory.com, trajectory.time, axis=0)
@@ -99,12 +105,11 @@ def forward_speed(trajectory: Trajectory) -> Array:
 
 
 def period_speed(trajectory: Trajectory, period: float) -> tuple[Array, Array]:
-    """Return times, s, and the speed of the period-averaged path at these times, m/s.
+    """Return times (s) and the speed of the period-averaged path at these times (m/s).
 
     The speed is the displacement over one gait period centred at each time, divided by
-    the period; it is negative if the displacement is opposite to the heading. Times
-    exclude the first and last half period. Both arrays are empty if the run is shorter
-    than a period.
+    the period. Its sign is negative if the displacement is opposite to the heading.
+    Both arrays are empty if the run is shorter than a period.
     """
     time = trajectory.time
     heading = trajectory["heading"]

@@ -1,8 +1,8 @@
-"""Colours, line styles, settings and margins of all plots, and figures as image files.
+"""Colours, line styles and margins of all plots, and image files.
 
 The settings are the defaults of matplotlib, so that a `matplotlibrc` or a style sheet
-changes no picture. Margins are fixed, in inches, because the automatic layouts of
-matplotlib double the drawing time.
+of the user has no effect. Margins are fixed in inches, because the automatic layouts
+of matplotlib double the drawing time.
 """
 
 from __future__ import annotations
@@ -26,26 +26,25 @@ _NO_PRESSURE = (225, 225, 222)
 """Colour of a segment without pressure difference, RGB."""
 
 PLUS_COLOR = "#aa3377"
-"""Colour of a higher pressure in the + chamber; differs from the colours of the plants.
-"""
+"""Colour of segments whose + chamber has the higher pressure."""
 
 MINUS_COLOR = "#009e73"
-"""Colour of a higher pressure in the − chamber."""
+"""Colour of segments whose − chamber has the higher pressure."""
 
 GOAL_COLOR = "#b03030"
 OBJECT_COLOR = "#db8f38"
 CONTACT_COLOR = "#55607a"
-"""Marks of places where a lifted snake touches the floor."""
+"""Colour of the marks where a lifted snake touches the floor."""
 
 
 def rgb(color: str) -> tuple[int, int, int]:
-    """Return a colour #rrggbb as three bytes."""
+    """Convert #rrggbb to bytes."""
     red, green, blue = bytes.fromhex(color[1:])
     return red, green, blue
 
 
 def unit_rgba(color: str, alpha: float = 1.0) -> tuple[float, float, float, float]:
-    """Return a colour #rrggbb as red, green, blue and opacity from 0 to 1, the format of MuJoCo."""
+    """Return a colour #rrggbb as RGBA from 0 to 1, the format of MuJoCo."""
     red, green, blue = rgb(color)
     return red / 255, green / 255, blue / 255, alpha
 
@@ -56,12 +55,12 @@ MINUS_RGB = rgb(MINUS_COLOR)
 
 @dataclass(frozen=True)
 class Style:
-    """Style of a plant or another source of data in all plots (palette of Okabe and Ito).
+    """Style of a plant or another data source, with the palette of Okabe and Ito.
 
     Attributes:
-        label: name in legends.
+        label: legend label.
         color: colour, #rrggbb.
-        dash: matplotlib line style; differs between plants for greyscale prints.
+        dash: matplotlib line style, different for each plant in greyscale prints.
         width: line width, points.
         marker: marker of points.
     """
@@ -74,7 +73,7 @@ class Style:
 
     @property
     def rgb(self) -> tuple[int, int, int]:
-        """The colour as three bytes."""
+        """Colour as RGB bytes."""
         return rgb(self.color)
 
     @property
@@ -89,7 +88,7 @@ class Style:
 
     @property
     def zorder(self) -> float:
-        """Drawing order: dashed lines above solid ones, so that both of two coincident lines are visible."""
+        """Drawing order: dashed lines lie above solid lines, so both stay visible."""
         if self.dash == "-":
             return 2.0
         return 2.1
@@ -112,7 +111,7 @@ _FURTHER_COLORS = ("#CC79A7", "#56B4E9", "#E69F00")
 
 
 def style_of(plant: str, index: int = 0) -> Style:
-    """Return the style of a plant; the index selects a further colour for unknown names."""
+    """Return a plant's style; the index selects a colour for an unknown plant."""
     return STYLES.get(plant) or Style(
         plant, _FURTHER_COLORS[index % len(_FURTHER_COLORS)], "-.", 1.5
     )
@@ -121,12 +120,13 @@ def style_of(plant: str, index: int = 0) -> Style:
 def pressure_colors(
     difference: np.ndarray, full_scale: float | None = None
 ) -> np.ndarray:
-    """Return RGBA bytes, shape (…, 4): from light grey to purple for p⁺ > p⁻ and to green for p⁺ < p⁻.
+    """Return colours for pressure differences as RGBA bytes, shape (…, 4).
+
+    Colours range from light grey to purple for p⁺ > p⁻ and to green for p⁺ < p⁻.
 
     Args:
-        difference: p⁺ − p⁻, any unit; NaN becomes grey.
-        full_scale: magnitude that is drawn in the full colour; default: the largest
-            one.
+        difference: p⁺ − p⁻; NaN becomes grey.
+        full_scale: magnitude at full colour; None selects the maximum magnitude.
     """
     finite = np.nan_to_num(difference)
     if full_scale is None:
@@ -137,18 +137,21 @@ def pressure_colors(
     return np.concatenate([rgb, np.full_like(fraction, 255)], axis=-1).astype(np.uint8)
 
 
-# The backend is not a setting of pictures, and reading it would import one.
+# The backend does not affect figures, and reading this setting would import one.
 _SETTINGS = {
     name: value for name, value in rcParamsDefault.items() if name != "backend"
 }
-# Equal figures give equal bytes, and text stays text.
+# A fixed salt makes SVG files reproducible, and text remains text instead of paths.
 _SETTINGS |= {"svg.hashsalt": "srs-twin", "svg.fonttype": "none"}
 
 
 @contextmanager
 def own_settings() -> Iterator[None]:
-    """Draw with the settings of this program within a `with` block; the user's settings return afterwards."""
-    # Setting all of them would take a millisecond.
+    """Draw with the settings of this program inside a `with` block.
+
+    The user's settings are restored at the end of the block.
+    """
+    # Only differing settings are set, because setting all would take a millisecond.
     with rc_context(
         {name: value for name, value in _SETTINGS.items() if rcParams[name] != value}
     ):
@@ -156,7 +159,7 @@ def own_settings() -> Iterator[None]:
 
 
 drawing = own_settings()
-"""Decorator of functions that draw a figure."""
+"""Decorator for functions that draw a figure."""
 
 _WIDTH = 9.0
 """Width of all figures, inches."""
@@ -179,14 +182,14 @@ def panels(
     share_y: bool = False,
     heights: Sequence[float] = (),
 ) -> tuple[Figure, list[Axes]]:
-    """Return a figure with panels in one column that share the x axis, and the panels from top to bottom.
+    """Create a figure with panels in one column that share the x axis.
 
     Args:
-        height: height of the figure, inches.
+        height: figure height, inches.
         rows: number of panels.
         right: right margin, inches.
         share_y: whether the panels also share the y axis.
-        heights: relative heights of the panels; default: equal heights.
+        heights: relative panel heights.
     """
     figure, grid = side_by_side(
         height,
@@ -213,18 +216,18 @@ def side_by_side(
     space: float = 0.08,
     **options: Any,
 ) -> tuple[Figure, np.ndarray]:
-    """Return a figure with a grid of panels, and the panels, shape (rows, columns).
+    """Create a figure with a grid of panels of shape (rows, columns).
 
     Args:
-        height: height of the figure, inches.
-        columns: number of panels in a row.
+        height: figure height, inches.
+        columns: number of columns.
         rows: number of rows.
         left: left margin, inches.
         right: right margin, inches.
         top: top margin, inches.
         bottom: bottom margin, inches.
-        space: gap between panels relative to their size.
-        options: further arguments of `Figure.subplots`.
+        space: gap relative to the panel size.
+        options: arguments of `Figure.subplots`.
     """
     figure = Figure(figsize=(_WIDTH, height))
     margins = {
@@ -241,7 +244,10 @@ def side_by_side(
 
 
 def set_title(axes: Axes, title: str, loc: Alignment = "center") -> None:
-    """Set the title of a panel at a fixed height; the search for a free one takes a tenth of the drawing."""
+    """Set the title of a panel at a fixed height.
+
+    Matplotlib's search for a free height would take a tenth of the drawing time.
+    """
     axes.set_title(title, fontsize=10, loc=loc, y=1.0)
 
 
@@ -253,14 +259,14 @@ def finish(
     title: str = "",
     loc: Alignment = "center",
 ) -> None:
-    """Set the labels and the title of a panel, and add a grid.
+    """Add labels, title and grid.
 
     Args:
         axes: panel.
-        label: label of the y axis.
-        x_label: label of the x axis.
-        title: title above the panel.
-        loc: alignment of the title, "center" or "left".
+        label: y-axis label.
+        x_label: x-axis label.
+        title: panel title.
+        loc: title alignment.
     """
     axes.set_ylabel(label, fontsize=9)
     if x_label:
@@ -276,12 +282,12 @@ FORMATS = (".png", ".svg")
 
 @drawing
 def save(figure: Figure, path: str | Path, dpi: float = 130) -> None:
-    """Write a figure as PNG or SVG atomically; equal figures give equal bytes.
+    """Write a figure as PNG or SVG atomically. Identical figures give identical bytes.
 
     Args:
         figure: figure.
-        path: output file; its suffix selects the format.
-        dpi: resolution of a PNG file, pixels per inch.
+        path: output file.
+        dpi: PNG resolution, pixels per inch.
 
     Raises:
         InputError: the suffix is not supported, or the file cannot be written.

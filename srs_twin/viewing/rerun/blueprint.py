@@ -1,4 +1,4 @@
-"""Initial layout of a recording: the scene on the left; plots on the right."""
+"""Initial layout of a recording, with the scene on the left and plots on the right."""
 
 from __future__ import annotations
 
@@ -26,23 +26,22 @@ class Layout:
     """Parameters of the layout of a recording.
 
     Attributes:
-        plants: names of the plants, entities below `world/`.
+        plants: plant names.
         camera_target: entity below `world/` that the camera follows.
         segments: number of segments.
-        start: start position, shape (2,), m.
-        heading: heading at the start, rad.
-        body_length: length of the body, m.
-        separation: largest distance between two centres of mass, m; determines the
-            camera distance.
-        period: gait period, s; plots show a few periods around the cursor. None: plots
-            show the whole run.
-        compared: whether there are differences between the plants to plot.
-        kind: kind of experiment; selects the plots.
-        signals: signals of an extension, plotted first.
-        speeds: limits of the speed axis, m/s; None: automatic.
-        events: whether there are events.
+        start: start position (2,), m.
+        heading: initial heading, rad.
+        body_length: body length, m.
+        separation: maximum distance between two centres of mass, m.
+        period: gait period, s. Plots show a few periods around the cursor, or the
+            whole run if the period is None.
+        compared: whether plants are compared.
+        kind: kind of experiment.
+        signals: signals plotted first.
+        speeds: limits of the speed axis, m/s, or None for automatic limits.
+        events: whether events exist.
         root: parent entity of the run if a recording contains several runs.
-        measured: quantities with differences from a measured robot: shape, path, bend.
+        measured: quantities compared with a measured robot: shape, path, bend.
     """
 
     plants: Sequence[str]
@@ -70,11 +69,11 @@ class Layout:
 
 
 def run_blueprint(layout: Layout) -> rrb.Blueprint:
-    """Return the layout of one run: the scene, and the plots for its kind of experiment."""
+    """Return the layout of one run, with plots for its kind of experiment."""
     rows = _plots(layout)
     shares = [2] * (len(rows) - 1) + [3]
     if layout.events:
-        # The colour of an event shows its plant.
+        # A column with the plant is not needed, because events have the plant's colour.
         columns = rrb.TextLogColumns(
             timeline_columns=[TIMELINE], text_log_columns=["loglevel", "body"]
         )
@@ -87,11 +86,7 @@ def run_blueprint(layout: Layout) -> rrb.Blueprint:
 
 
 def side_by_side_blueprint(layouts: Mapping[str, Layout]) -> rrb.Blueprint:
-    """Return the layout of several runs: the scene of each run above its plots, at most three per row.
-
-    Args:
-        layouts: name of a run → its layout with a root.
-    """
+    """Return the layout of several runs, at most three per row."""
     columns = []
     for name, layout in layouts.items():
         body = rrb.Tabs(
@@ -114,7 +109,6 @@ def _with_collapsed_panels(contents: rrb.Horizontal | rrb.Grid) -> rrb.Blueprint
 
 
 def _plots(layout: Layout) -> Rows:
-    """Return the plots for the kind of experiment."""
     if layout.kind == "bench":
         return _bench_plots(layout)
     periods = _periods_axis(layout)
@@ -143,13 +137,12 @@ def _bench_plots(layout: Layout) -> Rows:
         _modules(layout, "/pressure", _PRESSURES),
     ]
     if measured := _measured_plots(layout):
-        # On a bench, often only bends are measured.
+        # Bends come first, because often only bends are measured on a bench.
         plots.append(rrb.Tabs(*reversed(measured)))
     return plots
 
 
 def _body_plots(layout: Layout) -> list[rrb.TimeSeriesView]:
-    """Return the plots of speed, heading and differences."""
     axis = None if layout.speeds is None else rrb.ScalarAxis(range=layout.speeds)
     plots = [
         _plot("body/speed", "Speed (m/s)", axis_y=axis),
@@ -161,7 +154,6 @@ def _body_plots(layout: Layout) -> list[rrb.TimeSeriesView]:
 
 
 def _measured_plots(layout: Layout) -> list[rrb.TimeSeriesView]:
-    """Return the plots of the differences from the measured robot."""
     plots = []
     distances = [f"+ /measured/{name}/**" for name in layout.measured if name != "bend"]
     if distances:
@@ -174,7 +166,10 @@ def _measured_plots(layout: Layout) -> list[rrb.TimeSeriesView]:
 
 
 def _modules(layout: Layout, signal: str, name: str, **options: Any) -> rrb.Tabs:
-    """Return one tab per module; the middle one is active because the first hardly shows differences."""
+    """Return one tab per module.
+
+    The middle tab is active, because the first module hardly shows differences.
+    """
     views = [
         _plot(f"module/{j}{signal}", name.format(j), **options)
         for j in range(1, layout.segments + 1)
@@ -184,7 +179,7 @@ def _modules(layout: Layout, signal: str, name: str, **options: Any) -> rrb.Tabs
 
 
 def scene_view(layout: Layout, name: str = "") -> rrb.Spatial3DView:
-    """Return the 3-D view: the camera follows on the right of the snakes; trails end at the cursor."""
+    """Return the 3-D view, in which the camera follows to the right of the snakes."""
     if not name:
         name = "Both plants, grid 0.1 m" if len(layout.plants) > 1 else "Grid 0.1 m"
     right = np.array([np.sin(layout.heading), -np.cos(layout.heading)])
@@ -217,7 +212,6 @@ def scene_view(layout: Layout, name: str = "") -> rrb.Spatial3DView:
 
 
 def _periods_axis(layout: Layout) -> rrb.TimeAxis | None:
-    """Return a time axis with a few gait periods around the cursor; None without a gait."""
     if layout.period is None:
         return None
     half = _PERIODS_SHOWN / 2 * layout.period

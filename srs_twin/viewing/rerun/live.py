@@ -1,9 +1,10 @@
-"""Live view of a robot in Rerun: estimate with its uncertainty, prediction, innovations and detected faults.
+"""Live view of a robot in Rerun.
 
-Entities: `world/floor`, `world/robot/{body, connectors, spread, trail}`,
-    `world/next/{path, fan}`, `lamps` (text with the
-detected faults), `bend/segment_j`, `off/{bends, poses, pressures}` (innovations in
-standard deviations). The timeline is `sim_time`, seconds since the start.
+The view shows the estimate with its uncertainty, the prediction, the innovations and
+the detected faults. The timeline is `sim_time`, in seconds since the start. The
+entities are `world/floor`, `world/robot/{body, connectors, spread, trail}`,
+`world/next/{path, fan}`, `lamps` (text with the detected faults), `bend/segment_j` and
+`off/{bends, poses, pressures}` (innovations in standard deviations).
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ from srs_twin.viewing.rerun.viewer import (
 
 _BODY_HEIGHT_M = 0.02
 _FLOOR_HEIGHT_M = 0.003
-"""Height of lines and discs on the floor, m; prevents flicker."""
+"""Height of lines and discs above the floor, m. It prevents flicker."""
 
 _MAX_TRAIL_POINTS = 300
 _PREDICTION_COLOR = (242, 142, 43)
@@ -46,11 +47,11 @@ _LOST_COLOR = (208, 32, 32)
 """Colour of a body whose estimate is not reliable."""
 
 _Z95 = 1.96
-"""Half width of a 95 % interval of a normal distribution, standard deviations."""
+"""Half width of a 95 % interval of the normal distribution, standard deviations."""
 
 
 class LiveEstimate(Protocol):
-    """Current state estimate of a robot; `live.estimate.Estimate`."""
+    """Current state estimate of a robot, such as `live.estimate.Estimate`."""
 
     @property
     def time(self) -> float:
@@ -58,7 +59,7 @@ class LiveEstimate(Protocol):
 
     @property
     def connectors(self) -> np.ndarray:
-        """Poses of the connectors, shape (N, 3), m, m, rad."""
+        """Connector poses, shape (N, 3), m, m, rad."""
 
     @property
     def bend(self) -> np.ndarray:
@@ -74,11 +75,11 @@ class LiveEstimate(Protocol):
 
     @property
     def lost(self) -> str | None:
-        """Reason why the estimate is not reliable; empty or None for a reliable estimate."""
+        """Reason why the estimate is not reliable, or empty or None."""
 
     @property
     def off(self) -> Mapping[str, float]:
-        """Kind of measurement → innovation, standard deviations."""
+        """Innovations in standard deviations, keyed by kind of measurement."""
 
     @property
     def faults(self) -> tuple[tuple[str, str, float], ...]:
@@ -86,7 +87,7 @@ class LiveEstimate(Protocol):
 
 
 class LiveForecast(Protocol):
-    """Predicted poses; `live.estimate.Prediction`."""
+    """Predicted poses of a robot, such as `live.estimate.Prediction`."""
 
     @property
     def pose(self) -> np.ndarray:
@@ -98,14 +99,14 @@ class LiveForecast(Protocol):
 
 
 class LiveView:
-    """Logger of estimates and predictions, called once per estimate."""
+    """Logger of estimates and predictions."""
 
     def __init__(self, spec: RobotSpec, log: rr.RecordingStream) -> None:
         """Send the layout.
 
         Args:
             spec: robot.
-            log: stream of the viewer.
+            log: viewer stream.
         """
         self._log = log
         self._spec = spec
@@ -150,7 +151,6 @@ class LiveView:
             log.log("lamps", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
 
     def _log_robot(self, estimate: LiveEstimate) -> None:
-        """Log the body, the uncertainty of its position, and its trail."""
         geometry = self._spec.geometry
         poses = estimate.connectors
         columns: dict[str, np.ndarray] = {}
@@ -183,7 +183,6 @@ class LiveView:
 
 
 def _fault_text(estimate: LiveEstimate) -> str:
-    """Return the detected faults as Markdown, and the reason of an unreliable estimate."""
     lines = [
         f"- 🔴 **{part}**: {fault} ({probability:.0%})"
         for part, fault, probability in estimate.faults
@@ -198,11 +197,13 @@ def _fault_text(estimate: LiveEstimate) -> str:
 def live_view(
     spec: RobotSpec, *, recording: Path | None, window: bool, web: bool
 ) -> Iterator[tuple[LiveView, str]]:
-    """Stream to viewers and a file during the block; yield the view, and the URL of the page or "".
+    """Stream to viewers and a file during a `with` block.
+
+    The block receives the view and the URL of the web page, or "" without a page.
 
     Args:
         spec: robot.
-        recording: file to write; None: no file.
+        recording: output file.
         window: whether to open the native viewer.
         web: whether to serve the web viewer on this machine.
 

@@ -71,7 +71,7 @@ if TYPE_CHECKING:
 
 APPLICATION = "srs_twin"
 SCENE_HZ = 50.0
-"""Largest sample rate of shapes, Hz; signals keep all samples."""
+"""Maximum sample rate of shapes, Hz. Signals keep all samples."""
 
 _CAMERA_TARGET = "eye"
 _WARNINGS = ("saturation", "fault", "reading_lost", "no_new_plan", "contact", "ended")
@@ -81,25 +81,25 @@ _READING_WIDTH = 0.6
 """Line width of sensor readings, points."""
 
 _CHAMBER_COLORS = {"plus": PLUS_COLOR, "minus": MINUS_COLOR}
-# Grey is visible on dark and light backgrounds; black is not.
+# Grey is visible on dark and on light backgrounds, in contrast to black.
 _REFERENCE = replace(REFERENCE, color="#8a8a8a")
 
 
 def write_recording(path: str | Path, content: RunContent, *, title: str = "") -> None:
-    """Write the recording of a run: the snakes on the floor, and plots of their signals.
+    """Write the recording of a run, with a scene and plots of the signals.
 
     Args:
-        path: output file; an existing file is replaced.
-        content: content of the run.
-        title: name of the recording in the viewer; default: title of the robot.
+        path: output file.
+        content: run content.
+        title: title in the viewer, by default the title of the robot.
     """
     trajectories = content.trajectories
     residuals = {
         plant: _residuals(difference) for plant, difference in content.measured.items()
     }
     log = rr.RecordingStream(APPLICATION)
-    # Do not use `log.save`: on a full disk it leaves an incomplete recording, sometimes
-    # without an error.
+    # `log.save` is not used, because on a full disk it leaves an incomplete recording,
+    # sometimes without an error.
     memory = log.memory_recording()
     send_blueprint(log, run_blueprint(_layout(content, residuals)))
     _begin(log, title or content.spec.title)
@@ -125,7 +125,6 @@ def write_recording(path: str | Path, content: RunContent, *, title: str = "") -
 
 
 def _begin(log: rr.RecordingStream, title: str) -> None:
-    """Name a recording, and leave out the times at which it is written."""
     log.set_log_time_enabled(False)
     log.set_log_tick_enabled(False)
     log.send_recording_name(title)
@@ -134,7 +133,6 @@ def _begin(log: rr.RecordingStream, title: str) -> None:
 def _send_plant(
     log: rr.RecordingStream, content: RunContent, plant: str, index: int
 ) -> None:
-    """Send the run of one plant; the index selects the style of an unknown plant."""
     run = content.trajectories[plant]
     spec = content.spec
     style = replace(style_of(plant, index), label=plant)
@@ -151,17 +149,14 @@ def _send_plant(
 
 
 def _drain(log: rr.RecordingStream, memory: rr.MemoryRecording) -> bytes:
-    """Return the content of a stream, and close the stream."""
     content: bytes = memory.drain_as_bytes()
     log.disconnect()
-    # Without this call, Rerun keeps the threads and the memory of streams that are no
-    # longer referenced.
+    # Without this call, Rerun keeps the threads and the memory of closed streams.
     bindings.flush_and_cleanup_orphaned_recordings()
     return content
 
 
 def _residuals(difference: MeasuredDifference) -> dict[str, np.ndarray]:
-    """Return the differences of measured shape and path, mm, and bends, RMS over segments, rad; (T,)."""
     signals = difference.signals()
     errors = {
         name: 1e3 * signals[f"{name}_m"]
@@ -174,8 +169,8 @@ def _residuals(difference: MeasuredDifference) -> dict[str, np.ndarray]:
 def send_blueprint(log: rr.RecordingStream, blueprint: Blueprint) -> None:
     """Send a blueprint like `log.send_blueprint`, and close the stream that carries it.
 
-    Rerun 0.41 does not close it: each recording of a process would leave two threads
-    and 2 MB of memory.
+    Rerun 0.41 does not close the stream, so each recording would leave two threads and
+    2 MB of memory.
     """
     carrier = rr.RecordingStream._from_native(  # noqa: SLF001
         bindings.new_blueprint(
@@ -188,8 +183,8 @@ def send_blueprint(log: rr.RecordingStream, blueprint: Blueprint) -> None:
     carrier.set_time("blueprint", sequence=0)
     blueprint._log_to_stream(carrier)  # noqa: SLF001
     content = carrier.memory_recording()
-    # Make the layout active, not only the default, so that the viewer does not reuse
-    # that of another robot.
+    # The layout is made active, not only the default, because the viewer would
+    # otherwise reuse the layout of another robot.
     bindings.send_blueprint(content.storage, True, True, recording=log.to_native())
     carrier.disconnect()
 
@@ -207,7 +202,6 @@ def subsample(trajectory: Trajectory, rate_hz: float) -> Trajectory:
 def _additions(
     trajectories: Mapping[str, Trajectory],
 ) -> list[tuple[Trajectory, RunPictures]]:
-    """Return the runs that extensions add to, with the additions."""
     return [
         (run, added)
         for run in trajectories.values()
@@ -218,12 +212,11 @@ def _additions(
 def _layout(
     content: RunContent, residuals: Mapping[str, Mapping[str, np.ndarray]]
 ) -> Layout:
-    """Return the layout of a run, given plant → quantity → difference from the measured robot."""
     trajectories = content.trajectories
     spec = content.spec
     followed = trajectories.get("twin") or next(iter(trajectories.values()))
     _, coms = _coms(trajectories)
-    # Include zero, because a truncated axis exaggerates differences.
+    # The axis includes zero, because a truncated axis exaggerates differences.
     speeds = np.concatenate(
         [[0.0, 1e-3], *(_speed(run)[1] for run in trajectories.values())]
     )
@@ -248,7 +241,6 @@ def _layout(
 
 
 def _coms(trajectories: Mapping[str, Trajectory]) -> tuple[np.ndarray, np.ndarray]:
-    """Return times (T,), s, and centres of mass (plants, T, 2), m, constant after the end of a run."""
     time = max((run.time for run in trajectories.values()), key=lambda times: times[-1])
     runs = trajectories.values()
     coms = [
@@ -259,14 +251,13 @@ def _coms(trajectories: Mapping[str, Trajectory]) -> tuple[np.ndarray, np.ndarra
 
 
 def _separation(coms: np.ndarray) -> float:
-    """Return twice the largest distance of a centre of mass (plants, T, 2) from the mean of all plants, m."""
+    """Return twice the maximum distance of a plant from the mean position of plants."""
     return 2 * float(np.linalg.norm(coms - coms.mean(axis=0), axis=-1).max())
 
 
 def _send_camera_target(
     log: rr.RecordingStream, trajectories: Mapping[str, Trajectory]
 ) -> None:
-    """Log the target of the camera: the mean position of all plants, as an invisible point."""
     time, coms = _coms(trajectories)
     to = Entities(log, time, "world/")
     positions = np.pad(coms.mean(axis=0), ((0, 0), (0, 1)))
@@ -297,10 +288,10 @@ def _send_floor(
 
 
 def _send_modules(to: Entities, plant: str, run: Trajectory, style: Style) -> None:
-    """Log `module/<j>/{bend, pressure, valve}/<plant>`, and `sensed` and `duty` if they are recorded.
+    """Log the bends, pressures, valves, readings and duties of the modules.
 
-    The valve state of a module is 1 if its valves drive positive bends, −1 for negative
-    bends, and 0 if both valves are in the same state. Readings of an ideal sensor are
+    The valve state of a module is 1 for valves that drive positive bends, −1 for
+    negative bends, and 0 for valves in equal states. Readings of an ideal sensor are
     omitted.
     """
 
@@ -328,7 +319,6 @@ def _send_modules(to: Entities, plant: str, run: Trajectory, style: Style) -> No
 
 
 def _send_motion(to: Entities, plant: str, run: Trajectory, style: Style) -> None:
-    """Log heading and speed of the body, and the signals of extensions."""
     for signal in (signal for added in additions() for signal in added.signals):
         if run.has(signal.column):
             values = signal.factor * run[signal.column]
@@ -339,7 +329,6 @@ def _send_motion(to: Entities, plant: str, run: Trajectory, style: Style) -> Non
 
 
 def _speed(run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Return times, s, and forward speeds, m/s; averaged over a gait period if there is a gait."""
     period = gait_period(run)
     if period is None:
         return run.time, forward_speed(run)
@@ -349,7 +338,6 @@ def _speed(run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
 def _send_events(
     log: rr.RecordingStream, plant: str, run: Trajectory, style: Style
 ) -> None:
-    """Log the events of a run as `events/<plant>`; nothing without events."""
     events = events_of(run)
     if not events:
         return
@@ -365,19 +353,11 @@ def _send_events(
 
 @dataclass(frozen=True)
 class _StoredRun:
-    """Recording of a run, read from a file.
-
-    Attributes:
-        name: name of the run.
-        chunks: content of the recording.
-    """
-
     name: str
     chunks: tuple[Chunk, ...]
 
     @property
     def root(self) -> str:
-        """Parent entity of the run."""
         return rr.escape_entity_path_part(self.name)
 
     @property
@@ -389,7 +369,7 @@ class _StoredRun:
         )
 
     def points(self, entity: str, component: str, rows: int | None = 1) -> np.ndarray:
-        """Return the first rows (None: all rows) of a component with points, shape (n, 3)."""
+        """Return the first rows (None: all rows) of a point component, shape (n, 3)."""
         for chunk in self.chunks:
             if chunk.entity_path == entity and not chunk.is_static:
                 batch = chunk.to_record_batch()
@@ -403,7 +383,6 @@ class _StoredRun:
         )
 
     def layout(self) -> Layout:
-        """Return the layout of the run."""
         snakes = self.snakes
         if not snakes:
             raise InputError(
@@ -434,11 +413,11 @@ class _StoredRun:
 
 
 def write_side_by_side(path: str | Path, recordings: Mapping[str, Path]) -> None:
-    """Write one recording of several runs, each with a separate floor and plots of speed and heading.
+    """Write one recording of several runs, each with its own floor and plots.
 
     Args:
         path: output file.
-        recordings: name of a run → recording of `write_recording`.
+        recordings: recordings, by run.
 
     Raises:
         InputError: a file is not a recording of srs-twin, or the output file cannot be
@@ -451,7 +430,7 @@ def write_side_by_side(path: str | Path, recordings: Mapping[str, Path]) -> None
         verify_recording(recording)
         reader = RrdReader(recording)
         stored, *_ = reader.recordings()
-        # Entities with a leading `__` are properties of the file.
+        # Entities whose names begin with `__` are properties of the file.
         chunks = reader.stream(store=stored).to_chunks()
         kept = (chunk for chunk in chunks if not chunk.entity_path.startswith("/__"))
         runs.append(_StoredRun(name, tuple(kept)))

@@ -1,4 +1,4 @@
-"""Scene of a recording, sent in columns: snakes, obstacles, contact forces and lines on the floor."""
+"""Scene of a recording: snakes, obstacles, contact forces and lines on the floor."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from srs_twin.viewing.plots.style import OBJECT_COLOR, Style, pressure_colors, r
 from srs_twin.viewing.rerun.blueprint import TIMELINE
 
 METRES_PER_NEWTON = 0.05
-"""Length of the force arrows, equal in all recordings; the lightest robot weighs about 2 N."""
+"""Length of force arrows per newton in all recordings; light robots weigh about 2 N."""
 
 FORCE_COLOR = "#d02020"
 _FORCE_RADIUS_M = 0.002
@@ -35,12 +35,12 @@ _OBSTACLE_HEIGHT_M = 0.06
 
 @dataclass(frozen=True)
 class Entities:
-    """Writer of entities with the same sample times.
+    """Writer of entities with common sample times.
 
     Attributes:
-        log: stream of the recording.
-        time: sample times, shape (samples,), s.
-        root: prefix of the entity names, e.g. `world/<plant>/`.
+        log: recording stream.
+        time: sample times, s.
+        root: name prefix.
     """
 
     log: rr.RecordingStream
@@ -48,7 +48,7 @@ class Entities:
     root: str = ""
 
     def static(self, name: str, shape: rr.AsComponents) -> None:
-        """Log static components; a static component overrides the same component sent by `send`."""
+        """Log static components, which override components sent by `send`."""
         self.log.log(f"{self.root}{name}", shape, static=True)
 
     def send(
@@ -63,7 +63,15 @@ class Entities:
     def line(
         self, name: str, values: np.ndarray, style: Style, *, steps: bool = False
     ) -> None:
-        """Send a signal; with `steps`, only the samples at which it changes and the last one."""
+        """Send a signal.
+
+        Args:
+            name: entity name.
+            values: samples.
+            style: line style.
+            steps: whether to send only samples at which the value changes, and the
+                last.
+        """
         entities = self
         mode = None
         if steps:
@@ -125,17 +133,16 @@ def send_objects(to: Entities, run: Trajectory, world: World) -> None:
 
 
 def send_contacts(to: Entities, run: Trajectory, height: float) -> None:
-    """Log the contact forces of obstacles on a snake as arrows, entity `contact`; nothing without contacts.
+    """Log the contact forces exerted by obstacles on a snake as arrows.
 
-    An arrow starts at the centre of a connector and is the force on the connector and
-    the adjacent halves of its segments. All samples are used, because a contact may be
-    shorter than the sample interval of the shapes.
+    An arrow starts at the centre of a connector and shows the force on the connector
+    and the adjacent halves of its segments. All samples are used, because a contact may
+    be shorter than the sample interval of the shapes.
 
     Args:
-        to: entities of the snake, with the sample times of the run.
-        run: trajectory; with obstacles, it has the columns ``obstacle_force_x_1…`` and
-            ``obstacle_force_y_1…``.
-        height: height of the arrows above the floor, m.
+        to: entities with all sample times of the run.
+        run: trajectory.
+        height: arrow height, m.
     """
     if not run.has("obstacle_force_x"):
         return
@@ -146,8 +153,8 @@ def send_contacts(to: Entities, run: Trajectory, height: float) -> None:
     in_contact = np.any(touched, axis=1)
     if not in_contact.any():
         return
-    # The viewer shows a row until the next one; the first sample after a contact
-    # removes the arrows.
+    # The viewer shows a row until the next one, so the first sample after a contact
+    # must remove the arrows.
     ended = np.append(False, in_contact[:-1]) & ~in_contact
     rows = np.flatnonzero(in_contact | ended)
     origins = _at_height(run.position[rows][touched[rows]], height)
@@ -159,15 +166,18 @@ def send_contacts(to: Entities, run: Trajectory, height: float) -> None:
 
 
 _LINE_HEIGHT_M = 0.001
-"""Height of lines above the floor, m; prevents flicker."""
+"""Height of lines above the floor, m. It prevents flicker."""
 
 CHORDS = 6
-"""Capsules per arc; at a bend of 90° each covers 15°, and the rounded ends hide the corners."""
+"""Number of capsules per arc.
+
+At a bend of 90° each capsule covers 15°, and the rounded ends hide the corners.
+"""
 
 Rgba = tuple[int, int, int, int]
 _GHOST_ALPHA = 120
 _MAX_TRACKS = 20_000
-"""Largest number of points that mark where a spatial snake pressed on the floor."""
+"""Maximum number of points that mark where a spatial snake pressed on the floor."""
 _CONNECTOR_COLOR: Rgba = (70, 74, 82, 255)
 _WHEEL_COLOR: Rgba = (28, 30, 34, 255)
 _SPOKE_COLOR: Rgba = (200, 202, 206, 255)
@@ -176,7 +186,10 @@ _SPOKE_COLOR: Rgba = (200, 202, 206, 255)
 def send_snake(
     to: Entities, snake: Trajectory, spec: RobotSpec, style: Style, *, ghost: bool
 ) -> None:
-    """Log a snake: a ghost is translucent in the colour of its plant; otherwise, colours show pressures."""
+    """Log a snake.
+
+    A ghost has the colour of its plant. The colours of other snakes show pressures.
+    """
     geometry = spec.geometry
     wheeled = spec.skin is None
     if ghost:
@@ -199,7 +212,6 @@ def send_snake(
 
 
 def _send_tracks(to: Entities, snake: Trajectory, style: Style) -> None:
-    """Log the places where connectors press on the floor during the whole run."""
     places = snake.position[snake.stack("load") > 0.0]
     step = max(1, math.ceil(len(places) / _MAX_TRACKS))
     points = _at_height(places[::step], _LINE_HEIGHT_M)
@@ -208,7 +220,6 @@ def _send_tracks(to: Entities, snake: Trajectory, style: Style) -> None:
 
 
 def _places(snake: Trajectory, geometry: Geometry) -> np.ndarray:
-    """Return the places of the drawn connectors, shape (samples, N, 3), m."""
     height = np.full_like(snake.stack("x"), line_height(geometry))
     if snake.has("z"):
         height = snake.stack("z") + (line_height(geometry) - geometry.com_height)
@@ -216,10 +227,10 @@ def _places(snake: Trajectory, geometry: Geometry) -> np.ndarray:
 
 
 def _lines(snake: Trajectory, geometry: Geometry) -> np.ndarray:
-    """Return the centre line of every segment, front first, shape (samples, segments, points, 3), m.
+    """Return the centre line of every segment, shape (samples, segments, points, 3), m.
 
-    Segments of a spatial snake are cubic curves between the connectors, along the axes
-    of both.
+    Segments of a spatial snake are cubic curves between the connectors, tangent to the
+    axes of both connectors.
     """
     if not snake.has("z"):
         flat = centre_lines(snake, geometry, CHORDS)
@@ -244,7 +255,6 @@ def _lines(snake: Trajectory, geometry: Geometry) -> np.ndarray:
 
 
 def _orientations(snake: Trajectory) -> np.ndarray:
-    """Return the quaternions of the connectors, xyzw, shape (samples, N, 4)."""
     if snake.has("quaternion_w"):
         return np.stack([snake.stack(f"quaternion_{axis}") for axis in "xyzw"], axis=-1)
     half = snake.stack("theta") / 2
@@ -253,15 +263,13 @@ def _orientations(snake: Trajectory) -> np.ndarray:
 
 
 def _send_tubes(to: Entities, snake: Trajectory, geometry: Geometry) -> None:
-    """Log each segment as capsules along its centre line, coloured by its pressure difference."""
     lines = _lines(snake, geometry)
     colors = pressure_colors(pressure_difference(snake))
     for j in range(geometry.segments):
         name = f"body/segment_{j + 1}"
         line = lines[:, j]
         step = np.diff(line, axis=1)
-        # The chord lengths change by only 0.3 % up to a bend of 90°, so they are
-        # static.
+        # Chord lengths change by only 0.3 % up to a bend of 90°, so they are static.
         lengths = np.linalg.norm(step[0], axis=-1)
         tube = rr.Capsules3D.from_fields(
             lengths=lengths, radii=[geometry.width / 2], fill_mode="solid"
@@ -278,10 +286,10 @@ def _send_tubes(to: Entities, snake: Trajectory, geometry: Geometry) -> None:
 def _send_hull(
     to: Entities, snake: Trajectory, geometry: Geometry, color: Rgba
 ) -> None:
-    """Log the body as one hexagonal tube; overlapping capsules would not look translucent."""
+    """Log the body as one hexagonal tube, because overlapping capsules look opaque."""
     lines = _lines(snake, geometry)
-    # Segments share their ends, and without a rigid gap the ends of an arc coincide
-    # with the connectors.
+    # Duplicate points are omitted: segments share their ends, and without a rigid gap
+    # the ends of an arc coincide with the connectors.
     unique = slice(1, -2)
     if geometry.rigid_gap or snake.has("z"):
         unique = slice(0, -1)
@@ -292,7 +300,8 @@ def _send_hull(
     left = np.cross([0.0, 0.0, 1.0], tangent)
     left /= np.maximum(np.linalg.norm(left, axis=-1, keepdims=True), 1e-9)
     up = np.cross(tangent, left)
-    # Slightly thinner than the other body, so that coincident surfaces do not flicker.
+    # The tube is slightly thinner than the other body, because coincident surfaces
+    # would flicker.
     radius = 0.46 * geometry.width
     angle = np.arange(6)[:, None] * np.pi / 3
     around = np.cos(angle) * left[:, :, None] + np.sin(angle) * up[:, :, None]
@@ -307,7 +316,7 @@ def _send_hull(
 
 
 def _tube_triangles(rings: int) -> np.ndarray:
-    """Return the triangles between rings of six vertices, shape (n, 3), counter-clockwise from outside."""
+    """Return triangles between hexagonal rings, counter-clockwise seen from outside."""
     ring, corner = np.meshgrid(np.arange(rings - 1), np.arange(6), indexing="ij")
     first = 6 * ring + corner
     second = 6 * ring + (corner + 1) % 6
@@ -342,7 +351,7 @@ def _send_wheels(
 
 
 def _send_spokes(to: Entities, snake: Trajectory, geometry: Geometry) -> None:
-    """Log a bar on each wheel, slightly wider than the wheel, which makes its rotation visible."""
+    """Log a bar on each wheel that makes the wheel's rotation visible."""
     radius = geometry.wheel_radius
     half = [0.85 * radius, 0.22 * radius, 0.13 * radius]
     yaw = snake.stack("theta")[:, :, None] / 2
@@ -365,16 +374,7 @@ def _send_solids(
     rotations: np.ndarray,
     **appearance: Any,
 ) -> None:
-    """Log solids, equally many per sample.
-
-    Args:
-        to: entities.
-        name: name of the entity.
-        shape: archetype, e.g. `rr.Boxes3D`.
-        centres: centres, shape (n, 3), m.
-        rotations: quaternions, xyzw, shape (…, 4).
-        appearance: static components.
-    """
+    """Log an equal number of solids per sample."""
     to.static(name, shape.from_fields(fill_mode="solid", **appearance))
     poses = shape.columns(
         centers=centres, quaternions=rotations.reshape(-1, 4).astype(np.float32)
@@ -383,7 +383,6 @@ def _send_solids(
 
 
 def _send_trail(to: Entities, snake: Trajectory, style: Style) -> None:
-    """Log the centre of mass and its trail, one line per sample; the view shows those up to the cursor."""
     before = np.concatenate([snake.com[:1], snake.com[:-1]])
     ends = np.stack([before, snake.com], axis=1)
     strips = _at_height(ends, 0.002).reshape(-1, 2, 3)
@@ -394,7 +393,10 @@ def _send_trail(to: Entities, snake: Trajectory, style: Style) -> None:
 
 
 def line_height(geometry: Geometry) -> float:
-    """Return the height of the centre line, m; at least half the width, to keep the body above the floor."""
+    """Return the height of the centre line, m.
+
+    The height is at least half the width, so that the body stays above the floor.
+    """
     return max(geometry.com_height, geometry.width / 2)
 
 
@@ -408,14 +410,13 @@ def send_lines(to: Entities, lines: Iterable[FloorLine]) -> None:
 
 
 def _at_height(points: np.ndarray, height: float) -> np.ndarray:
-    """Return points (…, 2) with a common height as an array (n, 3) of float32."""
     flat = points.reshape(-1, 2)
     return np.column_stack([flat, np.full(len(flat), height)]).astype(np.float32)
 
 
 def _along(steps: np.ndarray) -> np.ndarray:
-    """Return quaternions (n, 4), xyzw, that rotate +z (the axis of capsules) to the steps (…, 3)."""
-    # Without a rigid gap the first and the last step of a segment have no length.
+    """Return quaternions xyzw, shape (n, 4), that rotate +z (capsule axis) to steps."""
+    # Without a rigid gap, the first and the last step of a segment have zero length.
     length = np.maximum(np.linalg.norm(steps, axis=-1, keepdims=True), 1e-12)
     x, y, z = np.moveaxis(steps / length, -1, 0)
     turn = np.stack([-y, x, 0.0 * x, 1.0 + z], axis=-1)
@@ -424,7 +425,7 @@ def _along(steps: np.ndarray) -> np.ndarray:
 
 
 def _yaw_quaternions(yaw: np.ndarray) -> np.ndarray:
-    """Return quaternions (n, 4), xyzw, that rotate +z (the axis of capsules) to a yaw angle."""
+    """Return quaternions xyzw, shape (n, 4), that rotate +z (capsule axis) to a yaw."""
     s = np.sin(yaw / 2)
     c = np.cos(yaw / 2)
     turns: np.ndarray = np.sqrt(0.5) * np.stack([-s, c, s, c], axis=-1)
@@ -432,5 +433,5 @@ def _yaw_quaternions(yaw: np.ndarray) -> np.ndarray:
 
 
 def _packed(rgba: np.ndarray) -> np.ndarray:
-    """Return bytes (n, 4) as integers 0xRRGGBBAA, which Rerun accepts without a copy per colour."""
+    """Convert bytes (n, 4) to integers 0xRRGGBBAA, which Rerun does not copy."""
     return np.ascontiguousarray(rgba).view(">u4").reshape(-1).astype(np.uint32)

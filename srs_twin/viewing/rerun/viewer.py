@@ -1,12 +1,9 @@
-"""The Rerun viewer as a child process and in a browser, and the verification of recordings.
+"""Run the Rerun viewer in a child process or a browser, and verify recordings.
 
-The viewer accepts connections from this machine only. It ends when the `with` block
-that started it ends.
-
-Rerun serves its viewer and the recording, but its page loads fonts from the internet,
-which delays it offline and discloses its use online. A proxy server therefore removes
-these links and adds a Content-Security-Policy that makes the browser block all requests
-to other hosts.
+The viewer accepts connections from this machine only. Rerun's page loads fonts from
+the internet, which delays the page offline and discloses its use online. A proxy
+server therefore removes these links and adds a Content-Security-Policy that makes the
+browser block all requests to other hosts.
 """
 
 from __future__ import annotations
@@ -33,7 +30,7 @@ from srs_twin.errors import InputError
 
 
 def rerun_executable() -> Path:
-    """Return the path of the program `rerun` in the environment of the running Python.
+    """Return the path of `rerun` in the environment of the running Python.
 
     Raises:
         InputError: the program is missing.
@@ -56,10 +53,10 @@ def lacks_display() -> bool:
 
 
 def open_recording(path: str | Path) -> None:
-    """Open a recording in the native viewer and wait until the viewer is closed.
+    """Open a recording in the native viewer, and wait until the viewer is closed.
 
     Raises:
-        InputError: there is no such recording or no display, or the viewer failed.
+        InputError: the recording or the display is missing, or the viewer failed.
     """
     recording = _recording(path)
     program = rerun_executable()
@@ -84,12 +81,13 @@ def verify_recording(path: str | Path) -> None:
     """Verify a recording with `rerun rrd verify`.
 
     Raises:
-        InputError: there is no such recording, or it is incomplete or damaged.
+        InputError: the recording is missing, incomplete or damaged.
     """
     recording = _recording(path)
     command = [str(rerun_executable()), "rrd", "verify", str(recording)]
     done = subprocess.run(command, check=False, capture_output=True, text=True)
-    # The exit code is also 0 for files of other formats, with "0 files verified".
+    # For a file of another format, the exit code is 0 and the output says "0 files
+    # verified".
     if "1 file verified" not in done.stdout + done.stderr:
         lines = (done.stderr or done.stdout).strip().splitlines()
         raise InputError(
@@ -111,27 +109,22 @@ HOST = "127.0.0.1"
 """Address on which the viewer accepts connections."""
 
 _STOP_TIMEOUT_S = 10.0
-"""Time after SIGTERM before the viewer is killed, s."""
+"""Time between SIGTERM and killing the viewer, s."""
 
 Rerun = subprocess.Popen[bytes]
 
 
 @contextmanager
 def running_rerun(*arguments: str) -> Iterator[tuple[Rerun, IO[bytes]]]:
-    """Run Rerun; yield the process and the file with its output.
-
-    Rerun and its child processes end with the block.
-
-    Args:
-        arguments: arguments of Rerun, in addition to its address.
+    """Run Rerun, and yield the process and the file with its output.
 
     Raises:
         InputError: Rerun is not installed.
     """
     command = [str(rerun_executable()), "--bind", HOST, *arguments]
     with tempfile.TemporaryFile() as output:
-        # `rerun` is a script that starts the actual program; a process group allows
-        # stopping both.
+        # The script `rerun` starts the actual program. A process group allows stopping
+        # both processes.
         rerun = subprocess.Popen(
             command,
             stdin=subprocess.DEVNULL,
@@ -153,13 +146,12 @@ def free_port() -> int:
 
 
 def output_lines(output: IO[bytes]) -> list[str]:
-    """Return the lines of the output of Rerun, at least one."""
+    """Return the lines that Rerun has printed, at least one."""
     output.seek(0)
     return output.read().decode(errors="replace").strip().splitlines() or ["no output"]
 
 
 def _stop(rerun: Rerun) -> None:
-    """Terminate Rerun, and kill it if it does not end in time."""
     for signal_number in (signal.SIGTERM, signal.SIGKILL):
         if rerun.poll() is not None:
             return
@@ -172,8 +164,8 @@ def _stop(rerun: Rerun) -> None:
 
 _START_TIMEOUT_S = 30.0
 _FETCH_TIMEOUT_S = 30.0
-# The viewer is WebAssembly, is started by an inline script, and connects to the port of
-# the recording.
+# The policy allows what the viewer needs: WebAssembly, an inline script that starts the
+# viewer, and connections to the port of the recording.
 _POLICY = "; ".join(
     (
         "default-src 'self'",
@@ -191,14 +183,15 @@ _EXTERNAL_LINK = re.compile(r"<link\b[^>]*https?://[^>]*>")
 def serve_recordings(
     recordings: Sequence[Path], port: int = 0, data_port: int | None = None
 ) -> Iterator[tuple[str, Callable[[], None]]]:
-    """Serve recordings on 127.0.0.1; yield the URL and a function that serves until it is interrupted.
+    """Serve recordings in the web viewer on 127.0.0.1.
 
-    All processes end with the block.
+    The context manager yields the URL of the page, and a function that serves requests
+    until it is interrupted.
 
     Args:
-        recordings: recordings of `write_recording`.
-        port: port of the page; 0: a free port.
-        data_port: port to which a running program may stream data; default: a free
+        recordings: recordings.
+        port: page port, or 0 for a free port.
+        data_port: port to which a running program may stream data, or None for a free
             port.
 
     Raises:
@@ -229,22 +222,14 @@ def serve_recordings(
 
 
 class _ProxyHandler(BaseHTTPRequestHandler):
-    """Request handler that forwards the files of Rerun without links to other hosts."""
+    """Request handler that forwards Rerun's files without links to other hosts."""
 
     def __init__(self, source: str, query: str, *request: Any) -> None:
-        """Handle a request.
-
-        Args:
-            source: URL of the viewer that Rerun serves.
-            query: query that selects the recording in the viewer.
-            request: arguments of `BaseHTTPRequestHandler`.
-        """
         self.source = source
         self.query = query
         super().__init__(*request)
 
     def do_GET(self) -> None:
-        """Return a file of Rerun; redirect the root to the recording."""
         url = urlsplit(self.path)
         if url.path == "/" and url.query != self.query:
             self.send_response(302)
@@ -282,7 +267,7 @@ def _opener() -> urllib.request.OpenerDirector:
 def is_served(
     server: subprocess.Popen[bytes], addresses: Sequence[str], timeout_s: float
 ) -> bool:
-    """Wait until a server answers requests to all addresses; return False if it ends or the time runs out."""
+    """Wait until a server answers at all addresses, and return whether it did."""
     deadline = time.monotonic() + timeout_s
     while server.poll() is None and time.monotonic() < deadline:
         try:
