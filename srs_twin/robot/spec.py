@@ -629,7 +629,10 @@ class RobotSpec:
         return math.hypot(g.rigid_gap, 2 * g.half_track) / math.sqrt(12)
 
     def yaw_inertia(self) -> np.ndarray:
-        """Return the yaw inertia of connectors with wheels about their centres, kg·m²."""
+        """Return the yaw inertia of connectors about their centres, shape (N,), kg·m².
+
+        The inertia includes the wheels.
+        """
         wheel = self.mass.wheel
         g = self.geometry
         # The inertia of a wheel is r²/4 (thin disc about a diameter) plus the

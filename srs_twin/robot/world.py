@@ -38,9 +38,7 @@ class Pose:
     heading: float
 
     def __iter__(self) -> Iterator[float]:
-        """Yield x, y and heading as floats, because integers would compile kernels
-        again.
-        """
+        """Yield x, y and heading as floats, so that kernels compile once."""
         return iter((float(self.x), float(self.y), float(self.heading)))
 
 
