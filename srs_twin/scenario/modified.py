@@ -75,7 +75,7 @@ class ChangedField(Section):
         default=None,
         alias="from",
         title="From",
-        description="Value in the file, or the default.",
+        description="Value in the file, or the default value.",
     )
     to: Any = None
     """New value."""

@@ -71,7 +71,7 @@ class StartFile(Section):
         alias="from",
         title="From",
         description=(
-            "Folder of a run; each plant starts in the state of its trajectory there."
+            "Folder of an earlier run; each plant starts in a state of its trajectory."
         ),
     )
     time_s: float | None = quantity(0.0, 1e6, None)
