@@ -77,7 +77,6 @@ class _PartLibrary(JITCodeLibrary):
         self._finalized = True
 
     def _get_module_for_linking(self) -> Any:
-        """Return the code together with the code of all functions that it calls."""
         self._ensure_finalized()
         if self._shared_module is None:
             module = self._final_module.clone()
@@ -132,8 +131,8 @@ class Kernel:
     """Compiled function that Python and other kernels can call.
 
     Attributes:
-        entry: dispatcher for calls from Python.
-        part: dispatcher for calls from other kernels.
+        entry: numba dispatcher for calls from Python.
+        part: numba dispatcher for calls from other kernels.
         py_func: uncompiled function.
     """
 

@@ -387,7 +387,7 @@ class _Worker:
         return answer
 
     def end(self, deadline: float) -> int:
-        """End the process, by a kill after the deadline, and return its exit code."""
+        """Return the exit code of the process, which is killed at the deadline."""
         self.process.join(max(0.0, deadline - time.monotonic()))
         self.process.kill()
         self.process.join()
@@ -426,7 +426,6 @@ def _start_process(
 
 
 def _worker_main(pipe: Connection, program: bytes, plugins: str) -> None:
-    """Run the tasks of a worker while a second thread receives the arguments."""
     os.environ[PLUGINS] = plugins
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _raise_exit)
@@ -447,7 +446,6 @@ def _worker_main(pipe: Connection, program: bytes, plugins: str) -> None:
 
 
 def _call_and_pickle(call: Callable[[], Any]) -> bytes:
-    """Call a function and pickle its result and error, of which one is None."""
     try:
         return pickle.dumps((call(), None))
     except Exception as error:  # any error is reported, and the worker continues

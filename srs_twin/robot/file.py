@@ -311,7 +311,6 @@ class RobotFile(StrictModel):
         return self.actuator.kind == "position"
 
     def _contradictions_of_kinds(self) -> Iterator[tuple[Loc, str]]:
-        """Yield keys that the kind of contact or actuator requires or excludes."""
         contact = "skin" if self.has_skin else "wheels"
         actuator = "position" if self.has_servos else "pressure"
         for name in RobotFile.model_fields:

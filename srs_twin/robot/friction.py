@@ -59,6 +59,7 @@ def axis(v_t, v_n, load, mu_t, mu_n, slip):  # type: ignore[no-untyped-def]  # n
     # Reciprocal roots need one division each, and the derivatives reuse them.
     r_t = 1 / np.sqrt(v_t * v_t + slip * slip)
     r_n = 1 / np.sqrt(v_n * v_n + slip * slip)
+    # The drag coefficients k_t and k_n are the forces divided by the velocities, N·s/m.
     k_t = load * mu_t * r_t
     k_n = load * mu_n * r_n
     zero = 0.0 * v_t
@@ -74,11 +75,13 @@ def axis(v_t, v_n, load, mu_t, mu_n, slip):  # type: ignore[no-untyped-def]  # n
 
 def wheel(v_t, v_n, load, mu_t, mu_n, slip):  # type: ignore[no-untyped-def]  # noqa: D417
     """Return force (N) and derivatives (N·s/m) of the `wheel` law, see `axis`."""
+    # The direction cosines a_t and a_n of the slip use the regularised speed 1/r.
     r = 1 / np.sqrt(v_t * v_t + v_n * v_n + slip * slip)
     r_n = 1 / np.sqrt(v_n * v_n + slip * slip)
     a_t = v_t * r
     a_n = v_n * r
     slide_t = mu_n * a_t  # axial friction coefficient of a locked wheel
+    # A rolling wheel uses μ_t of the friction cone, so this coefficient remains across.
     rest = np.sqrt(np.maximum(mu_n * mu_n - mu_t * mu_t, 0.0))
     # A rolling wheel has the full axle drag along the heading and the remainder of the
     # cone across. A skidding wheel has the isotropic cone. Unlike np.where, this
@@ -107,6 +110,7 @@ def viscous(v_t, v_n, load, mu_t, mu_n, slip):  # type: ignore[no-untyped-def]  
 
 def ellipse(v_t, v_n, load, mu_t, mu_n, slip):  # type: ignore[no-untyped-def]  # noqa: D417
     """Return force (N) and derivatives (N·s/m) of the `ellipse` law, see `axis`."""
+    # The weights μ² and the common root 1/r define the direction of the force.
     w_t = mu_t * mu_t
     w_n = mu_n * mu_n
     smooth = slip * np.maximum(np.maximum(mu_t, mu_n), _MIN_COEFFICIENT)

@@ -54,6 +54,7 @@ def half_angle_terms(bend: Number) -> tuple[Number, ...]:
         / 12
         * (1 - p / 30 * (1 - p / 56 * (1 - p / 90 * (1 - p / 132 * (1 - p / 182)))))
     ) / 2
+    # From here on, `arc` is A. The first doubling goes from x/4 to x/2, the second to x.
     arc = 1 - p * a
     a = (a + arc * b) / 4
     b = arc * arc / 2

@@ -282,7 +282,6 @@ def _outline(
 
 
 def _kinds(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
-    """Yield sections that do not support a spatial robot or a robot with servos."""
     if robot.is_spatial:
         yield from _spatial(file, robot)
     if robot.has_servos and file.pneumatics.kind != "lag":
@@ -366,7 +365,6 @@ def _coupling_step(file: ScenarioFile, chambers: Pneumatics) -> Iterator[Contrad
 
 
 def _times(file: ScenarioFile) -> Iterator[Contradiction]:
-    """Yield durations, ticks and rates that are not multiples of each other."""
     for kind, plant in file.plants.running.items():
         tick = file.tick(kind)
         interval = 1 / file.record_hz

@@ -192,8 +192,8 @@ class LearningFile(ControllerSection):
     offset: float = quantity(-MAX_OFFSET, MAX_OFFSET)
     """Steering offset, positive to the left, set by unequal target amplitudes."""
     target: Literal["smallest"] | None = None
-    """Target amplitude of the outer side; "smallest" takes the smallest recorded
-    amplitude. It is the default if target_rad is not set."""
+    """Target amplitude of the side that bends further; "smallest" selects the smallest
+    recorded amplitude. This is the default if target_rad is not set."""
     target_rad: float | None = quantity(0.01, _RIGHT_ANGLE, None)
     """Target amplitude of the side that bends further."""
     k_per_rad: float = quantity(1e-4, 100.0)
@@ -297,7 +297,7 @@ class SquareFile(_PeriodicFile):
 
 
 class StaircaseFile(Section):
-    """Sequence of bends with equal durations, of which the last is held to the end."""
+    """Sequence of bends of equal duration. The last bend is held to the end."""
 
     constructors = (Staircase,)
 

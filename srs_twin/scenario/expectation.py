@@ -208,7 +208,7 @@ class AllowedRange(NamedTuple):
 
 
 class Expectation(Section):
-    """Expected value of a metric: near a value, a bound, or within an interval."""
+    """Expected value of a metric, stated as a number, a bound or an interval."""
 
     metric: Annotated[MetricName, Field(json_schema_extra={"anyOf": _METRIC_SCHEMAS})]
     """Name of the metric."""

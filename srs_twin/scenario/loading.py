@@ -165,7 +165,6 @@ def _checked(document: Document) -> tuple[ScenarioFile, Loading]:
 
 
 def _build_parts(file: ScenarioFile, loading: Loading) -> None:
-    """Build and check the parts that depend on the robot."""
     document = loading.document
     robot = loading.robot
     products = loading.products
@@ -355,7 +354,6 @@ def field_paths() -> list[str]:
 
 
 def _override(robot: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:
-    """Return the schema of {base: …}, whose fields may be plain numbers or records."""
     properties: dict[str, Any] = {
         "base": {"type": "string", "description": "Name or path of the robot."}
     }

@@ -223,7 +223,6 @@ def _adapter(hint: Any) -> TypeAdapter[Any] | None:
 
 
 def _is_read_back(adapter: TypeAdapter[Any], default: Any) -> bool:
-    """Return whether a default survives being written to a file and read again."""
     try:
         written = adapter.dump_json(default, warnings=False)
         return default is ... or bool(adapter.validate_json(written) == default)

@@ -54,7 +54,7 @@ class _PlantFile(Section):
     timestep_s: float
     tick_s: float | None = quantity(1e-6, 10.0, None)
     """Control tick, on the twin a multiple of timestep_s (default: 0.02, or 0.001 on a
-    bench, times the robot's time unit)"""
+    bench, times the robot's time unit)."""
 
     def scaled_to(self, scale: Scale, tick: float) -> Self:
         """Return the section with default times and speeds in the units of a robot.

@@ -255,7 +255,6 @@ def source_digests(module: str) -> dict[str, str]:
 
 
 def _closure(module: str, root: Path) -> Iterator[tuple[str, str]]:
-    """Yield the names and digests of a module and of all its imports."""
     to_read = [module]
     seen = set()
     while to_read:

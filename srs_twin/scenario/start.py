@@ -75,7 +75,7 @@ class StartFile(Section):
         ),
     )
     time_s: float | None = quantity(0.0, 1e6, None)
-    """Time in the run that from names."""
+    """Time within the run that the key from names."""
 
     def contradictions(self) -> Iterator[Contradiction]:
         """Yield keys that contradict each other."""
@@ -94,7 +94,7 @@ class StartFile(Section):
 
     @property
     def moves(self) -> bool:
-        """Whether the snake does not start straight and at rest."""
+        """Whether the initial state differs from a straight snake at rest."""
         return self.run is not None or any(
             getattr(self, name) is not None for name in _AT_REST
         )

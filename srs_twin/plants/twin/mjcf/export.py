@@ -111,8 +111,8 @@ def robot_files(
 
     Args:
         spec: robot.
-        supply_pa: upper limit of the controls, which are at least the limits of the
-            robot, Pa.
+        supply_pa: upper limit of the controls, Pa. Lower values are raised to the
+            limits of the robot.
         linear: whether a robot with a dead zone is exported without its dead zone.
 
     Raises:

@@ -74,8 +74,8 @@ def robot_mjcf(
     Args:
         spec: robot.
         settings: time step, discretisation and contact.
-        supply_pa: upper limit of the controls, which are at least the limits of the
-            robot, Pa.
+        supply_pa: upper limit of the controls, Pa. Lower values are raised to the
+            limits of the robot.
         obstacle_friction: friction coefficient of the hulls that touch obstacles
             (`surroundings`), or None for a body without hulls.
 

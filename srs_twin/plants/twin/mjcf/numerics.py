@@ -36,7 +36,7 @@ LOADS = ("momentary", "across", "static")
 
 - momentary: the instantaneous normal force.
 - across: the weight of the connector, divided in the ratio of the normal forces on its
-two wheels, as in the analytical model.
+  two wheels, as in the analytical model.
 - static: half of the weight of the connector.
 """
 
@@ -257,8 +257,8 @@ PRESETS: dict[str, dict[str, float]] = {
 }
 """Settings of a twin for each preset, for `TwinSnake(spec, **PRESETS["fast"])`.
 
-benchmarks/presets.py measures the errors of the presets. A longer step than 2 ms would
-exceed the damping time of the segments.
+benchmarks/presets.py measures the errors of the presets. The step of 2 ms is the
+longest one below the damping time of the segments.
 """
 
 

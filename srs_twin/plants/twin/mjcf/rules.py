@@ -86,7 +86,6 @@ def coupling_violations(timestep: float, chambers: Pneumatics) -> Iterator[Viola
 
 
 def _smallest_inertia(spec: RobotSpec, settings: ModelSettings) -> float:
-    """Return the minimum moment of inertia of all bodies, kg·m²."""
     if settings.hinges_per_segment > 1:
         lightest = settings.link_mass(spec)
     else:

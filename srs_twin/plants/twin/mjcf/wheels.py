@@ -376,7 +376,7 @@ def _contact_time_factors(
 def contact_regularisation(
     model: mujoco.MjModel, spec: RobotSpec, settings: ModelSettings
 ) -> np.ndarray:
-    """Return MuJoCo's regularisation R of normal contacts, ordered like `treads`, 1/kg."""
+    """Return MuJoCo's regularisation R of each geom in `treads`, 1/kg."""
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
     data.qpos[2] -= _REFERENCE_DEPTH * spec.scale.length
