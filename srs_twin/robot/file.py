@@ -527,7 +527,7 @@ def resolve_robot(document: Document, robot: Any, *, prefix: Loc) -> RobotFile |
         prefix: path of `robot` in the document.
 
     Raises:
-        InputFileError: the robot file is not valid. The message names that file.
+        InputFileError: the robot file itself is not valid.
     """
     if isinstance(robot, Mapping):
         base = robot.get("base")
@@ -624,8 +624,7 @@ def _merge_override(
 ) -> dict[str, Any]:
     """Return the data of a base robot with the entries of an override.
 
-    `source` returns the source text for the path of a plain number that replaces the
-    value of a record.
+    The function `source` names the source of a plain number at a path.
     """
     merged = dict(base)
     if (

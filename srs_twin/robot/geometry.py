@@ -1,16 +1,16 @@
 r"""Constant-curvature geometry of a segment and of the body.
 
-A segment of length l with the bend q is an arc; its chord is parallel to the mean
+A segment of length l with the bend q is an arc. Its chord is parallel to the mean
 heading of its two ends. A rigid gap L_o, half of it at each end, does not change this
 direction. The distance between the connectors is
 
 $$ L(q) = l\,\frac{\sin(q/2)}{q/2} + L_o \cos(q/2). $$
 
-Signs: connectors are numbered from the head, and q_j = θ_j − θ_{j+1} > 0 turns the head
-end to the left (Eq. 2 and 3 with the signs of E9 and E20; Eq. 7 for the chord). The
-functions are elementwise, for arrays with any leading axes, and the kernels compile
-them. `pair_heading`, `measured_bend` and `arc_between` are Algorithms 1 and 2 of
-Section 3.4.1, which compute curvature and shape from markers.
+Connectors are numbered from the head, and a bend q_j = θ_j − θ_{j+1} > 0 turns the head
+end to the left. The bend is defined by Eq. 2 and 3 with the signs of E9 and E20, and
+the chord by Eq. 7. The functions are elementwise, for arrays with any leading axes, and
+the kernels compile them. `pair_heading`, `measured_bend` and `arc_between` are
+Algorithms 1 and 2 of Section 3.4.1, which compute curvature and shape from markers.
 """
 
 from __future__ import annotations
@@ -140,9 +140,7 @@ def body_shape(bend: Array, mass: Array, length: float, gap: float) -> Array:
 
 
 def pair_heading(rear: Array, front: Array) -> Array:
-    """Return the direction from one marker to another, shape (…), rad.
-
-    The function is Algorithm 1 with atan2 (E10).
+    """Return the direction between two markers, rad (Algorithm 1 with atan2, E10).
 
     Args:
         rear: position of the rear marker, shape (…, 2), m.
@@ -174,9 +172,9 @@ def arc_between(front: Array, rear: Array, curvature: Array, points: int = 21) -
        P(s) = P_A - d\,s\,\frac{\operatorname{sinc} \beta s}{\operatorname{sinc}
        \beta}\, (\cos\gamma, \sin\gamma), \qquad \gamma = \alpha + \beta\,(1 - s), $$
 
-    which needs no centre and no special case for κ = 0. If noise makes |κ d / 2| larger
-    than 1, which is impossible for an arc, β is a right angle and the arc is a half
-    circle.
+    which needs no centre and no special case for κ = 0. Noise can make |κ d / 2| larger
+    than 1, which is impossible for an arc. The function then returns a half circle,
+    with a right angle β.
 
     Args:
         front: front end P_A, shape (…, 2), m.

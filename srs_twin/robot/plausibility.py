@@ -113,14 +113,12 @@ class Doubt(NamedTuple):
 
 
 def likely_unit(value: float, unit: str, expected: float) -> str:
-    """Suggest the unit in which a number is close to an expected one.
-
-    The text has the form "0.4 bar would be 40 kPa".
+    """Suggest another unit for a number, for example "0.4 bar would be 40 kPa".
 
     Args:
         value: number as the user wrote it.
         unit: unit of the key.
-        expected: expected order of magnitude of the number.
+        expected: expected order of magnitude.
     """
     factors = {unit: 1.0} | _OTHER_UNITS.get(unit, {})
     other = min(

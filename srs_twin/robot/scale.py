@@ -1,9 +1,9 @@
 r"""Scale of a robot: the unit of its numerical settings.
 
-Gravity does not scale. If the lengths of a snake are multiplied by s, its masses by s³,
-its stiffness by s⁴ and its times by √s, it makes the same motion with speeds multiplied
-by √s. This requires that the numerical settings scale too: time steps and slip speeds
-by √s, contact depths by s. The settings are declared for the shipped robots and
+Gravity does not scale. A snake therefore makes the same motion, with speeds multiplied
+by √s, if its dimensions are changed together: lengths by s, masses by s³, stiffness by
+s⁴ and times by √s. The numerical settings must scale as well: time steps and slip
+speeds by √s, contact depths by s. The settings are declared for the shipped robots and
 multiplied by powers of the time unit
 
 $$ u = 2^{\operatorname{round}(\frac12 \log_2 (P / P_0))}, \qquad P_0 = 1/16\ \mathrm m, $$
@@ -14,7 +14,7 @@ lengths by u².
 The unit u is 1 for 3.1 cm < P < 12.5 cm, which contains all shipped robots.
 Multiplication by a power of two is exact. A robot scaled by a power of four therefore
 repeats the motion of the original to the last digit. Between these powers the settings
-stay constant: they are at most √2 times too fine or too coarse. They change by a factor
+stay constant and are at most √2 times too fine or too coarse. They change by a factor
 of two (lengths by four) where P passes 3.1 cm, 12.5 cm, 50 cm, and so on.
 """
 

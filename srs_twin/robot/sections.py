@@ -73,9 +73,8 @@ class ModulesFile(Records):
     """Individual properties of the modules and their random differences."""
 
     gain: ChamberFactors | None = None
-    """Gain relative to the nominal gain, 0.1 to 10 for the + and - chamber of each
-    segment, head first; a spatial robot has one factor per direction of
-    chamber.directions_deg."""
+    """Gain relative to the nominal gain, 0.1 to 10 for each chamber of each segment,
+    head first; + before -, or in the order of chamber.directions_deg."""
     tau_fill: ChamberFactors | None = None
     """tau_fill relative to the nominal value, 0.1 to 10 for the + and - chamber of each
     segment, head first."""
@@ -363,8 +362,8 @@ class ChamberFile(Records, needed_by="pressure"):
     """Increase of the chamber volume at a bend of 90 degrees."""
     directions_deg: Directions | None = None
     """Directions in which the chambers of a spatial robot bend a segment, -360 to 360,
-    where 0 is to the left and 90 upwards; four directions make two antagonistic pairs.
-    By default, one chamber bends to the left and one to the right."""
+    0 to the left and 90 upwards; four directions make two antagonistic pairs. By
+    default, one chamber bends to the left and one to the right."""
 
 
 class SupplyFile(Records, needed_by="pressure"):

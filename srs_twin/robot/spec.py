@@ -1,8 +1,8 @@
 """RobotSpec: validated parameters of one snake in SI units, frozen.
 
 The numbers come from ``calibration/robots/*.yaml``, where each has a source and a
-status. `Modules` holds the differences between the modules of a snake (Section 5.1):
-moulded chambers differ in gain and air flow, a body at rest is not perfectly straight,
+status. `Modules` holds the differences between the modules of a snake (Section 5.1).
+Moulded chambers differ in gain and air flow, a body at rest is not perfectly straight,
 and sensors drift after their calibration.
 
 Connectors are numbered i = 1…N from head to tail. Segment j lies between connectors j
@@ -250,9 +250,8 @@ class Friction:
         mu_t: friction coefficient along the heading (axle drag of a wheel), of a skin
             for slip towards the head.
         mu_n: friction coefficient across the heading, for a wheel that slides sideways.
-        drag: total axial drag of tubes and belly, N, which acts in equal parts on the
-            connectors against their motion along the heading, independent of the wheel
-            loads.
+        drag: total axial drag of tubes and belly, N. Equal parts act on the connectors
+            against their motion along the heading, independent of the wheel loads.
         mu_back: friction coefficient of a skin for slip towards the tail, or None for
             mu_t.
     """
@@ -387,9 +386,9 @@ class Chamber:
             segment with its tube, m³.
         displacement: increase of the volume per bend towards the side of the chamber,
             m³/rad.
-        directions: direction in which each chamber of a spatial robot bends its
-            segment, rad (0 to the left, π/2 upwards), or None for the two chambers of a
-            planar robot.
+        directions: bending direction of each chamber of a spatial robot, rad (0 to the
+            left, π/2 upwards), or None for a planar robot with a left and a right
+            chamber.
     """
 
     dead_volume: float
@@ -620,8 +619,8 @@ class RobotSpec:
     def connector_gyration(self) -> float:
         """Radius of gyration of a connector without its wheels, m.
 
-        By default, the connector is a uniform block with the length of the rigid gap
-        L_o and the width of the track 2 w, which gives √((L_o² + (2 w)²)/12).
+        The default is √((L_o² + (2 w)²)/12), for a uniform block with the length of the
+        rigid gap and the width of the track 2 w.
         """
         if self.mass.connector_gyration is not None:
             return self.mass.connector_gyration
@@ -629,10 +628,7 @@ class RobotSpec:
         return math.hypot(g.rigid_gap, 2 * g.half_track) / math.sqrt(12)
 
     def yaw_inertia(self) -> np.ndarray:
-        """Return the yaw inertia of connectors about their centres, shape (N,), kg·m².
-
-        The inertia includes the wheels.
-        """
+        """Return the yaw inertia of connectors with their wheels, shape (N,), kg·m²."""
         wheel = self.mass.wheel
         g = self.geometry
         # The inertia of a wheel is r²/4 (thin disc about a diameter) plus the

@@ -1,7 +1,4 @@
-"""Checks for contradictions between the sections of a scenario.
-
-Each section has already been validated by itself.
-"""
+"""Checks between the sections of a scenario after each section is validated."""
 
 from __future__ import annotations
 
@@ -261,15 +258,6 @@ def check_start(
 def _outline(
     spec: RobotSpec, com: np.ndarray, heading: float, bend: np.ndarray, hinges: int
 ) -> np.ndarray:
-    """Return the outline of a snake, see `hull_lines`.
-
-    Args:
-        spec: robot.
-        com: centre of mass, m, shape (2,).
-        heading: mean heading, rad.
-        bend: bend angles, rad, shape (segments,).
-        hinges: hinges per segment.
-    """
     geometry = spec.geometry
     shape = body_shape(
         bend, spec.mass.array(), geometry.segment_length, geometry.rigid_gap

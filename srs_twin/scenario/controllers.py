@@ -86,10 +86,7 @@ class ControllerSection(Section):
 
     @property
     def gait_section(self) -> ControllerSection:
-        """Section of the controller that drives the valves.
-
-        It differs from this section only if this section steers another controller.
-        """
+        """Section of the controller that drives the valves, by default this section."""
         return self
 
     def contradictions_with(self, file: FileSections) -> Iterator[Contradiction]:
@@ -171,7 +168,7 @@ class GaitFile(ControllerSection):
         return Gait(**self.arguments() | {"pitch": self.pitch and self.pitch.build()})
 
     def check(self, spec: RobotSpec, tick: float) -> None:
-        """See `ControllerSection.check`: a pitch wave needs a spatial robot."""
+        """See `ControllerSection.check`."""
         if self.pitch is not None:
             self.pitch.build().check(spec)
 
@@ -227,7 +224,7 @@ class LearningFile(ControllerSection):
         return self
 
     def check(self, spec: RobotSpec, tick: float) -> None:
-        """See `ControllerSection.check`: a gait period must contain enough ticks."""
+        """See `ControllerSection.check`."""
         ChamberPeriods(spec.modules.array("bias"), self.frequency_hz, tick)
 
     def warnings(self, limit: float) -> Iterator[str]:
@@ -297,7 +294,7 @@ class SquareFile(_PeriodicFile):
 
 
 class StaircaseFile(Section):
-    """Sequence of bends of equal duration. The last bend is held to the end."""
+    """Sequence of bends of equal duration, of which the last is kept to the end."""
 
     constructors = (Staircase,)
 
@@ -380,7 +377,7 @@ class IterativeFile(_TrackingFile):
     """Carrier frequency of the pulse-width modulation."""
 
     def check(self, spec: RobotSpec, tick: float) -> None:
-        """See `ControllerSection.check`: no carrier period is shorter than a tick."""
+        """See `ControllerSection.check`."""
         PulseWidthModulator(self.carrier_hz, tick, spec.segments, scale=spec.scale)
 
 
@@ -432,7 +429,7 @@ class GraspFile(ControllerSection):
     the robot)."""
 
     def check(self, spec: RobotSpec, tick: float) -> None:
-        """See `ControllerSection.check`: enough segments must hold and crawl."""
+        """See `ControllerSection.check`."""
         check_hold(self.arguments()["hold"], spec)
         check_release(self.mode, self.drag_m)
 

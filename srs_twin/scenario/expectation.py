@@ -182,10 +182,7 @@ class AllowedRange(NamedTuple):
     def near(
         cls, value: float, relative: float | None, absolute: float | None
     ) -> AllowedRange:
-        """Return the range around a value that a tolerance allows.
-
-        The absolute tolerance is used if it is given, otherwise the relative tolerance.
-        """
+        """Return the range within an absolute or, without one, a relative tolerance."""
         tolerance = absolute
         if tolerance is None:
             tolerance = (relative or 0.0) * math.fabs(value)
@@ -197,7 +194,7 @@ class AllowedRange(NamedTuple):
 
     @property
     def text(self) -> str:
-        """Text that states the range."""
+        """Range as text."""
         if self.low == self.high:
             return f"{self.low:.4g}"
         if math.isinf(self.low):
@@ -577,7 +574,7 @@ def interval_verdict(
     Args:
         published: published value.
         interval: lower and upper end.
-        errors: standard errors of the ends, by default 0.
+        errors: standard errors, by default 0.
     """
     low, high = interval
     for end, error in zip(interval, errors or (0.0, 0.0), strict=True):

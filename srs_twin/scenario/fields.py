@@ -49,8 +49,8 @@ def quantity(
     Args:
         low: minimum allowed value.
         high: maximum allowed value.
-        default: default value, by default taken from the constructor. A key without any
-            default is required.
+        default: default value, by default the default of the constructor. Without both,
+            the key is required.
         unit: unit, if the key does not contain it.
     """
     options = {} if default is ... else {"default": default}
@@ -139,8 +139,7 @@ class Section(StrictModel):
         Keys that are None are left out if the constructor has a default.
 
         Args:
-            constructors: constructors whose parameters are returned. By default, all of
-                them are.
+            constructors: constructors to consider, by default all of them.
         """
         known = {
             name
@@ -283,14 +282,14 @@ class ExtensionSection(Section):
         return iter(())
 
     def read(self, loading: Loading) -> Any:
-        """Return the product before the controller is checked.
+        """Read the section before the controller is checked and return the product.
 
         Problems are reported to the document.
         """
         return None
 
     def prepare(self, loading: Loading) -> Any:
-        """Return the product after all other sections have been read."""
+        """Prepare the section after all sections are read, and return the product."""
         return None
 
     def resolve(
@@ -351,7 +350,7 @@ def path_fields(sections: Container[str]) -> dict[Loc, str]:
     """Return the fields of a scenario that name a file → kind of shipped files.
 
     Args:
-        sections: names of the sections in use. Other extensions are not imported.
+        sections: names of the sections in use, whose extensions are imported.
     """
     used = (name for name in SECTIONS if name in sections)
     entries = {name: load(SECTIONS[name]) for name in used}

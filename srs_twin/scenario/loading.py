@@ -73,12 +73,11 @@ def parse_scenario(
 
     Args:
         data: content of a scenario file.
-        name: name in messages, and name of the scenario if the data have none.
+        name: name in messages, and default name of the scenario.
         set: values that override fields, see `load_scenario`.
 
     Raises:
-        InputFileError: the scenario is not valid. The error lists all problems without
-            line numbers.
+        InputFileError: the scenario is not valid.
     """
     if set:
         data = copy.deepcopy(dict(data))
@@ -133,11 +132,7 @@ def _scenario(document: Document, name: str, overrides: Overrides) -> Scenario:
 
 
 def _checked(document: Document) -> tuple[ScenarioFile, Loading]:
-    """Validate a document and build what its checks need.
-
-    Raises:
-        InputFileError: the document has problems. The error lists all of them.
-    """
+    """Validate a document and build what its checks need."""
     _locate_files(document)
     file = validate(scenario_model(document), document, document.data)
     robot, robot_problems = _robot(document)

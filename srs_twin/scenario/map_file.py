@@ -57,7 +57,7 @@ _BOOLEANS |= dict.fromkeys(("1", "y", "yes", "on", "true"), True)
 
 
 class MapFile(StrictModel):
-    """YAML file of an occupancy map. As in ROS, unknown keys are ignored."""
+    """YAML file of an occupancy map, in which unknown keys are ignored as in ROS."""
 
     model_config = ConfigDict(extra="ignore")
 
@@ -91,7 +91,7 @@ class MapFile(StrictModel):
     @field_validator("negate", mode="before")
     @classmethod
     def _boolean(cls, text: object) -> bool:
-        """Return the value of a YAML 1.1 boolean. As in ROS, it may be quoted."""
+        """Return the value of a YAML 1.1 boolean, which may be quoted as in ROS."""
         if (value := _BOOLEANS.get(str(text).lower())) is None:
             raise ValueError(
                 f"must be true, yes, on, 1 or false, no, off, 0, not {text!r:.50}"

@@ -1,8 +1,8 @@
 """Provenance of a run: everything that determines its numbers.
 
 Provenance covers the scenario, its files, the source code, the package versions and the
-arithmetic of the processor. The SHA-256 of the provenance is the key under which a
-result is stored. Names, displays and expectations are not included.
+arithmetic of the processor, but not names, displays and expectations. The SHA-256 of
+the provenance is the key under which a result is stored.
 """
 
 from __future__ import annotations
@@ -235,7 +235,7 @@ def _sha256(path: str) -> str:
 
 @lru_cache(maxsize=4096)
 def _sha256_of(path: str, modified_ns: int, status_changed_ns: int, size: int) -> str:
-    """Return the digest of a file. The times and the size serve as the cache key."""
+    """Return the digest of a file, cached by its times and its size."""
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
