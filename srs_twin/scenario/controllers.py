@@ -136,7 +136,7 @@ class PitchFile(Section):
     frequency_ratio: float = quantity(0.1, 10.0)
     """Ratio of the pitch frequency to the frequency of the lateral wave."""
     lifted_segments: int = quantity(0, 63)
-    """Number of segments, counted from the head, that bend upwards all the time."""
+    """Number of segments from the head that bend upwards all the time."""
 
 
 class GaitFile(ControllerSection):
@@ -192,9 +192,9 @@ class LearningFile(ControllerSection):
     """Target amplitude of the side that bends further; "smallest" selects the smallest
     recorded amplitude. This is the default if target_rad is not set."""
     target_rad: float | None = quantity(0.01, _RIGHT_ANGLE, None)
-    """Target amplitude of the side that bends further."""
+    """Target amplitude (of the side that bends further)."""
     k_per_rad: float = quantity(1e-4, 100.0)
-    """Learning gain k, the change of the duty cycle per amplitude error."""
+    """Learning gain k (change of the duty cycle per amplitude error)."""
     free_periods: int = quantity(1, 1000)
     """Number of periods at full duty cycle before the amplitudes are recorded."""
     carrier_hz: float = _CARRIER
@@ -415,10 +415,9 @@ class GraspFile(ControllerSection):
     hold: int = quantity(1, 62)
     """Number of tail segments that hold the object."""
     curl_s: float = quantity(0.01, 100.0)
-    """Time in which the duty cycle of the curl rises to 1."""
+    """Rise time of the curl's duty cycle from 0 to 1."""
     drag_after_s: float = quantity(0.0, 1000.0)
-    """Start time of the drag in the open-loop mode, or its latest start time in the
-    sensed mode."""
+    """Start time of the drag (in the sensed mode: latest start time)."""
     release_after_s: float | None = quantity(0.0, 1e6)
     """Time between the start of the drag and the release (default: never)."""
     drag_m: float | None = quantity(0.001, 1000.0)

@@ -222,7 +222,7 @@ class Expectation(Section):
     below: float | None = quantity(-_BOUND, _BOUND, None, unit=_UNIT)
     """Maximum allowed value."""
     published: float | None = quantity(-_BOUND, _BOUND, None, unit=_UNIT)
-    """Published value that an interval of the scenario's prediction must contain."""
+    """Published value (an interval of the scenario's prediction must contain it)."""
     within: Literal["interval_50", "interval_95"] | None = None
     """Interval that must contain the published value; it is stored by `srs-twin
     uncertainty SCENARIO --write`."""

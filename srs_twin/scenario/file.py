@@ -105,9 +105,9 @@ class _FaultFile(Section):
     """Base class of faults."""
 
     segment: int = quantity(1, 63)
-    """Segment number, counted from 1 at the head."""
+    """Segment number (counted from 1 at the head)."""
     from_s: float = quantity(0.0, 3600.0, 0.0)
-    """Time at which the fault begins."""
+    """Start time of the fault."""
 
 
 class DeadSensorFile(_FaultFile):
@@ -184,9 +184,9 @@ class PneumaticsFile(PneumaticsSection):
     "orifice" is compressible flow (ISO 6358) from one supply into chambers whose volume
     depends on the bend."""
     leak_per_s: float = quantity(0.0, 100.0)
-    """Relative rate at which a held chamber loses pressure."""
+    """Relative rate of pressure loss of a held chamber."""
     valve_delay_s: float = quantity(0.0, 1.0)
-    """Switching delay of the valves, in addition to tau_2."""
+    """Switching delay of the valves (in addition to tau_2)."""
     critical_ratio: float | None = quantity(0.0, 0.8, None)
     """Critical pressure ratio of the valves (orifice only; default {default:g})."""
     flow_limit_l_per_min: float | None = quantity(0.01, 1e4)
@@ -274,7 +274,7 @@ class ScenarioFile(Section):
     seed: int = quantity(0, 2**32 - 1, 0)
     """Random seed."""
     record_hz: float = quantity(LEAST_RECORD_HZ, MOST_RECORD_HZ, 100.0)
-    """Recorded samples per second."""
+    """Recording rate."""
     supply: SupplyFile = SupplyFile()
     """Compressed air supply."""
     pneumatics: PneumaticsFile = PneumaticsFile()

@@ -43,7 +43,7 @@ class StartFile(Section):
     y_m: float = quantity(-1000.0, 1000.0, 0.0)
     """y of the centre of mass."""
     heading_rad: float = quantity(-6.3, 6.3, 0.0)
-    """Mean heading, counter-clockwise from x."""
+    """Mean heading (counter-clockwise from x)."""
     velocity_m_s: (
         Annotated[tuple[Speed, ...], Field(min_length=2, max_length=2)] | None
     ) = None
@@ -75,7 +75,7 @@ class StartFile(Section):
         ),
     )
     time_s: float | None = quantity(0.0, 1e6, None)
-    """Time within the run that the key from names."""
+    """Time of the state (within the run that from names)."""
 
     def contradictions(self) -> Iterator[Contradiction]:
         """Yield keys that contradict each other."""

@@ -113,8 +113,8 @@ class RandomFile(Section):
     constructors = (random_circles,)
 
     kind: Literal["strewn", "fig54"] = "strewn"
-    """Distribution of the obstacles; "strewn" is uniform over a rectangle. "fig54" uses
-    some of the 18 sites of Fig. 54."""
+    """Distribution of the obstacles; "strewn" is uniform over a rectangle. "fig54"
+    selects some of the 18 sites of Fig. 54."""
     count: int = quantity(0, 1000)
     """Number of circles."""
     seed: int | None = quantity(0, 2**32 - 1, None)
@@ -223,7 +223,7 @@ class FloorFile(Section):
     tilt_deg: float = quantity(0.0, 60.0)
     """Slope angle."""
     uphill_deg: float = quantity(-360.0, 360.0)
-    """Direction in which the floor rises, measured counter-clockwise from x."""
+    """Direction in which the floor rises (counter-clockwise from x)."""
 
 
 class StepFile(Section):
@@ -234,7 +234,7 @@ class StepFile(Section):
     x_m: float = quantity(-1000.0, 1000.0)
     """x of the line."""
     height_m: float = quantity(-10.0, 10.0)
-    """Height of the floor beyond the line, relative to the floor before the line."""
+    """Height of the floor beyond the line over the floor before the line."""
 
 
 class _ObjectFile(Section):
@@ -252,7 +252,7 @@ class _ObjectFile(Section):
     y_m: float = quantity(-1000.0, 1000.0)
     """Initial y of the centre."""
     heading_rad: float = quantity(-6.3, 6.3)
-    """Initial heading, measured counter-clockwise from x."""
+    """Initial heading (counter-clockwise from x)."""
 
     def build(self) -> MovableObject:
         """Return the object."""
