@@ -43,10 +43,17 @@ class Tolerance(StrictModel):
 
     rel: Annotated[
         float,
-        Field(ge=0, le=1, description="Relative to the larger of the two numbers."),
+        Field(
+            ge=0,
+            le=1,
+            description="Relative tolerance as a fraction of the larger of the two numbers.",
+        ),
     ] = REL
     abs: Annotated[
-        float, Field(ge=0, le=1e9, description="In the unit of the number.")
+        float,
+        Field(
+            ge=0, le=1e9, description="Absolute tolerance in the unit of the number."
+        ),
     ] = ABS
 
     def allows(self, a: Leaf, b: Leaf) -> bool:
@@ -63,9 +70,7 @@ class Tolerances(Tolerance):
 
     metrics: Annotated[
         dict[str, Tolerance],
-        Field(
-            description="Metric, with or without the name of its plant → its tolerance."
-        ),
+        Field(description="Tolerance of each metric, named with or without its plant."),
     ] = {}
 
     def for_metric(self, metric: str) -> Tolerance:

@@ -1,1 +1,1 @@
-"""Compiled kernels, array checks, threads, worker processes, and claims by one thread."""
+"""Compiled kernels, array checks, threads, worker processes and claims."""

@@ -1,4 +1,4 @@
-"""Plausibility checks, BLAS settings and concatenation for arrays of a simulation."""
+"""Plausibility checks, BLAS settings and concatenation of arrays."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ Array = NDArray[np.float64]
 """Array of floating-point numbers."""
 
 LARGEST_PLAUSIBLE = 1e9
-"""Largest plausible magnitude of any quantity in SI units; pressures of a snake reach
-1e7 Pa, and positions 1e6 m."""
+"""Maximum plausible magnitude of any quantity in SI units. Pressures of a snake reach
+1e7 Pa, and positions reach 1e6 m."""
 
 _BLAS_LOCK = threading.RLock()
 
 
 def is_plausible(*quantities: Any) -> bool:
-    """Return whether all elements of some arrays are finite and smaller than `LARGEST_PLAUSIBLE`."""
-    # Test the sum of squares first: it decides almost all cases in half a microsecond
-    # per array, without warnings.
+    """Return whether all elements are finite and smaller than `LARGEST_PLAUSIBLE`."""
+    # The sum of squares is tested first. It decides almost all cases in half a
+    # microsecond per array, without warnings.
     if sum(np.vdot(values, values) for values in quantities) < LARGEST_PLAUSIBLE**2:
         return True
     return all(first_implausible(values) is None for values in quantities)
@@ -47,9 +47,9 @@ def check_positive(name: str, value: Any, unit: str = "") -> None:
     """Check that a number, or every element of an array, is finite and above 0.
 
     Args:
-        name: name of the quantity in messages.
+        name: name of the quantity.
         value: number or array.
-        unit: unit of the quantity in messages.
+        unit: unit of the quantity.
 
     Raises:
         InputError: a number is not finite or not above 0.
@@ -63,21 +63,21 @@ def check_positive(name: str, value: Any, unit: str = "") -> None:
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """Limit BLAS to one thread within a `with` block, so that results do not depend on the number of cores.
+    """Limit BLAS to one thread in a `with` block, so that results are reproducible.
 
-    OpenBLAS splits sums between its threads, so the last digits of products of matrices
-    larger than about 100 × 100 depend on the number of threads. The limit applies to
-    the whole process. Blocks in several Python threads are therefore serialised:
-    otherwise the first block to end would remove the limit for the others.
+    OpenBLAS splits sums between its threads. The last digits of products of matrices
+    larger than about 100 × 100 therefore depend on the number of threads. The limit
+    applies to the whole process. Blocks in several Python threads are serialised,
+    because the first block to end would otherwise remove the limit for the others.
     """
     with _BLAS_LOCK, ThreadpoolController().limit(limits=1, user_api="blas"):
         yield
 
 
 def blas_kernels() -> tuple[str, ...]:
-    """Return the sorted names of the kernels of NumPy's and SciPy's BLAS libraries, such as `SkylakeX`.
+    """Return the names of the BLAS kernels of NumPy and SciPy, such as `SkylakeX`.
 
-    Libraries without this information, and those of other packages (OpenCV), are not
+    Libraries of other packages, and libraries without this information, are not
     included.
     """
     import scipy.linalg  # noqa: F401  loads SciPy's own BLAS library
@@ -101,7 +101,7 @@ Record = TypeVar("Record")
 
 
 def concatenate_records(records: Sequence[Record]) -> Record:
-    """Return the concatenation of records of arrays along their first axis, the samples.
+    """Concatenate records of arrays along their first axis, the samples.
 
     Args:
         records: one or more records of the same type, whose shapes differ only in the

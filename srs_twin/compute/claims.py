@@ -1,10 +1,9 @@
-"""Claims of plants, controllers, batches and environments, which serve one thread at a time.
+"""Claims of objects that serve one thread at a time.
 
-Such an object changes while it runs. A second thread would continue from half a step,
-or crash the engine. `rollout` therefore claims its plant and its controller until it
-ends, and a method in `claiming_methods` claims its object while it runs. A thread may
-claim again what it has claimed. After the end of a claim, any other thread may use the
-object.
+Plants, controllers, batches and environments change while they run. A second thread
+would continue from half a step, or crash the engine. `rollout` therefore claims its
+plant and its controller until it ends. A method in `claiming_methods` claims its object
+while it runs. A thread may claim an object again that it has already claimed.
 
 Claims are stored outside the objects, so that copies and pickles have none.
 """
@@ -23,10 +22,10 @@ from srs_twin.errors import InputError
 from srs_twin.io.saved_state import DeepCopied
 
 _HOLDERS: dict[int, int] = {}
-"""Identity of each claimed object → the thread that has claimed it."""
+"""Identity of each claimed object → the thread that claimed it."""
 
 if hasattr(os, "register_at_fork"):
-    # The other threads of the parent do not exist in the child.
+    # The child process has none of the other threads of its parent.
     os.register_at_fork(after_in_child=_HOLDERS.clear)
 
 
@@ -34,8 +33,8 @@ class Claimable(DeepCopied):
     """Base class of objects that one thread uses at a time.
 
     Attributes:
-        claiming_methods: names of the methods, also of subclasses, that claim the
-            object while they run.
+        claiming_methods: names of the methods that claim the object while they run,
+            also in subclasses.
     """
 
     claiming_methods: ClassVar[tuple[str, ...]] = (
@@ -52,7 +51,7 @@ class Claimable(DeepCopied):
 
 
 def _claiming(method: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a method that claims its object while it runs, faster than within `claim`."""
+    """Return a method that claims its object while it runs, faster than `claim`."""
 
     @wraps(method)
     def claiming(self: object, *arguments: Any, **options: Any) -> Any:
@@ -61,7 +60,7 @@ def _claiming(method: Callable[..., Any]) -> Callable[..., Any]:
         if _HOLDERS.get(key) == thread:
             return method(self, *arguments, **options)
         # An interrupt may arrive after any call. The claim is therefore made inside the
-        # block that ends it, and the end of that block calls nothing.
+        # block that ends it, and the end of the block calls nothing.
         try:
             _acquire(self, thread)
             return method(self, *arguments, **options)
@@ -73,7 +72,7 @@ def _claiming(method: Callable[..., Any]) -> Callable[..., Any]:
 
 
 _CLAIMING = _claiming(id).__code__
-"""Code of all methods that `_claiming` returns."""
+"""Code object of all methods that `_claiming` returns."""
 
 
 @contextmanager

@@ -1,9 +1,9 @@
 """Numba compilation with a disk cache that detects changes in inlined functions.
 
-Numba optimises every function by itself and again in each of its callers, and turns all
-of them into machine code. Here a function that a kernel calls is a *part* of the kernel
-(`_PartLibrary`): it is optimised and turned into machine code only once, together with
-the function that Python calls. Only that function has a wrapper for Python and a cache
+Numba optimises every function by itself and again in each caller, and turns all of them
+into machine code. Here a function that a kernel calls is a *part* of the kernel
+(`_PartLibrary`). It is turned into machine code only once, together with the function
+that Python calls. Only the function that Python calls has a Python wrapper and a cache
 on disk.
 """
 
@@ -34,8 +34,8 @@ from srs_twin.errors import CacheWarning
 
 Function = Callable[..., Any]
 
-# Allowed optimisations: they may change the order of sums, but not the treatment of
-# infinities and NaN.
+# These optimisations may change the order of sums, but not the treatment of infinities
+# and NaN.
 _FASTMATH = {"contract", "reassoc", "arcp", "nsz"}
 _OPTIONS: Any = {
     "nogil": True,
@@ -44,14 +44,14 @@ _OPTIONS: Any = {
     "fastmath": _FASTMATH,
     "no_cfunc_wrapper": True,  # no kernel is called from C
 }
-# Disable reference counts, which take most of a small kernel's time; a kernel that
-# creates no arrays does not need them.
+# Reference counts take most of the time of a small kernel. A kernel that creates no
+# arrays does not need them.
 _NO_REFCOUNTS: Any = {"_nrt": False}
 _CONSTANT_TYPES = (bool, int, float, complex, str, type(None))
 _warned: list[str] = []
-"""Reason of the warning that this process has issued."""
+"""Reason of the warning that this process has issued, if any."""
 _notices: list[Callable[[], None]] = []
-"""At most one function, which is called before the first compilation."""
+"""Function to call before the first compilation, if any."""
 
 
 def notify_first_compilation(notice: Callable[[], None]) -> None:
@@ -63,7 +63,7 @@ class _PartLibrary(JITCodeLibrary):
     """Code of a part of kernels, which stays an intermediate representation."""
 
     def finalize(self) -> None:
-        """Make the global variables of the functions known, which numba sets; emit no machine code."""
+        """Declare the global variables that numba sets, but emit no machine code."""
         self._raise_if_finalized()
         names = [variable.name for variable in self._final_module.global_variables]
         lines = [
@@ -77,7 +77,6 @@ class _PartLibrary(JITCodeLibrary):
         self._finalized = True
 
     def _get_module_for_linking(self) -> Any:
-        """Return the code with that of all functions that it calls."""
         self._ensure_finalized()
         if self._shared_module is None:
             module = self._final_module.clone()
@@ -100,7 +99,6 @@ class _PartLibrary(JITCodeLibrary):
         return self._shared_module
 
     def _collect(self, libraries: dict[Any, None]) -> None:
-        """Add this library and, recursively, those of the functions that it calls."""
         if self in libraries:
             return
         libraries[self] = None
@@ -121,8 +119,8 @@ class _PartCompiler(Compiler):
         super().__init__(typing_context, target_context, library, *rest)  # type: ignore[no-untyped-call]  # numba has no types
 
 
-# A wrapper for functions with records of arrays as arguments takes longer to compile
-# than the functions.
+# A Python wrapper for functions with records of arrays as arguments takes longer to
+# compile than the functions themselves.
 _PART_OPTIONS: Any = _OPTIONS | {
     "no_cpython_wrapper": True,
     "pipeline_class": _PartCompiler,
@@ -133,13 +131,13 @@ class Kernel:
     """Compiled function that Python and other kernels can call.
 
     Attributes:
-        entry: numba's dispatcher for calls from Python.
-        part: numba's dispatcher for calls from other kernels.
-        py_func: the function itself.
+        entry: numba dispatcher for calls from Python.
+        part: numba dispatcher for calls from other kernels.
+        py_func: uncompiled function.
     """
 
     def __init__(self, function: Function, options: Mapping[str, Any]) -> None:
-        """Compile nothing yet; `options` are further options of numba."""
+        """Prepare the compilation with further numba options."""
         functools.update_wrapper(self, function)
         self.py_func = function
         self.entry = _with_cache(njit(**_OPTIONS, **options)(function), function)
@@ -151,27 +149,27 @@ class Kernel:
 
     @property
     def _numba_type_(self) -> Any:
-        """Type in kernels."""
+        """Type of the kernel when another kernel uses it."""
         return self.part._numba_type_
 
 
 def compiled(function: Function) -> Kernel:
-    """Compile a function that creates no arrays, on its first call, and cache the machine code on disk.
+    """Compile a function that creates no arrays, and cache its machine code on disk.
 
-    The kernel runs without the interpreter's lock.
+    The function is compiled on its first call, and runs without the interpreter's lock.
 
     Numba's own cache is valid as long as the source file of the function is unchanged.
     It does not detect changes in inlined functions from other files, such as a
-    corrected friction law. Here the cache is valid as long as a digest of the bytecode
-    of the function, of every kernel that it calls and of their constants is unchanged.
-    Without a writable cache folder every process compiles its kernels, with one
+    corrected friction law. This cache is valid as long as a digest of the bytecode of
+    the function, of all called kernels and of their constants is unchanged. Without a
+    writable cache folder, every process compiles its kernels and issues one
     `CacheWarning`.
     """
     return Kernel(function, _NO_REFCOUNTS)
 
 
 def allocating(function: Function) -> Kernel:
-    """Compile a function that creates arrays; otherwise as `compiled`."""
+    """Compile a function that creates arrays, otherwise like `compiled`."""
     return Kernel(function, {})
 
 
@@ -182,17 +180,16 @@ def kernel_only(function: Function) -> Function:
 
 
 def inlined(function: Function) -> Function:
-    """Copy a function that only kernels call into its callers, before they are optimised.
+    """Copy a function that only kernels call into its callers before optimisation.
 
-    The order of sums in a kernel then does not depend on whether a part of it has a
-    name of its own.
+    The order of sums in a kernel then does not depend on how it is divided into
+    functions.
     """
     part: Function = njit(**_PART_OPTIONS, **_NO_REFCOUNTS, inline="always")(function)
     return part
 
 
-# Functions that are chosen by types return no arrays, whose references they would have
-# to count.
+# Functions that are chosen by types return no arrays, so they need no reference counts.
 overload_part: Function = functools.partial(
     overload, jit_options=_PART_OPTIONS | _NO_REFCOUNTS
 )
@@ -205,12 +202,12 @@ def is_given(kind: types.Type) -> bool:
 
 
 def compiled_if(condition: Callable[[Any], bool], otherwise: Any = None) -> Function:
-    """Return a decorator that compiles a function, as `kernel_only`, where it is needed.
+    """Return a decorator like `kernel_only` for calls that a condition enables.
 
     Args:
-        condition: decides on the numba type of the first argument. If false, the call
-            is compiled to nothing.
-        otherwise: number, or tuple of numbers, that such a call returns.
+        condition: function that decides on the numba type of the first argument. If it
+            is false, the call is compiled to nothing.
+        otherwise: number or tuple of numbers that a disabled call returns.
     """
 
     def decorate(function: Function) -> Function:
@@ -250,7 +247,6 @@ def compiled_if(condition: Callable[[Any], bool], otherwise: Any = None) -> Func
 
 
 def _with_cache(dispatcher: Any, function: Function) -> Function:
-    """Attach a cache to a dispatcher."""
     try:
         dispatcher._cache = _Cache(function)
     except RuntimeError:  # numba found no writable folder
@@ -262,15 +258,15 @@ def _with_cache(dispatcher: Any, function: Function) -> Function:
 class _Cache(FunctionCache):
     """Cache of one function that is disabled if its folder cannot be used.
 
-    The cache files are pickles, which can execute code. A folder that other users can
-    write to is not used.
+    A folder that other users can write to is not used, because cache files are pickles,
+    which can execute code.
     """
 
     def load_overload(self, sig: object, target_context: object) -> Any:
         """Return the cached machine code for a signature, or None.
 
-        The digest is computed here, at the first call, because all names that the
-        function uses exist then.
+        The digest is computed at the first call, because all names that the function
+        uses exist by then.
         """
         self._cache_file._source_stamp = _source_stamp(self._py_func)
         if (reason := _why_unsafe(Path(self._cache_path))) is not None:
@@ -289,15 +285,15 @@ class _Cache(FunctionCache):
         except OSError as error:
             _warn(f"{self._cache_path}: {error.strerror}")
         except (ReferenceError, AttributeError, ModuleNotFoundError):
-            # The index refers to a kernel that was an argument in another process, or
-            # to a function that has since been removed; start a new index.
+            # The index may refer to a kernel that was an argument in another process,
+            # or to a function that has since been removed. A new index is started.
             self._cache_file.flush()
         except (EOFError, pickle.UnpicklingError, ImportError):
             _warn(f"{self._cache_path}: a damaged file; remove the folder")
 
 
 def _why_unsafe(folder: Path) -> str | None:
-    """Return the reason that other users can write to a folder; None if they cannot or it does not exist."""
+    """Return why other users can write to a folder, or None if they cannot."""
     if not hasattr(os, "getuid"):
         return None
     for path in (folder, folder.parent):
@@ -322,7 +318,7 @@ def _why_unsafe(folder: Path) -> str | None:
 
 
 def _is_own_group(number: int) -> bool:
-    """Return whether a group is the one of the same name that many systems give each user."""
+    """Return whether a group is the personal group that many systems give each user."""
     import grp
     import pwd
 
@@ -349,7 +345,7 @@ def _warn(reason: str, requirement: str = "that you can write to") -> None:
 
 @functools.cache
 def _source_stamp(function: FunctionType) -> str:
-    """Return a digest of the computation of a function; comments and docstrings do not change it."""
+    """Return a digest of a function that ignores comments and docstrings."""
     digest = hashlib.sha256(
         f"{function.__module__} {sorted(_FASTMATH)} {sorted(_NO_REFCOUNTS)}".encode()
     )
@@ -361,7 +357,7 @@ def _source_stamp(function: FunctionType) -> str:
 def _code_parts(
     code: CodeType, names: Mapping[str, object], seen: set[CodeType]
 ) -> Iterator[str]:
-    """Yield the bytecode of a function and the values of its names, recursively for called functions."""
+    """Yield the bytecode and constants of a function and of the functions it calls."""
     if code in seen:
         return
     seen.add(code)
@@ -384,7 +380,7 @@ def _code_parts(
 def _value_parts(
     name: str, values: Iterable[object], seen: set[CodeType]
 ) -> Iterator[str]:
-    """Yield the values of a name as text; for functions the same as `_code_parts`."""
+    """Yield the values of a name as text, for functions by `_code_parts`."""
     for value in values:
         function = getattr(value, "py_func", value)
         if isinstance(function, FunctionType):

@@ -4,10 +4,10 @@
 `run_tasks` runs tasks in worker processes and survives the death of a worker.
 
 On Linux, worker processes are forked from the fork server of multiprocessing, a
-separate process that has imported the required modules once. A worker, also a
-replacement for a dead one, starts in hundredths of a second instead of one or two
-seconds. On other systems, where forks are unsafe, every worker is a new process.
-docs/decisions/worker-processes.md compares this with the pools of libraries.
+separate process that has imported the required modules once. A worker then starts in
+hundredths of a second instead of one or two seconds. On other systems, where forks are
+unsafe, every worker is a new process. docs/decisions/worker-processes.md compares this
+design with the pools of libraries.
 """
 
 from __future__ import annotations
@@ -42,21 +42,21 @@ IsCancelled = Callable[[], bool]
 
 
 class Workers:
-    """Pool of threads for tasks that release the interpreter's lock while they compute.
+    """Pool of threads for tasks that release the interpreter's lock.
 
     Attributes:
         threads: number of threads.
     """
 
     def __init__(self, threads: int | None = None) -> None:
-        """Create the pool; threads start with the first task.
+        """Create the pool. Its threads start with the first task.
 
         Args:
-            threads: number of threads (default: one per processor); with 1, tasks run
+            threads: number of threads, by default one per processor. With 1, tasks run
                 on the calling thread.
 
         Raises:
-            InputError: fewer than one thread.
+            InputError: the number of threads is less than 1.
         """
         self.threads = processor_count() if threads is None else threads
         if self.threads < 1:
@@ -75,16 +75,16 @@ class Workers:
     ) -> list[Returned]:
         """Run tasks 0 … count − 1 and return their results in order.
 
-        If tasks fail, the error of the first one by number is raised, as in a loop,
-        after all tasks before it have finished. An interrupt (Ctrl-C) is raised when
-        the running tasks have ended.
+        If tasks fail, the error of the first failed task by number is raised, as in a
+        loop. All tasks before it have then finished. An interrupt (Ctrl-C) is raised
+        when the running tasks have ended.
 
         Args:
             count: number of tasks.
             task: function of the task number and of an `IsCancelled` function. A
                 cancelled task may return any value or raise any exception.
-            progress: function called on the calling thread with the number of finished
-                tasks.
+            progress: function of the number of finished tasks, called on the calling
+                thread.
         """
         progress = progress or (lambda done: None)
         if self._pool is None:
@@ -125,7 +125,7 @@ def processor_count() -> int:
 
 START_METHOD = "forkserver" if sys.platform == "linux" else "spawn"
 GRACE_S = 2.0
-"""Time for a worker to leave its task and clean up before it is killed, s."""
+"""Time for a worker to clean up its task before it is killed, s."""
 
 # The parent process already warns of kernels that cannot be cached.
 _WARNINGS = (
@@ -133,10 +133,10 @@ _WARNINGS = (
     "ignore::UserWarning:srs_twin.compute.compiled",
 )
 _ENVIRONMENT = {
-    # Import nothing from the current folder.
+    # Workers must not import modules from the current folder.
     "PYTHONSAFEPATH": "1",
-    # Disable threads of libraries: there are as many workers as processors, and a
-    # forked process should have no other threads.
+    # Libraries get no threads of their own: there are as many workers as processors,
+    # and a forked process should have a single thread.
     "OPENBLAS_NUM_THREADS": "1",
     "PYTHONWARNINGS": ",".join(filter(None, _WARNINGS)),
 }
@@ -146,17 +146,18 @@ _preloaded: list[str] = []
 
 
 def start_server(preload: str | None = None) -> None:
-    """Start the fork server, unless it is running or not needed, without waiting for it.
+    """Start the fork server, if it is needed and not running, without waiting for it.
 
     Args:
-        preload: module that the server imports before it forks workers.
+        preload: module that the server imports in advance.
     """
     if START_METHOD != "forkserver":
         return
     if preload is not None:
         _preloaded[:] = [preload]
     forkserver.set_forkserver_preload(_preloaded)  # instead of the main program
-    # Start the tracker first: inside the block below it would unblock Ctrl-C.
+    # The tracker is started first, because inside the block below it would unblock
+    # Ctrl-C.
     resource_tracker.ensure_running()
     before = dict(os.environ)
     os.environ.update(_ENVIRONMENT)
@@ -171,7 +172,11 @@ def start_server(preload: str | None = None) -> None:
 
 @contextmanager
 def _interrupts_blocked() -> Iterator[None]:
-    """Block SIGINT (Ctrl-C): a process started in the block ignores it, this one receives it afterwards."""
+    """Block SIGINT (Ctrl-C) while processes are started.
+
+    A process started in the block ignores the signal, and this process receives it
+    afterwards.
+    """
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -181,7 +186,7 @@ def _interrupts_blocked() -> Iterator[None]:
 
 @contextmanager
 def _empty_main_module() -> Iterator[None]:
-    """Replace the main module by an empty one, like that of a worker.
+    """Replace the main module by an empty one, like the main module of a worker.
 
     Otherwise multiprocessing would import the main program in each worker, and a script
     without ``__name__ == "__main__"`` would run again. Pickling also fails early for
@@ -200,10 +205,10 @@ class TaskResult(Generic[Result]):
     """Result or error of one task.
 
     Attributes:
-        number: index of its argument.
-        result: return value; None after an error.
-        error: `SrsError` that the task raised, `TaskFailedError` for any other
-            exception, `WorkerDiedError` if its workers died; None after success.
+        number: index of the argument.
+        result: return value, or None after an error.
+        error: `SrsError` of the task, `TaskFailedError` for another exception,
+            `WorkerDiedError` if its workers died, or None.
     """
 
     number: int
@@ -218,22 +223,23 @@ def run_tasks(
     workers: int | None = None,
     attempts: int = 3,
 ) -> Generator[TaskResult[Result], None, None]:
-    """Run a function on every argument in worker processes; yield results in the order of completion.
+    """Run a function in worker processes and yield results in the order of completion.
 
     If a worker dies (killed, out of memory, a crash in compiled code), its task is
     repeated in a new worker. Workers ignore Ctrl-C. They end when the generator is
-    closed or this process ends for any reason.
+    closed or this process ends.
 
     Args:
-        task: function called in a worker; function, arguments and results must be
-            picklable.
+        task: function called in a worker. The function, its arguments and its results
+            must be picklable.
         arguments: one argument per task.
-        workers: number of processes (default: one per processor), at most one per task.
+        workers: number of processes, by default one per processor and at most one per
+            task.
         attempts: number of workers that may die on a task before it fails.
 
     Raises:
-        InputError: fewer than one worker or attempt; task or arguments that cannot be
-            pickled or that only the main program defines.
+        InputError: fewer than one worker or attempt was requested, or the task or an
+            argument cannot be pickled or is defined only in the main program.
         TaskFailedError: the task cannot be imported.
         WorkerDiedError: ``attempts`` workers in a row died before their first task.
     """
@@ -271,7 +277,6 @@ class _TaskRun:
         self._workers: list[_Worker] = []
 
     def results(self) -> Generator[TaskResult[Any], None, None]:
-        """Yield the results of all tasks; end the workers when the generator is closed."""
         remaining = len(self._packed)
         try:
             while remaining:
@@ -300,7 +305,7 @@ class _TaskRun:
                     worker.number = self._waiting.popleft()
 
     def _wait(self) -> None:
-        """Wait until a worker reports or dies, and handle all that did.
+        """Wait until workers report or die, and handle these events.
 
         Raises:
             SrsError: the task cannot be imported, or workers died before their first
@@ -330,13 +335,12 @@ class _TaskRun:
             self._failed_starts = 0
 
     def _handle_death(self, worker: _Worker) -> None:
-        """Remove a dead worker and repeat its task, or report it as failed."""
         self._workers.remove(worker)
         exit_code = worker.end(time.monotonic() + GRACE_S)
         if worker.ready:
             self._failed_starts = 0
         elif worker.start_time > self._last_failed_start:
-            # Workers that started together count once.
+            # Workers that started together count as one failed start.
             self._failed_starts += 1
             self._last_failed_start = time.monotonic()
             if self._failed_starts == self._attempts:
@@ -354,7 +358,7 @@ class _Worker:
     """Worker process and its pipe, as seen from the parent process.
 
     Attributes:
-        start_time: time of its start on the monotonic clock, s.
+        start_time: start time on the monotonic clock, s.
         ready: whether it has reported that it can run tasks.
         number: number of its current task, or None.
         pipe: connection for pickled arguments and results.
@@ -371,19 +375,19 @@ class _Worker:
         remote_pipe.close()
 
     def receive(self) -> tuple[object, Exception | None]:
-        """Return result and error of the task, one of them None.
+        """Return the result and the error of a task, of which one is None.
 
         Raises:
             EOFError, OSError: the worker has died.
         """
-        # If the fork server has died, the pipe reports no end of file.
+        # If the fork server has died, the pipe does not report the end of the file.
         if not self.pipe.poll():
             raise EOFError
         answer: tuple[object, Exception | None] = pickle.loads(self.pipe.recv_bytes())
         return answer
 
     def end(self, deadline: float) -> int:
-        """Wait for the process to end, kill it after the deadline, and return its exit code."""
+        """Return the exit code of the process, which is killed at the deadline."""
         self.process.join(max(0.0, deadline - time.monotonic()))
         self.process.kill()
         self.process.join()
@@ -396,14 +400,17 @@ class _Worker:
 def _start_process(
     target: Callable[..., None], arguments: tuple[object, ...]
 ) -> BaseProcess:
-    """Start a process that ignores Ctrl-C; retry for a while, because the fork server may have just died."""
+    """Start a process that ignores Ctrl-C.
+
+    The start is retried for a while, because the fork server may have just died.
+    """
     deadline = time.monotonic() + GRACE_S
     while True:
         start_server()
         process = get_context(START_METHOD).Process(  # type: ignore[attr-defined]
             target=target, args=arguments, daemon=True
         )
-        # The fork server ignores Ctrl-C, and so do its children.
+        # Child processes inherit from the fork server that they ignore Ctrl-C.
         blocked = (
             nullcontext() if START_METHOD == "forkserver" else _interrupts_blocked()
         )
@@ -419,7 +426,6 @@ def _start_process(
 
 
 def _worker_main(pipe: Connection, program: bytes, plugins: str) -> None:
-    """Run the tasks of a worker process on its main thread; a second thread receives the arguments."""
     os.environ[PLUGINS] = plugins
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _raise_exit)
@@ -440,12 +446,11 @@ def _worker_main(pipe: Connection, program: bytes, plugins: str) -> None:
 
 
 def _call_and_pickle(call: Callable[[], Any]) -> bytes:
-    """Call a function and return its result and error, pickled; one of them is None."""
     try:
         return pickle.dumps((call(), None))
     except Exception as error:  # any error is reported, and the worker continues
         reported = error if isinstance(error, SrsError) else TaskFailedError(error)
-        # Tracebacks cannot be pickled; a note is printed with the error.
+        # Tracebacks cannot be pickled, but a note is printed with the error.
         reported.add_note("".join(traceback.format_exception(error)))
         try:
             return pickle.dumps((None, reported))
@@ -454,11 +459,11 @@ def _call_and_pickle(call: Callable[[], Any]) -> bytes:
 
 
 def _receive_arguments(pipe: Connection, arguments: queue.SimpleQueue[bytes]) -> None:
-    """Receive arguments; end the worker, even during a task, when the parent closes the pipe."""
+    """Receive arguments, and end the worker when the parent closes the pipe."""
     with suppress(EOFError, OSError):
         while True:
             arguments.put(pipe.recv_bytes())
-    # Only a signal to the main thread interrupts its wait for arguments.
+    # The main thread waits for arguments, and only a signal interrupts this wait.
     signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)
     time.sleep(GRACE_S / 2)
     os._exit(1)

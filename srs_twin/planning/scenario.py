@@ -370,7 +370,7 @@ def _input_files(section: Mapping[str, object]) -> Iterator[str]:
 
 PLANNER = SectionEntry(
     PlannerFile | None,
-    "Planner of the path to the goal (controller.kind: follow).",
+    "Planner that computes the path to the goal (controller.kind: follow).",
     _input_files,
     {"footprint": "footprint"},
 )

@@ -356,7 +356,7 @@ def _input_files(section: Mapping[str, object]) -> Iterator[str]:
 
 RECORDING = SectionEntry(
     RecordingFile | None,
-    "What was measured of the robot, to replay and to hold the plants against"
+    "Measurements of the robot that are replayed and compared with the plants"
     " (controller.kind: replay).",
     _input_files,
     {"motion": "", "valves": ""},

@@ -1,1 +1,1 @@
-"""Robots: files with the unit, status and source of every number, and the frozen `RobotSpec`."""
+"""Robots: files with sourced numbers, and the frozen `RobotSpec` built from them."""

@@ -1,7 +1,7 @@
-"""Robot files: parameters of one snake with unit, status and source, given by name, path or override.
+"""Robot files: the parameters of one snake with unit, status and source.
 
-The published robots are in calibration/robots; `sections` describes the sections of a
-file.
+A robot is given by name, by path, or as an override of another robot. The published
+robots are in calibration/robots, and `sections` describes the sections of a file.
 """
 
 from __future__ import annotations
@@ -58,30 +58,36 @@ from srs_twin.robot.spec import (
 )
 
 _SUSPICIOUS_RATIO = 300.0
-"""Ratio of an override to the base's number above which a wrong unit (mm, Pa) is likely."""
+"""Ratio of an override to the overridden number above which a wrong unit (mm, Pa) is
+likely."""
 
 PA_PER_KPA = 1000.0
 M3_PER_ML = 1e-6
 
 
 SERVO_PRESSURE_KPA = 100.0
-"""Pressure that stands for the full command of a servo, kPa: commands of all robots are valve states."""
+"""Pressure that represents the full command of a servo, kPa. It is needed because the
+commands of all robots are valve states."""
 
 _SERVO_VOLUME_M3 = 1e-12
-"""Volumes of the chambers that a servo does not have, m³: they take no air worth counting."""
+"""Volume of the fictitious chambers of a servo, m³. It is so small that they consume a
+negligible amount of air."""
 
 _ROUND_TRACK = 1e-3
-"""Half the distance of two contact points side by side over the width, 1: both are below the axis."""
+"""Half the distance between paired contact points, divided by the body width. It is
+small because both points of a round body lie below the axis."""
 
 _ROUNDNESS = 0.01
-"""Relative difference of width and height at which a section still counts as round, 1.
+"""Relative difference of width and height up to which a cross-section counts as round.
 """
 
 _TWIST_RATIO = 2 / 3
-"""GJ/EI of a solid, incompressible, round section: J = 2 I and G = E/3."""
+"""Ratio GJ/EI of a solid, incompressible, round cross-section, with J = 2 I and G =
+E/3."""
 
 _RIGID_RATIO = 1000.0
-"""Stiffness of a servo joint over weight times body length, 1: floor loads bend it by less than 1 mrad."""
+"""Stiffness of a servo joint divided by weight times body length. Floor loads then bend
+the joint by less than 1 mrad."""
 
 
 _KEY_OF: dict[str, tuple[str, ...]] = {
@@ -93,11 +99,11 @@ _KEY_OF: dict[str, tuple[str, ...]] = {
     "wheel": ("mass", "wheel_kg"),
     "com": ("tail", "com_m"),
 }
-"""Parameter of a violation (`rules`) → path of its key in a robot file."""
+"""Parameter of a violation (`rules`) → path of the key in a robot file."""
 
 
 class _Body(NamedTuple):
-    """Parts of a `RobotSpec` that depend on the kind of contact."""
+    """Parameters of a `RobotSpec` that depend on the kind of contact."""
 
     geometry: Geometry
     mass: Mass
@@ -106,7 +112,7 @@ class _Body(NamedTuple):
 
 
 class _Drive(NamedTuple):
-    """Parts of a `RobotSpec` that depend on the kind of actuator."""
+    """Parameters of a `RobotSpec` that depend on the kind of actuator."""
 
     bending: Bending
     actuator: Actuator
@@ -115,12 +121,12 @@ class _Drive(NamedTuple):
 
 
 class RobotFile(StrictModel):
-    """Robot file."""
+    """Parameters of one robot, as written in a file."""
 
     name: str = Field(pattern=r"^[a-z][a-z0-9_]*$", min_length=1, max_length=40)
     """Short name."""
     title: str = Field(min_length=1, max_length=200)
-    """Description in one line."""
+    """Description on one line."""
     geometry: GeometryFile
     mass: MassFile
     friction: FrictionFile = FrictionFile()
@@ -130,19 +136,21 @@ class RobotFile(StrictModel):
     bending: BendingFile
     actuator: ActuatorFile
     chamber: ChamberFile | None = None
-    """Air space of one chamber; with actuator pressure."""
+    """Air space of one chamber; only for the actuator kind pressure."""
     supply: SupplyFile | None = None
-    """Gauge pressures of the supply and their limits; with actuator pressure."""
+    """Gauge pressures of the supply and their limits; only for the actuator kind
+    pressure."""
     gait: GaitFile
     modules: ModulesFile | None = None
     """Individual properties of the modules (default: identical nominal modules)."""
     tail: TailFile | None = None
     """Tail assembly of the last connector (default: none)."""
     correlated: Annotated[list[CorrelationFile], Field(max_length=500)] | None = None
-    """Correlations of uncertain numbers, such as those of a fit (default: none)."""
+    """Correlations between uncertain numbers, for example from a fit (default: none).
+    """
 
     def records(self) -> dict[str, Record[Any, Any]]:
-        """Return all records by path, e.g. ``"bending.stiffness_nm_per_rad"``."""
+        """Return all records keyed by path, e.g. ``"bending.stiffness_nm_per_rad"``."""
         return {
             f"{name}.{key}": record
             for name, section in self
@@ -162,7 +170,7 @@ class RobotFile(StrictModel):
         """Return the robot in SI units.
 
         Args:
-            seed: random seed of the modules if `modules` has none.
+            seed: random seed of the modules, if the section `modules` has none.
         """
         drive = self._servos() if self.has_servos else self._air()
         body = self._body_with_skin() if self.has_skin else self._body_on_wheels()
@@ -192,10 +200,11 @@ class RobotFile(StrictModel):
     def _body_with_skin(self) -> _Body:
         assert self.contact is not None, "a robot with skin has the section"
         geometry = self.geometry.to_si()
-        # The section of a spatial robot is round and touches the floor along a line.
+        # The cross-section of a spatial robot is round and touches the floor along a
+        # line.
         share = 1 / _ROUND_TRACK if self.is_spatial else 2 * math.sqrt(3)
         geometry["half_track"] = geometry["width"] / share
-        # Spheres around the centre of the body.
+        # The twin touches the floor with spheres around the centre of the body.
         geometry["wheel_radius"] = geometry["com_height"]
         return _Body(
             Geometry(**geometry),
@@ -205,7 +214,6 @@ class RobotFile(StrictModel):
         )
 
     def _air(self) -> _Drive:
-        """Return the drive of pneumatic modules."""
         assert self.chamber is not None, "`contradictions` reports missing keys"
         assert self.supply is not None, "`contradictions` reports missing keys"
         bending = self.bending.to_si()
@@ -242,10 +250,10 @@ class RobotFile(StrictModel):
         )
 
     def _servos(self) -> _Drive:
-        """Return the drive of pneumatic modules that move like servos.
+        """Return the drive of modules that move like servos.
 
-        Two equal time constants make a critically damped response. The stiffness k is
-        so high that loads do not matter; with the damping k τ the joints of the twin
+        Two equal time constants give a critically damped response. The stiffness k is
+        so high that loads do not matter. With the damping k τ, the joints of the twin
         follow the same response.
         """
         time = self.actuator.response_time_s
@@ -269,7 +277,7 @@ class RobotFile(StrictModel):
 
     @property
     def has_skin(self) -> bool:
-        """Whether the robot slides on its belly, without wheels."""
+        """Whether the robot slides on its belly instead of rolling on wheels."""
         return self.contact is not None and self.contact.is_skin
 
     @property
@@ -279,13 +287,12 @@ class RobotFile(StrictModel):
 
     @property
     def _chambers(self) -> int:
-        """Number of chambers of a segment."""
         if self.chamber is None or self.chamber.directions_deg is None:
             return 2
         return len(self.chamber.directions_deg.value)
 
     def masses(self) -> list[float]:
-        """Return the mass of each connector, or of each segment of a robot with skin, kg, head first."""
+        """Return the masses of connectors, or of segments with skin, head first, kg."""
         connectors = self.geometry.connectors.value
         if self.has_skin:
             record = self.mass.segments_kg
@@ -300,11 +307,10 @@ class RobotFile(StrictModel):
 
     @property
     def has_servos(self) -> bool:
-        """Whether servos turn the joints, instead of air."""
+        """Whether servos turn the joints instead of air."""
         return self.actuator.kind == "position"
 
     def _contradictions_of_kinds(self) -> Iterator[tuple[Loc, str]]:
-        """Yield path and message of keys that the kinds of contact and actuator lack or do not have."""
         contact = "skin" if self.has_skin else "wheels"
         actuator = "position" if self.has_servos else "pressure"
         for name in RobotFile.model_fields:
@@ -332,14 +338,14 @@ class RobotFile(StrictModel):
             yield _KEY_OF[violation.parameter], violation.reason
 
     def doubts(self) -> Iterator[Doubt]:
-        """Return the numbers whose unit is in doubt."""
+        """Yield the numbers whose unit is in doubt."""
         return find_doubts(
             {path: record.value for path, record in self.records().items()},
             self.masses(),
         )
 
     def contradictions(self) -> Iterator[tuple[Loc, str]]:
-        """Yield path and message of numbers that do not fit together."""
+        """Yield the path and message of each number that contradicts another number."""
         missing = list(self._contradictions_of_kinds())
         yield from missing
         if missing:
@@ -358,7 +364,6 @@ class RobotFile(StrictModel):
         yield from self._contradictions_of_supply()
 
     def _violations(self) -> Iterator[Violation]:
-        """Yield violations of the rules of `RobotSpec`."""
         connectors = self.geometry.connectors.value
         masses = self.masses()
         if self.has_skin:
@@ -376,7 +381,7 @@ class RobotFile(StrictModel):
             yield from direction_violations(self.chamber.directions_deg.value)
 
     def _contradictions_of_delay(self) -> Iterator[tuple[Loc, str]]:
-        """Yield path and message of a damping with `lead: false` that leaves no time for the chambers."""
+        """Yield a damping that, with `lead: false`, leaves the chambers no time."""
         if self.bending.lead is not False:
             return
         numbers = self.bending.to_si() | self.actuator.to_si()
@@ -389,7 +394,6 @@ class RobotFile(StrictModel):
             yield ("bending", "damping_time_s", "value"), text
 
     def _contradictions_of_supply(self) -> Iterator[tuple[Loc, str]]:
-        """Yield path and message of a nominal pressure above the limit."""
         if self.supply is None:
             return
         nominal = self.supply.nominal_kpa.value
@@ -401,7 +405,6 @@ class RobotFile(StrictModel):
             yield ("supply", "nominal_kpa", "value"), text
 
     def _contradictions_of_section(self) -> Iterator[tuple[Loc, str]]:
-        """Yield path and message of a spatial robot whose section is not round."""
         width = self.geometry.width_m.value
         height = self.geometry.com_height_m.value
         if self.is_spatial and abs(width / (2 * height) - 1) > _ROUNDNESS:
@@ -412,7 +415,6 @@ class RobotFile(StrictModel):
             yield ("geometry", "width_m", "value"), text
 
     def _invalid_priors(self) -> Iterator[tuple[Loc, str]]:
-        """Yield path and message of prior distributions that do not fit their numbers."""
         records = self.records()
         for path, record in records.items():
             section, key = path.split(".")
@@ -430,7 +432,6 @@ class RobotFile(StrictModel):
 def _prior_violations(
     record: Record[Any, Any], bounds: tuple[float, float] | None
 ) -> Iterator[str]:
-    """Yield the reasons why the prior distribution of a record does not fit its number."""
     prior = record.uncertain
     value = record.value
     assert prior is not None, "the caller has checked it"
@@ -453,11 +454,10 @@ def _prior_violations(
 
 
 _PLAIN_KEYS = ("seed", "kind", "law", "lead")
-"""Keys of sections of records whose values are no records."""
+"""Keys of record sections whose values are not records."""
 
 
 def _section_model(name: str) -> type[Records] | None:
-    """Return the model of a section of records; None for any other name."""
     field = RobotFile.model_fields.get(name)
     annotation = field.annotation if field else None
     for kind in get_args(annotation) or (annotation,):
@@ -467,18 +467,20 @@ def _section_model(name: str) -> type[Records] | None:
 
 
 def section_units(section: str) -> dict[str, str]:
-    """Return the units of the records of a section by key; an empty dict for any other name."""
+    """Return the units of a section of records by key, or {} for another name."""
     model = _section_model(section)
     keys = model.model_fields if model else ()
     return {key: split_unit(key)[1] for key in keys if key not in _PLAIN_KEYS}
 
 
 def load_robot_file(name_or_path: StrPath) -> RobotFile:
-    """Load and validate a robot file, with a `UnitWarning` for each number whose unit is in doubt.
+    """Load and validate a robot file.
+
+    A `UnitWarning` is issued for each number whose unit is in doubt.
 
     Raises:
         InputError: the file was not found or cannot be read.
-        InputFileError: the file is not valid; the message lists all problems.
+        InputFileError: the file is not valid. The message lists all problems.
     """
     file, doubts = _read_robot_file(name_or_path)
     for doubt in doubts:
@@ -487,7 +489,6 @@ def load_robot_file(name_or_path: StrPath) -> RobotFile:
 
 
 def _read_robot_file(name_or_path: StrPath) -> tuple[RobotFile, list[str]]:
-    """Return a robot file, and a warning for each number whose unit is in doubt."""
     document = load_yaml(find_file("robot", name_or_path))
     file = validate(RobotFile, document, document.data)
     document.raise_problems()
@@ -501,9 +502,9 @@ def _read_robot_file(name_or_path: StrPath) -> tuple[RobotFile, list[str]]:
 
 @checked
 def load_robot(robot: StrPath | RobotSpec) -> RobotSpec:
-    """Load a robot by the name of a shipped one (gen1 to gen4, gen4_module) or the path of a robot file.
+    """Load a robot by its shipped name (gen1 to gen4, gen4_module) or its file's path.
 
-    A loaded robot is returned unchanged.
+    A `RobotSpec` is returned unchanged.
 
     Raises:
         InputError: the file was not found, cannot be read, or is not valid
@@ -515,19 +516,18 @@ def load_robot(robot: StrPath | RobotSpec) -> RobotSpec:
 
 
 def resolve_robot(document: Document, robot: Any, *, prefix: Loc) -> RobotFile | None:
-    """Return the robot of a scenario: a shipped robot, a file, an override or a full definition.
+    """Return the robot of a scenario, or None if the scenario has problems.
 
-    Problems in the scenario are reported to the document; the result is None then.
-    Numbers whose unit is in doubt are added to the warnings of the document.
+    Problems and numbers with a doubtful unit are reported to the document.
 
     Args:
         document: document of the scenario.
-        robot: a name, a path, an override (mapping with `base`), or a mapping with all
+        robot: name, path, override (mapping with `base`), or mapping with all
             parameters.
         prefix: path of `robot` in the document.
 
     Raises:
-        InputFileError: the robot file is not valid; the message names that file.
+        InputFileError: the robot file itself is not valid.
     """
     if isinstance(robot, Mapping):
         base = robot.get("base")
@@ -572,7 +572,7 @@ def robot_in(document: Document, *loc: str) -> RobotFile:
     """Return the robot at a path of a document, see `resolve_robot`.
 
     Raises:
-        InputFileError: the robot is not valid; lists all problems of the document.
+        InputFileError: the robot is not valid.
     """
     robot = resolve_robot(document, document.get(*loc), prefix=loc)
     document.raise_problems()
@@ -592,9 +592,9 @@ def find_unit_mistakes(
     """Return the numbers whose unit is in doubt: path → reason and likely unit.
 
     Args:
-        robot: the robot.
-        base: robot that was changed; its own doubts are left out.
-        override: changes, of which those by a factor of 300 are in doubt.
+        robot: robot to check.
+        base: robot that was overridden, whose own doubts are left out.
+        override: overrides, which are in doubt from a factor of 300.
     """
     known = {doubt.path for doubt in base.doubts()} if base else ()
     mistakes = {
@@ -624,11 +624,7 @@ def _merge_override(
 ) -> dict[str, Any]:
     """Return the data of a base robot with the entries of an override.
 
-    Args:
-        base: data of the base robot.
-        override: new records, or plain numbers that replace the value of a record.
-        source: function from the path of a plain number to the source of the new
-            record.
+    The function `source` names the source of a plain number at a path.
     """
     merged = dict(base)
     if (

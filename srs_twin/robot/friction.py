@@ -1,25 +1,24 @@
-r"""Friction laws of a connector on the floor, with forces and their derivatives.
+"""Friction laws of a connector on the floor, with forces and their derivatives.
 
-Each law takes the velocity of a contact along (t) and across (n) its heading, the wheel
-load N and the two friction coefficients. It returns ``(f_t, f_n, df_t/dv_t, df_t/dv_n,
-df_n/dv_t, df_n/dv_n)``; the implicit integrator needs the derivatives. sgn v is
+Each law takes the contact velocity along (t) and across (n) the heading, the wheel load
+N and the two friction coefficients. It returns ``(f_t, f_n, df_t/dv_t, df_t/dv_n,
+df_n/dv_t, df_n/dv_n)``. The implicit integrator needs the derivatives. sgn v is
 regularised to v/√(v² + ε²) with a slip speed ε. The functions are elementwise, for
 arrays of any shape, and the kernels compile them.
 
-- `axis`: independent Coulomb friction along and across the heading, the law of the
-  dissertation for one contact point: f = −N (μ_t sgn v_t, μ_n sgn v_n).
+- `axis`: independent Coulomb friction along and across the heading, f = −N (μ_t sgn v_t,
+  μ_n sgn v_n). This is the law of the dissertation for one contact point.
 - `wheel`: rolling wheel on a floor with the friction coefficient μ_n. The axial force
-  is limited by the drag of the axle, μ_t, and by the friction cone of sliding: f_t = −N
-  min(μ_t, μ_n |v_t|/|v|) sgn v_t. The remainder of the cone acts across.
-- `ellipse`: sliding skid with maximum dissipation. Of all forces in the ellipse
-  (f_t/μ_t)² + (f_n/μ_n)² ≤ N², it is the one with the largest dissipated power: f = −N
-  (μ_t² v_t, μ_n² v_n)/√(μ_t² v_t² + μ_n² v_n²). Both directions share one root, and
-  thus one slip speed; with μ² ε² under the root, it is ε for the direction of the
-  larger coefficient μ.
-- `cosine`: sliding skin after Hu and Shelley (2012): each component of the force is
+  is limited by the axle drag μ_t and by the friction cone of sliding: f_t = −N
+  min(μ_t, μ_n |v_t|/|v|) sgn v_t. The remainder of the cone acts across the heading.
+- `ellipse`: sliding skid with maximum dissipation. The force lies in the ellipse
+  (f_t/μ_t)² + (f_n/μ_n)² ≤ N² and maximises the dissipated power: f = −N
+  (μ_t² v_t, μ_n² v_n)/√(μ_t² v_t² + μ_n² v_n²). Both directions share one root. With
+  μ² ε² under the root, ε is the slip speed for the direction of the larger μ.
+- `cosine`: sliding skin after Hu and Shelley (2012). Each component of the force is
   proportional to the direction cosine of the slip, f = −N (μ_t v_t, μ_n v_n)/√(v_t² +
-  v_n²). It has no potential, so that df_t/dv_n ≠ df_n/dv_t. The force lies on the same
-  ellipse as that of `ellipse`, in another direction.
+  v_n²). The force has no potential, so that df_t/dv_n ≠ df_n/dv_t. It lies on the
+  ellipse of the law `ellipse`, in another direction.
 - `viscous`: linear drag f = −N (μ_t v_t, μ_n v_n)/v₁ with v₁ = 1 m/s, a law for tests.
 """
 
@@ -31,21 +30,25 @@ import numpy as np
 
 Law = Literal["axis", "wheel", "viscous", "ellipse", "cosine"]
 LAWS: tuple[Law, ...] = get_args(Law)
-"""Names of the laws, which are the functions below; kernels and files use this list."""
+"""Names of the friction laws, which are the functions below. Kernels and files use this
+list."""
 
 TWO_POINT_LAWS = ("wheel", "ellipse", "cosine")
-"""Laws with two contact points per connector, at ± half the track; the other laws have one at the centre."""
+"""Laws with two contact points per connector, at ± half the track. The other laws have
+one contact point at the centre."""
 
 SkinLaw = Literal["ellipse", "cosine"]
 SKIN_LAWS: tuple[SkinLaw, ...] = get_args(SkinLaw)
-"""Laws of a skin, which slides in every direction; its μ_t differs between forward and backward slip."""
+"""Laws of a skin, which slides in every direction. The coefficient μ_t differs between
+forward and backward slip."""
 
 _MIN_COEFFICIENT = 1e-12
-"""Lower bound in the root of `ellipse`, which avoids 0/0 for a contact without friction."""
+"""Lower bound in the root of `ellipse`, which avoids 0/0 for a contact without
+friction."""
 
 
 def axis(v_t, v_n, load, mu_t, mu_n, slip):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return force (N) and its derivatives (N·s/m) under the `axis` law.
+    """Return force (N) and derivatives (N·s/m) of the `axis` law.
 
     Args:
         v_t, v_n: contact velocity along and across the heading, m/s.
@@ -53,9 +56,10 @@ def axis(v_t, v_n, load, mu_t, mu_n, slip):  # type: ignore[no-untyped-def]  # n
         mu_t, mu_n: friction coefficients along and across the heading.
         slip: slip speed ε, m/s.
     """
-    # Reciprocal roots need one division each; the derivatives reuse them.
+    # Reciprocal roots need one division each, and the derivatives reuse them.
     r_t = 1 / np.sqrt(v_t * v_t + slip * slip)
     r_n = 1 / np.sqrt(v_n * v_n + slip * slip)
+    # The drag coefficients k_t and k_n are the forces divided by the velocities, N·s/m.
     k_t = load * mu_t * r_t
     k_n = load * mu_n * r_n
     zero = 0.0 * v_t
@@ -70,19 +74,18 @@ def axis(v_t, v_n, load, mu_t, mu_n, slip):  # type: ignore[no-untyped-def]  # n
 
 
 def wheel(v_t, v_n, load, mu_t, mu_n, slip):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return force (N) and its derivatives (N·s/m) under the `wheel` law.
-
-    Arguments as in `axis`.
-    """
+    """Return force (N) and derivatives (N·s/m) of the `wheel` law, see `axis`."""
+    # The direction cosines a_t and a_n of the slip use the regularised speed 1/r.
     r = 1 / np.sqrt(v_t * v_t + v_n * v_n + slip * slip)
     r_n = 1 / np.sqrt(v_n * v_n + slip * slip)
     a_t = v_t * r
     a_n = v_n * r
     slide_t = mu_n * a_t  # axial friction coefficient of a locked wheel
+    # A rolling wheel uses μ_t of the friction cone, so this coefficient remains across.
     rest = np.sqrt(np.maximum(mu_n * mu_n - mu_t * mu_t, 0.0))
-    # A rolling wheel has the full axle drag along and the remainder of the cone across;
-    # a skidding wheel has the isotropic cone. Arithmetic instead of np.where compiles
-    # for scalars as well.
+    # A rolling wheel has the full axle drag along the heading and the remainder of the
+    # cone across. A skidding wheel has the isotropic cone. Unlike np.where, this
+    # arithmetic also compiles for scalars.
     roll = 1.0 * (np.abs(slide_t) > mu_t)
     skid = 1.0 - roll
     iso = skid * load * mu_n * r
@@ -98,7 +101,7 @@ def wheel(v_t, v_n, load, mu_t, mu_n, slip):  # type: ignore[no-untyped-def]  # 
 
 
 def viscous(v_t, v_n, load, mu_t, mu_n, slip):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return force (N) and its derivatives (N·s/m) under the `viscous` law; `slip` is not used."""
+    """Return force (N) and derivatives (N·s/m) of the `viscous` law, without `slip`."""
     zero = 0.0 * v_t
     k_t = load * mu_t
     k_n = load * mu_n
@@ -106,10 +109,8 @@ def viscous(v_t, v_n, load, mu_t, mu_n, slip):  # type: ignore[no-untyped-def]  
 
 
 def ellipse(v_t, v_n, load, mu_t, mu_n, slip):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return force (N) and its derivatives (N·s/m) under the `ellipse` law.
-
-    Arguments as in `axis`.
-    """
+    """Return force (N) and derivatives (N·s/m) of the `ellipse` law, see `axis`."""
+    # The weights μ² and the common root 1/r define the direction of the force.
     w_t = mu_t * mu_t
     w_n = mu_n * mu_n
     smooth = slip * np.maximum(np.maximum(mu_t, mu_n), _MIN_COEFFICIENT)
@@ -128,10 +129,7 @@ def ellipse(v_t, v_n, load, mu_t, mu_n, slip):  # type: ignore[no-untyped-def]  
 
 
 def cosine(v_t, v_n, load, mu_t, mu_n, slip):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return force (N) and its derivatives (N·s/m) under the `cosine` law.
-
-    Arguments as in `axis`.
-    """
+    """Return force (N) and derivatives (N·s/m) of the `cosine` law, see `axis`."""
     r = 1 / np.sqrt(v_t * v_t + v_n * v_n + slip * slip)
     a_t = v_t * r
     a_n = v_n * r

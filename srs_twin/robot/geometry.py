@@ -1,16 +1,16 @@
 r"""Constant-curvature geometry of a segment and of the body.
 
-A segment of length l with the bend q is an arc; its chord is parallel to the mean
+A segment of length l with the bend q is an arc. Its chord is parallel to the mean
 heading of its two ends. A rigid gap L_o, half of it at each end, does not change this
 direction. The distance between the connectors is
 
 $$ L(q) = l\,\frac{\sin(q/2)}{q/2} + L_o \cos(q/2). $$
 
-Signs: connectors are numbered from the head, and q_j = θ_j − θ_{j+1} > 0 turns the head
-end to the left (Eq. 2 and 3 with the signs of E9 and E20; Eq. 7 for the chord). The
-functions are elementwise, for arrays with any leading axes, and the kernels compile
-them. `pair_heading`, `measured_bend` and `arc_between` are Algorithms 1 and 2 of
-Section 3.4.1, which compute curvature and shape from markers.
+Connectors are numbered from the head, and a bend q_j = θ_j − θ_{j+1} > 0 turns the head
+end to the left. The bend is defined by Eq. 2 and 3 with the signs of E9 and E20, and
+the chord by Eq. 7. The functions are elementwise, for arrays with any leading axes, and
+the kernels compile them. `pair_heading`, `measured_bend` and `arc_between` are
+Algorithms 1 and 2 of Section 3.4.1, which compute curvature and shape from markers.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ Number = TypeVar("Number", float, Array)
 
 
 def half_angle_terms(bend: Number) -> tuple[Number, ...]:
-    r"""Return cos x, sin x, A = sin x/x, dA/dq and d²A/dq² for x = q/2, smooth through q = 0.
+    r"""Return cos x, sin x, A = sin x/x, dA/dq and d²A/dq² for x = q/2.
 
-    It uses a = (1 − A)/x² and b = (1 − cos x)/x², two even functions without a pole or
-    cancellation, which satisfy
+    All terms are smooth at q = 0. The function uses a = (1 − A)/x² and b = (1 − cos
+    x)/x², two even functions without a pole or cancellation, which satisfy
 
     $$ a(2x) = \tfrac14\,(a + A b), \qquad b(2x) = \tfrac12\,A^2, \qquad
        \tfrac{dA}{dx} = x\,(a - b), \qquad \tfrac{d^2A}{dx^2} = -A - 2\,(a - b). $$
@@ -37,10 +37,10 @@ def half_angle_terms(bend: Number) -> tuple[Number, ...]:
     divisions. The result is exact to rounding for |q| ≤ 2π, and to 1e-11 for |q| ≤ 4π.
 
     Args:
-        bend: q, rad, any shape; a scalar when compiled.
+        bend: bend q, rad, any shape, or a scalar in compiled code.
     """
     x = bend / 2
-    # p = (x/4)²; the series have enough terms for |x/4| ≤ π/4.
+    # With p = (x/4)², the series have enough terms for |x/4| ≤ π/4.
     p = x * x / 16
     a = (
         1
@@ -54,6 +54,7 @@ def half_angle_terms(bend: Number) -> tuple[Number, ...]:
         / 12
         * (1 - p / 30 * (1 - p / 56 * (1 - p / 90 * (1 - p / 132 * (1 - p / 182)))))
     ) / 2
+    # From here on, `arc` is A. The first doubling goes from x/4 to x/2, the second to x.
     arc = 1 - p * a
     a = (a + arc * b) / 4
     b = arc * arc / 2
@@ -68,12 +69,12 @@ def half_angle_terms(bend: Number) -> tuple[Number, ...]:
 def chord_from_half_angle(
     terms: tuple[Number, ...], length: float, gap: float
 ) -> tuple[Number, Number, Number]:
-    """Return L (m), dL/dq (m/rad) and d²L/dq² (m/rad²) from the result of `half_angle_terms`.
+    """Return L (m), dL/dq (m/rad) and d²L/dq² (m/rad²) from `half_angle_terms`.
 
     Args:
-        terms: cos x, sin x, A, dA/dq, d²A/dq².
-        length: l, m.
-        gap: L_o, m.
+        terms: result of `half_angle_terms`: cos x, sin x, A, dA/dq, d²A/dq².
+        length: segment length l, m.
+        gap: rigid gap L_o, m.
     """
     cosine, sine, arc, slope, curvature = terms
     return (
@@ -86,12 +87,12 @@ def chord_from_half_angle(
 def chord_derivatives(
     bend: Number, length: float, gap: float
 ) -> tuple[Number, Number, Number]:
-    """Return L (m), dL/dq (m/rad) and d²L/dq² (m/rad²) for the bend q, rad.
+    """Return L (m), dL/dq (m/rad) and d²L/dq² (m/rad²) for a bend.
 
     Args:
-        bend: q, rad.
-        length: l, m.
-        gap: L_o, m.
+        bend: bend q, rad.
+        length: segment length l, m.
+        gap: rigid gap L_o, m.
     """
     return chord_from_half_angle(half_angle_terms(bend), length, gap)
 
@@ -105,7 +106,7 @@ def chord(bend: Array, length: float, gap: float) -> Array:
 
 
 def relative_headings(bend: Array) -> Array:
-    """Return the connector headings about their mean, shape (…, N), rad, from bends (…, N − 1)."""
+    """Return headings relative to their mean, (…, N), rad, from bends (…, N − 1)."""
     from_head = np.concatenate(
         [np.zeros_like(bend[..., :1]), -np.cumsum(bend, axis=-1)], axis=-1
     )
@@ -114,13 +115,16 @@ def relative_headings(bend: Array) -> Array:
 
 
 def body_shape(bend: Array, mass: Array, length: float, gap: float) -> Array:
-    """Return connector positions about the centre of mass at zero mean heading, shape (…, N, 2), m.
+    """Return connector positions relative to the centre of mass at zero mean heading.
 
     Args:
-        bend: q, shape (…, N − 1), rad.
+        bend: bends q, shape (…, N − 1), rad.
         mass: connector masses, shape (N,), kg.
-        length: l, m.
-        gap: L_o, m.
+        length: segment length l, m.
+        gap: rigid gap L_o, m.
+
+    Returns:
+        Positions, shape (…, N, 2), m.
     """
     headings = relative_headings(bend)
     direction = (headings[..., 1:] + headings[..., :-1]) / 2
@@ -136,30 +140,30 @@ def body_shape(bend: Array, mass: Array, length: float, gap: float) -> Array:
 
 
 def pair_heading(rear: Array, front: Array) -> Array:
-    """Return the direction from one marker to another, shape (…), rad (Algorithm 1 with atan2, E10).
+    """Return the direction between two markers, rad (Algorithm 1 with atan2, E10).
 
     Args:
         rear: position of the rear marker, shape (…, 2), m.
-        front: position of the front marker, same shape.
+        front: position of the front marker, shape (…, 2), m.
     """
     difference = front - rear
     return np.asarray(np.arctan2(difference[..., 1], difference[..., 0]))
 
 
 def measured_bend(front: Array, rear: Array) -> Array:
-    """Return the bends q = θ_A − θ_B in [−π, π) from measured headings (Algorithm 1, E9).
+    """Return the bends q = θ_A − θ_B in [−π, π) (Algorithm 1, E9).
 
-    Divided by the length l of the segment, the bend is the curvature κ.
+    The bend divided by the segment length l is the curvature κ.
 
     Args:
         front: heading θ_A of the end towards the head, rad, any shape.
-        rear: heading θ_B of the other end, same shape.
+        rear: heading θ_B of the other end, rad, any shape.
     """
     return np.asarray((front - rear + np.pi) % (2 * np.pi) - np.pi)
 
 
 def arc_between(front: Array, rear: Array, curvature: Array, points: int = 21) -> Array:
-    r"""Return points on the arc of a given curvature between two ends (Algorithm 2 with E10 and E23).
+    r"""Return points on an arc between two ends (Algorithm 2 with E10 and E23).
 
     With the distance d of the ends and the direction α from the rear end to the front
     end,
@@ -168,14 +172,15 @@ def arc_between(front: Array, rear: Array, curvature: Array, points: int = 21) -
        P(s) = P_A - d\,s\,\frac{\operatorname{sinc} \beta s}{\operatorname{sinc}
        \beta}\, (\cos\gamma, \sin\gamma), \qquad \gamma = \alpha + \beta\,(1 - s), $$
 
-    which needs no centre and no special case for κ = 0. If noise makes |κ d / 2| larger
-    than 1, which is impossible for an arc, β is a right angle and the arc a half
-    circle.
+    which needs no centre and no special case for κ = 0. Noise can make |κ d / 2| larger
+    than 1, which is impossible for an arc. The function then returns a half circle,
+    with a right angle β.
 
     Args:
-        front: P_A, shape (…, 2), m.
-        rear: P_B, same shape.
-        curvature: κ, shape (…), 1/m; positive if the head end turns to the left.
+        front: front end P_A, shape (…, 2), m.
+        rear: rear end P_B, shape (…, 2), m.
+        curvature: curvature κ, shape (…), 1/m, positive if the head end turns to the
+            left.
         points: number of points, including both ends.
 
     Returns:

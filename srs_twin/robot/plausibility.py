@@ -1,10 +1,10 @@
-"""Numbers of a robot that do not fit its other numbers, because they were written in another unit.
+"""Detection of robot parameters that were probably written in another unit.
 
 Numbers of one quantity are compared with each other, so that a robot scaled as a whole
 is plausible. Each number divided by its usual multiple is an estimate of the robot's
-size. The median of these estimates is the size of the robot, which a single mistake
-does not change. A number is in doubt if its own estimate differs from the size by more
-than the factors `below` and `above` of the quantity.
+size. The median of these estimates is robust against a single mistake. A number is in
+doubt if its own estimate differs from the median by more than the factors `below` and
+`above` of the quantity.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 
 from srs_twin.robot.spec import GRAVITY
 
-# Unit of a key → unit in which users may have the number instead → the latter in the
-# former.
+# Unit of a key → another unit in which users may have the number → value of the other
+# unit in the unit of the key.
 _OTHER_UNITS = {
     "m": {"cm": 0.01, "mm": 0.001, "": 0.1},
     "kg": {"g": 0.001},
@@ -32,10 +32,10 @@ class _Quantity(NamedTuple):
     """Numbers of one quantity.
 
     Attributes:
-        name: plural, for messages.
+        name: plural name for messages.
         unit: unit of the keys.
-        below: largest plausible ratio of the size to a number's estimate of it.
-        above: largest plausible ratio of a number's estimate to the size.
+        below: maximum plausible ratio of the size to its estimate from a number.
+        above: maximum plausible ratio of the estimate from a number to the size.
         usual: section and key → usual multiple of the size.
     """
 
@@ -88,13 +88,14 @@ _QUANTITIES = (
 )
 
 _CERTAIN = 100.0
-"""Factor beyond the plausible range from which a number is certainly wrong."""
+"""Factor beyond the plausible range at which a number is certainly wrong."""
 
 _DENSITY = 500.0
 """Usual density of a connector with its part of the body, kg/m³; osmium has 22 600."""
 
 _DENSITY_RATIO = 50.0
-"""Largest plausible ratio of a density to the usual one; beyond 4 times that it is certainly wrong."""
+"""Maximum plausible ratio of a density to the usual density. Beyond 4 times this ratio,
+the density is certainly wrong."""
 
 
 class Doubt(NamedTuple):
@@ -103,7 +104,7 @@ class Doubt(NamedTuple):
     Attributes:
         path: section and key.
         text: reason and likely unit.
-        is_certain: whether no robot can have the number.
+        is_certain: whether no robot can have this number.
     """
 
     path: str
@@ -112,12 +113,12 @@ class Doubt(NamedTuple):
 
 
 def likely_unit(value: float, unit: str, expected: float) -> str:
-    """Return the unit in which a number is close to an expected one, as "0.4 bar would be 40 kPa".
+    """Suggest another unit for a number, for example "0.4 bar would be 40 kPa".
 
     Args:
         value: number as the user wrote it.
         unit: unit of the key.
-        expected: usual size of the number.
+        expected: expected order of magnitude.
     """
     factors = {unit: 1.0} | _OTHER_UNITS.get(unit, {})
     other = min(
@@ -141,7 +142,8 @@ def find_doubts(values: Mapping[str, Any], masses: Sequence[float]) -> Iterator[
         "weight times body length": GRAVITY * sum(masses) * pitch * len(masses)
     }
     if "chamber.air_volume_ml" in values and "actuator.at_pressure_kpa" in values:
-        # p dV/dq over the bend q; kPa times ml are mJ.
+        # The moment is p dV/dq, with the volume change spread over the bend q. The unit
+        # is mJ, because pressures are in kPa and volumes in ml.
         moment = (
             1e-3
             * values["actuator.at_pressure_kpa"]

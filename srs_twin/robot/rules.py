@@ -13,10 +13,10 @@ import numpy as np
 from srs_twin.errors import InputError
 
 WHEEL_SHARE = 0.9
-"""Largest fraction of the mass of a connector that its two wheels may have."""
+"""Maximum fraction of a connector's mass that its two wheels may have."""
 
 _MAX_GAP_DEG = 180.0 - 1e-6
-"""Largest angle between the directions of two neighbouring chambers."""
+"""Maximum angle between the directions of two neighbouring chambers."""
 
 
 class Violation(NamedTuple):
@@ -24,7 +24,7 @@ class Violation(NamedTuple):
 
     Attributes:
         parameter: parameter to change.
-        reason: what was given, and what is allowed.
+        reason: text that states the given and the allowed values.
     """
 
     parameter: str
@@ -32,7 +32,7 @@ class Violation(NamedTuple):
 
 
 def raise_violations(violations: Iterable[Violation]) -> None:
-    """Raise the reasons of all violations together.
+    """Raise one error with the reasons of all violations.
 
     Raises:
         InputError: there is a violation.
@@ -42,7 +42,7 @@ def raise_violations(violations: Iterable[Violation]) -> None:
 
 
 def spatial_refusal(robot: str, feature: str) -> str:
-    """Return the reason why a feature does not support a robot that bends in two directions."""
+    """Return the message that a feature does not support a spatial robot."""
     return (
         f"{feature} does not support the spatial robot {robot}"
         " (chamber.directions_deg); use a robot whose chambers bend it to the left and"
@@ -53,11 +53,11 @@ def spatial_refusal(robot: str, feature: str) -> str:
 def kind_violations(
     *, is_spatial: bool, has_skin: bool, has_tail: bool, extends: bool
 ) -> Iterator[Violation]:
-    """Yield violations between the kinds of chambers and of contact.
+    """Yield contradictions between the kinds of chambers and of contact.
 
     Args:
         is_spatial: whether the segments bend in two directions.
-        has_skin: whether the body slides on its belly, without wheels.
+        has_skin: whether the body slides on its belly instead of rolling on wheels.
         has_tail: whether the last connector has a second axle.
         extends: whether pressure lengthens the segments.
     """
@@ -82,13 +82,13 @@ def kind_violations(
 def mass_violations(
     masses: Sequence[float], count: int, part: str
 ) -> Iterator[Violation]:
-    """Yield a number of masses that differs from the number of connectors or segments."""
+    """Yield a violation if the number of masses differs from the number of parts."""
     if len(masses) != count:
         yield Violation(part, f"{len(masses)} masses for {count} {part}; give {count}")
 
 
 def wheel_violations(wheel: float, connectors: Sequence[float]) -> Iterator[Violation]:
-    """Yield wheels that are too heavy for the lightest connector; masses in kg."""
+    """Yield a violation if the wheels are too heavy for the lightest connector (kg)."""
     lightest = min(connectors)
     if 2 * wheel > WHEEL_SHARE * lightest:
         yield Violation(
@@ -99,7 +99,7 @@ def wheel_violations(wheel: float, connectors: Sequence[float]) -> Iterator[Viol
 
 
 def tail_violations(com: float, axle: float) -> Iterator[Violation]:
-    """Yield a centre of mass that is not between the two axles of a tail, m."""
+    """Yield a violation if the tail's centre of mass is not between its axles (m)."""
     if com > axle:
         yield Violation(
             "com",
@@ -109,7 +109,7 @@ def tail_violations(com: float, axle: float) -> Iterator[Violation]:
 
 
 def direction_violations(directions_deg: Sequence[float]) -> Iterator[Violation]:
-    """Yield directions of chambers that leave a side of the segment without a chamber."""
+    """Yield a violation if a side of the segment has no chamber."""
     ordered = np.sort(np.mod(directions_deg, 360.0))
     largest = float(np.diff(ordered, append=ordered[0] + 360.0).max())
     if largest > _MAX_GAP_DEG:

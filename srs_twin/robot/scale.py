@@ -1,20 +1,21 @@
 r"""Scale of a robot: the unit of its numerical settings.
 
-Gravity does not scale. A snake whose lengths are multiplied by s, its masses by s³, its
-stiffness by s⁴ and its times by √s therefore makes the same motion, with speeds
-multiplied by √s, if its numerical settings scale with it: time steps and slip speeds by
-√s, the depths of contacts by s. The settings are declared for the shipped robots and
+Gravity does not scale. A snake therefore makes the same motion, with speeds multiplied
+by √s, if its dimensions are changed together: lengths by s, masses by s³, stiffness by
+s⁴ and times by √s. The numerical settings must scale as well: time steps and slip
+speeds by √s, contact depths by s. The settings are declared for the shipped robots and
 multiplied by powers of the time unit
 
 $$ u = 2^{\operatorname{round}(\frac12 \log_2 (P / P_0))}, \qquad P_0 = 1/16\ \mathrm m, $$
 
-where P is the distance between connectors: times and speeds by u, lengths by u².
+where P is the distance between connectors. Times and speeds are multiplied by u,
+lengths by u².
 
-u is 1 for 3.1 cm < P < 12.5 cm, which contains all shipped robots. A power of two
-multiplies without rounding, so that a robot scaled by a power of four repeats the
-motion of the original to the last digits. Between these powers the settings stay
-constant: they are at most √2 times too fine or too coarse, and change by a factor of
-two (lengths by four) where P passes 3.1 cm, 12.5 cm, 50 cm, and so on.
+The unit u is 1 for 3.1 cm < P < 12.5 cm, which contains all shipped robots.
+Multiplication by a power of two is exact. A robot scaled by a power of four therefore
+repeats the motion of the original to the last digit. Between these powers the settings
+stay constant and are at most √2 times too fine or too coarse. They change by a factor
+of two (lengths by four) where P passes 3.1 cm, 12.5 cm, 50 cm, and so on.
 """
 
 from __future__ import annotations
@@ -23,35 +24,34 @@ import math
 from typing import NamedTuple
 
 REFERENCE_PITCH = 1 / 16
-"""P₀, m: the shipped robots have 5.5 to 7.5 cm between their connectors."""
+"""P₀, m. The shipped robots have 5.5 to 7.5 cm between their connectors."""
 
 _ROUND_NUMBERS = (1, 2, 5, 10)
 _ROUNDING = 1e-9
 
 
 class Scale(NamedTuple):
-    """Units of the numerical settings of a robot, as multiples of those of the shipped robots.
+    """Units of the numerical settings of a robot, relative to the shipped robots.
 
     Attributes:
-        time: u, unit of times, and of speeds, because gravity does not scale; a power
-            of two, 1.
+        time: unit u of times and of speeds, a power of two, dimensionless.
     """
 
     time: float = 1.0
 
     @classmethod
     def of_pitch(cls, pitch: float) -> Scale:
-        """Return the scale of a robot with the distance `pitch` between its connectors, m."""
+        """Return the scale of a robot with a given distance between connectors, m."""
         return cls(2.0 ** round(math.log2(pitch / REFERENCE_PITCH) / 2))
 
     @property
     def speed(self) -> float:
-        """Unit of speeds, u, 1."""
+        """Unit of speeds, u, dimensionless."""
         return self.time
 
     @property
     def length(self) -> float:
-        """Unit of lengths, u², 1."""
+        """Unit of lengths, u², dimensionless."""
         return self.time**2
 
 
@@ -60,16 +60,16 @@ SHIPPED = Scale()
 
 
 def divide(interval: float, part: float) -> float:
-    """Return the part into which an interval is divided, s.
+    """Return the step into which an interval is divided, s.
 
-    It is `part` if the interval is a multiple of it, and the interval if that is
-    shorter. Otherwise the number of parts is 1, 2 or 5 times a power of ten, whichever
-    gives the ratio to `part` closest to 1. The tick of 20 ms scaled by any factor is
-    then divided like the original.
+    The step is `part` if the interval is a multiple of it, and the whole interval if
+    that is shorter. Otherwise the number of steps is 1, 2 or 5 times a power of ten,
+    chosen so that the step is closest to `part` in ratio. A tick of 20 ms scaled by any
+    factor is then divided like the original.
 
     Args:
-        interval: s.
-        part: intended part, s.
+        interval: interval to divide, s.
+        part: intended step, s.
     """
     ratio = interval / part
     if not 1.0 < ratio < math.inf:

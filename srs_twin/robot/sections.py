@@ -1,10 +1,10 @@
 """Sections of robot files: records of numbers with their bounds.
 
-A file may list individual properties of the modules, and standard deviations for random
+A file may list individual properties of the modules, and standard deviations of random
 differences between them. Each quantity has its own random stream, so that a new
 standard deviation does not change the other draws. Draws are limited to three standard
-deviations. They are combined with the listed values: factors are multiplied, biases are
-added.
+deviations. Random factors multiply the listed factors, and random biases are added to
+the listed biases.
 """
 
 from __future__ import annotations
@@ -48,17 +48,17 @@ AngleStd = Record[Annotated[float, bounded(0.0, 0.5)], Literal["rad"]]
 _MAX_DEVIATIONS = 3.0
 """Limit of random draws, in standard deviations."""
 
-# Bounds of files. They admit the shipped robots scaled by 1/40 to 100: lengths by s,
-# masses by s³, and stiffness by s⁴.
+# The bounds admit the shipped robots scaled by 1/40 to 100: lengths by s, masses by s³,
+# and stiffness by s⁴.
 LENGTHS_M = (1e-5, 100.0)
-"""Smallest and largest length of a robot, m."""
+"""Minimum and maximum length of a robot, m."""
 MASSES_KG = (1e-10, 1e6)
-"""Smallest and largest mass of a part, kg."""
+"""Minimum and maximum mass of a part, kg."""
 STIFFNESSES_NM_PER_RAD = (1e-10, 1e9)
-"""Smallest and largest stiffness of a segment, N·m/rad."""
+"""Minimum and maximum stiffness of a segment, N·m/rad."""
 
 # Quantity → key of its standard deviation. The position is the number of the random
-# stream: append new ones.
+# stream, so new quantities must be appended.
 SPREAD_KEYS = {
     "gain": "gain_spread",
     "tau_fill": "tau_spread",
@@ -73,26 +73,26 @@ class ModulesFile(Records):
     """Individual properties of the modules and their random differences."""
 
     gain: ChamberFactors | None = None
-    """Gain as a multiple of the nominal one, 0.1 to 10 for the + and the - chamber (or each of
-    chamber.directions_deg) of each segment, head first."""
+    """Gain relative to the nominal gain, 0.1 to 10 for each chamber of each segment,
+    head first; + before -, or in the order of chamber.directions_deg."""
     tau_fill: ChamberFactors | None = None
-    """tau_fill as a multiple of the nominal one, 0.1 to 10 for the + and the - chamber of each segment, head
-    first."""
+    """tau_fill relative to the nominal value, 0.1 to 10 for the + and - chamber of each
+    segment, head first."""
     tau_vent: ChamberFactors | None = None
-    """tau_vent as a multiple of the nominal one, 0.1 to 10 for the + and the - chamber of each segment, head
-    first."""
+    """tau_vent relative to the nominal value, 0.1 to 10 for the + and - chamber of each
+    segment, head first."""
     bias_rad: BendList | None = None
-    """Rest bend, rad, -1 to 1 for each segment, head first."""
+    """Rest bend of each segment, rad, -1 to 1, head first."""
     sensor_gain: SegmentFactors | None = None
-    """Ratio of sensor reading to actual bend, 0.1 to 10 for each segment, head first.
+    """Ratio of sensor reading to actual bend for each segment, 0.1 to 10, head first.
     """
     sensor_bias_rad: BendList | None = None
-    """Sensor reading of a straight segment, rad, -1 to 1 for each segment, head first.
-    """
+    """Sensor reading of each segment when it is straight, rad, -1 to 1, head first."""
     gain_spread: RelativeStd | None = None
     """Standard deviation of the relative gains of the chambers, 0 to 0.3."""
     tau_spread: RelativeStd | None = None
-    """Standard deviation of the relative tau_fill and tau_vent of the chambers, 0 to 0.3."""
+    """Standard deviation of the relative tau_fill and tau_vent of the chambers, 0 to
+    0.3."""
     bias_spread_rad: AngleStd | None = None
     """Standard deviation of the rest bends, rad, 0 to 0.5."""
     sensor_gain_spread: RelativeStd | None = None
@@ -108,8 +108,8 @@ class ModulesFile(Records):
 
         Args:
             segments: number of segments.
-            seed: random seed if the file has none.
-            chambers: number of chambers of a segment.
+            seed: random seed, if the file has none.
+            chambers: number of chambers per segment.
         """
         seed = seed if self.seed is None else self.seed
         arrays = {}
@@ -134,7 +134,7 @@ class ModulesFile(Records):
         return Modules.from_arrays(**arrays)
 
     def contradictions(self, segments: int, chambers: int) -> Iterator[tuple[Loc, str]]:
-        """Yield path and message of lists whose length is not the number of segments or chambers."""
+        """Yield lists that do not have one value per segment or chamber."""
         for name, record in self:
             values = record.value if isinstance(record, Record) else None
             if name in PER_CHAMBER and isinstance(values, list):
@@ -160,7 +160,6 @@ def _mass_tag(value: object) -> str:
 
 
 def _one_or_each(value: Any) -> Any:
-    """Return the type of one value for all connectors, or of a list with one for each."""
     many = Annotated[list[value], Field(min_length=2, max_length=64)]
     return Annotated[
         Annotated[value, Tag("all")] | Annotated[many, Tag("each")],
@@ -168,7 +167,7 @@ def _one_or_each(value: Any) -> Any:
     ]
 
 
-# Record with a float, an integer or a list; `number_field` defines which.
+# A number is a record with a float, an integer or a list, as `number_field` defines.
 Number = Record[Any, str]
 
 
@@ -188,39 +187,46 @@ class GeometryFile(Records):
     com_height_m: Number = number_field(*LENGTHS_M)
     """Height of the centre of mass above the floor."""
     width_m: Number = number_field(*LENGTHS_M)
-    """Width of the soft body; only that of a skin has an effect on the motion."""
+    """Width of the soft body; it affects the motion only if the robot has a skin."""
 
 
 class MassFile(Records):
-    """Masses."""
+    """Masses of the robot's parts."""
 
     connectors_kg: Number | None = number_field(
         *MASSES_KG, shape=_one_or_each, needed_by="wheels"
     )
-    """Mass of a connector with its wheels and its part of the body; one number for all, or a list, head
-    first. Wheels only."""
+    """Mass of a connector with its wheels and its part of the body; one number for all
+    connectors or a list, head first. Wheels only."""
     wheel_kg: Number | None = number_field(*MASSES_KG, needed_by="wheels")
-    """Mass of one wheel, included in that of its connector; wheels only."""
+    """Mass of one wheel, which is included in the mass of its connector; wheels only.
+    """
     connector_gyration_m: Number | None = number_field(*LENGTHS_M, only_for="wheels")
-    """Radius of gyration of a connector without its wheels (default: that of a uniform block with the length
-    of the rigid gap and the width of the track); wheels only."""
+    """Radius of gyration of a connector without its wheels; wheels only. By default,
+    the connector is a uniform block with the length of the rigid gap and the width of
+    the track."""
     segments_kg: Number | None = number_field(
         *MASSES_KG, shape=_one_or_each, needed_by="skin"
     )
-    """Mass of the body from one connector to the next, spread evenly over its length; one number for all, or
-    a list, head first. Skin only."""
+    """Mass of the body from one connector to the next, spread evenly over its length;
+    one number for all segments or a list, head first. Skin only."""
 
 
 class FrictionFile(Records):
-    """Friction of the wheels on the floor, and axial drag; a skin has its coefficients in contact."""
+    """Friction of the wheels on the floor, and axial drag.
+
+    The friction coefficients of a skin are in the section contact.
+    """
 
     mu_t: Number | None = number_field(0.0, 10.0, needed_by="wheels")
-    """Friction coefficient along the heading (drag of a rolling wheel); wheels only."""
+    """Friction coefficient along the heading, the drag of a rolling wheel; wheels only.
+    """
     mu_n: Number | None = number_field(0.0, 10.0, needed_by="wheels")
-    """Friction coefficient across the heading (a wheel that slides sideways); wheels only."""
+    """Friction coefficient across the heading, of a wheel that slides sideways; wheels
+    only."""
     drag_n: Number | None = number_field(0.0, 1e7, optional=True)
-    """Total axial drag of tubes and belly, independent of the load; equal parts act on the connectors
-    (default: none)."""
+    """Total axial drag of tubes and belly (default: none); it does not depend on the
+    load, and equal parts act on the connectors."""
 
 
 class ContactFile(Records):
@@ -229,19 +235,22 @@ class ContactFile(Records):
     only_for = {"law": "skin"}
 
     kind: Literal["wheels", "skin"]
-    """wheels: two wheels on each connector, described in geometry, mass and friction; skin: a body that
-    slides on its belly along its whole length."""
+    """Kind of contact; "wheels" means two wheels on each connector, described in
+    geometry, mass and friction. "skin" means a body that slides on its belly along its
+    whole length."""
     law: SkinLaw | None = None
-    """Friction law of a skin; ellipse: the force with the largest dissipation (default), cosine: each
-    component proportional to the direction cosine of the slip (docs/models.md)."""
+    """Friction law of a skin; "ellipse" is the force with the maximum dissipation
+    (default). "cosine" makes each component proportional to the direction cosine of the
+    slip (docs/models.md)."""
     forward: Number | None = number_field(0.0, 10.0, needed_by="skin")
     """Friction coefficient along the body for slip towards the head; skin only."""
     backward: Number | None = number_field(0.0, 10.0, only_for="skin")
-    """Friction coefficient along the body for slip towards the tail (default: forward); skin only."""
+    """Friction coefficient along the body for slip towards the tail (default: forward);
+    skin only."""
     transverse: Number | None = number_field(0.0, 10.0, needed_by="skin")
     """Friction coefficient across the body; skin only."""
     points_per_segment: Number | None = number_field(1, 64, int, only_for="skin")
-    """Contact points along each segment (default: 6); skin only."""
+    """Number of contact points along each segment (default: 6); skin only."""
 
     @property
     def is_skin(self) -> bool:
@@ -249,7 +258,7 @@ class ContactFile(Records):
         return self.kind == "skin"
 
     def friction(self) -> dict[str, float]:
-        """Return the coefficients of a skin as arguments of `Friction`."""
+        """Return the friction coefficients of a skin as arguments of `Friction`."""
         names = {
             "mu_t": self.forward,
             "mu_back": self.backward,
@@ -277,36 +286,42 @@ class BendingFile(Records):
     only_for = {"lead": "pressure"}
 
     lead: bool | None = None
-    """Whether the moment of the air leads the pressures, so that a free segment obeys Eq. 14 whatever its
-    damping (default: true). With false the damping delays the free bend: damping_time_s
-    takes the place of tau_mode_s, and tau_fill_s and tau_vent_s are shorter by their
-    difference; pressure only."""
+    """Whether the moment of the air leads the pressures, so that a free segment obeys
+    Eq. 14 for any damping (default: true); pressure only. If false, the damping delays
+    the free bend: damping_time_s replaces tau_mode_s. tau_fill_s and tau_vent_s are
+    then shortened by damping_time_s - tau_mode_s."""
     stiffness_nm_per_rad: Number | None = number_field(
         *STIFFNESSES_NM_PER_RAD, needed_by="pressure"
     )
     """Bending stiffness; pressure only."""
     damping_time_s: Number | None = number_field(1e-6, 100.0, needed_by="pressure")
-    """Damping of deviations from the free bend over stiffness (docs/damping.md); pressure only."""
+    """Ratio of damping to stiffness for deviations from the free bend
+    (docs/damping.md); pressure only."""
     pitch_stiffness_nm_per_rad: Number | None = number_field(
         *STIFFNESSES_NM_PER_RAD, optional=True
     )
-    """Stiffness against bending out of the floor plane; a spatial robot may leave it out (default: that of
-    bending)."""
+    """Stiffness against bending out of the floor plane; optional for a spatial robot,
+    where the default is the bending stiffness."""
     roll_stiffness_nm_per_rad: Number | None = number_field(
         *STIFFNESSES_NM_PER_RAD, optional=True
     )
-    """Stiffness against twisting; a spatial robot may leave it out (default: two thirds of the bending
-    stiffness, GJ = 2/3 EI of a solid, incompressible, round section)."""
+    """Stiffness against twisting; optional for a spatial robot. The default is two
+    thirds of the bending stiffness, because GJ = 2/3 EI for a solid, incompressible,
+    round cross-section."""
     out_of_plane_damping_time_s: Number = number_field(1e-6, 100.0)
-    """Damping over stiffness of pitch and roll."""
+    """Ratio of damping to stiffness for pitch and roll."""
 
 
 class ActuatorFile(Records):
-    """Response of one module: pneumatic with the gain bend_rad over at_pressure_kpa, or that of a servo."""
+    """Response of one module, which is driven by air pressure or by a servo.
+
+    The gain of a pneumatic module is bend_rad / at_pressure_kpa.
+    """
 
     kind: Literal["pressure", "position"] | None = None
-    """pressure: air in chambers bends the segment against its stiffness (default); position: a servo turns a
-    joint to the commanded angle regardless of the load, bend_rad where a valve would
+    """Kind of actuator; "pressure" means that air in chambers bends the segment against
+    its stiffness (default). "position" means that a servo turns a joint to the
+    commanded angle regardless of the load. The command is bend_rad where a valve would
     fill the + chamber."""
     response_time_s: Number | None = number_field(1e-4, 100.0, needed_by="position")
     """Time constant of the critically damped response of a servo; position only."""
@@ -315,36 +330,40 @@ class ActuatorFile(Records):
     tau_vent_s: Number | None = number_field(1e-6, 100.0, needed_by="pressure")
     """Vent time constant tau_1; pressure only."""
     tau_mode_s: Number | None = number_field(1e-6, 100.0, needed_by="pressure")
-    """Mode time constant tau_2, with which the free bend follows the pressures; pressure only."""
+    """Mode time constant tau_2, with which the free bend follows the pressures;
+    pressure only."""
     bend_rad: Number = number_field(1e-3, 6.3)
-    """Static bend of a free module under at_pressure_kpa, or the largest angle that a servo is commanded."""
+    """Static bend of a free module under at_pressure_kpa, or maximum angle that a servo
+    is commanded to."""
     at_pressure_kpa: Number | None = number_field(0.1, 2000.0, needed_by="pressure")
     """Pressure in one chamber that causes bend_rad; pressure only."""
     bend_limit_rad: Number | None = number_field(0.1, 6.3, only_for="pressure")
     """Limit of the free bend at high pressure (default: none, the gain is linear)."""
     onset_share: Number | None = number_field(0.0, 1.0, only_for="pressure")
-    """Missing fraction s of the gain in a dead zone around zero pressure (default: 1 if another
-    onset key is present, otherwise 0)."""
+    """Fraction s of the gain that is missing in a dead zone around zero pressure
+    (default: 1 if another onset key is present, otherwise 0)."""
     onset_rad: Number | None = number_field(0.01, 6.3, only_for="pressure")
-    """Bend of the linear law at the end of the dead zone; beyond it s times this bend is missing (default:
-    0.3)."""
+    """Bend of the linear law at the end of the dead zone (default: 0.3); beyond the
+    dead zone, s times this bend is missing."""
     onset_width_rad: Number | None = number_field(0.01, 6.3, only_for="pressure")
-    """Width of the transition at the end of the dead zone, as a bend of the linear law (default: 0.1)."""
+    """Width of the transition at the end of the dead zone, as a bend of the linear law
+    (default: 0.1)."""
     extension_m_per_kpa: Number | None = number_field(0.0, 0.01, only_for="pressure")
-    """Extension of a segment of a spatial robot over the mean pressure of its chambers (default: 0)."""
+    """Extension of a spatial robot's segment per mean pressure of its chambers
+    (default: 0)."""
 
 
 class ChamberFile(Records, needed_by="pressure"):
     """Air space of one chamber."""
 
     dead_volume_ml: Number = number_field(1e-6, 1e8)
-    """Volume of the chamber of a straight segment with its tube."""
+    """Volume of the chamber of a straight segment, including its tube."""
     air_volume_ml: Number = number_field(1e-6, 1e8)
-    """Increase of the volume at a bend of 90 degrees."""
+    """Increase of the chamber volume at a bend of 90 degrees."""
     directions_deg: Directions | None = None
-    """Directions in which the chambers of a spatial robot bend a segment, -360 to 360, 0 to the left, 90
-    upwards; four make two antagonistic pairs (default: one chamber to the left and one
-    to the right)."""
+    """Directions in which the chambers of a spatial robot bend a segment, -360 to 360,
+    0 to the left and 90 upwards; four directions make two antagonistic pairs. By
+    default, one chamber bends to the left and one to the right."""
 
 
 class SupplyFile(Records, needed_by="pressure"):
@@ -353,25 +372,29 @@ class SupplyFile(Records, needed_by="pressure"):
     nominal_kpa: Number = number_field(0.1, 2000.0)
     """Supply pressure of scenarios that do not specify one."""
     continuous_limit_kpa: Number = number_field(0.1, 2000.0)
-    """Highest pressure that a chamber may hold."""
+    """Maximum pressure that a chamber may hold."""
     pulsed_limit_kpa: Number = number_field(0.1, 2000.0)
-    """Highest supply pressure while chambers alternate (gait, PWM)."""
+    """Maximum supply pressure while chambers alternate (gait, PWM)."""
 
 
 class GaitFile(Records):
-    """Common parameters of all gaits of the robot."""
+    """Parameters that all gaits of the robot share."""
 
     phase_step_rad: Number = number_field(-6.3, 6.3)
     """Phase lag of the gait from one segment to the next (E18)."""
 
 
 class TailFile(Records):
-    """Tail assembly with a second axle behind that of the last connector; not available with preload."""
+    """Tail assembly with a second axle behind the axle of the last connector.
+
+    It is not available with the preloaded contact.
+    """
 
     axle_m: Number = number_field(*LENGTHS_M)
     """Distance of the second axle behind the axle of the last connector."""
     com_m: Number = number_field(0.0, LENGTHS_M[1])
-    """Distance of the centre of mass behind the axle of the last connector; at most axle_m."""
+    """Distance of the centre of mass behind the axle of the last connector; at most
+    axle_m."""
     com_height_m: Number = number_field(*LENGTHS_M)
     """Height of the centre of mass of the assembly above the floor."""
     gyration_m: Number = number_field(*LENGTHS_M)
@@ -379,9 +402,11 @@ class TailFile(Records):
 
 
 class CorrelationFile(StrictModel):
-    """Correlation of two uncertain numbers."""
+    """Correlation between two uncertain numbers."""
 
     of: Annotated[list[str], Field(min_length=2, max_length=2)]
-    """Paths of the two numbers, such as friction.mu_t; no effect if one of them is not uncertain."""
+    """Paths of the two numbers, such as friction.mu_t; the correlation has no effect if
+    one of the numbers is not uncertain."""
     r: Annotated[float, bounded(-0.999, 0.999)]
-    """Correlation of the normal variables that the numbers are computed from, -0.999 to 0.999."""
+    """Correlation of the normal variables from which the numbers are computed, -0.999
+    to 0.999."""

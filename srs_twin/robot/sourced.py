@@ -1,7 +1,7 @@
 """Units of keys in files, and records of numbers with unit, status and source.
 
-Keys end in the unit of their number: ``segment_length_m``, ``stiffness_nm_per_rad``. A
-`Record` repeats the unit next to the number. The two must agree, so that a number
+A key ends in the unit of its number: ``segment_length_m``, ``stiffness_nm_per_rad``. A
+`Record` repeats the unit next to the number. The two units must agree, so that a number
 copied from a table with another unit is rejected.
 """
 
@@ -47,10 +47,10 @@ UNITS = {
     "_s": "s",
     "_v": "V",
 }
-"""Suffix of a key → unit of its number; longer suffixes first."""
+"""Suffix of a key → unit of its number. Longer suffixes come first."""
 
 # Unit → SI unit, numerator and denominator of the conversion. The division keeps
-# decimal numbers exact: 3.1 / 1000 is the double 0.0031, and 3.1 * 0.001 is not.
+# decimal numbers exact: 3.1 / 1000 is the double 0.0031, but 3.1 * 0.001 is not.
 _SI_CONVERSIONS = {
     "kPa": ("Pa", 1000, 1),
     "m/kPa": ("m/Pa", 1, 1000),
@@ -63,8 +63,8 @@ _SI_CONVERSIONS = {
 
 
 def split_unit(key: str) -> tuple[str, str]:
-    """Return a key without its unit suffix, and the unit, "1" if there is none."""
-    # The n of mu_n is the normal direction, not the unit newton.
+    """Return a key without its unit suffix, and the unit or "1"."""
+    # In mu_n, the n means the normal direction and not the unit newton.
     suffix = next(
         (suffix for suffix in UNITS if key.endswith(suffix) and key != "mu_n"), ""
     )
@@ -72,19 +72,19 @@ def split_unit(key: str) -> tuple[str, str]:
 
 
 def si_unit(key: str) -> str:
-    """Return the SI unit of the value of a key, which `to_si` converts to."""
+    """Return the SI unit to which `to_si` converts the value of a key."""
     unit = split_unit(key)[1]
     return _SI_CONVERSIONS.get(unit, (unit, 1, 1))[0]
 
 
 def to_si(key: str, value: Any) -> Any:
-    """Return the value of a key in SI units."""
+    """Convert the value of a key to SI units."""
     _, up, down = _SI_CONVERSIONS.get(split_unit(key)[1], ("", 1, 1))
     return value if value is None or up == down else value * up / down
 
 
 def from_si(key: str, value: Any) -> Any:
-    """Return a value in SI units, converted to the unit of a key."""
+    """Convert a value in SI units to the unit of a key."""
     _, up, down = _SI_CONVERSIONS.get(split_unit(key)[1], ("", 1, 1))
     return value if value is None or up == down else round(value * down / up, 6)
 
@@ -102,27 +102,28 @@ _DISTRIBUTION_KEYS = {
 
 
 MIN_PROBABILITY = 1e-9
-"""Distance of probabilities from 0 and 1, where the normal quantiles are infinite."""
+"""Minimum distance of probabilities from 0 and 1, where normal quantiles are infinite.
+"""
 
 
 class Uncertain(StrictModel):
     """Prior distribution of an uncertain number."""
 
     kind: Literal["normal", "lognormal", "uniform"]
-    """normal: mean at the number; lognormal: median at the number, or `median`; uniform: range low to
-    high."""
+    """Distribution; "normal" has its mean at the number. "lognormal" has its median at
+    the number, or at `median`. "uniform" has the range low to high."""
     sd: float | None = Field(None, gt=0.0, le=1e9)
-    """Standard deviation of a normal distribution, in the number's unit."""
+    """Standard deviation of a normal distribution, in the unit of the number."""
     factor: float | None = Field(None, gt=1.0, le=100.0)
-    """Geometric standard deviation: two thirds of the values are between the number divided by this factor
-    and the number times it."""
+    """Geometric standard deviation. Two thirds of the values lie between the number
+    divided by this factor and the number times this factor."""
     median: float | None = Field(None, gt=0.0, le=1e9)
-    """Median of a lognormal distribution, in the number's unit (default: the number).
-    """
+    """Median of a lognormal distribution, in the unit of the number (default: the
+    number)."""
     low: float | None = Field(None, ge=-1e9, le=1e9)
-    """Lower end of the range, in the number's unit."""
+    """Lower end of a uniform range, in the unit of the number."""
     high: float | None = Field(None, ge=-1e9, le=1e9)
-    """Upper end of the range."""
+    """Upper end of a uniform range, in the unit of the number."""
     source: str | None = Field(None, min_length=1, max_length=1000)
     """Source of the distribution, or reason for the assumption."""
 
@@ -155,14 +156,15 @@ class Uncertain(StrictModel):
 
         Args:
             value: number in the file.
-            bounds: lowest and highest allowed number, at which all but uniform
+            bounds: minimum and maximum allowed number, at which all but uniform
                 distributions are truncated.
-            probabilities: cumulative probabilities, array of any shape.
+            probabilities: cumulative probabilities of any shape.
         """
         if self.low is not None and self.high is not None:
             return self.low + (self.high - self.low) * np.asarray(probabilities)
         if self.factor is not None:
-            # A bound of 0 has no logarithm; 1e-300 is far below any parameter.
+            # The logarithm of a bound of 0 is infinite, and 1e-300 is far below any
+            # parameter.
             median = value if self.median is None else self.median
             ends = np.log(np.maximum(bounds, 1e-300) / median) / np.log(self.factor)
             return np.asarray(
@@ -174,7 +176,7 @@ class Uncertain(StrictModel):
 
 
 def _truncated_normal(ends: np.ndarray, probabilities: np.ndarray) -> np.ndarray:
-    """Return quantiles of the standard normal distribution truncated at two ends."""
+    """Return quantiles of the standard normal distribution between two ends."""
     from scipy.special import ndtr, ndtri
 
     low, high = ndtr(ends)
@@ -188,14 +190,15 @@ class Record(StrictModel, Generic[Value, Unit]):
     value: Value
     """Number in the unit of the key."""
     unit: Unit
-    """Unit, equal to that of the key; '1' for a dimensionless number."""
+    """Unit, which must match the unit of the key; '1' for a dimensionless number."""
     status: Status
-    """measured: stated in the source as measured or set; calibrated: fitted to measurements; estimated:
-    assumption of this project."""
+    """Origin of the number; "measured" means stated in the source as measured or set.
+    "calibrated" means fitted to measurements, and "estimated" means an assumption of
+    this project."""
     source: str = Field(min_length=1, max_length=1000)
-    """Section, table, or method of the estimate."""
+    """Section or table of the source, or method of the estimate."""
     uncertain: Uncertain | None = None
-    """Prior distribution (default: none, the number is treated as exact)."""
+    """Prior distribution (default: none, so that the number is treated as exact)."""
 
     @model_serializer(mode="wrap")
     def _without_missing(self, inner: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -207,7 +210,7 @@ class Record(StrictModel, Generic[Value, Unit]):
 
     @classmethod
     def model_parametrized_name(cls, params: tuple[Any, ...]) -> str:
-        """Return one readable name for all types of records in JSON schemas."""
+        """Return a readable name that all types of records share in JSON schemas."""
         return "Record"
 
 
@@ -217,7 +220,7 @@ def bounded(low: float, high: float) -> Any:
 
 
 class _NumberField(NamedTuple):
-    """Arguments of `number_field`; `Records` completes them with the unit of the key."""
+    """Arguments of `number_field`, to which `Records` adds the unit of the key."""
 
     low: float
     high: float
@@ -232,19 +235,19 @@ def number_field(low: float, high: float, kind: type = float, **options: Any) ->
     """Return the field of a `Record` in a `Records` section.
 
     Args:
-        low: lowest allowed number.
-        high: highest allowed number.
+        low: minimum allowed number.
+        high: maximum allowed number.
         kind: type of the number, float or int.
-        **options: `shape`, a function from the type of one number to the type of the
-            record's value (default: one number); `optional`, whether the key may be
-            missing; `needed_by`, the kind of robots that need the key, while others do
-            not have it; `only_for`, the kind of robots that may have it.
+        **options: `shape` is a function that converts the type of one number to the
+            type of the record's value (default: one number). `optional` tells whether
+            the key may be missing. `needed_by` is the only kind of robot that has the
+            key and must have it. `only_for` is the only kind of robot that may have it.
     """
     return _NumberField(low, high, kind, **options)
 
 
 def _describe(schema: dict[str, Any], cls: type[Records]) -> None:
-    """Set the description of each key: its docstring with unit and range before the first semicolon."""
+    """Insert the unit and range of a number before the first semicolon of its text."""
     for key, text in attribute_docstrings(cls).items():
         entry = schema["properties"][key]
         head, semicolon, rest = text.rstrip(".").partition(";")
@@ -255,9 +258,9 @@ class Records(StrictModel):
     """Section of a file whose numbers are records.
 
     Attributes:
-        bounds: lowest and highest value of each number.
-        needed_by: kind of robots that need a key, while others do not have it.
-        only_for: kind of robots that may have a key.
+        bounds: minimum and maximum of each number.
+        needed_by: only kind of robot that has a key and must have it.
+        only_for: only kind of robot that may have a key.
     """
 
     model_config = ConfigDict(json_schema_extra=_describe)
@@ -294,11 +297,11 @@ class Records(StrictModel):
             setattr(cls, key, Field(None if optional else ..., description=text))
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Pickle as plain data, because pickle cannot find the parametrised record classes by name."""
+        """Pickle as plain data, because pickle cannot import the record classes."""
         return type(self).model_validate, (self.model_dump(exclude_unset=True),)
 
     def to_si(self) -> dict[str, Any]:
-        """Return the numbers in SI units, by key without unit suffix."""
+        """Return the numbers in SI units, keyed by name without unit suffix."""
         return {
             split_unit(key)[0]: to_si(key, record.value)
             for key, record in self
@@ -309,13 +312,12 @@ class Records(StrictModel):
 def replace_value(
     before: Mapping[str, Any] | None, value: Any, unit: str | None, source: str
 ) -> dict[str, Any]:
-    """Return plain data of a record with a new number, with status "estimated" and without uncertainty.
+    """Return plain data of a record with a new number of status "estimated".
 
     Args:
-        before: plain data of the old record, whose unit is kept; None or empty for a
-            new record.
-        value: the number.
-        unit: unit of the key, for a new record.
+        before: plain data of the old record, whose unit is kept, or None.
+        value: new number.
+        unit: unit of a new record.
         source: origin of the number.
     """
     record = {

@@ -1,13 +1,12 @@
 """RobotSpec: validated parameters of one snake in SI units, frozen.
 
-`Modules` are the differences between the modules of a snake (Section 5.1): moulded
-chambers differ in their gain and air flow, a body at rest is not perfectly straight,
+The numbers come from ``calibration/robots/*.yaml``, where each has a source and a
+status. `Modules` holds the differences between the modules of a snake (Section 5.1).
+Moulded chambers differ in gain and air flow, a body at rest is not perfectly straight,
 and sensors drift after their calibration.
 
-The numbers come from ``calibration/robots/*.yaml``, where each has a source and a
-status; here they are plain floats. Signs and frames: connectors i = 1…N from head to
-tail; segment j between connectors j and j+1; a bend q_j = θ_j − θ_{j+1} > 0 turns the
-head end to the left.
+Connectors are numbered i = 1…N from head to tail. Segment j lies between connectors j
+and j+1. A bend q_j = θ_j − θ_{j+1} > 0 turns the head end to the left.
 """
 
 from __future__ import annotations
@@ -38,23 +37,23 @@ from srs_twin.robot.scale import Scale
 PerChamber = tuple[tuple[float, ...], ...]
 
 PER_CHAMBER = ("gain", "tau_fill", "tau_vent")
-"""Names of the `Modules` attributes with one value per chamber."""
+"""Attributes of `Modules` that have one value per chamber."""
 
 
 @dataclass(frozen=True)
 class Modules:
-    """Individual properties of the modules, segments from the head, + chamber before − chamber.
+    """Individual properties of each module, ordered from the head.
 
-    A spatial robot has the chambers of `Chamber.directions` instead of two.
+    The last axis of a chamber property is (+ chamber, − chamber), or the chambers of
+    `Chamber.directions` for a spatial robot.
 
     Attributes:
-        gain: gain of each chamber as a multiple of the nominal gain, shape (segments,
-            2).
+        gain: gain of each chamber relative to the nominal gain, shape (segments, 2).
         bias: rest bend of each segment, shape (segments,), rad.
-        tau_fill: fill time constant τ₁ as a multiple of the nominal one, shape
-            (segments, 2).
-        tau_vent: vent time constant τ₁ as a multiple of the nominal one, shape
-            (segments, 2).
+        tau_fill: fill time constant τ₁ relative to the nominal value, shape (segments,
+            2).
+        tau_vent: vent time constant τ₁ relative to the nominal value, shape (segments,
+            2).
         sensor_gain: ratio of sensor reading to actual bend, shape (segments,).
         sensor_bias: sensor reading of a straight segment, shape (segments,), rad.
     """
@@ -150,14 +149,13 @@ class Geometry:
         segment_length: l, length of the bending part of a segment, m.
         rigid_gap: L_o, length of the straight part of a segment, half of it at each
             end, m (Fig. 35).
-        half_track: distance of each contact point from the centre line, m. For a skin
-            it is w/(2√3) with the width w of the body: the two points are those of a
-            Gauss rule across the belly.
-        wheel_radius: radius of a wheel, or of the spheres with which the skin of the
-            twin touches the floor, m.
-        com_height: height of the centre of mass of a connector above the floor, m.
-        width: width of the soft body in pictures and collision checks, m; no effect on
-            the motion.
+        half_track: distance of each contact point from the centre line, m; for a skin
+            of width w, the Gauss points of the belly at w/(2√3).
+        wheel_radius: radius of a wheel, or of the spheres with which a skin touches the
+            floor in the twin, m.
+        com_height: height of a connector's centre of mass above the floor, m.
+        width: width of the soft body, which affects only pictures and collision checks,
+            m.
     """
 
     connectors: int
@@ -200,13 +198,11 @@ class Mass:
     Attributes:
         connectors: mass of each connector including its wheels, head first, shape (N,),
             kg.
-        wheel: mass of one wheel, included in that of its connector, kg; 0 for a robot
-            with skin.
-        connector_gyration: radius of gyration of a connector without its wheels, m;
-            None for the value derived in `RobotSpec.connector_gyration`.
+        wheel: mass of one wheel, included in the connector's mass and 0 with skin, kg.
+        connector_gyration: radius of gyration of a connector without its wheels, m, or
+            None for the default of `RobotSpec.connector_gyration`.
         segments: mass of each segment of a robot with skin, spread evenly over its
-            length, head first, kg; None for a robot on wheels, whose mass is at the
-            connectors.
+            length, head first, kg, or None for a robot on wheels.
     """
 
     connectors: tuple[float, ...]
@@ -229,7 +225,7 @@ class Mass:
 
     @classmethod
     def along_body(cls, segments: tuple[float, ...]) -> Mass:
-        """Return the masses of a robot with skin: each connector stands for the adjacent half segments."""
+        """Return the masses of a robot with skin, half of each segment at each end."""
         halves = (0.0, *segments), (*segments, 0.0)
         connectors = tuple(
             (front + rear) / 2 for front, rear in zip(*halves, strict=True)
@@ -251,12 +247,12 @@ class Friction:
     """Friction coefficients of wheels (Eq. 17) or skin on the floor, and axial drag.
 
     Attributes:
-        mu_t: friction coefficient along the heading (axle drag of a rolling wheel);
-            that of a skin for slip towards the head.
-        mu_n: friction coefficient across the heading (a wheel that slides sideways).
+        mu_t: friction coefficient along the heading (axle drag of a wheel), of a skin
+            for slip towards the head.
+        mu_n: friction coefficient across the heading, for a wheel that slides sideways.
         drag: total axial drag of tubes and belly, N. Equal parts act on the connectors
             against their motion along the heading, independent of the wheel loads.
-        mu_back: friction coefficient of a skin for slip towards the tail; None for
+        mu_back: friction coefficient of a skin for slip towards the tail, or None for
             mu_t.
     """
 
@@ -282,8 +278,7 @@ class Skin:
 
     Attributes:
         law: friction law, "ellipse" or "cosine" (`robot.friction`).
-        points: number of contact points along a segment, each of them two points side
-            by side.
+        points: number of contact point pairs along a segment.
     """
 
     law: SkinLaw = "ellipse"
@@ -300,11 +295,11 @@ class Bending:
 
     Attributes:
         stiffness: k, bending stiffness about z, N·m/rad.
-        damping_time: c/k, damping of deviations from the free bend over stiffness, s.
-            The loss factor of the material at the frequency f is 2π f times this value.
+        damping_time: c/k, ratio of damping to stiffness for deviations from the free
+            bend, s. The loss factor of the material at the frequency f is 2π f c/k.
         pitch_stiffness: stiffness against bending out of the floor plane, N·m/rad.
         roll_stiffness: stiffness against twisting, N·m/rad.
-        out_of_plane_damping_time: damping over stiffness of pitch and roll, s.
+        out_of_plane_damping_time: ratio of damping to stiffness for pitch and roll, s.
     """
 
     stiffness: float
@@ -325,11 +320,11 @@ class Bending:
         return self.stiffness * self.damping_time
 
     def moment(self, deviation: Array, rate: Array) -> Array:
-        """Return the moment k (q_f − q) + c (q̇_f − q̇) of segments, N·m, with the shape of the arguments.
+        """Return the moment k (q_f − q) + c (q̇_f − q̇) of each segment, N·m.
 
         Args:
-            deviation: free bend less bend, q_f − q, rad.
-            rate: its rate, rad/s.
+            deviation: free bend minus bend, q_f − q, rad.
+            rate: time derivative of the deviation, rad/s.
         """
         return self.stiffness * deviation + self.damping * rate
 
@@ -343,16 +338,15 @@ class Actuator:
         tau_vent: vent time constant τ₁, s.
         tau_mode: mode time constant τ₂, with which the free bend follows the pressures,
             s.
-        gain: free bend per pressure difference of the chambers, rad/Pa (C₀ over its
-            pressure).
-        bend_limit: q_m, limit of the free bend at high pressure, rad; infinite for a
+        gain: free bend C₀ divided by the chamber pressure that causes it, rad/Pa.
+        bend_limit: q_m, limit of the free bend at high pressure, rad, infinite for a
             linear gain.
-        onset_share: s, missing fraction of the gain in the dead zone around zero
-            pressure.
+        onset_share: s, fraction of the gain that is missing in the dead zone around
+            zero pressure.
         onset: d, free bend of the linear law at the end of the dead zone, rad.
         onset_width: w, width of the transition at the end of the dead zone, rad.
-        extension: e, extension of a segment of a spatial robot over the mean pressure
-            of its chambers, m/Pa.
+        extension: e, extension of a spatial robot's segment per mean pressure of its
+            chambers, m/Pa.
     """
 
     tau_fill: float
@@ -383,16 +377,18 @@ class Actuator:
 
 @dataclass(frozen=True)
 class Chamber:
-    """Air space of one chamber of a segment: V(q) = dead_volume + displacement · max(0, ± q).
+    """Air space of one chamber of a segment.
+
+    The volume of a chamber is V(q) = dead_volume + displacement · max(0, ± q).
 
     Attributes:
-        dead_volume: volume of the chamber of a straight segment with its tube, m³; also
-            the smallest volume.
+        dead_volume: volume, also the minimum volume, of the chamber of a straight
+            segment with its tube, m³.
         displacement: increase of the volume per bend towards the side of the chamber,
             m³/rad.
-        directions: direction in which each chamber of a spatial robot bends its
-            segment, rad: 0 to the left, π/2 upwards; None for a planar robot, whose
-            chambers bend it to the left and to the right.
+        directions: bending direction of each chamber of a spatial robot, rad (0 to the
+            left, π/2 upwards), or None for a planar robot with a left and a right
+            chamber.
     """
 
     dead_volume: float
@@ -407,7 +403,7 @@ class Chamber:
 
     @property
     def axes(self) -> np.ndarray:
-        """Bend to the left and upwards per unit bend of each chamber, shape (chambers, 2)."""
+        """Left and upward components of each chamber's bend, shape (chambers, 2)."""
         directions = self.directions or (0.0, math.pi)
         vectors = np.stack([np.cos(directions), np.sin(directions)], axis=-1)
         axes: np.ndarray = np.round(vectors, 15)
@@ -420,8 +416,8 @@ class Supply:
 
     Attributes:
         nominal: supply pressure of a scenario that does not specify one, Pa.
-        continuous_limit: highest pressure that a chamber may hold, Pa.
-        pulsed_limit: highest supply pressure while chambers alternate (gait, PWM), Pa.
+        continuous_limit: maximum pressure that a chamber may hold, Pa.
+        pulsed_limit: maximum supply pressure while chambers alternate (gait, PWM), Pa.
         limit_source: source of the limits, for messages.
     """
 
@@ -436,12 +432,12 @@ class Supply:
 
 @dataclass(frozen=True)
 class Tail:
-    """Tail assembly on two axles: the last connector with a second axle behind its own.
+    """Tail assembly on two axles: the last connector with an additional axle behind.
 
     Attributes:
         axle: distance of the second axle behind the axle of the last connector, m.
-        com: distance of the centre of mass behind the axle of the last connector, m; at
-            most `axle`.
+        com: distance of the centre of mass behind the axle of the last connector, at
+            most `axle`, m.
         com_height: height of the centre of mass above the floor, m.
         gyration: radius of gyration of the assembly including its wheels, m.
     """
@@ -461,9 +457,9 @@ class Axle(NamedTuple):
     """Axle with two wheels.
 
     Attributes:
-        connector: number of the connector that it carries, from 1 at the head.
-        behind: distance behind the centre of the connector, m.
-        mass: mass that it carries at rest on a level floor, kg.
+        connector: number of the connector on the axle, counted from 1 at the head.
+        behind: distance of the axle behind the centre of the connector, m.
+        mass: mass on the axle at rest on a level floor, kg.
     """
 
     connector: int
@@ -476,20 +472,19 @@ class RobotSpec:
     """Parameters of one snake.
 
     Attributes:
-        name: short name, also the name of its MJCF model.
-        title: description in one line.
-        geometry: dimensions and the number of connectors.
+        name: short name, also of the MJCF model.
+        title: description on one line.
+        geometry: dimensions and number of connectors.
         mass: masses of connectors and wheels.
-        friction: friction of the wheels on the floor.
+        friction: friction on the floor.
         bending: compliance of a segment.
         actuator: response of a module to its valves.
         chamber: air space of a chamber.
         supply: pressures and their limits.
         phase_step: β, phase lag of the gait from one segment to the next, rad (E18).
-        variation: individual properties of the modules; None for identical nominal
-            modules.
-        tail: tail assembly; None if the last connector has one axle.
-        skin: contact of a body without wheels; None for a robot on wheels.
+        variation: individual properties of the modules, or None for nominal modules.
+        tail: tail assembly, or None.
+        skin: contact of a body without wheels, or None for a robot on wheels.
     """
 
     name: str
@@ -559,10 +554,10 @@ class RobotSpec:
 
     @property
     def axial_stiffness(self) -> float:
-        """Stiffness of a segment of a spatial robot along its axis, N/m.
+        """Axial stiffness of a segment of a spatial robot, N/m.
 
-        E A / l = (E I / l) · A / I with A / I = 4 / r² of a solid round section of
-        radius r.
+        E A / l = (E I / l) · A / I, where A / I = 4 / r² for a solid round
+        cross-section of radius r.
         """
         return 4 * self.bending.stiffness / self.geometry.com_height**2
 
@@ -570,7 +565,7 @@ class RobotSpec:
         """Check that the robot is planar.
 
         Args:
-            feature: name of the feature that supports planar robots only.
+            feature: name of the feature that requires a planar robot.
 
         Raises:
             InputError: the robot is spatial.
@@ -589,12 +584,16 @@ class RobotSpec:
         return Scale.of_pitch(self.geometry.pitch)
 
     def connector_weights(self, behind_head: np.ndarray) -> np.ndarray:
-        """Return the share of each place along the body that counts for each connector, (N, places), 1.
+        """Return the weights with which places along the body belong to each connector.
 
-        It decreases linearly from 1 at the connector to 0 at the next one.
+        The weight decreases linearly from 1 at the connector to 0 at the next one.
 
         Args:
-            behind_head: places along the straight body, shape (places,), m.
+            behind_head: distances behind the head of the straight body, shape
+                (places,), m.
+
+        Returns:
+            Weights, shape (N, places), dimensionless.
         """
         stations = behind_head / self.geometry.pitch
         distance = np.abs(np.arange(self.geometry.connectors)[:, None] - stations)
@@ -608,8 +607,8 @@ class RobotSpec:
             Axle(i, 0.0, mass) for i, mass in enumerate(self.mass.connectors, start=1)
         ]
         if self.tail is not None:
-            # Lever rule: each axle carries mass in proportion to the distance of the
-            # other axle from the centre of mass.
+            # By the lever rule, the mass on each axle is proportional to the distance
+            # between the centre of mass and the other axle.
             last = axles.pop()
             share = self.tail.com / self.tail.axle
             axles.append(last._replace(mass=(1 - share) * last.mass))
@@ -620,8 +619,8 @@ class RobotSpec:
     def connector_gyration(self) -> float:
         """Radius of gyration of a connector without its wheels, m.
 
-        The default is that of a uniform block with the length of the rigid gap and the
-        width of the track, 2 w: √((L_o² + (2 w)²)/12).
+        The default is √((L_o² + (2 w)²)/12), for a uniform block with the length of the
+        rigid gap and the width of the track 2 w.
         """
         if self.mass.connector_gyration is not None:
             return self.mass.connector_gyration
@@ -629,11 +628,11 @@ class RobotSpec:
         return math.hypot(g.rigid_gap, 2 * g.half_track) / math.sqrt(12)
 
     def yaw_inertia(self) -> np.ndarray:
-        """Return the yaw inertia of each connector about its centre, wheels included, (N,), kg·m²."""
+        """Return the yaw inertia of connectors with their wheels, shape (N,), kg·m²."""
         wheel = self.mass.wheel
         g = self.geometry
-        # A wheel is a thin disc: r²/4 about a diameter, and the parallel-axis term of
-        # the half track.
+        # The inertia of a wheel is r²/4 (thin disc about a diameter) plus the
+        # parallel-axis term of the half track.
         wheels = 2 * wheel * (g.half_track**2 + g.wheel_radius**2 / 4)
         inertia: np.ndarray = (
             self.mass.array() - 2 * wheel

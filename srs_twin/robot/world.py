@@ -1,7 +1,7 @@
-"""World around the snake: floor, obstacles, objects, bounds and goal, in SI units and the world frame.
+"""World around the snake: floor, obstacles, objects, bounds and goal.
 
-Random obstacles are posts in rows, uniformly distributed circles, and the 18 sites of
-the dissertation.
+All numbers are in SI units and in the world frame. Obstacles can be drawn at random:
+fields of pegs, uniformly distributed circles, and the 18 sites of the dissertation.
 """
 
 from __future__ import annotations
@@ -15,23 +15,22 @@ import numpy as np
 from srs_twin.errors import InputError
 
 OBSTACLE_FRICTION = 0.5
-"""Default friction coefficient of silicone on a smooth obstacle, 1.
-
-Estimate; the dissertation gives none.
-"""
+"""Default friction coefficient of silicone on a smooth obstacle. It is an estimate,
+because the dissertation gives none."""
 
 WALL_M = 0.001
-"""Rounding radius of the sides of a polygon, m; the solid polygon extends this far beyond its corners."""
+"""Rounding radius of the sides of a polygon, m. The solid polygon extends this far
+beyond its corners."""
 
 
 @dataclass(frozen=True)
 class Pose:
-    """Pose of the snake: position of the centre of mass and heading.
+    """Pose of the snake.
 
     Attributes:
-        x: position, m.
-        y: position, m.
-        heading: angle from the x axis, counter-clockwise, rad.
+        x: x coordinate of the centre of mass, m.
+        y: y coordinate of the centre of mass, m.
+        heading: mean heading, counter-clockwise from x, rad.
     """
 
     x: float
@@ -39,7 +38,7 @@ class Pose:
     heading: float
 
     def __iter__(self) -> Iterator[float]:
-        """Yield x, y and heading as floats: integers would have kernels compiled once more."""
+        """Yield x, y and heading as floats, so that kernels compile once."""
         return iter((float(self.x), float(self.y), float(self.heading)))
 
 
@@ -48,8 +47,8 @@ class Circle:
     """Round obstacle.
 
     Attributes:
-        x: centre, m.
-        y: centre, m.
+        x: x coordinate of the centre, m.
+        y: y coordinate of the centre, m.
         radius: radius, m.
     """
 
@@ -63,8 +62,7 @@ class Polygon:
     """Obstacle with straight sides that do not cross each other.
 
     Attributes:
-        corners: (x, y) of three or more corners, m, in either sense of rotation; the
-            polygon is closed.
+        corners: (x, y) of three or more corners, m, in either sense of rotation.
     """
 
     corners: tuple[tuple[float, float], ...]
@@ -75,8 +73,8 @@ class Bounds:
     """Rectangle that the snake should not leave.
 
     Attributes:
-        x: minimum and maximum, m.
-        y: minimum and maximum, m.
+        x: minimum and maximum x, m.
+        y: minimum and maximum y, m.
     """
 
     x: tuple[float, float]
@@ -85,14 +83,14 @@ class Bounds:
 
 @dataclass(frozen=True)
 class Goal:
-    """Goal of the centre of mass.
+    """Goal for the centre of mass.
 
     Attributes:
-        x: position, m.
-        y: position, m.
-        heading: heading at the goal, rad; None for any heading.
-        radius: largest distance from the goal position, m.
-        heading_tolerance: largest deviation from the heading, rad.
+        x: x coordinate, m.
+        y: y coordinate, m.
+        heading: heading at the goal, rad, or None for any heading.
+        radius: maximum distance from the goal position, m.
+        heading_tolerance: maximum deviation from the heading, rad.
     """
 
     x: float
@@ -104,10 +102,10 @@ class Goal:
 
 @dataclass(frozen=True)
 class Floor:
-    """Plane floor with an optional slope; x and y are in the plane, z is normal to it.
+    """Plane floor with an optional slope; x and y lie in its plane, z is normal to it.
 
     Attributes:
-        tilt: angle of the slope, rad.
+        tilt: slope angle, rad.
         uphill: direction in which the floor rises, counter-clockwise from x, rad.
     """
 
@@ -116,7 +114,7 @@ class Floor:
 
     @property
     def down(self) -> tuple[float, float, float]:
-        """Unit vector of gravity; exactly (0, 0, −1) on a level floor."""
+        """Unit vector of gravity, which is exactly (0, 0, −1) on a level floor."""
         slope = math.sin(self.tilt)
         return (
             0.0 - slope * math.cos(self.uphill),
@@ -131,8 +129,7 @@ class Step:
 
     Attributes:
         x: position of the step, m.
-        height: height of the floor beyond x relative to the floor before it, m;
-            negative for a step down.
+        height: height of the floor beyond x relative to the floor before x, m.
     """
 
     x: float
@@ -145,10 +142,10 @@ class MovableObject:
 
     Attributes:
         size: radius of a cylinder, or length and width of a box, m.
-        mass: kg.
-        friction: friction coefficient between object and floor, 1.
-        x: initial position of the centre, m.
-        y: initial position of the centre, m.
+        mass: mass, kg.
+        friction: friction coefficient between object and floor.
+        x: initial x of the centre, m.
+        y: initial y of the centre, m.
         heading: initial direction of the length of a box, counter-clockwise from x,
             rad.
     """
@@ -167,19 +164,19 @@ class MovableObject:
 
     @property
     def gyration(self) -> float:
-        """Radius of gyration about the vertical axis of a uniform body, m."""
+        """Radius of gyration about the vertical axis, for a uniform body, m."""
         if self.is_box:
             return math.hypot(*self.size) / math.sqrt(12)
         return self.size[0] / math.sqrt(2)
 
     @property
     def supports(self) -> tuple[tuple[float, float], ...]:
-        """Places of the four points that carry equal loads, in the frame of the object, m.
+        """Positions of four points that carry equal loads, in the object's frame, m.
 
-        For a box they are those of a Gauss rule, with the second moments of a uniform
-        pressure. For a cylinder they are at two thirds of the radius, so that friction
+        For a box, the points form a Gauss rule and have the second moments of a uniform
+        pressure. For a cylinder, they lie at two thirds of the radius. Friction then
         resists a pure spin with the moment of a uniform pressure, 2/3 μ m g R. For a
-        square this moment is 7 % too large.
+        square box, this moment is 7 % too large.
         """
         reach = 1 / math.sqrt(12) if self.is_box else math.sqrt(2) / 3
         a, b = (reach * side for side in (self.size if self.is_box else self.size * 2))
@@ -197,8 +194,8 @@ class World:
         polygons: obstacles with straight sides.
         floor: slope of the floor.
         steps: steps of the floor.
-        objects: movable objects; on the twin only.
-        friction: coefficient of Coulomb friction between the body and obstacles, 1.
+        objects: movable objects, on the twin only.
+        friction: Coulomb friction coefficient between body and obstacles.
     """
 
     obstacles: tuple[Circle, ...] = ()
@@ -227,16 +224,19 @@ class World:
 
 
 PEG_DISTANCE_M = 0.2
-"""Default distance of the first pegs ahead of the start at a length unit of 1 (`robot.scale`), m."""
+"""Default distance of the first pegs ahead of the start, m, for a length unit of 1
+(`robot.scale`)."""
 
 FIG54_START = Pose(0.0, 0.0, math.pi / 4)
 """Start of Section 5.2.1 in the world of Fig. 54."""
 
 FIG54_GOAL = Goal(2.0, 1.0, math.pi / 4, radius=0.02, heading_tolerance=0.05)
-"""Goal of Section 5.2.1; the printed heading −3/4 π is that of the tree that starts at the goal."""
+"""Goal of Section 5.2.1. The dissertation prints the heading −3/4 π of the tree that
+starts at the goal."""
 
 FIG54_BOUNDS = Bounds((-0.3, 2.3), (-0.3, 1.3))
-"""Border in the definition of the h score; its position in the lost figure is our assumption."""
+"""Border in the definition of the h score. The border's position in the lost figure is
+our assumption."""
 
 FIG54_SITES = tuple(
     Circle(
@@ -245,11 +245,11 @@ FIG54_SITES = tuple(
     for column in range(5)
     for row in range(3)
 ) + tuple(Circle(x, y, 0.1) for x, y in ((0.1, 0.6), (1.9, 0.4), (1.85, 0.05)))
-"""18 sites of circles with a diameter of 200 mm between start and goal; assumed, as Fig. 54 is lost."""
+"""18 sites for circles with a diameter of 200 mm between start and goal. The sites are
+assumed, because Fig. 54 is lost."""
 
 _MAX_TRIES = 200
-"""Largest mean number of tries per circle; with more, the circles count as not fitting.
-"""
+"""Maximum mean number of tries per circle, beyond which the circles do not fit."""
 
 
 def fig54_world(count: int, seed: int) -> World:
@@ -257,10 +257,10 @@ def fig54_world(count: int, seed: int) -> World:
 
     Args:
         count: number of circles, 0 to 18.
-        seed: random seed; each pair of count and seed gives an independent draw.
+        seed: random seed. Each pair of count and seed gives an independent draw.
 
     Raises:
-        InputError: the count is not 0 to 18.
+        InputError: the count is not between 0 and 18.
     """
     if not 0 <= count <= len(FIG54_SITES):
         raise InputError(
@@ -283,21 +283,21 @@ def peg_field(
     jitter: float = 0.0,
     staggered: bool = False,
 ) -> tuple[Circle, ...]:
-    """Return a field of posts on a square grid, symmetric about the line y = first[1], column by column.
+    """Return the pegs of a square grid, which is symmetric about the line y = first[1].
 
     Args:
         pitch: distance between neighbouring rows and columns, m.
-        radius: radius of all posts, m.
-        rows: number of posts in a column, along y.
+        radius: radius of all pegs, m.
+        rows: number of pegs in a column, along y.
         columns: number of columns, along x.
         first: x of the first column, and y of the middle of all columns, m.
         seed: random seed of the displacements.
-        jitter: largest displacement of a post along x and along y, uniformly
-            distributed, m.
-        staggered: shift every second column by half a pitch, to alternate sides.
+        jitter: maximum of the uniformly distributed displacement along x and along y,
+            m.
+        staggered: whether every second column is shifted by half a pitch.
 
     Raises:
-        InputError: displaced posts could overlap.
+        InputError: displaced pegs could overlap.
     """
     if not 2 * (radius + jitter) < pitch:
         raise InputError(
@@ -327,16 +327,16 @@ def random_circles(
     gap: float = 0.0,
     clear: tuple[tuple[float, float, float], ...] = (),
 ) -> tuple[Circle, ...]:
-    """Return circles with uniformly distributed centres in a rectangle and uniformly distributed radii.
+    """Return circles with uniformly distributed centres and radii.
 
     Args:
         count: number of circles.
         bounds: rectangle of the centres.
         seed: random seed.
-        radius: smallest and largest radius, m.
-        gap: smallest distance between the edges of two circles, m; a negative gap
-            allows an overlap.
-        clear: discs (x, y, radius) that no circle may touch, such as start and goal.
+        radius: minimum and maximum radius, m.
+        gap: minimum distance between the edges of two circles, m, negative to allow an
+            overlap.
+        clear: discs (x, y, radius) that no circle may touch.
 
     Raises:
         InputError: the circles do not fit.

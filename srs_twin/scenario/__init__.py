@@ -1,4 +1,4 @@
-"""Scenarios: experiments that are read from files, checked, and built into plants and controllers."""
+"""Scenarios: experiments that are loaded from files, checked and built."""
 
 from typing import TYPE_CHECKING
 

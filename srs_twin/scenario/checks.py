@@ -1,4 +1,4 @@
-"""Checks between the sections of a scenario, after each section is valid by itself."""
+"""Checks between the sections of a scenario after each section is validated."""
 
 from __future__ import annotations
 
@@ -46,19 +46,19 @@ from srs_twin.scenario.start import InitialState
 from srs_twin.scenario.world import WorldFile
 
 _ROUNDING = 1.001
-"""Tolerance factor of a pressure limit: 7 psi, rounded to three digits, are 48.3 kPa,
-which exceeds 48.26 kPa."""
+"""Tolerance factor of a pressure limit. It admits rounded conversions: 7 psi are 48.26
+kPa, but are often written as 48.3 kPa."""
 
 
 _DOUBTFUL = 20.0
-"""Ratio to the nominal pressure beyond which the unit of a supply pressure is in doubt;
-one shipped scenario has a tenth of it."""
+"""Ratio of supply pressure to nominal pressure beyond which the unit is questioned. One
+shipped scenario has a tenth of the nominal pressure."""
 
 _PSI_KPA = 6.894757
 
 _PSI_TOLERANCE = 0.1
-"""Relative difference from the nominal pressure within which a number of kPa is
-probably one of psi."""
+"""Relative tolerance for recognising a pressure that was entered in psi instead of kPa.
+"""
 
 
 def check(
@@ -68,9 +68,9 @@ def check(
 
     Args:
         document: scenario file.
-        file: valid sections.
+        file: validated sections.
         world: world of the file.
-        robot: robot; None if the robot is not valid.
+        robot: robot, or None if it is not valid.
     """
     spec = None if robot is None else robot.spec()
     sections = [
@@ -97,7 +97,6 @@ def _report(document: Document, contradictions: Iterable[Contradiction]) -> None
 def _refusals(
     file: ScenarioFile, world: World, spec: RobotSpec | None
 ) -> Iterator[Contradiction]:
-    """Yield features of robot and world that a plant does not support."""
     for kind, plant in file.plants.running.items():
         key = plant.kind_key
         for refusal in refusals(key, getattr(plant, key), spec, world):
@@ -105,7 +104,6 @@ def _refusals(
 
 
 def _options(file: ScenarioFile, spec: RobotSpec | None) -> Iterator[Contradiction]:
-    """Yield options of the analytical plant that exclude each other."""
     plant = file.plants.analytical
     if plant is not None:
         options = AnalyticalOptions(base=_base(file), **plant.arguments())
@@ -114,7 +112,6 @@ def _options(file: ScenarioFile, spec: RobotSpec | None) -> Iterator[Contradicti
 
 
 def _twin(file: ScenarioFile, spec: RobotSpec, world: World) -> Iterator[Contradiction]:
-    """Yield combinations of robot, settings and world that the twin does not support."""
     twin = file.plants.twin
     if twin is not None:
         settings = ModelSettings(base=_base(file), **twin.arguments())
@@ -127,7 +124,6 @@ def _base(file: ScenarioFile) -> str:
 
 
 def _placed(kind: str, plant: PlantFile, violation: Violation) -> Contradiction:
-    """Return a violation at the key of its parameter: of a plant, of the world, or of the file."""
     parameter, text = violation
     keys = {split_unit(key)[0]: key for key in type(plant).model_fields}
     if parameter in keys:
@@ -140,10 +136,14 @@ def _placed(kind: str, plant: PlantFile, violation: Violation) -> Contradiction:
 
 
 def check_supply_pressure(document: Document, robot: RobotFile) -> list[str]:
-    """Report a supply pressure above the robot's limit, or return a warning if the scenario allows it.
+    """Check the supply pressure against the limit of the robot.
 
-    The check reads the document itself, so that it also runs if other keys are not
-    valid.
+    A pressure above the limit is a problem of the document, or a warning if the
+    scenario allows overpressure. The check reads the raw document, so it runs even if
+    other keys are not valid.
+
+    Returns:
+        Warnings for the user.
     """
     loc = ("supply", "pressure_kpa")
     pressure = document.get(*loc)
@@ -184,7 +184,7 @@ def check_supply_pressure(document: Document, robot: RobotFile) -> list[str]:
 
 
 def _unit_hint(pressure: float, nominal: float) -> str:
-    """Return a question about the unit of a supply pressure, kPa; empty if the number is plausible."""
+    """Return a question about the unit of an implausible pressure (kPa), or ""."""
     in_psi = abs(pressure * _PSI_KPA / nominal - 1) < _PSI_TOLERANCE
     plausible = 1 / _DOUBTFUL < pressure / nominal < _DOUBTFUL and not in_psi
     if pressure <= 0 or plausible:
@@ -247,7 +247,8 @@ def check_start(
             loc = file.world.place_of(overlap.number, world)
             text = overlap.text
             if len(loc) < 2:
-                # Drawn and mapped obstacles have no place of their own in the file.
+                # Obstacles that are drawn at random or read from a map have no key of
+                # their own.
                 text = f"{overlap.name} {text}"
             texts.setdefault(loc, text)
     for loc, text in texts.items():
@@ -257,15 +258,6 @@ def check_start(
 def _outline(
     spec: RobotSpec, com: np.ndarray, heading: float, bend: np.ndarray, hinges: int
 ) -> np.ndarray:
-    """Return the lines of the body of a snake, as `hull_lines`.
-
-    Args:
-        spec: robot.
-        com: centre of mass, m, shape (2,).
-        heading: mean heading, rad.
-        bend: bends, rad, shape (segments,).
-        hinges: hinges per segment.
-    """
     geometry = spec.geometry
     shape = body_shape(
         bend, spec.mass.array(), geometry.segment_length, geometry.rigid_gap
@@ -278,7 +270,6 @@ def _outline(
 
 
 def _kinds(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
-    """Yield sections that do not support a spatial robot, or one with servos."""
     if robot.is_spatial:
         yield from _spatial(file, robot)
     if robot.has_servos and file.pneumatics.kind != "lag":
@@ -287,7 +278,6 @@ def _kinds(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
 
 
 def _contact(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
-    """Yield options of wheels that a robot with skin does not have."""
     if not robot.has_skin:
         return
     for kind, plant in file.plants.running.items():
@@ -302,7 +292,6 @@ def _contact(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
 
 
 def _spatial(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
-    """Yield sections that do not support a robot whose segments bend in two directions."""
     if file.start.moves:
         text = (
             f"{robot.name} is spatial and starts straight and at rest; set its pose"
@@ -316,7 +305,7 @@ def _spatial(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
 
 
 def check_controller(file: ScenarioFile, loading: Loading) -> None:
-    """Set the layout of the valves, and report why a controller does not suit the scenario."""
+    """Set the valve layout and report why a controller does not suit the scenario."""
     document = loading.document
     spec = loading.robot.spec()
     controller = file.controller
@@ -364,7 +353,6 @@ def _coupling_step(file: ScenarioFile, chambers: Pneumatics) -> Iterator[Contrad
 
 
 def _times(file: ScenarioFile) -> Iterator[Contradiction]:
-    """Yield ticks, durations and recording rates that are not multiples of each other."""
     for kind, plant in file.plants.running.items():
         tick = file.tick(kind)
         interval = 1 / file.record_hz
@@ -395,14 +383,13 @@ def _times(file: ScenarioFile) -> Iterator[Contradiction]:
 
 
 def _step(plant: PlantFile) -> float | None:
-    """Return the time step that divides the ticks of a plant, s; None: any."""
+    """Return the time step (s) that must divide the ticks of a plant, or None."""
     if isinstance(plant, TwinFile):
         return plant.timestep_s
     return None
 
 
 def _rate_remedy(file: ScenarioFile) -> str:
-    """Return a message with the nearest recording rate that suits all plants."""
     clocks = [
         SamplingGrid(file.tick(kind), _step(plant))
         for kind, plant in file.plants.running.items()
@@ -414,7 +401,6 @@ def _rate_remedy(file: ScenarioFile) -> str:
 
 
 def _bench(file: ScenarioFile) -> Iterator[Contradiction]:
-    """Yield keys that have no meaning on a bench, where the module is clamped at its head."""
     if not file.bench:
         return
     if "start" in file.model_fields_set:
@@ -431,7 +417,6 @@ def _bench(file: ScenarioFile) -> Iterator[Contradiction]:
 
 
 def _world(file: ScenarioFile) -> Iterator[Contradiction]:
-    """Yield random obstacles without an area, and pegs that the analytical plant does not touch."""
     world = file.world
     plants = file.plants
     if (
@@ -452,7 +437,6 @@ def _world(file: ScenarioFile) -> Iterator[Contradiction]:
 
 
 def _expectations(file: ScenarioFile) -> Iterator[Contradiction]:
-    """Yield expectations of plants or data that the scenario does not have."""
     measured = any(section.measures for section in file.sections().values())
     for i, item in enumerate(file.expect):
         if item.metric in MEASURED_UNITS and not measured:
@@ -472,7 +456,6 @@ def _expectations(file: ScenarioFile) -> Iterator[Contradiction]:
 
 
 def _gap_factor(file: ScenarioFile) -> Iterator[Contradiction]:
-    """Yield a gap factor without both plants, or for an analytical model that already has rigid gaps."""
     analytical = file.plants.analytical
     twin = file.plants.twin
     key = ("comparison", "gap_factor")

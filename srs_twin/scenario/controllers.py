@@ -1,4 +1,4 @@
-"""Section `controller` of a scenario: controllers of the valves and their reference bends."""
+"""Section `controller` of a scenario: valve controllers and their reference bends."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from srs_twin.scenario.fields import (
 )
 
 _RIGHT_ANGLE = math.pi / 2
-"""Largest bend, rad."""
+"""Maximum bend, rad."""
 
 _FREQUENCY = quantity(0.01, 50.0)
 _PHASE = quantity(-6.3, 6.3)
@@ -51,13 +51,13 @@ Bend = Annotated[float, Field(ge=-_RIGHT_ANGLE, le=_RIGHT_ANGLE)]
 
 @dataclass(frozen=True)
 class ControllerContext:
-    """Input for the controller of a scenario.
+    """Information that a controller is built from.
 
     Attributes:
-        name: name of the scenario, for messages.
+        name: scenario name for messages.
         robot: robot.
         supply_pa: supply pressure, gauge, Pa.
-        products: products of the extension sections, by section.
+        products: products of extension sections.
     """
 
     name: str
@@ -67,10 +67,12 @@ class ControllerContext:
 
 
 class ControllerSection(Section):
-    """Base class of the controller sections; `constructors` begins with the class of the controller.
+    """Base class of the controller sections.
+
+    The first entry of `constructors` is the class of the controller.
 
     Attributes:
-        tick: preferred control tick, s; None: that of the plants.
+        tick: preferred control tick, s, or None to use the tick of the plants.
     """
 
     if TYPE_CHECKING:
@@ -84,7 +86,7 @@ class ControllerSection(Section):
 
     @property
     def gait_section(self) -> ControllerSection:
-        """Section of the controller of the valves: this one, unless it steers another."""
+        """Section of the controller that drives the valves, by default this section."""
         return self
 
     def contradictions_with(self, file: FileSections) -> Iterator[Contradiction]:
@@ -99,20 +101,20 @@ class ControllerSection(Section):
         """Return the valve layouts that the controller can drive.
 
         Args:
-            products: products of the extension sections, by section.
+            products: products of extension sections.
         """
         layouts: tuple[str, ...] = self.constructors[0].layouts  # type: ignore[attr-defined]
         return layouts
 
     def check(self, spec: RobotSpec, tick: float) -> None:
-        """Check the controller for a robot and a control tick (s).
+        """Check that the controller supports a robot and a control tick (s).
 
         Raises:
             InputError: the controller does not support this robot or tick.
         """
 
     def warnings(self, limit: float) -> Iterator[str]:
-        """Yield warnings if segments can bend by at most `limit` (rad).
+        """Yield warnings about a reference beyond the maximum bend `limit` (rad).
 
         Raises:
             InputError: the reference exceeds the limit, and `beyond_range` is refuse.
@@ -126,82 +128,89 @@ class PitchFile(Section):
     constructors = (PitchWave,)
 
     share: float = quantity(0.0, 1.0)
-    """Share of the pitch wave in the sum of the amplitudes; 0: planar, 0.5: equal
-    amplitudes, 1: pitch only."""
+    """Amplitude of the pitch wave as a fraction of the sum of both amplitudes (0:
+    planar, 0.5: equal amplitudes, 1: pitch only)."""
     lag_rad: float = quantity(-6.3, 6.3)
-    """Lag behind the wave to the left and right; pi/2 or -pi/2 for sidewinding."""
+    """Phase lag of the pitch wave behind the lateral wave (pi/2 or -pi/2 for
+    sidewinding)."""
     frequency_ratio: float = quantity(0.1, 10.0)
-    """Frequency over that of the wave to the left and right."""
+    """Ratio of the pitch frequency to the frequency of the lateral wave."""
     lifted_segments: int = quantity(0, 63)
-    """Segments from the head that bend upwards all the time."""
+    """Number of segments from the head that bend upwards all the time."""
 
 
 class GaitFile(ControllerSection):
-    """Lateral undulation in open loop (Eq. 13)."""
+    """Open-loop lateral undulation (Eq. 13)."""
 
     constructors = (Gait,)
 
     kind: Literal["gait"]
-    """Controller."""
+    """Kind of controller."""
     frequency_hz: float = _FREQUENCY
     """Gait frequency."""
     offset: float = quantity(-0.95, 0.95)
     """Steering offset, positive to the left."""
     phase_rad: float = _PHASE
-    """Phase at the start."""
+    """Phase of the gait at the start."""
     phase_step_rad: float | None = _PHASE
-    """Lag of each segment behind the one before it (default: the robot's)."""
+    """Phase lag of each segment behind the segment in front of it (default: value of
+    the robot)."""
     phases_rad: _Phases | None = constructor_default()
-    """Additional lag of each segment, one value per segment (default: none)."""
+    """Additional phase lag of each segment, one value per segment (default: none)."""
     rest_share: float | None = quantity(0.0, 0.95)
-    """Fraction of the time in which both chambers of a segment vent, around sign
+    """Fraction of the period in which both chambers of a segment vent, around the sign
     changes of the wave (default: none)."""
     pitch: PitchFile | None = None
-    """Second wave of a spatial robot, upwards and downwards (default: none)."""
+    """Vertical wave of a spatial robot (default: none)."""
 
     def controller(self, context: ControllerContext) -> Controller:
         """See `ControllerSection.controller`."""
         return Gait(**self.arguments() | {"pitch": self.pitch and self.pitch.build()})
 
     def check(self, spec: RobotSpec, tick: float) -> None:
-        """See `ControllerSection.check`: a pitch wave needs a spatial robot."""
+        """See `ControllerSection.check`."""
         if self.pitch is not None:
             self.pitch.build().check(spec)
 
 
 class LearningFile(ControllerSection):
-    """Iterative learning control of a gait: the duty of each chamber is updated once per period (Eq. 32)."""
+    """Iterative learning control of a gait.
+
+    The duty cycle of each chamber is updated once per period (Eq. 32).
+    """
 
     constructors = (ILC,)
     tick = 0.005  # control tick, s; it must resolve a carrier period of 17 ms to measure amplitudes
 
     kind: Literal["ilc"]
-    """Controller."""
+    """Kind of controller."""
     frequency_hz: float = _FREQUENCY
     """Gait frequency."""
     offset: float = quantity(-MAX_OFFSET, MAX_OFFSET)
-    """Steering offset, positive to the left, by unequal targets."""
+    """Steering offset, positive to the left, set by unequal target amplitudes."""
     target: Literal["smallest"] | None = None
-    """Target of the side with the larger amplitude: the smallest recorded amplitude
-    (default without target_rad)."""
+    """Target amplitude of the side that bends further; "smallest" selects the smallest
+    recorded amplitude. This is the default if target_rad is not set."""
     target_rad: float | None = quantity(0.01, _RIGHT_ANGLE, None)
-    """Target of the side with the larger amplitude."""
+    """Target amplitude (of the side that bends further)."""
     k_per_rad: float = quantity(1e-4, 100.0)
-    """k, change of duty per amplitude error."""
+    """Learning gain k (change of the duty cycle per amplitude error)."""
     free_periods: int = quantity(1, 1000)
-    """Periods at full duty before the recorded one."""
+    """Number of periods at full duty cycle before the amplitudes are recorded."""
     carrier_hz: float = _CARRIER
-    """Carrier of the pulse-width modulation."""
+    """Carrier frequency of the pulse-width modulation."""
     on_fault: Literal["go_on", "stop"] = constructor_default()
-    """Response to a dead sensor or a stuck valve: continue without that module, or end
-    the run."""
+    """Response to a dead sensor or a stuck valve; the gait goes on without that module,
+    or the run stops."""
     steering: Literal["targets", "targets_and_wave"] = constructor_default()
-    """Effect of the offset: unequal targets, or also the wave of the valves (Eq. 13),
-    which then fills the chambers on the inner side of the turn for longer."""
+    """Quantity that the offset changes; either only the target amplitudes, or also the
+    valve wave (Eq. 13). The wave then fills the chambers on the inner side of the turn
+    for longer."""
     phase_rad: float = _PHASE
-    """Phase at the start."""
+    """Phase of the gait at the start."""
     phase_step_rad: float | None = _PHASE
-    """Lag of each segment behind the one before it (default: the robot's)."""
+    """Phase lag of each segment behind the segment in front of it (default: value of
+    the robot)."""
 
     @model_validator(mode="after")
     def _fits(self) -> LearningFile:
@@ -215,7 +224,7 @@ class LearningFile(ControllerSection):
         return self
 
     def check(self, spec: RobotSpec, tick: float) -> None:
-        """See `ControllerSection.check`: a gait period needs enough ticks."""
+        """See `ControllerSection.check`."""
         ChamberPeriods(spec.modules.array("bias"), self.frequency_hz, tick)
 
     def warnings(self, limit: float) -> Iterator[str]:
@@ -263,7 +272,7 @@ class _PeriodicFile(Section):
     frequency_hz: float = quantity(0.01, 50.0)
     """Frequency."""
     phase_rad: float = _PHASE
-    """Phase at the start."""
+    """Phase of the reference at the start."""
     offset_rad: float = quantity(-_RIGHT_ANGLE, _RIGHT_ANGLE)
     """Mean bend."""
 
@@ -285,14 +294,14 @@ class SquareFile(_PeriodicFile):
 
 
 class StaircaseFile(Section):
-    """Sequence of bends, each held for the same time; the last one is kept."""
+    """Sequence of bends of equal duration, of which the last is kept to the end."""
 
     constructors = (Staircase,)
 
     kind: Literal["staircase"]
     """Shape of the reference."""
     bends_rad: Annotated[tuple[Bend, ...], Field(min_length=1, max_length=1000)]
-    """Bends, rad."""
+    """Bend angles, rad."""
     hold_s: float = quantity(0.001, 3600.0)
     """Duration of each bend."""
 
@@ -309,7 +318,8 @@ class _TrackingFile(ControllerSection):
     reference: ReferenceFile
     """Reference bend of all segments."""
     beyond_range: Literal["refuse", "saturate"] = "refuse"
-    """Treatment of a reference beyond the largest bend at the supply pressure."""
+    """Response to a reference beyond the maximum bend at the supply pressure; the
+    scenario is refused, or the reference saturates."""
 
     def controller(self, context: ControllerContext) -> Controller:
         """See `ControllerSection.controller`."""
@@ -320,7 +330,7 @@ class _TrackingFile(ControllerSection):
         return controller
 
     def within(self, limit: float) -> Reference:
-        """Return the reference, limited to the largest bend (rad) if `beyond_range` is saturate.
+        """Return the reference, saturated at the maximum bend (rad) if that is allowed.
 
         Raises:
             InputError: the reference exceeds the limit, and `beyond_range` is refuse.
@@ -338,36 +348,36 @@ class _TrackingFile(ControllerSection):
 
 
 class DirectFile(_TrackingFile):
-    """Sliding mode control of valve states, with separate inlet and outlet valves (Eq. 31)."""
+    """Sliding mode control of separate inlet and outlet valves (Eq. 31)."""
 
     constructors = (DirectSMC,)
 
     kind: Literal["direct_smc"]
-    """Controller."""
+    """Kind of controller."""
     d_per_s: float = _SLOPE
-    """D, slope of the sliding manifold."""
+    """Slope D of the sliding manifold."""
     epsilon_rad_per_s: float = quantity(0.0001, 1000.0)
-    """ε, half the width of the dead zone."""
+    """Half width ε of the dead zone."""
     cutoff_hz: float = quantity(0.1, 1000.0)
     """Cut-off frequency of the velocity filter."""
 
 
 class IterativeFile(_TrackingFile):
-    """Sliding mode control through the duty of pulse-width modulated 3/2 valves (Eq. 29)."""
+    """Sliding mode control by pulse-width modulation of 3/2 valves (Eq. 29)."""
 
     constructors = (IterativeSMC,)
 
     kind: Literal["iterative_smc"]
-    """Controller."""
+    """Kind of controller."""
     k_s_per_rad: float = quantity(1e-5, 1000.0)
-    """K, gain."""
+    """Controller gain K."""
     d_per_s: float = _SLOPE
-    """D, slope of the sliding manifold."""
+    """Slope D of the sliding manifold."""
     carrier_hz: float = _CARRIER
-    """Carrier of the pulse-width modulation."""
+    """Carrier frequency of the pulse-width modulation."""
 
     def check(self, spec: RobotSpec, tick: float) -> None:
-        """See `ControllerSection.check`: a carrier period must not be shorter than a tick."""
+        """See `ControllerSection.check`."""
         PulseWidthModulator(self.carrier_hz, tick, spec.segments, scale=spec.scale)
 
 
@@ -377,7 +387,7 @@ class HoldFile(ControllerSection):
     constructors = (HoldValves,)
 
     kind: Literal["hold_valves"]
-    """Controller."""
+    """Kind of controller."""
     plus: Literal["fill", "hold", "vent"] = constructor_default()
     """Valve state of the + chambers."""
     minus: Literal["fill", "hold", "vent"] = constructor_default()
@@ -389,34 +399,36 @@ class HoldFile(ControllerSection):
 
 
 class GraspFile(ControllerSection):
-    """Whole-body grasp: the tail curls around an object, the rest of the body drags it."""
+    """Whole-body grasp: the tail curls around an object, and the front drags it."""
 
     constructors = (Grasp,)
 
     kind: Literal["grasp"]
-    """Controller."""
+    """Kind of controller."""
     frequency_hz: float = _FREQUENCY
     """Gait frequency of the dragging segments."""
     mode: Literal["open_loop", "sensed"] = constructor_default()
-    """Change of phases at given times, or on the sensed bends."""
+    """Condition for changing from one phase of the grasp to the next; either a given
+    time, or the measured bends."""
     side: Literal["left", "right"] = constructor_default()
-    """Side of the object."""
+    """Side of the body on which the object lies."""
     hold: int = quantity(1, 62)
-    """Number of holding segments, at the tail."""
+    """Number of tail segments that hold the object."""
     curl_s: float = quantity(0.01, 100.0)
-    """Time in which the duty of the curl rises to 1."""
+    """Rise time of the curl's duty cycle from 0 to 1."""
     drag_after_s: float = quantity(0.0, 1000.0)
-    """Start of the drag in open loop; in the sensed mode the latest start."""
+    """Start time of the drag (in the sensed mode: latest start time)."""
     release_after_s: float | None = quantity(0.0, 1e6)
-    """Time of the release after the start of the drag (default: never)."""
+    """Time between the start of the drag and the release (default: never)."""
     drag_m: float | None = quantity(0.001, 1000.0)
-    """Distance of the drag after which the object is released (sensed; default: any).
-    """
+    """Distance of the drag after which the object is released (sensed mode only;
+    default: no limit)."""
     phase_step_rad: float | None = _PHASE
-    """Lag of each segment behind the one before it (default: the robot's)."""
+    """Phase lag of each segment behind the segment in front of it (default: value of
+    the robot)."""
 
     def check(self, spec: RobotSpec, tick: float) -> None:
-        """See `ControllerSection.check`: enough segments hold and crawl, and the mode fits the release."""
+        """See `ControllerSection.check`."""
         check_hold(self.arguments()["hold"], spec)
         check_release(self.mode, self.drag_m)
 
@@ -429,4 +441,3 @@ CORE_CONTROLLERS = (
     HoldFile,
     GraspFile,
 )
-"""Controller sections of the core."""

@@ -1,8 +1,11 @@
 """Expected values of metrics, and the verdicts on them.
 
 An expectation is met, missed, missed for a known reason, or not judged. It is not
-judged if the metric is undefined for the run, if its stored interval is for another
-run, or if the error of an end of the interval is too large for a decision.
+judged in three cases:
+
+- the metric is undefined for the run;
+- the stored interval belongs to another run;
+- the standard error of an interval's end is too large for a decision.
 """
 
 from __future__ import annotations
@@ -37,17 +40,18 @@ from srs_twin.robot.sourced import split_unit
 from srs_twin.scenario.fields import Section, quantity
 
 COMPARISON = "comparison"
-"""Subject of expectations of the comparison of both plants."""
+"""Subject of the expectations about the comparison of both plants."""
 _BOUND = 1e9
-"""Largest absolute value in an expectation; all metrics are far below."""
+"""Upper bound on absolute values in an expectation. All metrics are far below it."""
 _INTERVAL_TOLERANCE = 0.01
-"""Largest difference between run and stored interval, as a fraction of the width;
-larger ones indicate other laws or another duration."""
+"""Maximum difference between a run and a stored interval, as a fraction of the
+interval's width. A larger difference indicates other physical laws or another duration.
+"""
 _STORAGE_TOLERANCE = 1e-5
 """Relative tolerance of stored values, which have six digits."""
 _PUBLISHED_STD = 0.01
-"""Default relative standard uncertainty of a published value, which has two or three
-digits."""
+"""Default relative standard uncertainty of a published value with two or three digits.
+"""
 _UNIT = "the metric's unit"
 _TALLY = {
     "met": "met",
@@ -56,13 +60,13 @@ _TALLY = {
     "holds": "met though known to be missed (take `known` out)",
     "not_judged": "not judged",
 }
-"""Texts of the verdicts."""
 _OUTSIDE_PROBABILITY = {"interval_50": 0.5, "interval_95": 0.05}
-"""Probability that a value is outside the interval, α of the interval score."""
+"""Probability that a value lies outside the interval, called α in the interval score.
+"""
 _INTERVALS = {"interval_50": "50 % interval", "interval_95": "95 % interval"}
-"""Names of the intervals in texts."""
 _CAUSES = {"u_num": "the time step", "u_d": "the published value"}
-"""Names of uncertainties in texts; that of the robot is named after a parameter."""
+"""Names of uncertainties in texts. The uncertainty of the robot is named after a
+parameter."""
 _PARAMETERS = {
     "friction.mu_t": "rolling friction",
     "friction.mu_n": "sideways friction",
@@ -74,7 +78,7 @@ _PARAMETERS = {
     "actuator.tau_vent_s": "venting time of the chambers",
     "mass.connectors_kg": "mass of the connectors",
 }
-"""Names of robot parameters in texts, for keys that are not self-explanatory."""
+"""Readable names of robot parameters whose keys do not explain themselves."""
 
 Words = Annotated[str, Field(min_length=1, max_length=1000)]
 
@@ -85,7 +89,7 @@ MetricName = Annotated[
     AfterValidator(metric_name),
     PlainSerializer(written_name, when_used="json"),
 ]
-"""Name of a metric, in a file with its module if that is a plug-in."""
+"""Name of a metric. In a file, the metric of a plug-in is written with its module."""
 
 _METRIC_SCHEMAS: list[Any] = [
     {"enum": [*METRIC_UNITS, *COMPARISON_UNITS]},
@@ -94,7 +98,11 @@ _METRIC_SCHEMAS: list[Any] = [
 
 
 def known_metrics(subject: str | None = None) -> tuple[str, ...]:
-    """Return the names of the metrics of plants, of the comparison ("comparison"), or of both (None)."""
+    """Return the names of the metrics of a subject.
+
+    Args:
+        subject: "comparison", or a plant for the metrics of plants; None for both.
+    """
     if subject is None:
         return (*metric_units(), *COMPARISON_UNITS)
     if subject == COMPARISON:
@@ -103,35 +111,36 @@ def known_metrics(subject: str | None = None) -> tuple[str, ...]:
 
 
 class ExpectationRow(TypedDict, total=False):
-    """Result of an expectation for a run, a row of the expectations in metrics.json.
+    """Result of an expectation for a run, stored as a row in metrics.json.
+
+    The attributes from `verdict` on describe the interval `within`.
 
     Attributes:
         metric: name of the metric.
         of: "analytical", "twin" or "comparison".
-        value: value of the metric; None without one.
+        value: value of the metric, or None.
         allowed: allowed values as text.
-        met: whether the value is allowed; never without a value.
+        met: whether the value is allowed, False without a value.
         state: "met", "missed", "known" (missed for a known reason) or "not_judged";
-            rows of earlier versions have none.
-        reason: reason why the expectation is not judged; None if it is.
+            None in rows of earlier versions.
+        reason: reason why the expectation is not judged, or None.
         near: expected or published value.
         source: source of a published value.
         known: known reason of a miss.
-        within: name of the interval that must contain the published value. The
-            attributes below are those of this interval (`Expectation._judge_interval`).
+        within: name of the interval that must contain the published value.
         verdict: "within", "undecided" or "outside".
-        error: value minus published value, E of ASME V&V 20.
+        error: value minus published value, called E in ASME V&V 20.
         u_num: standard uncertainty due to the time step.
-        u_input: standard uncertainty due to the parameters of the robot.
+        u_input: standard uncertainty due to the robot's parameters.
         u_d: standard uncertainty of the published value.
-        largest: name of the largest of these uncertainties.
-        largest_parameter: parameter that contributes most to `u_input`, if that is the
-            largest.
+        largest: name of the largest uncertainty.
+        largest_parameter: parameter that contributes most to `u_input`, if `u_input` is
+            the largest uncertainty.
         width: width of the interval.
         score: interval score (Gneiting and Raftery 2007), which is low for narrow
             intervals that contain the published value.
-        interval: ends of the interval.
-        interval_error: standard errors of the ends.
+        interval: lower and upper end.
+        interval_error: standard errors of both ends.
     """
 
     metric: str
@@ -159,11 +168,11 @@ class ExpectationRow(TypedDict, total=False):
 
 
 class AllowedRange(NamedTuple):
-    """Range of values that agree with a published or expected one; infinite without a limit.
+    """Range of values that agree with a published or expected value.
 
     Attributes:
-        low: smallest allowed value.
-        high: largest allowed value.
+        low: minimum, or -inf.
+        high: maximum, or inf.
     """
 
     low: float = -math.inf
@@ -173,7 +182,7 @@ class AllowedRange(NamedTuple):
     def near(
         cls, value: float, relative: float | None, absolute: float | None
     ) -> AllowedRange:
-        """Return the range within an absolute or, if that is None, a relative tolerance of a value."""
+        """Return the range within an absolute or, without one, a relative tolerance."""
         tolerance = absolute
         if tolerance is None:
             tolerance = (relative or 0.0) * math.fabs(value)
@@ -185,7 +194,7 @@ class AllowedRange(NamedTuple):
 
     @property
     def text(self) -> str:
-        """The range as text."""
+        """Range as text."""
         if self.low == self.high:
             return f"{self.low:.4g}"
         if math.isinf(self.low):
@@ -196,14 +205,14 @@ class AllowedRange(NamedTuple):
 
 
 class Expectation(Section):
-    """Expected value of a metric: near a value (rel or abs), below or above one, or within an interval."""
+    """Expected value of a metric, stated as a number, a bound or an interval."""
 
     metric: Annotated[MetricName, Field(json_schema_extra={"anyOf": _METRIC_SCHEMAS})]
     """Name of the metric."""
     plant: Literal["analytical", "twin"] | None = None
-    """Plant of the metric."""
+    """Plant that the metric describes."""
     of: Literal["comparison"] | None = None
-    """Comparison, for a metric of the comparison instead of a plant."""
+    """Subject of a metric that belongs to the comparison of both plants."""
     near: float | None = quantity(-_BOUND, _BOUND, None, unit=_UNIT)
     """Expected value."""
     rel: float | None = quantity(1e-9, 100.0, None)
@@ -211,21 +220,21 @@ class Expectation(Section):
     abs: float | None = quantity(0.0, _BOUND, None, unit=_UNIT)
     """Absolute tolerance of near."""
     below: float | None = quantity(-_BOUND, _BOUND, None, unit=_UNIT)
-    """Highest allowed value."""
+    """Maximum allowed value."""
     published: float | None = quantity(-_BOUND, _BOUND, None, unit=_UNIT)
-    """Published value, which must be within an interval of the prediction of the
-    scenario."""
+    """Published value (an interval of the scenario's prediction must contain it)."""
     within: Literal["interval_50", "interval_95"] | None = None
-    """Interval for published, stored by `srs-twin uncertainty SCENARIO --write`."""
+    """Interval that must contain the published value; it is stored by `srs-twin
+    uncertainty SCENARIO --write`."""
     scatter: float | None = quantity(0.0, _BOUND, None, unit=_UNIT)
-    """Standard uncertainty of the published value (default: 1 % of it)."""
+    """Standard uncertainty of the published value (default: 1 % of the value)."""
     above: float | None = quantity(-_BOUND, _BOUND, None, unit=_UNIT)
-    """Lowest allowed value."""
+    """Minimum allowed value."""
     source: Words | None = None
-    """Source of a published value; none for our own bounds."""
+    """Source of a published value; it is not set for bounds that we chose."""
     known: Words | None = None
-    """Known reason why the expectation is missed; `--check` accepts it, `--strict` does
-    not."""
+    """Known reason why the expectation is missed; `--check` accepts such a miss,
+    `--strict` does not."""
 
     @field_validator("metric")
     @classmethod
@@ -275,7 +284,7 @@ class Expectation(Section):
 
     @property
     def stated(self) -> float | None:
-        """Published value of the metric; None without one."""
+        """Published value of the metric, or None without a published value."""
         if self.published is not None:
             return self.published
         if self.source:
@@ -284,7 +293,7 @@ class Expectation(Section):
 
     @property
     def allowed(self) -> AllowedRange:
-        """Allowed values; unlimited for a published value within an interval."""
+        """Allowed values, unlimited if an interval must contain a published value."""
         if self.near is not None:
             return AllowedRange.near(self.near, self.rel, self.abs)
         low, high = AllowedRange()
@@ -300,11 +309,10 @@ class Expectation(Section):
         """Return the result of the expectation for a run.
 
         Args:
-            metrics: metrics as in metrics.json: "plants" → plant → metric, "comparison"
-                → metric, and "intervals", the stored intervals of
-                `experiment.stored_intervals`.
-            undefined: reason why the metric has no value; None if it has one, or if the
-                missing value is the outcome of the run.
+            metrics: content of metrics.json, with `experiment.stored_intervals` as
+                "intervals".
+            undefined: reason why the metric has no value. It is None if the metric has
+                a value, or if the missing value is the outcome of the run.
         """
         allowed = self.allowed
         if self.of:
@@ -346,11 +354,10 @@ class Expectation(Section):
     def _judge_interval(
         self, value: float, stored: Mapping[str, Any]
     ) -> ExpectationRow:
-        """Return the part of a row that depends on a stored interval, or the `reason` why it is not judged.
+        """Return the part of a row that depends on a stored interval.
 
-        The `verdict` is "within", "undecided" or "outside". It is undecided, and the
-        expectation is not judged, if the published value is within two standard errors
-        of an end of the interval.
+        The row has a `reason` if no verdict is possible, in particular within two
+        standard errors of an end of the interval.
         """
         published = self.published
         assert self.within is not None and published is not None, "see _is_consistent()"
@@ -387,7 +394,7 @@ class Expectation(Section):
         }
 
     def _uncertainties(self, spread: Mapping[str, Any]) -> ExpectationRow:
-        """Return the standard uncertainties of ASME V&V 20, and the largest of them."""
+        """Return the standard uncertainties of ASME V&V 20 and the largest of them."""
         u_d = self.scatter
         if u_d is None:
             u_d = _PUBLISHED_STD * abs(self.published or 0.0)
@@ -411,7 +418,6 @@ class Expectation(Section):
     def _mismatch(
         self, value: float, spread: Mapping[str, Any] | None, stored: Mapping[str, Any]
     ) -> str | None:
-        """Return the reason why no stored interval applies to the value of a run; None if one does."""
         if spread is None:
             return (
                 f"the stored intervals have no {self.metric} of the {self.subject}"
@@ -420,7 +426,7 @@ class Expectation(Section):
         low, high = spread[str(self.within)]
         tolerance = max(
             _INTERVAL_TOLERANCE * (high - low),
-            # Allow for differences in the last digits between processors.
+            # Processors differ in the last digits of a result.
             _STORAGE_TOLERANCE * abs(spread["value"]),
         )
         if abs(value - spread["value"]) <= tolerance:
@@ -433,7 +439,6 @@ class Expectation(Section):
     def _undecided_reason(
         self, interval: Sequence[float], errors: Sequence[float]
     ) -> str:
-        """Return the reason why the verdict on an interval is undecided."""
         assert self.published is not None, (
             "only published values are compared with intervals"
         )
@@ -451,14 +456,13 @@ class Expectation(Section):
 
 
 def largest_parameter(sensitivity: Mapping[str, Mapping[str, float]]) -> str | None:
-    """Return the path of the parameter with the largest total Sobol index; None if it is not significant.
+    """Return the path of the parameter with the largest total Sobol index.
 
-    It is not significant if another index differs from the largest by less than the
-    error of the latter.
+    The result is None if the error of the largest index exceeds its lead over the next.
 
     Args:
-        sensitivity: path → `total` index and `total_error`, half the width of its 95 %
-            interval.
+        sensitivity: parameter path → `total` index and `total_error`, which is half the
+            width of the 95 % interval.
     """
     ranked = sorted(sensitivity, key=lambda path: -sensitivity[path]["total"])
     if not ranked:
@@ -471,7 +475,6 @@ def largest_parameter(sensitivity: Mapping[str, Mapping[str, float]]) -> str | N
 
 
 def _parameter(path: str | None) -> str:
-    """Return the name of a parameter in texts, such as "axial drag"."""
     if path is None:
         return "the robot's parameters"
     name = split_unit(path.rpartition(".")[2])[0].replace("_", " ")
@@ -479,7 +482,7 @@ def _parameter(path: str | None) -> str:
 
 
 def _ends(low: float, high: float, inside: float) -> str:
-    """Return the ends of an interval with enough digits to show on which side of them `inside` is."""
+    """Return the ends of an interval with enough digits to differ from `inside`."""
     within = low <= inside <= high
     texts = ([f"{end:.{digits}g}" for end in (low, high)] for digits in range(3, 18))
     return " to ".join(
@@ -500,11 +503,11 @@ def verdict(checked: ExpectationRow) -> str:
     """Return the verdict on an expectation.
 
     Args:
-        checked: row of `Expectation.check`.
+        checked: row returned by `Expectation.check`.
 
     Returns:
-        The state "met", "missed", "known" (missed for a known reason) or "not_judged";
-        or "holds": met although `known` is set.
+        The state "met", "missed", "known" (missed for a known reason) or "not_judged".
+            The verdict is "holds" if the expectation is met although `known` is set.
     """
     known = checked.get("known") is not None
     state = checked.get("state")
@@ -517,7 +520,7 @@ def verdict(checked: ExpectationRow) -> str:
 
 
 def result_text(checked: ExpectationRow) -> str:
-    """Return the text of a value and its allowed values, such as "= 0.15, allowed 0.18 to 0.25"."""
+    """Return the text of a result, such as "= 0.15, allowed 0.18 to 0.25"."""
     metric = checked["metric"]
     allowed = allowed_text(checked)
     value = tidy(metric, checked["value"])
@@ -532,7 +535,7 @@ def result_text(checked: ExpectationRow) -> str:
 
 
 def allowed_text(checked: ExpectationRow) -> str:
-    """Return the text of the allowed values: a range, one value, or yes or no."""
+    """Return the text of the allowed values: a range, a number, or yes or no."""
     metric = checked["metric"]
     allowed = str(checked["allowed"])
     if is_yes_no(metric) and allowed in ("0", "1"):
@@ -541,7 +544,7 @@ def allowed_text(checked: ExpectationRow) -> str:
 
 
 def tally(verdicts: Mapping[str, int]) -> str:
-    """Return how many expectations have each verdict, as text."""
+    """Return a text that counts the expectations with each verdict."""
     counted = [
         f"{verdicts[name]} {text}"
         for name, text in _TALLY.items()
@@ -551,8 +554,8 @@ def tally(verdicts: Mapping[str, int]) -> str:
 
 
 UNDECIDED_ERRORS = 2.0
-"""Distance from an end, in standard errors of the end, below which the verdict is
-undecided (95 %)."""
+"""Distance from an end of the interval, in standard errors of that end, below which the
+verdict is undecided (95 %)."""
 
 
 class IntervalVerdict(Enum):
@@ -566,12 +569,12 @@ class IntervalVerdict(Enum):
 def interval_verdict(
     published: float, interval: Sequence[float], errors: Sequence[float] | None = None
 ) -> IntervalVerdict:
-    """Return the verdict on a published value.
+    """Return whether an interval contains a published value.
 
     Args:
-        published: the value.
+        published: published value.
         interval: lower and upper end.
-        errors: standard errors of the ends; None: the ends are exact.
+        errors: standard errors, by default 0.
     """
     low, high = interval
     for end, error in zip(interval, errors or (0.0, 0.0), strict=True):

@@ -1,15 +1,17 @@
 """Sections of files: keys with units and bounds, and conversion to SI objects.
 
-The unit of a number is part of its key: ``frequency_hz``, ``k_per_rad``,
-``distance_mm``. A section builds an object by a constructor whose parameters have the
-names of the keys without units (``frequency``, ``k`` or ``K``, ``distance``). Defaults
-of the constructor are defaults of the file. The docstring of a key is its description
-in JSON Schemas. Unit and range of a number are appended, and ``{default}`` is replaced
-by the default of the constructor.
+The unit of a number is part of the key: ``frequency_hz``, ``k_per_rad``,
+``distance_mm``. A section builds an object by a constructor whose parameters are named
+like the keys without units: ``frequency``, ``k`` or ``K``, ``distance``. Defaults of
+the constructor are defaults of the file.
 
-When a scenario is loaded, each section of an extension reads its keys and files and
-returns a product, for example a planner or a recording. The products are stored in
-`Scenario.products` by the name of the section.
+The docstring of a key becomes the description in JSON Schemas. The unit and the range
+of a number are appended, and ``{default}`` is replaced by the default of the
+constructor.
+
+While a scenario is loaded, each section of an extension reads its keys and files and
+returns a product, for example a planner or a recording. `Scenario.products` stores the
+products by the names of the sections.
 """
 
 from __future__ import annotations
@@ -45,10 +47,10 @@ def quantity(
     """Return the field of a bounded number of a `Section`.
 
     Args:
-        low: smallest allowed value.
-        high: largest allowed value.
-        default: default value; without it, the default of the constructor, or a
-            required key if it has none.
+        low: minimum allowed value.
+        high: maximum allowed value.
+        default: default value, by default the default of the constructor. Without both,
+            the key is required.
         unit: unit, if the key does not contain it.
     """
     options = {} if default is ... else {"default": default}
@@ -57,12 +59,11 @@ def quantity(
 
 
 def constructor_default() -> Any:
-    """Return the field of a value other than a number, with the default of the constructor."""
+    """Return a field without bounds that takes the default of the constructor."""
     return partial(Field)
 
 
 def _describe(schema: dict[str, Any], cls: type[Section]) -> None:
-    """Set the description of each key from its docstring, with unit, range and default of numbers."""
     for key, description in attribute_docstrings(cls).items():
         node = schema["properties"][key]
         node |= {
@@ -86,11 +87,11 @@ class Section(StrictModel):
     """Block of keys of a file.
 
     Attributes:
-        constructors: constructors whose parameters the keys set; the first takes
-            precedence and is called by `build`.
-        parameters: parameters of the constructors, by name in lower case.
-        only: keys that are allowed only if another key has a given value: (key, value)
-            → keys.
+        constructors: constructors whose parameters the keys set. `build` calls the
+            first one, which also takes precedence.
+        parameters: parameters of the constructors, keyed by name in lower case.
+        only: keys that require another key to have a given value: (key, value) →
+            dependent keys.
     """
 
     model_config = ConfigDict(json_schema_extra=_describe)
@@ -118,7 +119,7 @@ class Section(StrictModel):
 
     @classmethod
     def parameter(cls, key: str) -> inspect.Parameter | None:
-        """Return the parameter that a key sets, with or without the unit in its name."""
+        """Return the constructor parameter that a key sets."""
         return cls.parameters.get(key) or cls.parameters.get(split_unit(key)[0])
 
     @model_validator(mode="after")
@@ -133,10 +134,12 @@ class Section(StrictModel):
         return self
 
     def arguments(self, *constructors: Callable[..., Any]) -> dict[str, Any]:
-        """Return the arguments of the constructors in SI; keys that are None keep their default.
+        """Return the arguments of the constructors in SI units.
+
+        Keys that are None are left out if the constructor has a default.
 
         Args:
-            constructors: constructors whose parameters are returned; none: all.
+            constructors: constructors to consider, by default all of them.
         """
         known = {
             name
@@ -160,8 +163,7 @@ class Section(StrictModel):
         """Return the object that the section describes.
 
         Args:
-            context: arguments that are not keys; those that the constructor does not
-                have are left out.
+            context: arguments that are not keys of the file; unknown ones are ignored.
         """
         given = {
             name: value for name, value in context.items() if name in self.parameters
@@ -169,15 +171,15 @@ class Section(StrictModel):
         return self.constructors[0](**given, **self.arguments())
 
     def written(self) -> dict[str, Any]:
-        """Return the plain data of the section, with defaults, as a resolved file contains them."""
+        """Return the section as plain data with defaults, as in a resolved file."""
         return self.model_dump(mode="json", exclude_none=True, by_alias=True)
 
     def with_scaled_defaults(self, keys: Iterable[str], factor: float) -> Self:
-        """Return the section with some keys that the file does not set multiplied by a factor.
+        """Multiply the defaults of some keys, unless the file sets these keys.
 
         Args:
-            keys: keys of numbers, or of tuples of numbers.
-            factor: 1.
+            keys: names of keys that hold a number or a tuple of numbers.
+            factor: dimensionless factor.
         """
         changed: dict[str, object] = {}
         for key in set(keys) - self.model_fields_set:
@@ -207,8 +209,8 @@ class Contradiction(NamedTuple):
 
     Attributes:
         loc: path in the file.
-        text: message.
-        at_key: whether the message refers to the key instead of its value.
+        text: message for the user.
+        at_key: whether the message refers to the key instead of the value.
     """
 
     loc: Loc
@@ -217,7 +219,7 @@ class Contradiction(NamedTuple):
 
 
 class FileSections(Protocol):
-    """Sections of a scenario file that other sections may read; see `scenario.file.ScenarioFile`."""
+    """Sections of `scenario.file.ScenarioFile` that other sections may read."""
 
     bench: bool
     seed: int
@@ -233,7 +235,7 @@ class FileSections(Protocol):
         """Names of the fields that are set in the file."""
 
     def section(self, name: str) -> Any:
-        """Return the section of an extension by its name; None without one."""
+        """Return the section of an extension, or None if the file does not have it."""
 
 
 @dataclass
@@ -241,16 +243,16 @@ class Loading:
     """State of loading a scenario.
 
     Attributes:
-        document: scenario file; collects the problems.
+        document: scenario file, which collects the problems.
         file: validated sections.
         robot: robot file with overrides.
         world: obstacles, bounds and goal.
-        products: products so far, by section.
+        products: products read so far, keyed by section.
         warnings: warnings for the user.
         supply_pa: supply pressure, gauge, Pa.
-        layout: layout of the valves.
-        begin: initial state of the plants, a `start.InitialState`; None: straight and
-            at rest.
+        layout: valve layout.
+        begin: initial state of the plants (`start.InitialState`), or None for straight
+            and at rest.
     """
 
     document: Document
@@ -265,7 +267,7 @@ class Loading:
 
 
 class ExtensionSection(Section):
-    """Base class of sections that extensions add to a scenario; by default its methods do nothing.
+    """Base class of sections that extensions add, with methods that do nothing.
 
     Attributes:
         measures: whether the product contains a measured trajectory.
@@ -280,28 +282,25 @@ class ExtensionSection(Section):
         return iter(())
 
     def read(self, loading: Loading) -> Any:
-        """Return the product; called before the controller is checked.
-
-        Report problems to the document.
-        """
-        return None
-
-    def prepare(self, loading: Loading) -> Any:
-        """Return the product; called after all other sections.
+        """Read the section before the controller is checked and return the product.
 
         Problems are reported to the document.
         """
         return None
 
+    def prepare(self, loading: Loading) -> Any:
+        """Prepare the section after all sections are read, and return the product."""
+        return None
+
     def resolve(
         self, document: dict[str, Any], file: FileSections, product: Any
     ) -> None:
-        """Write defaults and absolute paths into the resolved document; the product may be None."""
+        """Write defaults and absolute paths into the resolved document."""
 
     def chambers(
         self, product: Any, robot: RobotSpec, supply_pa: float, layout: str
     ) -> Pneumatics | None:
-        """Return chambers that replace those of `pneumatics`, or None."""
+        """Return chambers that replace the chambers of `pneumatics`, or None."""
         return None
 
     def measured(self, product: Any) -> Trajectory | None:
@@ -325,10 +324,10 @@ class SectionEntry:
     """Registry entry of a section.
 
     Attributes:
-        annotation: type of the section in the pydantic model of the file.
-        description: description for the reference and the JSON Schema.
-        input_files: function of a section as plain data; yields the paths of the files
-            that the section reads.
+        annotation: type in the pydantic model of the file.
+        description: description for the reference pages and the JSON Schema.
+        input_files: function that yields the paths of the files that a section (plain
+            data) reads.
         paths: keys that name a file → kind of shipped files, see `Document.locate`.
     """
 
@@ -348,10 +347,10 @@ _CORE_PATHS: dict[Loc, str] = {
 
 
 def path_fields(sections: Container[str]) -> dict[Loc, str]:
-    """Return the fields of a scenario that name a file → kind of shipped files, see `Document.locate`.
+    """Return the fields of a scenario that name a file → kind of shipped files.
 
     Args:
-        sections: sections in use; those of other extensions are not imported.
+        sections: names of the sections in use, whose extensions are imported.
     """
     used = (name for name in SECTIONS if name in sections)
     entries = {name: load(SECTIONS[name]) for name in used}
@@ -367,7 +366,7 @@ def input_files(document: Mapping[str, Any]) -> Iterator[str]:
     """Yield the paths of the files that the extension sections of a scenario read.
 
     Args:
-        document: plain data of the scenario.
+        document: scenario as plain data.
     """
     for name, entry in SECTIONS.items():
         if isinstance(section := document.get(name), Mapping):

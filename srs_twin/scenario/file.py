@@ -1,4 +1,4 @@
-"""Scenario file as a pydantic model: keys with units, bounds, defaults and descriptions."""
+"""Scenario file as a pydantic model: keys with units, bounds and descriptions."""
 
 from __future__ import annotations
 
@@ -40,13 +40,13 @@ from srs_twin.scenario.world import WorldFile
 from srs_twin.sensing import DeadSensor, HallSensor, Sensor, Strip, make_sensor
 
 LEAST_RECORD_HZ = 0.1
-"""Smallest allowed recording rate, Hz."""
+"""Minimum recording rate, Hz."""
 MOST_RECORD_HZ = 10_000.0
-"""Largest recording rate, Hz."""
+"""Maximum recording rate, Hz."""
 
 
 class SensorSection(Section):
-    """Base class of the sections of curvature sensors; `constructors` begins with their class."""
+    """Base class of sensor sections. The first constructor is a sensor class."""
 
     def sensor(self, robot: RobotSpec) -> Sensor:
         """Return the sensors of a robot.
@@ -64,30 +64,34 @@ class SensorFile(SensorSection):
     only = {}  # set below the class: all other keys require kind: hall
 
     kind: Literal["ideal", "hall"] = "ideal"
-    """ideal: the exact bend; hall: magnet and Hall element on a strip, amplifier,
-    converter and linear calibration (docs/sensor.md)."""
+    """Kind of sensor; "ideal" measures the exact bend. "hall" models a magnet and a
+    Hall element on a strip, with amplifier, converter and linear calibration
+    (docs/sensor.md)."""
     span_rad: float | None = quantity(0.1, 1.6, None)
-    """Largest bend of trimming and calibration (hall; default {default:.4g})."""
+    """Maximum bend of trimming and calibration (hall only; default {default:.4g})."""
     distance_mm: float | None = quantity(1.0, 50.0, None)
-    """Distance between magnet and element along the strip (hall; default {default:g}).
-    """
-    orientation: Literal["up", "side"] | None = None
-    """Orientation of the magnet's north pole (hall; default up)."""
-    chamber: Literal["semicircular", "rectangular"] | None = None
-    """Cross-section of the pressure chambers (hall; default semicircular); a
-    rectangular chamber presses on the strip."""
-    noise_uv: float | None = quantity(0.0, 1e5, None)
-    """RMS noise of the element within the bandwidth of the amplifier (hall; default
+    """Distance between magnet and Hall element along the strip (hall only; default
     {default:g})."""
+    orientation: Literal["up", "side"] | None = None
+    """Orientation of the magnet's north pole; for hall sensors only, by default up."""
+    chamber: Literal["semicircular", "rectangular"] | None = None
+    """Cross-section of the pressure chambers; for hall sensors only, by default
+    semicircular. A rectangular chamber presses on the strip."""
+    noise_uv: float | None = quantity(0.0, 1e5, None)
+    """RMS noise of the Hall element within the bandwidth of the amplifier (hall only;
+    default {default:g})."""
     bits: int | None = quantity(1, 32, None)
-    """Resolution of the converter (hall; default {default})."""
+    """Resolution of the analog-to-digital converter in bits (hall only; default
+    {default})."""
     bias_v: float | None = quantity(-5.0, 5.0, None)
-    """Drift of the output after the calibration (hall; default {default:g})."""
+    """Drift of the output voltage after the calibration (hall only; default
+    {default:g})."""
     gain_error: float | None = quantity(-0.9, 10.0, None)
-    """Relative drift of the gain after the calibration (hall; default {default:g})."""
+    """Relative drift of the gain after the calibration (hall only; default
+    {default:g})."""
 
     def written(self) -> dict[str, Any]:
-        """See `Section.written`; the section has all defaults."""
+        """See `Section.written`."""
         keys = self.only["kind", "hall"] if self.kind == "hall" else ()
         return self.with_defaults(*keys).model_dump(exclude_none=True)
 
@@ -101,13 +105,13 @@ class _FaultFile(Section):
     """Base class of faults."""
 
     segment: int = quantity(1, 63)
-    """Number of the segment, from the head."""
+    """Segment number (counted from 1 at the head)."""
     from_s: float = quantity(0.0, 3600.0, 0.0)
-    """Start of the fault."""
+    """Start time of the fault."""
 
 
 class DeadSensorFile(_FaultFile):
-    """Dead curvature sensor."""
+    """Curvature sensor that no longer responds to the bend."""
 
     kind: Literal["dead_sensor"]
     """Kind of fault."""
@@ -121,14 +125,15 @@ class DeadSensorFile(_FaultFile):
 
 
 class StuckValveFile(_FaultFile):
-    """Inlet valve of a chamber that does not switch."""
+    """Inlet valve of a chamber that no longer switches."""
 
     kind: Literal["stuck_valve"]
     """Kind of fault."""
     chamber: Literal["plus", "minus"]
-    """Chamber of the valve."""
+    """Chamber whose valve is stuck."""
     stuck: Literal["open", "closed"]
-    """open: always fills the chamber; closed: always vents it."""
+    """State of the stuck valve; an open valve always fills the chamber, a closed valve
+    always vents it."""
 
     def build(self) -> StuckValve:
         """Return the fault in SI."""
@@ -146,11 +151,12 @@ class SupplyFile(Section):
     pressure_kpa: float | None = quantity(0.1, 2000.0, None)
     """Supply pressure, gauge (default: nominal pressure of the robot)."""
     allow_overpressure: bool = False
-    """Alias of allow_overpressure of the scenario."""
+    """Permission for a supply pressure above the limit; an alias of the scenario's key
+    allow_overpressure."""
 
 
 class PneumaticsSection(Section):
-    """Base class of the sections of valves and chambers; `constructors` begins with their class."""
+    """Base class of pneumatics sections. The first constructor is a chamber class."""
 
     def chambers(self, robot: RobotSpec, supply_pa: float, layout: str) -> Pneumatics:
         """Return new chambers of a robot."""
@@ -174,20 +180,24 @@ class PneumaticsFile(PneumaticsSection):
     }
 
     kind: Literal["lag", "orifice"] = "lag"
-    """Model of the chambers; lag: exponential with tau_1; orifice: compressible flow
-    (ISO 6358) from one supply into chambers whose volume depends on the bend."""
+    """Model of the chambers; "lag" is an exponential response with time constant tau_1.
+    "orifice" is compressible flow (ISO 6358) from one supply into chambers whose volume
+    depends on the bend."""
     leak_per_s: float = quantity(0.0, 100.0)
-    """Relative rate at which a held chamber loses pressure."""
+    """Relative rate of pressure loss of a held chamber."""
     valve_delay_s: float = quantity(0.0, 1.0)
-    """Switching delay of the valves, in addition to tau_2."""
+    """Switching delay of the valves (in addition to tau_2)."""
     critical_ratio: float | None = quantity(0.0, 0.8, None)
-    """Critical pressure ratio of the valves (orifice; default {default:g})."""
+    """Critical pressure ratio of the valves (orifice only; default {default:g})."""
     flow_limit_l_per_min: float | None = quantity(0.01, 1e4)
-    """Largest flow of the supply at ambient pressure (orifice; default: no limit)."""
+    """Maximum flow of the supply at ambient pressure (orifice only; default: no limit).
+    """
     line_volume_ml: float | None = quantity(1.0, 1e6, None)
-    """Volume between a limited supply and the inlets (orifice; default {default:g})."""
+    """Volume of the line between a limited supply and the inlets (orifice only; default
+    {default:g})."""
     line_begins_kpa: float | None = quantity(0.0, 2000.0)
-    """Initial pressure of that line, gauge (orifice; default: supply pressure)."""
+    """Initial gauge pressure of the line after a limited supply (orifice only; default:
+    supply pressure)."""
 
     @model_validator(mode="after")
     def _line_is_limited(self) -> PneumaticsFile:
@@ -201,7 +211,7 @@ class PneumaticsFile(PneumaticsSection):
         return self
 
     def written(self) -> dict[str, Any]:
-        """See `Section.written`; the section has the relevant defaults."""
+        """See `Section.written`."""
         keys: tuple[str, ...] = ()
         if self.kind == "orifice":
             keys = ("critical_ratio",)
@@ -211,19 +221,21 @@ class PneumaticsFile(PneumaticsSection):
 
 
 class ValvesFile(Section):
-    """Valves of each chamber."""
+    """Valves that belong to each chamber."""
 
     layout: Literal["3/2", "in_out"] | None = None
-    """3/2: one valve, which fills or vents; in_out: an inlet and an outlet valve, which
-    can also hold (default: layout of the controller)."""
+    """Layout of the valves; by default the layout that the controller needs. "3/2" is
+    one valve that fills or vents. "in_out" is an inlet and an outlet valve, which can
+    also hold the pressure."""
 
 
 class ComparisonFile(Section):
-    """Options of the comparison of the plants."""
+    """Options for comparing the plants."""
 
     gap_factor: bool = False
-    """Multiply the analytical speed by (l + L_o)/l, as the dissertation does for its
-    model without rigid gaps (Section 3.4.2); the analytical plant needs gaps: false."""
+    """Whether the analytical speed is multiplied by (l + L_o)/l; the dissertation does
+    so for its model without rigid gaps (Section 3.4.2). The analytical plant then needs
+    gaps: false."""
 
 
 _CORE_KINDS = {
@@ -232,7 +244,7 @@ _CORE_KINDS = {
 }
 
 CONTROLLER_NAMES = (*_CORE_KINDS, *installed(CONTROLLERS))
-"""Kinds of `controller` of the core and of the installed extensions."""
+"""Kinds of `controller`, including those of installed extensions."""
 
 if TYPE_CHECKING:
     ControllerFile = ControllerSection
@@ -243,43 +255,42 @@ else:
 
 
 class ScenarioFile(Section):
-    """Experiment with a soft snake.
-
-    Sections and controllers of extensions are added by `with_extensions`.
-    """
+    """Experiment with a soft snake, to which `with_extensions` adds sections."""
 
     name: Annotated[Line, Field(pattern=r"^[^./\x00-\x1f][^/\x00-\x1f]*$")] | None = (
         None
     )
     """Name of the output folder (default: name of the file)."""
     title: Line | None = None
-    """Title of one line (default: the name)."""
+    """Title on one line (default: the name)."""
     robot: Annotated[
         Any, WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}]})
     ]
-    """Robot: a shipped name (gen1 to gen4, gen4_module), the path of a robot file,
-    {base: a name or path} with fields to change, or a whole robot."""
+    """Robot of the experiment; a shipped name (gen1 to gen4, gen4_module) or the path
+    of a robot file. It may also be {base: a name or path} with fields to change, or a
+    whole robot."""
     duration_s: float = quantity(0.001, 3600.0)
     """Simulated duration."""
     seed: int = quantity(0, 2**32 - 1, 0)
     """Random seed."""
     record_hz: float = quantity(LEAST_RECORD_HZ, MOST_RECORD_HZ, 100.0)
-    """Recorded samples per second."""
+    """Recording rate."""
     supply: SupplyFile = SupplyFile()
     """Compressed air supply."""
     pneumatics: PneumaticsFile = PneumaticsFile()
     """Valves and chambers."""
     allow_overpressure: bool = False
-    """Allow a supply pressure above the limit of the robot, with a warning."""
+    """Whether a supply pressure above the limit of the robot is allowed; a warning is
+    shown."""
     valves: ValvesFile = ValvesFile()
-    """Valves of each chamber."""
+    """Valves that belong to each chamber."""
     sensor: SensorFile = SensorFile()
     """Curvature sensors."""
     faults: Annotated[list[FaultFile], Field(max_length=200)] = []
     """Faults of sensors and valves."""
     bench: bool = False
-    """Clamp the head in the air, as on a test bench, without a floor; on both plants.
-    """
+    """Whether the head is clamped in the air without a floor, as on a test bench; this
+    applies to both plants."""
     controller: ControllerFile
     """Controller of the valves."""
     start: StartFile = StartFile()
@@ -289,12 +300,12 @@ class ScenarioFile(Section):
     plants: PlantsFile = PlantsFile(analytical=AnalyticalFile(), twin=TwinFile())
     """Plants that run (default: both)."""
     comparison: ComparisonFile = ComparisonFile()
-    """Options of the comparison of the plants."""
+    """Options for comparing the plants."""
     expect: Annotated[list[Expectation], Field(max_length=200)] = []
     """Expected values of metrics."""
     changes: Annotated[list[ChangedField], Field(max_length=1000)] | None = None
-    """Fields changed by --set and similar options; written into scenario.resolved.yaml
-    by a run."""
+    """Fields that --set and similar options changed; a run writes them into
+    scenario.resolved.yaml."""
 
     elsewhere: ClassVar[dict[str, str]] = {
         key: f"robot.{key}"
@@ -307,7 +318,7 @@ class ScenarioFile(Section):
     }
 
     def tick(self, plant: str) -> float:
-        """Return the control tick of a plant, s; also for a plant that is not in the file."""
+        """Return the control tick (s) of a plant, which the file need not name."""
         section = getattr(self.plants, plant)
         if self.bench:
             default = BENCH_TICK_S
@@ -332,11 +343,11 @@ class ScenarioFile(Section):
         return scaled
 
     def section(self, name: str) -> Any:
-        """Return the section of an extension by its name; None without one."""
+        """Return the section of an extension, or None if the file does not have it."""
         return getattr(self, name, None)
 
     def sections(self) -> dict[str, ExtensionSection]:
-        """Return the sections of extensions in the file by name."""
+        """Return the sections of extensions that the file has, keyed by name."""
         sections = {name: self.section(name) for name in SECTIONS}
         return {
             name: section for name, section in sections.items() if section is not None
@@ -344,18 +355,19 @@ class ScenarioFile(Section):
 
 
 def controller_kinds() -> dict[str, type[ControllerSection]]:
-    """Return the kinds of `controller` → their sections."""
+    """Return a mapping from the kinds of `controller` to their sections."""
     return _CORE_KINDS | dict(objects(CONTROLLERS))
 
 
 def with_extensions(
     sections: Container[str] = SECTIONS, controllers: Container[str] = CONTROLLERS
 ) -> type[ScenarioFile]:
-    """Return the model of scenario files with sections of extensions, whose modules are imported.
+    """Import extensions and return the model of scenario files with their sections.
 
     Args:
-        sections: names of the sections; default: all that are installed.
-        controllers: additional kinds of `controller`; default: all that are installed.
+        sections: names of the sections; by default all that are installed.
+        controllers: additional kinds of `controller`; by default all that are
+            installed.
     """
     return _with_extensions(
         tuple(name for name in installed(SECTIONS) if name in sections),

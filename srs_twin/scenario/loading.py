@@ -1,9 +1,8 @@
-"""Loading of scenario files, and their JSON Schema; all problems of a file are reported together.
+"""Loading of scenario files and their JSON Schema.
 
-The file is validated twice. The first validation checks what the user wrote. The second
-validation reads the resolved document, with all defaults and the robot written out. It
-ensures that a run can be repeated from its folder, and it returns the sections of that
-document.
+All problems of a file are reported together. The first validation checks what the user
+wrote. The second validation reads the resolved document, in which all defaults and the
+robot are written out. It ensures that a run can be repeated from its folder.
 """
 
 from __future__ import annotations
@@ -45,16 +44,16 @@ def load_scenario(
     *,
     set: Overrides = (),
 ) -> Scenario:
-    """Load a scenario, given by a shipped name (gen2_straight) or the path of a scenario file.
+    """Load a scenario by its shipped name (gen2_straight) or by the path of its file.
 
     Args:
         scenario: name or path of the scenario, or a loaded scenario to modify.
-        set: values that override fields of the file, by dotted path:
+        set: values that override fields of the file, keyed by dotted path:
             ``{"controller.frequency_hz": 1.5}``.
 
     Raises:
         InputError: the file is not found or cannot be read.
-        InputFileError: the scenario is not valid; lists all problems.
+        InputFileError: the scenario is not valid. The error lists all problems.
     """
     if isinstance(scenario, Scenario):
         if not set:
@@ -70,16 +69,15 @@ def parse_scenario(
     name: str = "scenario",
     set: Overrides = (),
 ) -> Scenario:
-    """Return the scenario of plain data, as in `Scenario.document`.
+    """Return the scenario that plain data describe, as in `Scenario.document`.
 
     Args:
         data: content of a scenario file.
-        name: name in messages, and of the scenario if the data have none.
-        set: values that override fields, as for `load_scenario`.
+        name: name in messages, and default name of the scenario.
+        set: values that override fields, see `load_scenario`.
 
     Raises:
-        InputFileError: the scenario is not valid; lists all problems, without line
-            numbers.
+        InputFileError: the scenario is not valid.
     """
     if set:
         data = copy.deepcopy(dict(data))
@@ -87,7 +85,6 @@ def parse_scenario(
 
 
 def _scenario(document: Document, name: str, overrides: Overrides) -> Scenario:
-    """Return the scenario of a document with changed fields; `name` is the default of its name."""
     changes = Override.list_of(overrides)
     unmodified = copy.deepcopy(document) if changes else document
     for change in changes:
@@ -135,11 +132,7 @@ def _scenario(document: Document, name: str, overrides: Overrides) -> Scenario:
 
 
 def _checked(document: Document) -> tuple[ScenarioFile, Loading]:
-    """Validate a document and build what its checks need; all problems are raised together.
-
-    Raises:
-        InputFileError: all problems of the document.
-    """
+    """Validate a document and build what its checks need."""
     _locate_files(document)
     file = validate(scenario_model(document), document, document.data)
     robot, robot_problems = _robot(document)
@@ -167,11 +160,10 @@ def _checked(document: Document) -> tuple[ScenarioFile, Loading]:
 
 
 def _build_parts(file: ScenarioFile, loading: Loading) -> None:
-    """Build the parts that depend on the robot and check them; problems are reported to the document."""
     document = loading.document
     robot = loading.robot
     products = loading.products
-    # Check the controller last, because it needs the products of all sections.
+    # The controller is checked last because it needs the products of all sections.
     products |= {key: section.read(loading) for key, section in file.sections().items()}
     if file.controller.is_ready(products):
         loading.supply_pa = supply_kpa(file, robot) * PA_PER_KPA
@@ -188,7 +180,6 @@ def _build_parts(file: ScenarioFile, loading: Loading) -> None:
 
 
 def _set(document: Document, change: Override) -> None:
-    """Set a changed value in the document."""
     _check_field(change)
     before = document.get(*change.loc)
     is_record = isinstance(before, Mapping) and "unit" in before
@@ -211,12 +202,7 @@ def _locate_files(document: Document) -> None:
 def _resolved_or_raw(
     document: Document, products: Mapping[str, object]
 ) -> dict[str, Any]:
-    """Return the resolved data of an unmodified scenario, or the data unchanged if they are not valid.
-
-    Args:
-        document: document before the changes.
-        products: products of the sections of the modified scenario.
-    """
+    """Return the resolved data of an unmodified scenario, or raw data if not valid."""
     if not isinstance(document.data, dict):
         document.data = {}
     _locate_files(document)
@@ -231,7 +217,6 @@ def _resolved_or_raw(
 
 
 def _check_field(change: Override) -> None:
-    """Check that a changed field exists in scenarios; the error suggests similar names."""
     first, *more = change.loc
     if first == "changes":
         raise InputError(
@@ -257,15 +242,7 @@ def _resolved(
     layout: str,
     products: Mapping[str, object],
 ) -> dict[str, Any]:
-    """Return the plain data of a scenario with all defaults and the robot written out.
-
-    Args:
-        file: validated sections.
-        robot: robot file with overrides.
-        name: name of the scenario.
-        layout: layout of the valves.
-        products: products of the extension sections.
-    """
+    """Return the plain data of a scenario with defaults and the robot written out."""
     # supply.allow_overpressure is an alias of allow_overpressure.
     excluded: Any = {"supply": {"allow_overpressure"}, "changes": True}
     if file.bench:
@@ -288,7 +265,8 @@ def _resolved(
         document["start"] = {"from": file.start.run, "time_s": file.start.time_s}
     for key, section in file.sections().items():
         section.resolve(document, file, products.get(key))
-    # Store absolute paths, because the run may be read from another working folder.
+    # Paths are stored as absolute paths, because the run may be read from another
+    # working folder.
     for loc, kind in path_fields(document).items():
         block: Any = document
         for section_name in loc[:-1]:
@@ -309,7 +287,7 @@ def _resolved(
 
 
 def supply_kpa(file: ScenarioFile, robot: RobotFile) -> float:
-    """Return the supply pressure of a scenario, by default the nominal pressure of the robot, kPa."""
+    """Return the supply pressure, by default the nominal pressure of the robot, kPa."""
     if file.supply.pressure_kpa is not None:
         return file.supply.pressure_kpa
     if robot.supply is None:
@@ -318,7 +296,6 @@ def supply_kpa(file: ScenarioFile, robot: RobotFile) -> float:
 
 
 def _robot(document: Document) -> tuple[RobotFile | None, tuple[str, ...]]:
-    """Return the robot of a scenario, with the problems of its robot file if that is a separate file."""
     robot = document.get("robot")
     if robot is None and document.existing_prefix(("robot",)) == ():
         return None, ()
@@ -329,11 +306,11 @@ def _robot(document: Document) -> tuple[RobotFile | None, tuple[str, ...]]:
 
 
 def scenario_json_schema() -> dict[str, Any]:
-    """Return a schema (draft 2020-12) with title, description, unit and range of every key."""
+    """Return a JSON Schema (draft 2020-12) that describes every key of a scenario."""
     schema = with_extensions().model_json_schema()
     robot_schema = RobotFile.model_json_schema()
-    # Use numbered names, because the generated names of records contain their bounds
-    # and are long.
+    # Definitions are numbered, because the generated names of records contain their
+    # bounds and are long.
     names = {
         name: f"Robot{i}_{name.partition('_')[0]}"
         for i, name in enumerate(robot_schema["$defs"], start=1)
@@ -354,7 +331,7 @@ def scenario_json_schema() -> dict[str, Any]:
 
 
 def field_paths() -> list[str]:
-    """Return the dotted paths of all fields of a scenario; the items of a list have none."""
+    """Return the dotted paths of all fields of a scenario, without items of lists."""
     schema = scenario_json_schema()
 
     def walk(node: dict[str, Any], path: str, depth: int) -> Iterator[str]:
@@ -372,7 +349,6 @@ def field_paths() -> list[str]:
 
 
 def _override(robot: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:
-    """Return the schema of {base: …}, where a field is a plain number or a whole record."""
     properties: dict[str, Any] = {
         "base": {"type": "string", "description": "Name or path of the robot."}
     }
@@ -398,7 +374,6 @@ def _closed_object(properties: dict[str, Any]) -> dict[str, Any]:
 
 
 def _reference(node: dict[str, Any]) -> str | None:
-    """Return the reference of a node, or of one of its alternatives; None without one."""
     return next(
         (n["$ref"] for n in (node, *node.get("anyOf", ())) if "$ref" in n), None
     )
@@ -407,7 +382,6 @@ def _reference(node: dict[str, Any]) -> str | None:
 def _field_or_number(
     node: dict[str, Any], definitions: dict[str, Any]
 ) -> dict[str, Any]:
-    """Return the schema of a field of a robot that may also be a number without its record."""
     reference = _reference(node)
     if reference is None:
         return node

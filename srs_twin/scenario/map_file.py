@@ -30,16 +30,18 @@ from srs_twin.io.validation import StrictModel, validate
 from srs_twin.robot.world import Circle, Polygon
 
 CIRCLE_COLUMNS = ("x_m", "y_m", "radius_m")
-"""Columns of a CSV file of circles."""
+"""Columns of a CSV file that lists circles."""
 MAX_PIXELS = 25_000_000
-"""Largest number of pixels: 250 m by 250 m at 0.05 m."""
+"""Maximum number of pixels: 250 m by 250 m at 0.05 m."""
 MAX_RECTANGLES = 20_000
-"""Largest number of obstacles: each one costs a plan 1 ms, and a run of the twin 2 ms and 40 kB."""
+"""Maximum number of obstacles. Each obstacle costs a plan 1 ms, and a run of the twin 2
+ms and 40 kB."""
 
 _MODES = ("1", "L", "P", "RGB")
-"""Pillow's modes of opaque pictures with at most 8 bits a channel."""
+"""Pillow's modes of opaque pictures with at most 8 bits per channel."""
 _DEPTH_BYTE = 24
-"""Place of the bits a channel in a PNG file; Pillow reads colours of 16 bits as 8."""
+"""Position of the number of bits per channel in a PNG file. It is read here because
+Pillow reduces 16-bit colours to 8 bits."""
 _ALLOWED = (
     "a PNG or PGM picture of at most 8 bits a channel, without transparency, is allowed"
 )
@@ -55,7 +57,7 @@ _BOOLEANS |= dict.fromkeys(("1", "y", "yes", "on", "true"), True)
 
 
 class MapFile(StrictModel):
-    """YAML file of an occupancy map; unknown keys are ignored, as in ROS."""
+    """YAML file of an occupancy map, in which unknown keys are ignored as in ROS."""
 
     model_config = ConfigDict(extra="ignore")
 
@@ -78,10 +80,10 @@ class MapFile(StrictModel):
     @field_validator("origin", mode="before")
     @classmethod
     def _unquoted(cls, value: object) -> object:
-        """Return the list in a text such as "[0.0, 0.0, 0.0]", as some map editors write it."""
+        """Parse a list that a map editor wrote as the text "[0.0, 0.0, 0.0]"."""
         if isinstance(value, str) and _QUOTED_LIST.fullmatch(value):
             value = [float(number) for number in _NUMBER.findall(value)]
-        # A strict model accepts only a tuple from a validator in Python.
+        # A strict model accepts only a tuple when a validator runs in Python.
         if isinstance(value, list):
             return tuple(value)
         return value
@@ -89,7 +91,7 @@ class MapFile(StrictModel):
     @field_validator("negate", mode="before")
     @classmethod
     def _boolean(cls, text: object) -> bool:
-        """Return the value of a YAML 1.1 boolean, quoted or not, as ROS does."""
+        """Return the value of a YAML 1.1 boolean, which may be quoted as in ROS."""
         if (value := _BOOLEANS.get(str(text).lower())) is None:
             raise ValueError(
                 f"must be true, yes, on, 1 or false, no, off, 0, not {text!r:.50}"
@@ -97,7 +99,7 @@ class MapFile(StrictModel):
         return value
 
     def contradictions(self) -> Iterator[tuple[tuple[str], str]]:
-        """Yield path and message of contradictions between the keys."""
+        """Yield the path and message of each contradiction between keys."""
         if (count := len(self.origin)) != 3:
             yield (
                 ("origin",),
@@ -113,7 +115,7 @@ class MapFile(StrictModel):
             )
 
     def blocked(self, colour: np.ndarray) -> np.ndarray:
-        """Return a mask of occupied and unknown cells; `colour` is red + green + blue of each."""
+        """Return a mask of occupied and unknown cells from red + green + blue."""
         levels = np.arange(_WHITE + 1)
         if not self.negate:
             levels = levels[::-1]
@@ -121,7 +123,7 @@ class MapFile(StrictModel):
         if self.mode == "trinary":
             occupied = above >= 0
         else:
-            # Not rounded to 0 %.
+            # A cell is free if its occupancy rounds to 0 %.
             occupied = 200 * above > self.occupied_thresh - self.free_thresh
         wall: np.ndarray = occupied[colour]
         return wall
@@ -164,7 +166,7 @@ def _document(path: Path) -> Document:
 
 
 def pictures_of(path: Path) -> list[Path]:
-    """Return the path of the picture of a map; an empty list if the map cannot be read."""
+    """Return the picture of a map in a list, which is empty for an unreadable map."""
     try:
         return [Path(_document(path).data["image"])]
     except (InputError, KeyError, TypeError):
@@ -203,7 +205,7 @@ def read_circles(path: Path) -> tuple[Circle, ...]:
 
 
 def _colours(path: Path) -> np.ndarray:
-    """Return red + green + blue of each pixel, shape (rows, columns).
+    """Return the sum of red, green and blue of each pixel, shape (rows, columns).
 
     Raises:
         InputError: the file is no allowed picture, is damaged, or is too large.
@@ -239,10 +241,9 @@ def _colours(path: Path) -> np.ndarray:
 
 
 def _rectangles(full: np.ndarray) -> list[list[int]]:
-    """Return left, bottom, right and top of rectangles that cover the occupied cells, each cell once.
+    """Cover the occupied cells by rectangles (left, bottom, right, top).
 
-    A rectangle is a run of occupied cells in a row, together with equal runs in the
-    rows above it.
+    A rectangle is a run of occupied cells, extended over equal runs in the rows above.
 
     Raises:
         InputError: there are more than `MAX_RECTANGLES`.
@@ -266,8 +267,8 @@ def _rectangles(full: np.ndarray) -> list[list[int]]:
             f" {MAX_RECTANGLES:,} are allowed: remove specks (median filter), crop it"
             " or reduce its size"
         )
-    # Rectangles with the same columns do not overlap: sorted starts and ends belong
-    # together.
+    # Rectangles with the same columns do not overlap, so their sorted starts and ends
+    # belong together.
     first, last = (
         x[np.lexsort((x, end[x] % width, begin[x] % width))] for x in (first, last)
     )

@@ -1,7 +1,7 @@
-"""Fields that differ from the scenario file, and the expectations that they invalidate.
+"""Changed fields of a scenario, and the expectations that they invalidate.
 
-A run of a modified scenario is no longer the published experiment. Its titles name the
-changed fields, and an expectation that refers to the unmodified scenario is omitted if
+A run of a modified scenario is no longer the published experiment. The titles of the
+run name the changed fields. An expectation about the unmodified scenario is omitted if
 a changed field affects its metric.
 """
 
@@ -22,10 +22,10 @@ from srs_twin.scenario.expectation import COMPARISON, Expectation
 from srs_twin.scenario.fields import Line, Section
 
 Changes = Sequence[Mapping[str, Any]]
-"""Changed fields as plain data, ``{"field", "from", "to"}``."""
+"""Changed fields as plain data with the keys ``{"field", "from", "to"}``."""
 
 PLANTS = "plants"
-"""Name of the changed field if a run uses other plants than those in the file."""
+"""Name of the changed field if a run uses other plants than the file names."""
 
 STEADY = frozenset(
     [
@@ -49,27 +49,25 @@ STEADY = frozenset(
         "plan_kink_rad",
     ]
 ).union(ENERGY_MEANINGS)
-"""Metrics that do not depend on the duration: means over periods, shape differences,
-and plans."""
+"""Metrics that do not depend on the duration, such as means over periods and plans."""
 
 _NAMES = ("name", "title", "changes", "robot.name", "robot.title")
-"""Fields that name a scenario."""
 _NO_CONDITION = (
     *(*_NAMES, "expect", "seed", "record_hz", PLANTS),
     *("allow_overpressure", "supply.allow_overpressure"),
 )
-"""Fields that are not conditions of the experiment: names, random seed, recording,
-expectations and permissions."""
+"""Fields that are not conditions of the experiment, such as names, the random seed,
+recording, expectations and permissions."""
 _MAX_TITLE_LENGTH = 64
-"""Largest number of characters of the changes in a title."""
+"""Maximum number of characters of the changes in a title."""
 _DIGEST = ", sha256 "
-"""Text before the digest of a long value."""
+"""Text that precedes the digest of a long value."""
 _MAX_VALUES = 24
-"""Largest number of values that are written out."""
+"""Maximum number of values that are written out."""
 
 
 class ChangedField(Section):
-    """Field that was changed after the scenario was read from its file."""
+    """Field that was changed after the scenario was read."""
 
     field: Line
     """Path of the field, in the format of --set."""
@@ -77,7 +75,7 @@ class ChangedField(Section):
         default=None,
         alias="from",
         title="From",
-        description="Value in the file, or the default.",
+        description="Value in the file, or the default value.",
     )
     to: Any = None
     """New value."""
@@ -94,9 +92,9 @@ def changed_fields(
     Args:
         before: plain data of the unmodified scenario.
         after: plain data of the modified scenario.
-        locs: paths that were set; the values within a block are compared one by one.
-        earlier: changes that `before` already contains; a field with its original value
-            is omitted.
+        locs: paths that were set. The values within a block are compared one by one.
+        earlier: changes that `before` already contains. A field that has its original
+            value again is omitted.
     """
     known = {change["field"]: change.get("from") for change in earlier}
     paths = {field: parse_path(field) for field in known if field != PLANTS}
@@ -118,7 +116,7 @@ def changed_fields(
 def with_plants(
     changes: Changes, named: Sequence[str], run: Sequence[str]
 ) -> list[dict[str, Any]]:
-    """Return changes with an entry for the plants if those of the run differ from the scenario.
+    """Return changes with an entry for the plants if a run uses other plants.
 
     Args:
         changes: changed fields.
@@ -132,14 +130,14 @@ def with_plants(
 
 
 def marked(title: str, changes: Changes) -> str:
-    """Return a title with the changed fields, or with their number if they are too long."""
+    """Append the changed fields to a title, see `changes_text`."""
     if changes:
         return f"{title} (modified: {changes_text(changes)})"
     return title
 
 
 def changes_text(changes: Changes) -> str:
-    """Return the changed fields with their values, or their number if the text is too long."""
+    """List the changed fields with their values, or only count them."""
     texts = [f"{c['field']} {text_of(c['from'])} → {text_of(c['to'])}" for c in changes]
     text = ", ".join(texts)
     if len(text) <= _MAX_TITLE_LENGTH:
@@ -150,7 +148,7 @@ def changes_text(changes: Changes) -> str:
 
 
 def text_of(value: object) -> str:
-    """Return the text of a value of a field in one line."""
+    """Return the value of a field as text on one line."""
     match value:
         case None:
             return "unset"
@@ -182,12 +180,12 @@ def invalidated_by(expectation: Expectation, changes: Changes) -> list[str]:
 
 
 def affects(field: str, metric: str, subject: str) -> bool:
-    """Return whether a changed field affects the conditions under which a metric was published.
+    """Return whether a changed field affects the conditions of a published metric.
 
     Args:
-        field: path of the field.
+        field: path of the changed field.
         metric: name of the metric.
-        subject: "analytical", "twin" or "comparison".
+        subject: subject of the metric, "analytical", "twin" or "comparison".
     """
     first, *rest = re.split(r"[.\[]", field)
     if field in _NO_CONDITION or first == "expect":
@@ -200,7 +198,7 @@ def affects(field: str, metric: str, subject: str) -> bool:
 
 
 def left_out_line(left_out: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return the line on the expectations that changed fields invalidate; an empty list without any.
+    """Return a line about invalidated expectations, or an empty list without any.
 
     Args:
         left_out: see `Scenario.left_out`.
@@ -220,7 +218,6 @@ def left_out_line(left_out: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def _leaves(loc: Loc, before: Any, after: Any) -> Iterator[Loc]:
-    """Yield the paths at and below a path whose values differ."""
     if format_path(loc) in _NAMES:
         return
     if loc[:2] == ("robot", "base"):
@@ -242,7 +239,6 @@ def _leaves(loc: Loc, before: Any, after: Any) -> Iterator[Loc]:
 
 
 def _is_block(value: object) -> bool:
-    """Return whether a value is a block of keys, not a record of a number with unit and source."""
     return isinstance(value, Mapping) and not {"value", "unit"} <= value.keys()
 
 
@@ -255,8 +251,8 @@ def _at(document: Any, loc: Loc) -> Any:
 def _value(document: object, loc: Loc) -> object:
     """Return the value at a path for display.
 
-    That is the name of a robot, the names of plants, the number of a record, or a
-    digest of many values.
+    Robots and plants are shown by name, records by their number, and many values by a
+    digest.
     """
     value = _at(document, loc)
     if loc == ("robot",) and isinstance(value, Mapping):

@@ -1,9 +1,10 @@
-"""Sections of parts from outside the package: ``kind: module:Name``, or a name that a package registers.
+"""Sections for parts from outside the package.
 
-If the name is a class of a controller, of chambers or of a sensor, its section is made
-from the signature of the class. The other keys of the section are its arguments,
-without conversion of units. The name may also be a section, which is used like those of
-the package. See `srs_twin.extensions` for what is imported when.
+A part is named as ``kind: module:Name``, or by a name that a package registers. The
+name may be a class of a controller, of chambers or of a sensor. Its section is then
+made from the signature of the class: the other keys are the arguments, without
+conversion of units. The name may also be a section, which is used like a section of
+this package. `srs_twin.extensions` describes what is imported when.
 """
 
 from __future__ import annotations
@@ -37,12 +38,12 @@ from srs_twin.sensing import KINDS as SENSORS, Sensor
 
 
 class _Kind(NamedTuple):
-    """Kind of part that a scenario may take from outside.
+    """Kind of part that a scenario may take from outside the package.
 
     Attributes:
-        section: base class of its sections.
-        base: base class of its objects.
-        known: names of the package's own parts.
+        section: base class of sections.
+        base: base class of objects.
+        known: names of the package's parts.
     """
 
     section: type[Section]
@@ -55,23 +56,24 @@ PARTS = {
     "pneumatics": _Kind(PneumaticsSection, Pneumatics, PNEUMATICS),
     "sensor": _Kind(SensorSection, Sensor, SENSORS),
 }
-"""Sections of a scenario that may name parts from outside."""
+"""Sections of a scenario that may name parts from outside the package."""
 
 _CONTEXT = ("spec", "supply_pa", "layout")
-"""Arguments of chambers and sensors that the scenario gives; they are not keys."""
+"""Arguments of chambers and sensors that the scenario provides and a file cannot set.
+"""
 
 OWN_SCHEMA = {
     "type": "object",
     "properties": {"kind": {"type": "string", "pattern": f"^{PART_PATTERN}$"}},
     "required": ["kind"],
 }
-"""JSON Schema of a section of a part from outside."""
+"""JSON Schema of the section of a part from outside the package."""
 
 
 class _ArgumentsSection(Section):
     """Section whose keys are the arguments of a class.
 
-    A field is named after its key and an underscore, so that it hides no method.
+    Field names end in an underscore, so that they hide no methods.
 
     Attributes:
         not_written: fields whose default cannot be read back from a file.
@@ -84,7 +86,7 @@ class _ArgumentsSection(Section):
         return {name[:-1]: value for name, value in self if name != "kind"}
 
     def written(self) -> dict[str, Any]:
-        """See `Section.written`; null is a value of an argument."""
+        """See `Section.written`. Null is kept as a possible value of an argument."""
         unset = self.not_written - self.model_fields_set
         return self.model_dump(mode="json", by_alias=True, exclude=unset)
 
@@ -92,7 +94,7 @@ class _ArgumentsSection(Section):
 class _AbsentSection(ControllerSection, PneumaticsSection, SensorSection):
     """Section of a part that is not imported.
 
-    Its keys are not checked, and nothing can be built.
+    Its keys are not checked, and it cannot build an object.
     """
 
     model_config = ConfigDict(extra="allow")
@@ -106,11 +108,10 @@ class _AbsentSection(ControllerSection, PneumaticsSection, SensorSection):
 
 
 def scenario_model(document: Document) -> type[ScenarioFile]:
-    """Return the model of a scenario file with the sections and parts that the file names.
+    """Return the model of a scenario file with the sections that the file names.
 
-    A part that cannot be used is reported to the document. Its section is not checked.
-    A file with unknown names has the model with all sections, so that messages suggest
-    the right ones.
+    Parts that cannot be used are reported and not checked. If names are unknown, the
+    model has all sections, so that messages can suggest the right names.
     """
     outside = _parts_from_outside(document)
     kind = document.get("controller", "kind")
@@ -126,7 +127,6 @@ def scenario_model(document: Document) -> type[ScenarioFile]:
 
 
 def _parts_from_outside(document: Document) -> dict[str, Any]:
-    """Return key → type of its section for the parts from outside that a file names."""
     sections: dict[str, Any] = {}
     for key, (section, base, known) in PARTS.items():
         kind = document.get(key, "kind")
@@ -148,7 +148,7 @@ def read_resolved(data: Mapping[str, Any]) -> ScenarioFile:
     """Return the sections of a resolved scenario.
 
     Raises:
-        InputFileError: a part from outside cannot be used here.
+        InputFileError: a part from outside the package cannot be used here.
     """
     document = Document("scenario", data)
     model = scenario_model(document)
@@ -163,7 +163,6 @@ def _model(name: str, base: Any, **fields: Any) -> Any:
 
 @cache
 def _section(key: str, name: str, found: type) -> type[Section]:
-    """Return the section of a class, which may be a section itself."""
     if issubclass(found, Section):
         section: type[Section] = _model(name, found, kind=(str, ...))
         return section
@@ -190,7 +189,6 @@ def _section(key: str, name: str, found: type) -> type[Section]:
 
 
 def _parameters(name: str, found: type) -> Iterator[tuple[Parameter, Any]]:
-    """Yield the parameters of a class that are keys of a file, with their types."""
     keys = [
         parameter
         for parameter in signature(found).parameters.values()
@@ -215,7 +213,7 @@ def _parameters(name: str, found: type) -> Iterator[tuple[Parameter, Any]]:
 
 
 def _adapter(hint: Any) -> TypeAdapter[Any] | None:
-    """Return the validator of a type; None if a file cannot contain its values."""
+    """Return the validator of a type, or None if a file cannot contain its values."""
     try:
         adapter = TypeAdapter(hint)
         adapter.json_schema()
@@ -225,7 +223,6 @@ def _adapter(hint: Any) -> TypeAdapter[Any] | None:
 
 
 def _is_read_back(adapter: TypeAdapter[Any], default: Any) -> bool:
-    """Return whether a default has the same value after it is written to a file and read again."""
     try:
         written = adapter.dump_json(default, warnings=False)
         return default is ... or bool(adapter.validate_json(written) == default)

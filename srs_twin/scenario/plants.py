@@ -30,20 +30,18 @@ from srs_twin.robot.scale import Scale, divide
 from srs_twin.scenario.fields import Section, constructor_default, quantity
 
 PLANTS = ("analytical", "twin")
-"""Names of the plants, the reference first."""
+"""Names of the plants. The first is the reference."""
 
 
 class _PlantFile(Section):
     """Base class of the plant sections.
 
     Attributes:
-        floor_keys: keys that describe the contact with the floor, not allowed on a
-            bench.
-        scaled_keys: keys whose defaults are multiplied by the time unit of the robot.
+        floor_keys: keys about the floor contact, not allowed on a bench.
+        scaled_keys: keys whose defaults scale with the robot's time unit.
         kind_key: key that determines what the plant supports, see
             `plants.base.refusals`.
-        wheel_keys: keys that describe wheels or skids, not allowed for a robot with
-            skin.
+        wheel_keys: keys about wheels or skids, not allowed for a robot with skin.
     """
 
     floor_keys: ClassVar[tuple[str, ...]]
@@ -55,11 +53,11 @@ class _PlantFile(Section):
     """Whether the segments have rigid gaps."""
     timestep_s: float
     tick_s: float | None = quantity(1e-6, 10.0, None)
-    """Control tick; on the twin a multiple of timestep_s (default: 0.02, on a bench
-    0.001, times the robot's time unit)."""
+    """Control tick, on the twin a multiple of timestep_s (default: 0.02, or 0.001 on a
+    bench, times the robot's time unit)."""
 
     def scaled_to(self, scale: Scale, tick: float) -> Self:
-        """Return the section with the times and speeds that the file does not set in the units of a robot.
+        """Return the section with default times and speeds in the units of a robot.
 
         Args:
             scale: units of the robot.
@@ -81,37 +79,39 @@ class AnalyticalFile(_PlantFile):
     scaled_keys = ("timestep_s", "slip_speed_m_s")
 
     timestep_s: float = quantity(1e-6, 1.0, TIMESTEP_S)
-    """Largest time step of the integrator (default: 0.002 times the robot's time unit).
+    """Maximum time step of the integrator (default: 0.002 times the robot's time unit).
     """
     model: Literal["complete", "simplified", "compliant", "quasistatic"] = (
         constructor_default()
     )
-    """complete: prescribed bends; simplified: prescribed bends, and chords of constant
-    length; compliant: bends that depend on load and inertia; quasistatic: bends in two
-    directions without inertia, for robots with chamber.directions_deg only."""
+    """Model of the body; "complete" prescribes the bends. "simplified" also replaces
+    the segments by chords of constant length. "compliant" computes bends that depend on
+    load and inertia. "quasistatic" computes bends in two directions without inertia,
+    for robots with chamber.directions_deg only."""
     friction_torque: bool = constructor_default()
-    """Whether friction exerts a moment about the centre of mass; false only with
-    simplified."""
+    """Whether friction exerts a moment about the centre of mass; it can be false only
+    with the model simplified."""
     inertia: Literal["point", "connector", "lumped"] = constructor_default()
-    """Moment of inertia of each connector; point: 0, connector: a compact body with two
-    wheels, lumped: that of the dissertation, which counts the segments twice."""
+    """Moment of inertia of each connector; "point" is zero. "connector" is a compact
+    body with two wheels. "lumped" is the value of the dissertation, which counts the
+    segments twice."""
     friction: Law = constructor_default()
-    """Friction law; axis: one contact per connector (dissertation), wheel: two wheels
-    at the track, ellipse or cosine: two skids at the track, viscous: a law for tests. A
-    robot with skin has its own law."""
+    """Friction law; "axis" has one contact per connector (dissertation), "wheel" two
+    wheels at the track. "ellipse" and "cosine" have two skids at the track, and
+    "viscous" is a law for tests. A robot with skin has its own law."""
     load: Literal["static", "momentary"] = constructor_default()
-    """Load of a wheel or skid; static: half the weight of its connector, momentary:
-    with load transfer by lateral forces (not with axis). A skin has such pairs along
-    the whole body."""
+    """Load of a wheel or skid; "static" is half the weight of its connector.
+    "momentary" adds the load transfer by lateral forces (not with axis). A skin has
+    such contact pairs along the whole body."""
     touch: bool | None = None
-    """Whether the body touches obstacles (default: false, it passes through them); only
-    with compliant."""
+    """Whether the body touches obstacles; this needs the model compliant. By default,
+    the body passes through them."""
     slip_speed_m_s: float = quantity(1e-9, 1.0, SLIP_SPEED_M_S)
     """Slip speed below which friction deviates from Coulomb friction (default: 0.00025
     times the robot's time unit)."""
 
     def scaled_to(self, scale: Scale, tick: float) -> Self:
-        """See `_PlantFile.scaled_to`; the default time step may divide the tick."""
+        """See `_PlantFile.scaled_to`."""
         scaled = super().scaled_to(scale, tick)
         if "timestep_s" not in self.model_fields_set:
             scaled.__dict__["timestep_s"] = default_timestep(tick, scale)
@@ -119,8 +119,8 @@ class AnalyticalFile(_PlantFile):
 
 
 BENCH_TICK_S = 0.001
-"""Default control tick on a bench, where controllers track fast references, at a time
-unit of 1, s."""
+"""Default control tick on a bench, s, for a time unit of 1. Controllers on a bench
+track fast references."""
 
 
 class TwinFile(_PlantFile):
@@ -132,30 +132,32 @@ class TwinFile(_PlantFile):
     wheel_keys = ("wheels", "friction")
 
     preset: Preset | None = None
-    """Name of a time step, if timestep_s is not set; fast: 2 ms, for search and
-    learning; reference: 0.25 ms, for published results."""
+    """Name of a time step, used if timestep_s is not set; "fast" is 2 ms, for search
+    and learning. "reference" is 0.25 ms, for published results."""
     timestep_s: float = quantity(1e-6, 1.0)
     """Time step of the integrator (default: 0.001 times the robot's time unit)."""
     wheels: Wheels = constructor_default()
-    """Wheels; rolling: friction law wheel, skid: runners with friction law ellipse."""
+    """Wheels; "rolling" wheels obey the friction law wheel. "skid" means runners that
+    obey the friction law ellipse."""
     contact: ContactName = LoadedContact.name
-    """Contact with the floor; loaded: a friction law on the loads that MuJoCo computes,
-    preloaded: friction of MuJoCo with an additional normal force, for comparison."""
+    """Contact with the floor; "loaded" applies a friction law to the loads that MuJoCo
+    computes. "preloaded" is MuJoCo's own friction with an additional normal force, for
+    comparison."""
     friction: LawOnLoads | None = None
-    """Friction law of a loaded contact (default: law of the wheels)."""
+    """Friction law of a loaded contact; by default the law of the wheels."""
     hinges_per_segment: int = quantity(1, 32)
-    """Bending hinges per segment."""
+    """Number of bending hinges per segment."""
 
     @model_validator(mode="after")
     def _take_preset(self) -> TwinFile:
         if "timestep_s" not in self.model_fields_set:
-            # The model is frozen; `model_fields_set` still contains the keys of the
-            # file only.
+            # The model is frozen. `model_fields_set` must still contain only the keys
+            # of the file.
             self.__dict__["timestep_s"] = preset_timestep(self.preset)
         return self
 
     def scaled_to(self, scale: Scale, tick: float) -> Self:
-        """See `_PlantFile.scaled_to`; the default time step divides the tick."""
+        """See `_PlantFile.scaled_to`."""
         scaled = super().scaled_to(scale, tick)
         if "timestep_s" not in self.model_fields_set:
             scaled.__dict__["timestep_s"] = divide(tick, scaled.timestep_s)
@@ -163,7 +165,7 @@ class TwinFile(_PlantFile):
 
     @property
     def law(self) -> LawOnLoads:
-        """Friction law, by default that of the wheels or skids."""
+        """Friction law, by default the law of the wheels or skids."""
         return self.friction or LAW_OF[self.wheels]
 
     def build_contact(self) -> Contact:
@@ -178,7 +180,7 @@ class TwinFile(_PlantFile):
 
     @property
     def fast_preset(self) -> str | None:
-        """Name of the preset `fast`, with a time step that overrides its own; None for other presets."""
+        """Name of the preset `fast` if a time step overrides it, or None."""
         if self.preset != "fast":
             return None
         override = f" with timestep_s {self.timestep_s}"
@@ -197,14 +199,14 @@ class TwinFile(_PlantFile):
 
 
 def preset_timestep(preset: object) -> float | None:
-    """Return the time step of a preset, s; the default without one, None for an unknown one."""
+    """Return the time step of a preset (s), or None for an unknown preset."""
     if preset:
         return PRESETS.get(str(preset), {}).get("timestep")
     return ModelSettings.timestep
 
 
 def with_preset(twin: Mapping[str, Any], preset: Any) -> dict[str, Any]:
-    """Return plain data of a twin with another preset; a time step that overrides the former one is kept."""
+    """Replace the preset of a twin, keeping a time step that overrides it."""
     data = {**twin, "preset": preset}
     if twin.get("timestep_s") == preset_timestep(twin.get("preset")):
         data.pop("timestep_s", None)
@@ -218,16 +220,16 @@ PlantFile = AnalyticalFile | TwinFile
 
 
 class PlantsFile(Section):
-    """Plants that run, with their options; a plant that is not named does not run."""
+    """Plants that run, with their options. A plant that is not named does not run."""
 
     analytical: AnalyticalFile | None = None
-    """Analytical model; {} for its defaults."""
+    """Analytical model; {} selects its defaults."""
     twin: TwinFile | None = None
-    """MuJoCo twin; {} for its defaults."""
+    """MuJoCo twin; {} selects its defaults."""
 
     @property
     def running(self) -> dict[str, PlantFile]:
-        """Sections of the plants that run, by name."""
+        """Sections of the plants that run, keyed by name."""
         return {
             kind: getattr(self, kind)
             for kind in PLANTS

@@ -1,8 +1,8 @@
 """Provenance of a run: everything that determines its numbers.
 
-That is the scenario, its files, the source code, package versions and the arithmetic of
-the processor. Their SHA-256 is the key under which a result is stored. Names, displays
-and expectations are not included.
+Provenance covers the scenario, its files, the source code, the package versions and the
+arithmetic of the processor, but not names, displays and expectations. The SHA-256 of
+the provenance is the key under which a result is stored.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ from srs_twin.scenario.fields import input_files
 from srs_twin.scenario.parts import PARTS
 
 NOT_PHYSICS = ("name", "title", "expect", "changes")
-"""Keys of a scenario that name or judge results."""
+"""Keys of a scenario that name or judge results and do not affect a run."""
 
 WORDS = ("title", "source", "status", "known", "reason")
 """Keys at any depth whose texts explain a value and do not affect a run."""
 
 _VIEWING = "srs_twin.viewing"
-"""Package that only displays results; it is not part of keys."""
+"""Package that only displays results and is therefore left out of the keys."""
 
 _TYPE_CHECKING_BLOCK = re.compile(r"^if TYPE_CHECKING:\n(?:[ \t]+.*\n|\n)+", re.M)
 _IMPORT = re.compile(
@@ -56,7 +56,7 @@ _IMPORT = re.compile(
 
 @cache
 def versions() -> dict[str, str]:
-    """Return the versions of Python and of the packages that determine results, and `arithmetic`."""
+    """Return the versions of packages that determine results, and `arithmetic`."""
     packages = ("mujoco", "numpy", "scipy", "numba")
     return {
         "srs_twin": __version__,
@@ -70,10 +70,11 @@ def versions() -> dict[str, str]:
 def arithmetic() -> str:
     """Return the name of the arithmetic, which determines the last digits of results.
 
-    It has three parts: the processor for which kernels are compiled (overridden by
-    `NUMBA_CPU_NAME`), the kernels of the BLAS libraries of NumPy and SciPy (overridden
-    by `OPENBLAS_CORETYPE`), and a digest of the processor's features and of function
-    values of the C library, NumPy and BLAS, which select code by processor.
+    The name has three parts. The first is the processor for which kernels are compiled,
+    which `NUMBA_CPU_NAME` overrides. The second names the kernels of the BLAS libraries
+    of NumPy and SciPy, which `OPENBLAS_CORETYPE` overrides. The third is a digest of
+    the processor's features and of function values of the C library, NumPy and BLAS,
+    which select code by processor.
     """
     from numba.core.registry import cpu_target
 
@@ -99,11 +100,11 @@ def arithmetic() -> str:
 
 
 def run_key(document: Mapping[str, object], plants: Iterable[str], runner: str) -> str:
-    """Return the key of a run.
+    """Return the key under which the result of a run is stored.
 
     Args:
-        document: plain data of the scenario, as in `Scenario.document`.
-        plants: plants that run; none: the scenario is only planned.
+        document: scenario as plain data.
+        plants: plants that run, empty for a mere plan.
         runner: dotted name of the module that runs the scenario.
     """
     return digest_of(
@@ -118,7 +119,7 @@ def run_key(document: Mapping[str, object], plants: Iterable[str], runner: str) 
 
 
 def run_sources(document: Mapping[str, object], runner: str) -> dict[str, str]:
-    """Return the source digests of the runner and of the extensions that a scenario uses, by module."""
+    """Return the source digests of the runner and the extensions, keyed by module."""
     sections = {name: entry for name, entry in SECTIONS.items() if document.get(name)}
     used = installed(METRICS) | installed(sections)
     formats = {}
@@ -141,7 +142,6 @@ def run_sources(document: Mapping[str, object], runner: str) -> dict[str, str]:
 
 
 def _named_parts(document: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the modules of the parts from outside that a scenario names."""
     for key, kind in PARTS.items():
         name = (document.get(key) or {}).get("kind")
         if name is not None and name not in kind.known:
@@ -150,7 +150,6 @@ def _named_parts(document: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _plugin_digests(modules: Iterable[str]) -> dict[str, str]:
-    """Return the SHA-256 of the source files of plug-ins, and the versions of their distributions."""
     digests: dict[str, str] = {}
     for package in {module.partition(".")[0] for module in modules} - {"", "__main__"}:
         spec = find_spec(package)
@@ -167,11 +166,11 @@ def _plugin_digests(modules: Iterable[str]) -> dict[str, str]:
 
 
 def judged_digest(document: Mapping[str, object]) -> str:
-    """Return a digest of a scenario with its robot and input files, to check stored intervals.
+    """Return a digest that tells whether stored intervals still apply to a scenario.
 
-    Code, duration and seed are not included: their effect on a result is visible in its
-    value. Texts that explain values are not included either, so that a reworded source
-    does not make an interval stale.
+    The digest covers the robot and the input files. It leaves out code, duration and
+    seed, because their effect on a result is visible in the value. It also leaves out
+    explanatory texts, so that a reworded source does not make an interval stale.
     """
     skipped = (*NOT_PHYSICS, "duration_s", "seed")
     return digest_of(
@@ -183,7 +182,6 @@ def judged_digest(document: Mapping[str, object]) -> str:
 
 
 def _without_words(data: object) -> object:
-    """Return nested data without the texts that explain its values."""
     if isinstance(data, Mapping):
         return {
             key: _without_words(value)
@@ -196,22 +194,21 @@ def _without_words(data: object) -> object:
 
 
 def digest_of(**data: object) -> str:
-    """Return the SHA-256 of plain data, hexadecimal."""
+    """Return the hexadecimal SHA-256 of plain data."""
     return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
 
 
 def file_digests(document: Mapping[str, object]) -> dict[str, str]:
-    """Return the SHA-256 of the files that a run reads in addition to its document, by path, hexadecimal.
+    """Return the hexadecimal SHA-256 of the input files of a run, keyed by path.
 
-    The robot is part of the document; footprints, recordings and logs are given by name
-    or path. The digest of a file that cannot be read is empty; the run will report the
-    error.
+    Input files are footprints, recordings and logs that are given by name or path; the
+    robot is part of the document. The digest of an unreadable file is empty, and the
+    run reports the error.
     """
     return {path: _sha256(path) for path in _files(document)}
 
 
 def _files(document: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the paths of the input files of a scenario."""
     start = document.get("start")
     if isinstance(start, Mapping) and start.get("from"):
         yield from (
@@ -238,18 +235,18 @@ def _sha256(path: str) -> str:
 
 @lru_cache(maxsize=4096)
 def _sha256_of(path: str, modified_ns: int, status_changed_ns: int, size: int) -> str:
-    """Return the digest of a file; times and size are part of the cache key."""
+    """Return the digest of a file, cached by its times and its size."""
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 @cache
 def source_digests(module: str) -> dict[str, str]:
-    """Return the SHA-256 of the sources of a module and of its imports from this package, hexadecimal.
+    """Return the hexadecimal SHA-256 of the sources of a module and its imports.
 
-    Imports are read from the source text, including those inside functions and
-    excluding those for type checkers. The ``__init__`` of a package counts only if the
-    package itself is imported.
+    Only imports from this package count. They are read from the source text, including
+    imports inside functions and excluding imports for type checkers. The ``__init__``
+    of a package counts only if the package itself is imported.
 
     Args:
         module: dotted name of the module.
@@ -258,7 +255,6 @@ def source_digests(module: str) -> dict[str, str]:
 
 
 def _closure(module: str, root: Path) -> Iterator[tuple[str, str]]:
-    """Yield name and digest of a module and of all modules that it imports, directly or indirectly."""
     to_read = [module]
     seen = set()
     while to_read:
@@ -280,7 +276,6 @@ def _closure(module: str, root: Path) -> Iterator[tuple[str, str]]:
 
 
 def _source(root: Path, module: str) -> Path | None:
-    """Return the source file of a module; None if it has none."""
     place = root / module.replace(".", "/")
     return next(
         (

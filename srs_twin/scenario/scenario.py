@@ -33,7 +33,7 @@ IGNORED_OBSTACLES = (
     "plants.analytical: the model ignores the obstacles of this world and passes"
     " through them; only model: compliant with touch: true touches them"
 )
-"""Warning about an analytical plant that ignores obstacles."""
+"""Warning that the analytical plant ignores obstacles."""
 
 
 def ignored_obstacles(
@@ -54,23 +54,23 @@ class Scenario:
     """Experiment with a robot, a controller and one or two plants.
 
     Attributes:
-        name: name of the scenario and of its output folder.
-        title: title of one line, with the changed fields.
+        name: name of the scenario and its output folder.
+        title: one-line title with the changed fields.
         robot: robot with overrides.
         duration: simulated duration, s.
         seed: random seed.
-        record_hz: recorded samples per second.
+        record_hz: recording rate, Hz.
         supply_pa: supply pressure, gauge, Pa.
         pose: initial centre of mass x, y (m) and mean heading (rad).
-        begin: function that sets the initial state of a plant; None: straight and at
-            rest at `pose`.
+        begin: function that sets the initial state of a plant, or None for straight and
+            at rest at `pose`.
         world: obstacles, bounds and goal.
         file: sections of the file, with all defaults written out.
         document: plain data of a file that loads as an equal scenario, with defaults
             and robot written out.
         warnings: warnings for the user.
-        products: products of the extension sections, by section.
-        source: name of the file in messages.
+        products: products of extension sections.
+        source: file name for messages.
     """
 
     name: str
@@ -95,13 +95,13 @@ class Scenario:
         return {name: value for name, value in vars(self).items() if name != "file"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        # Sections of parts from outside are classes without a home, so they are made
-        # again.
+        # Sections of parts from outside the package are classes that pickle cannot
+        # import, so they are made again.
         vars(self).update(state, file=read_resolved(state["document"]))
 
     @property
     def plants(self) -> Mapping[str, PlantFile]:
-        """Sections of the plants that the file names, by name."""
+        """Sections of the plants that the file names, keyed by name."""
         return self.file.plants.running
 
     @property
@@ -111,12 +111,12 @@ class Scenario:
 
     @property
     def planner(self) -> Any:
-        """Planner of the section `planner`; None without one."""
+        """Planner of the section `planner`, or None without one."""
         return self.products.get("planner")
 
     @property
     def recording(self) -> Any:
-        """Recording of the section `recording`; None without one."""
+        """Recording of the section `recording`, or None without one."""
         return self.products.get("recording")
 
     @property
@@ -126,19 +126,19 @@ class Scenario:
 
     @property
     def label(self) -> str:
-        """Name with the changed fields."""
+        """Name of the scenario with the changed fields."""
         return marked(self.name, self.changes)
 
     @property
     def expect(self) -> tuple[Expectation, ...]:
-        """Expectations that are valid in spite of changed fields."""
+        """Expectations that are still valid after the changes of fields."""
         return tuple(
             item for item in self.file.expect if not invalidated_by(item, self.changes)
         )
 
     @property
     def left_out(self) -> list[dict[str, Any]]:
-        """Invalidated expectations: `metric`, `of`, `source`, and the changed fields (`because`)."""
+        """Invalidated expectations. The changed fields are listed as `because`."""
         pairs = (
             (item, invalidated_by(item, self.changes)) for item in self.file.expect
         )
@@ -154,7 +154,10 @@ class Scenario:
         ]
 
     def run_on(self, plants: Sequence[str] | None) -> Scenario:
-        """Return the scenario for a run on given plants (None: its own); other plants are a changed field."""
+        """Return the scenario for a run on given plants, by default its own plants.
+
+        Other plants count as a changed field.
+        """
         changes = with_plants(
             self.changes, tuple(self.plants), plants or tuple(self.plants)
         )
@@ -190,7 +193,7 @@ class Scenario:
 
     @property
     def measured(self) -> Trajectory | None:
-        """Measured trajectory in the time of the run; None without a recording."""
+        """Measured trajectory in the time of the run, or None without a recording."""
         measured = (
             section.measured(self.products[key])
             for key, section in self.file.sections().items()
@@ -205,10 +208,10 @@ class Scenario:
 
     @contextmanager
     def named_in_errors(self) -> Iterator[None]:
-        """Add the name of the file to input errors of a block, such as those of building a plant.
+        """Add the name of the file to input errors of a block.
 
         Raises:
-            InputError: the block raised one.
+            InputError: the block raised it.
         """
         try:
             yield
@@ -219,13 +222,13 @@ class Scenario:
     def build_plant(
         self, kind: str, *, robot: RobotSpec | None = None, **changes: Any
     ) -> Plant:
-        """Return a new plant at rest; a plant that the file does not name has its defaults.
+        """Return a new plant at rest, with defaults if the file does not name it.
 
         Args:
             kind: "analytical" or "twin".
-            robot: robot instead of the one of the scenario.
-            changes: arguments of the plant, and `gaps`, instead of those of the
-                scenario.
+            robot: robot that replaces the robot of the scenario.
+            changes: arguments of the plant, and `gaps`, that replace the scenario's
+                values.
 
         Raises:
             UnknownNameError: the kind is unknown.
@@ -279,7 +282,6 @@ class Scenario:
         )
 
     def _chambers(self, robot: RobotSpec) -> Pneumatics:
-        """Return new chambers with their stuck valves."""
         replaced = (
             section.chambers(self.products[key], robot, self.supply_pa, self.layout)
             for key, section in self.file.sections().items()
@@ -291,7 +293,6 @@ class Scenario:
         return chambers
 
     def _sensors(self, robot: RobotSpec) -> Sensor:
-        """Return new sensors with their faults."""
         sensor = self.file.sensor.sensor(robot)
         dead = self._faults(DeadSensor)
         if dead:

@@ -1,4 +1,7 @@
-"""Section `start` of a scenario: initial pose, motion and pressures, from keys or an earlier run."""
+"""Section `start` of a scenario: initial state of the snake.
+
+The initial pose, motion and pressures are set by keys or taken from an earlier run.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,7 @@ from srs_twin.scenario.fields import Contradiction, FilePath, Section, quantity
 from srs_twin.trajectory import Trajectory
 
 _MAX_SEGMENTS = 64
-"""Largest number of segments in a list."""
+"""Maximum number of segments in a list."""
 
 Speed = Annotated[float, Field(ge=-10.0, le=10.0)]
 Bend = Annotated[float, Field(ge=-3.2, le=3.2)]
@@ -40,20 +43,20 @@ class StartFile(Section):
     y_m: float = quantity(-1000.0, 1000.0, 0.0)
     """y of the centre of mass."""
     heading_rad: float = quantity(-6.3, 6.3, 0.0)
-    """Mean heading, counter-clockwise from x."""
+    """Mean heading (counter-clockwise from x)."""
     velocity_m_s: (
         Annotated[tuple[Speed, ...], Field(min_length=2, max_length=2)] | None
     ) = None
-    """[x, y] velocity of the centre of mass in the world, m/s, -10 to 10."""
+    """[x, y] velocity of the centre of mass in the world frame, m/s, -10 to 10."""
     yaw_rate_rad_s: float | None = quantity(-100.0, 100.0, None)
-    """Rate of the mean heading."""
+    """Rate of change of the mean heading."""
     bend_rad: Annotated[tuple[Bend, ...], Field(max_length=_MAX_SEGMENTS)] | None = None
     """Bend of each segment from the head, positive to the left, rad, -3.2 to 3.2."""
     bend_rate_rad_s: (
         Annotated[tuple[BendRate, ...], Field(max_length=_MAX_SEGMENTS)] | None
     ) = None
-    """Bend rate of each segment, rad/s, -100 to 100; ignored if the bends follow the
-    pressures."""
+    """Bend rate of each segment, rad/s, -100 to 100; it is ignored if the bends follow
+    the pressures."""
     pressure_kpa: (
         Annotated[
             tuple[Annotated[tuple[Gauge, ...], Field(min_length=2, max_length=2)], ...],
@@ -61,18 +64,18 @@ class StartFile(Section):
         ]
         | None
     ) = None
-    """Pressures of the [+, -] chambers of each segment, gauge, kPa, 0 to the supply
+    """Gauge pressures of the [+, -] chambers of each segment, kPa, from 0 to the supply
     pressure."""
     run: FilePath | None = Field(
         default=None,
         alias="from",
         title="From",
         description=(
-            "Folder of a run; each plant starts in the state of its trajectory there."
+            "Folder of an earlier run; each plant starts in a state of its trajectory."
         ),
     )
     time_s: float | None = quantity(0.0, 1e6, None)
-    """Time in that run."""
+    """Time of the state (within the run that from names)."""
 
     def contradictions(self) -> Iterator[Contradiction]:
         """Yield keys that contradict each other."""
@@ -91,7 +94,7 @@ class StartFile(Section):
 
     @property
     def moves(self) -> bool:
-        """Whether the initial state differs from straight and at rest."""
+        """Whether the initial state differs from a straight snake at rest."""
         return self.run is not None or any(
             getattr(self, name) is not None for name in _AT_REST
         )
@@ -99,17 +102,16 @@ class StartFile(Section):
     def initial_state(
         self, segments: int, supply_pa: float, plants: Mapping[str, object]
     ) -> InitialState | None:
-        """Return the initial state of each plant; None: straight and at rest.
+        """Return the initial state of each plant, or None for straight and at rest.
 
         Args:
-            segments: number of segments of the robot.
-            supply_pa: supply pressure, gauge, Pa; upper limit of the chamber pressures.
-            plants: plants that run, by name.
+            segments: number of segments.
+            supply_pa: supply pressure, the maximum chamber pressure, gauge, Pa.
+            plants: plants that run, keyed by name.
 
         Raises:
-            InputError: a list has another number of entries than the robot has
-                segments, a pressure is above the supply pressure, or the run has no
-                such time.
+            InputError: a list does not have one entry per segment, a pressure is above
+                the supply pressure, or the run has no such time.
         """
         if not self.moves:
             return None
@@ -158,14 +160,14 @@ class StartFile(Section):
 
 @dataclass(frozen=True, eq=False)
 class _MotionState:
-    """Pose, motion and pressures of a snake in SI.
+    """Pose, motion and pressures of a snake in SI units.
 
     Attributes:
         com: centre of mass, m, shape (2,).
         com_velocity: velocity of the centre of mass, m/s, shape (2,).
         heading: mean heading, rad.
-        yaw_rate: rate of the mean heading, rad/s.
-        bend: bends, rad, shape (segments,).
+        yaw_rate: rate of change of the mean heading, rad/s.
+        bend: bend angles, rad, shape (segments,).
         bend_rate: bend rates, rad/s, shape (segments,).
         pressure: chamber pressures, gauge, Pa, shape (segments, 2).
     """
@@ -181,10 +183,10 @@ class _MotionState:
 
 @dataclass(frozen=True)
 class InitialState:
-    """Initial states of the plants, as a `rollout.Begin`.
+    """Function that starts a plant in a given state, used as a `rollout.Begin`.
 
     Attributes:
-        states: state of each plant, by name.
+        states: initial state of each plant, keyed by name.
     """
 
     states: Mapping[str, _MotionState]
@@ -203,7 +205,7 @@ class InitialState:
 
 
 def _state_at(folder: Path, plant: str, time: float, segments: int) -> _MotionState:
-    """Return the state of a plant at a time (s) of its trajectory, with rates from interpolation."""
+    """Interpolate the state of a plant at a time (s) of a recorded trajectory."""
     path = folder / f"{plant}.parquet"
     if not os.path.isfile(path):
         raise InputError(
@@ -231,8 +233,8 @@ def _state_at(folder: Path, plant: str, time: float, segments: int) -> _MotionSt
     )
     k = min(max(int(np.searchsorted(times, time - 1e-9)), 1), len(times) - 1)
     near = slice(max(k - 2, 0), min(k + 2, len(times)))
-    # Parabola or cubic through the samples around the time: coefficients 0 and 1 are
-    # value and rate.
+    # A parabola or cubic through the neighbouring samples gives the value (coefficient
+    # 0) and the rate (coefficient 1).
     fit = np.polynomial.polynomial.polyfit(
         times[near] - time, columns[near], len(times[near]) - 1
     )

@@ -1,4 +1,4 @@
-"""Section `world` of a scenario: obstacles, objects, floor, bounds, goal and random obstacles."""
+"""Section `world` of a scenario: floor, obstacles, movable objects, bounds and goal."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from srs_twin.scenario.map_file import read_circles, read_map
 Metres = Annotated[float, Field(ge=-1000.0, le=1000.0)]
 Pair = Annotated[tuple[Metres, ...], Field(min_length=2, max_length=2)]
 MAX_PEGS = 1000
-"""Largest number of pegs in a field."""
+"""Maximum number of pegs in a field."""
 
 Radius = Annotated[float, Field(ge=0.001, le=100.0)]
 
@@ -91,7 +91,7 @@ class BoundsFile(Section):
 
 
 class GoalFile(Section):
-    """Goal of the centre of mass."""
+    """Goal for the centre of mass."""
 
     constructors = (Goal,)
 
@@ -100,35 +100,35 @@ class GoalFile(Section):
     y_m: float = quantity(-1000.0, 1000.0)
     """y of the goal."""
     heading_rad: float | None = quantity(-6.3, 6.3, None)
-    """Heading on arrival (default: any)."""
+    """Required heading on arrival (default: any heading)."""
     radius_m: float = quantity(1e-5, 100.0, 0.05)
     """Position tolerance (default: 0.05 times the robot's length unit)."""
     heading_tolerance_rad: float = quantity(0.0, 3.14)
-    """Tolerance of the heading."""
+    """Heading tolerance."""
 
 
 class RandomFile(Section):
-    """Random round obstacles."""
+    """Randomly placed round obstacles."""
 
     constructors = (random_circles,)
 
     kind: Literal["strewn", "fig54"] = "strewn"
-    """strewn: uniformly distributed over a rectangle; fig54: at some of the 18 sites of
-    Fig. 54."""
+    """Distribution of the obstacles; "strewn" is uniform over a rectangle. "fig54"
+    selects some of the 18 sites of Fig. 54."""
     count: int = quantity(0, 1000)
     """Number of circles."""
     seed: int | None = quantity(0, 2**32 - 1, None)
     """Random seed (default: seed of the scenario)."""
     area: BoundsFile | None = None
-    """Area of the centres (strewn; default: the bounds)."""
+    """Area of the centres (only for strewn); by default the bounds."""
     radius_m: Annotated[tuple[Radius, ...], Field(min_length=2, max_length=2)] = (
         constructor_default()
     )
-    """Smallest and largest radius (strewn), m."""
+    """Minimum and maximum radius (only for strewn), m."""
     gap_m: float = quantity(0.0, 100.0)
-    """Smallest distance between two circles (strewn)."""
+    """Minimum distance between two circles (strewn only)."""
     clear_m: float = quantity(0.0, 100.0, 0.3)
-    """Smallest distance of circles from start and goal (strewn)."""
+    """Minimum distance of circles from start and goal (strewn only)."""
 
     @field_validator("radius_m")
     @classmethod
@@ -142,11 +142,11 @@ class RandomFile(Section):
     def draw(
         self, bounds: BoundsFile | None, seed: int, places: list[Pose | Goal]
     ) -> tuple[Circle, ...]:
-        """Return the circles.
+        """Draw the circles.
 
         Args:
-            bounds: default of the area.
-            seed: default of the random seed.
+            bounds: area that is used if the section does not set one.
+            seed: random seed that is used if the section does not set one.
             places: start and goal, which stay clear of circles.
 
         Raises:
@@ -164,27 +164,27 @@ class RandomFile(Section):
 
 
 class PegsFile(Section):
-    """Field of posts with rows along y and columns along x."""
+    """Rectangular field of pegs."""
 
     constructors = (peg_field,)
 
     pitch_m: float = quantity(1e-4, 100.0)
-    """Distance between neighbouring posts."""
+    """Distance between neighbouring pegs."""
     radius_m: float = quantity(1e-5, 100.0)
-    """Radius of the posts."""
+    """Radius of the pegs."""
     rows: int = quantity(1, 1000)
-    """Number of posts in a column, along y."""
+    """Number of pegs in a column, along y."""
     columns: int = quantity(1, 1000)
-    """Number of columns, along x."""
+    """Number of columns, one behind the other along x."""
     jitter_m: float = quantity(0.0, 100.0)
-    """Largest random displacement of a post along x and along y."""
+    """Maximum random displacement of a peg along x and along y."""
     staggered: bool = constructor_default()
-    """Whether every second column is shifted by half a pitch."""
+    """Whether every second column is shifted by half the distance between pegs."""
     x_m: float | None = quantity(-1000.0, 1000.0, None)
     """x of the first column (default: 0.2 times the robot's length unit beyond the
     start)."""
     y_m: float | None = quantity(-1000.0, 1000.0, None)
-    """y of the middle of the columns (default: that of the start)."""
+    """y of the middle of the columns (default: y of the start)."""
     seed: int | None = quantity(0, 2**32 - 1, None)
     """Random seed of the displacements (default: seed of the scenario)."""
 
@@ -197,15 +197,15 @@ class PegsFile(Section):
         return self
 
     def draw(self, start: Pose, seed: int, length: float) -> tuple[Circle, ...]:
-        """Return the posts.
+        """Return the pegs.
 
         Args:
             start: initial pose of the snake.
-            seed: default of the random seed.
-            length: length unit of the robot, 1.
+            seed: random seed that is used if the section does not set one.
+            length: length unit of the robot, dimensionless.
 
         Raises:
-            InputError: displaced posts could overlap.
+            InputError: displaced pegs could overlap.
         """
         x = self.x_m
         if x is None:
@@ -216,25 +216,25 @@ class PegsFile(Section):
 
 
 class FloorFile(Section):
-    """Slope of the floor; x and y are coordinates in its plane."""
+    """Slope of the floor. The coordinates x and y lie in the plane of the floor."""
 
     constructors = (Floor,)
 
     tilt_deg: float = quantity(0.0, 60.0)
     """Slope angle."""
     uphill_deg: float = quantity(-360.0, 360.0)
-    """Direction in which the floor rises, counter-clockwise from x."""
+    """Direction in which the floor rises (counter-clockwise from x)."""
 
 
 class StepFile(Section):
-    """Step of the floor along the line at x."""
+    """Step of the floor along a line of constant x."""
 
     constructors = (Step,)
 
     x_m: float = quantity(-1000.0, 1000.0)
     """x of the line."""
     height_m: float = quantity(-10.0, 10.0)
-    """Height of the floor beyond the line relative to the floor before it."""
+    """Height of the floor beyond the line over the floor before the line."""
 
 
 class _ObjectFile(Section):
@@ -252,7 +252,7 @@ class _ObjectFile(Section):
     y_m: float = quantity(-1000.0, 1000.0)
     """Initial y of the centre."""
     heading_rad: float = quantity(-6.3, 6.3)
-    """Initial heading, counter-clockwise from x."""
+    """Initial heading (counter-clockwise from x)."""
 
     def build(self) -> MovableObject:
         """Return the object."""
@@ -266,7 +266,7 @@ class CylinderFile(_ObjectFile):
     size_keys = ("radius_m",)
 
     kind: Literal["cylinder"]
-    """Shape."""
+    """Shape of the object."""
     radius_m: float = quantity(1e-3, 100.0)
     """Radius."""
 
@@ -277,9 +277,9 @@ class BoxFile(_ObjectFile):
     size_keys = ("length_m", "width_m")
 
     kind: Literal["box"]
-    """Shape."""
+    """Shape of the object."""
     length_m: float = quantity(1e-3, 100.0)
-    """Length, along its heading."""
+    """Length along the heading."""
     width_m: float = quantity(1e-3, 100.0)
     """Width."""
 
@@ -293,35 +293,35 @@ class WorldFile(Section):
     obstacles: Annotated[list[ObstacleFile], Field(max_length=1000)] = []
     """Round obstacles."""
     circles: FilePath | None = None
-    """CSV file of round obstacles with columns x_m, y_m, radius_m."""
+    """CSV file of round obstacles with the columns x_m, y_m, radius_m."""
     map: FilePath | None = None
-    """ROS occupancy map: YAML file with a PGM or PNG picture."""
+    """ROS occupancy map; a YAML file with a PGM or PNG picture."""
     polygons: Annotated[list[PolygonFile], Field(max_length=1000)] = []
     """Polygonal obstacles."""
     random: RandomFile | None = None
-    """Random round obstacles."""
-    # None instead of values, so that documents of scenarios without these keys keep
-    # their digests.
+    """Randomly placed round obstacles."""
+    # The default is None, so that documents of scenarios without these keys keep their
+    # digests.
     pegs: PegsFile | None = None
-    """Field of posts."""
+    """Field of pegs."""
     obstacle_friction: float | None = quantity(0.0, 10.0, None)
-    """Coefficient of Coulomb friction between the body and obstacles (default: 0.5, an
+    """Coulomb friction coefficient between body and obstacles (default: 0.5, an
     estimate)."""
     floor: FloorFile = FloorFile()
     """Slope of the floor."""
     steps: Annotated[list[StepFile], Field(max_length=100)] = []
     """Steps of the floor."""
-    # None instead of an empty list, so that documents of scenarios without objects keep
-    # their digests.
+    # The default is None, so that documents of scenarios without objects keep their
+    # digests.
     objects: Annotated[list[ObjectFile], Field(max_length=10)] | None = None
-    """Movable objects; on the twin only."""
+    """Movable objects; they exist on the twin only."""
     bounds: BoundsFile | None = None
     """Rectangle in which the snake must stay."""
     goal: GoalFile | None = None
-    """Goal of the centre of mass."""
+    """Goal for the centre of mass."""
 
     def scaled_to(self, scale: Scale) -> WorldFile:
-        """Return the section with the lengths that the file does not set in the units of a robot."""
+        """Return the section with default lengths in the units of a robot."""
         goal = self.goal
         random = self.random
         unit = scale.length
@@ -349,10 +349,10 @@ class WorldFile(Section):
         return path
 
     def place_of(self, number: int, world: World) -> tuple[str | int, ...]:
-        """Return the path in this section of an obstacle or object; empty if its origin is not certain.
+        """Return the path of an obstacle in this section, or () if it is uncertain.
 
         Args:
-            number: number among round obstacles, polygons and objects, from 0.
+            number: index among round obstacles, polygons and objects, from 0.
             world: result of `build_world`.
         """
         round_ones = len(world.obstacles)
@@ -377,7 +377,7 @@ class WorldFile(Section):
         Args:
             start: initial pose, which random obstacles avoid.
             seed: random seed of the scenario.
-            length: length unit of the robot, 1.
+            length: length unit of the robot, dimensionless.
 
         Raises:
             InputError: random circles or pegs do not fit into their area, or a file

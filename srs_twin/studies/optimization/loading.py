@@ -54,8 +54,8 @@ on the number."""
 class VariableFile(Section):
     """Range of a field that the study optimises."""
 
-    low: float = Field(ge=-1e12, le=1e12, description="Smallest value.")
-    high: float = Field(ge=-1e12, le=1e12, description="Largest value.")
+    low: float = Field(ge=-1e12, le=1e12, description="Minimum value of the field.")
+    high: float = Field(ge=-1e12, le=1e12, description="Maximum value of the field.")
     scale: Literal["linear", "log"] = "linear"
     """Scale on which the search measures distances; log stands for ratios."""
     whole: bool = False
@@ -116,10 +116,10 @@ class ConstraintFile(Section):
     metric: MetricName
     """Limited metric, as listed by `srs-twin list --metrics`."""
     below: float | None = Field(
-        None, ge=-1e12, le=1e12, description="Largest allowed value."
+        None, ge=-1e12, le=1e12, description="Maximum allowed value."
     )
     above: float | None = Field(
-        None, ge=-1e12, le=1e12, description="Smallest allowed value."
+        None, ge=-1e12, le=1e12, description="Minimum allowed value."
     )
 
     @model_validator(mode="after")
@@ -149,7 +149,7 @@ class StudyFile(Section):
     scenario: PathOrName
     """Name of a shipped scenario or path of a scenario file."""
     fixed: dict[FieldName, Plain | list[Plain]] = Field(
-        {}, description="Fields with a different value than in the scenario."
+        {}, description="Fields whose value differs from the scenario."
     )
     variables: dict[FieldName, VariableFile] = Field(
         min_length=1, max_length=20, description="Fields to optimise."
@@ -157,7 +157,7 @@ class StudyFile(Section):
     objectives: list[ObjectiveFile] = Field(
         min_length=1,
         max_length=2,
-        description="One objective, or two for a Pareto front.",
+        description="One objective, or two objectives for a Pareto front.",
     )
     constraints: list[ConstraintFile] = Field(
         [], max_length=20, description="Constraints on metrics."

@@ -56,10 +56,18 @@ class RangeFile(Section):
     """Range of values, including both ends."""
 
     start: float = Field(
-        alias="from", ge=-1e12, le=1e12, title="From", description="First value."
+        alias="from",
+        ge=-1e12,
+        le=1e12,
+        title="From",
+        description="First value of the field.",
     )
     stop: float = Field(
-        alias="to", ge=-1e12, le=1e12, title="To", description="Last value."
+        alias="to",
+        ge=-1e12,
+        le=1e12,
+        title="To",
+        description="Last value of the field.",
     )
     count: int | None = quantity(2, 10_000, None)
     """Number of values. Only the sampling kinds grid and list use it."""

@@ -1,1 +1,1 @@
-"""RobotSpec and World as MJCF: the model and its export."""
+"""Conversion of RobotSpec and World into MJCF: the model and its export."""

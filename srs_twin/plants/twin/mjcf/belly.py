@@ -5,9 +5,10 @@ its segments, or a link between the hinges of a segment. A rod has the mass of i
 of the body. Its inertia is computed for a block with the width of the body and twice
 the height of the centre of mass.
 
-A rod touches the floor in the middles of equally long patches, at two points side by
-side. The contact geoms are frictionless spheres around the height of the centre of
-mass. Friction is a law on their contact forces (`contact_loaded`).
+A rod is divided into equally long patches. In the middle of each patch, two contact
+points side by side touch the floor. The contact geoms are frictionless spheres around
+the height of the centre of mass. Friction is computed by a law from their contact
+forces (`contact_loaded`).
 """
 
 from __future__ import annotations
@@ -21,17 +22,18 @@ from srs_twin.plants.twin.mjcf.numerics import ModelSettings, hinge_stations
 from srs_twin.robot.spec import RobotSpec
 
 _MIN_LENGTH = 1e-9
-"""Minimum length of a part of a rod over the pitch; less is a rounding error."""
+"""Minimum length of a part of a rod divided by the pitch. Shorter parts are rounding
+errors."""
 
 
 class Rod(NamedTuple):
-    """Rigid part of the body. Places are distances behind the head when straight, m.
+    """Rigid part of the body. Positions are distances behind the head when straight, m.
 
     Attributes:
-        name: name of the rod's MuJoCo body.
-        origin: place of the frame of this body.
-        front: place of the front end.
-        back: place of the rear end.
+        name: name of the MuJoCo body.
+        origin: position of the frame of this body.
+        front: position of the front end.
+        back: position of the rear end.
     """
 
     name: str
@@ -65,7 +67,7 @@ class Patch(NamedTuple):
     """Part of a rod that belongs to one segment and touches the floor in its middle.
 
     Attributes:
-        rod: rod to which the patch belongs.
+        rod: rod that contains the patch.
         place: distance of the patch's middle behind the head, m.
         length: length of the patch, m.
         mass: mass of the patch, kg.
@@ -78,10 +80,7 @@ class Patch(NamedTuple):
 
 
 def patches(spec: RobotSpec, settings: ModelSettings) -> list[Patch]:
-    """Return the patches of a robot with skin, head first.
-
-    The patches on a part of a rod are equally long.
-    """
+    """Return the equally long patches of each rod of a robot with skin, head first."""
     assert spec.skin is not None, "wheels have no patches"
     assert spec.mass.segments is not None, "a robot with skin has masses of segments"
     pitch = spec.geometry.pitch
@@ -141,11 +140,11 @@ def _set_inertia(mj: MjSpec, spec: RobotSpec, rod: Rod, parts: list[Patch]) -> N
 
 
 def root_connector(spec: RobotSpec) -> int:
-    """Return the number of the connector with the free joint, which is the middle one.
+    """Return the number of the middle connector, which has the free joint.
 
-    No contact is then more than half of the chain away from the root, which makes a step a
-    third faster than with the head as root. The integrator evaluates inertia at the
-    beginning of a step. With the root in the middle, its error in the mean speed is a fifth
-    of the error with the head as root.
+    With the root in the middle, no contact is more than half of the chain away from it,
+    which makes a step a third faster. The integrator evaluates inertia at the beginning
+    of a step. Its error in the mean speed is a fifth of the error with the head as
+    root.
     """
     return (spec.geometry.connectors + 1) // 2

@@ -1,7 +1,7 @@
 """Default classes of the MJCF with common properties of hinges, wheels and actuators.
 
-Elements name their class and state only their own properties: name, position, and
-values that depend on the mass of their connector (axle friction, preload).
+Elements state only their class, their name, their position and values that depend on
+the mass of their connector (axle friction, preload).
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def add_classes(
 
     Args:
         mj: model, changed in place.
-        spec: the robot.
+        spec: robot.
         settings: time step, discretisation and contact.
         limit_pa: upper limit of the chamber pressures, Pa.
     """
@@ -79,8 +79,8 @@ def add_classes(
         drag.gear = [1, 0, 0, 0, 0, 0]
         drag.biastype = mujoco.mjtBias.mjBIAS_AFFINE
         drag.gainprm[0] = 0.0
-        # The drag is proportional to the speed up to the slip speed, which the
-        # integrator treats implicitly, and then constant.
+        # The drag is proportional to the speed up to the slip speed, and constant
+        # beyond it. The integrator treats the proportional part implicitly.
         drag.biasprm[2] = -limit / stated(settings.contact.slip_speed)
         drag.forcelimited = True
         drag.forcerange = [-limit, limit]
@@ -101,7 +101,7 @@ def drawn_radius(spec: RobotSpec) -> float:
 def drawn_height(spec: RobotSpec) -> float:
     """Return the height of the drawn body above the centres of mass, m.
 
-    At this height the drawn body clears the floor.
+    The drawn body then clears the floor.
     """
     unit = spec.scale.length
     height = (
@@ -115,11 +115,10 @@ def drawn_height(spec: RobotSpec) -> float:
 def _add_joints(
     mj: mujoco.MjSpec, root: mujoco.MjsDefault, spec: RobotSpec, settings: ModelSettings
 ) -> None:
-    """Add the classes of the joints.
+    """Add the joint classes, with dampers that compensate for the integrator.
 
-    The integrator evaluates a spring at the end of its step, which adds the damping h k.
-    The dampers are reduced by h k, so that spring and damper together have the nominal
-    damping.
+    The integrator evaluates a spring with stiffness k at the end of its step h, which
+    adds the damping h k. The dampers are therefore reduced by h k.
     """
     bending = spec.bending
     n = settings.hinges_per_segment

@@ -1,18 +1,19 @@
-"""RobotSpec → MJCF files in the layout of MuJoCo Menagerie.
+"""Export of a RobotSpec as MJCF files in the layout of MuJoCo Menagerie.
 
 ``<robot>.xml`` contains the robot. ``scene.xml`` includes it and adds floor, light,
 contact pairs and floor-force sensors. Numbers are written in full precision, so that
-the files compile to a model that is bit-identical to the twin's model. ``scene_mjx.xml``
-has the same robot and floor, but omits what MJX and MuJoCo Warp do not support.
+the files compile to a model that is bit-identical to the twin's model.
+``scene_mjx.xml`` has the same robot and floor, but omits what MJX and MuJoCo Warp do
+not support.
 
 The controls are pressures. If the damping time c/k of the segments differs from the
 mode time constant τ₂, each chamber has two actuators. `plus_1` takes the pressure, and
 `plus_1_lag` takes its mean over the time step.
 
 MuJoCo's actuators are linear in the pressures, so a limit of the bends becomes a limit
-of the moments. A robot with a dead zone is refused unless its pressures are converted
+of the moments. A robot with a dead zone is exported only if its pressures are converted
 before they become controls (`equivalent_linear_pressure` of `pneumatics.chambers`).
-`describe_departures` names what the files lack.
+`describe_departures` lists what the files lack.
 """
 
 from __future__ import annotations
@@ -65,11 +66,11 @@ _DEPARTURES = {
     "modules.sensor_gain_spread": _SENSORS,
     "modules.sensor_bias_spread_rad": _SENSORS,
 }
-"""Departure of the exported model from the twin, per number of a robot file."""
+"""Robot parameter → how the exported model departs from the twin."""
 
 
 def describe_departures(robot: RobotFile) -> Iterator[str]:
-    """Yield a line for each number of a robot that its export omits or approximates."""
+    """Yield a line for each robot parameter that the export omits or approximates."""
     on_bench = robot.geometry.connectors.value == 2
     for path, record in robot.records().items():
         departure = _DEPARTURES.get(path)
@@ -88,13 +89,10 @@ def export_robot(spec: RobotSpec, folder: Path) -> list[Path]:
 
 
 def write_files(files: dict[str, str], folder: Path) -> list[Path]:
-    """Write files together into a folder and return their paths.
-
-    A missing folder is created.
+    """Write files into a folder, which is created if necessary, and return their paths.
 
     Args:
-        files: mapping from file name to text, in which a file precedes those that include
-            it.
+        files: file name → text, in which a file precedes the files that include it.
         folder: path of the folder.
 
     Raises:
@@ -112,14 +110,14 @@ def robot_files(
     """Return a robot's MJCF files as a mapping from file name to text.
 
     Args:
-        spec: the robot.
-        supply_pa: upper limit of the controls, Pa; at least the limits of the robot are
-            used.
-        linear: whether to export a robot with a dead zone without its dead zone.
+        spec: robot.
+        supply_pa: upper limit of the controls, Pa. Lower values are raised to the
+            limits of the robot.
+        linear: whether a robot with a dead zone is exported without its dead zone.
 
     Raises:
-        InputError: the robot has a skin or a tail on two axles, or it has a dead zone and
-            `linear` is false.
+        InputError: the robot has a skin or a tail on two axles, or it has a dead zone
+            and `linear` is false.
     """
     if spec.skin is not None:
         raise InputError(
@@ -163,11 +161,11 @@ def robot_files(
 
 
 def _add_lags(mj: mujoco.MjSpec, spec: RobotSpec) -> None:
-    """Add to each chamber a second actuator that lags behind the pressure.
+    """Add a second actuator, which lags behind the pressure, to each chamber.
 
-    The moment of a nominal segment is k x + c ẋ, where x lags behind the pressures with the
-    time constant τ₂. With T = c/k the moment equals (1 − T/τ₂) k x + (T/τ₂) k G (p⁺ − p⁻),
-    so no second actuator is needed if T = τ₂.
+    The moment of a nominal segment is k x + c ẋ, where x lags behind the pressures with
+    the time constant τ₂. With T = c/k, the moment equals (1 − T/τ₂) k x + (T/τ₂) k G
+    (p⁺ − p⁻). No second actuator is needed if T = τ₂.
     """
     share = spec.bending.damping_time / spec.actuator.tau_mode
     if math.isclose(share, 1.0, rel_tol=1e-9):
@@ -198,8 +196,9 @@ def _limit_moments(mj: mujoco.MjSpec, spec: RobotSpec) -> None:
 def _adapt_to_mjx(mj: mujoco.MjSpec) -> None:
     """Remove what MJX and MuJoCo Warp do not support.
 
-    This concerns the contact sensors, the integrator and a flag. The other integrator adds
-    no damping to the springs, so the dampers get their full values again.
+    The contact sensors, the integrator and a flag are affected. The replacement
+    integrator adds no damping to the springs, so the dampers get their full values
+    again.
     """
     for sensor in mj.sensors:
         mj.delete(sensor)
@@ -211,7 +210,7 @@ def _adapt_to_mjx(mj: mujoco.MjSpec) -> None:
 
 
 def _comment(*lines: str) -> str:
-    # Two hyphens in a row are not allowed in a comment, but titles may contain them.
+    # XML comments must not contain two hyphens in a row, but titles may.
     return "\n       ".join(lines).replace("--", "- -")
 
 
@@ -225,8 +224,7 @@ def _text(mj: mujoco.MjSpec) -> str:
 def _include_robot(name: str, robot: str, scene: str) -> str:
     """Replace the robot's elements in the XML of a scene by an `include` of its file.
 
-    MuJoCo does not write `include`, and it does not write contact pairs without their
-    geoms.
+    MuJoCo cannot write `include`, or contact pairs without their geoms.
     """
     document = minidom.parseString(scene)
     top = document.documentElement

@@ -1,27 +1,27 @@
-"""RobotSpec → MuJoCo model: the chain of connectors and segments on a floor.
+"""Construction of the MuJoCo model: the chain of connectors and segments on a floor.
 
 The robot is a free-floating chain in three dimensions, built in both directions from
 its middle connector. A connector is a body with two feet on the floor (`wheels`), or
 the whole body lies on the floor (`belly`).
 
-A segment is a chain of n equal bending hinges, each with the stiffness n k and the
-damping n c, so that they have k and c in series. One pitch hinge and one roll hinge in
-the middle of the segment distribute the load of the floor. The chamber pressures in Pa
-are the controls. The actuators ``plus_j`` and ``minus_j`` exert the moment
-k G (p⁺ − p⁻) on the tendon ``bend_j``, whose length is the bend q_j of the segment.
+A segment is a chain of n equal bending hinges. Each hinge has the stiffness n k and the
+damping n c, so that the series of hinges has k and c. One pitch hinge and one roll
+hinge in the middle of the segment distribute the load of the floor. The controls are
+the chamber pressures in Pa. The actuators ``plus_j`` and ``minus_j`` exert the moment k
+G (p⁺ − p⁻) on the tendon ``bend_j``, whose length is the bend q_j of the segment.
 
 A spatial robot has no pitch hinge. Each bending hinge is paired with a tilt hinge,
 which turns the head end upwards. A pair of rotations about two axes contains a twist.
-To cancel it, the two hinges are in the opposite order at every second place. The
-actuators ``air_left_j`` and ``air_up_j`` act on the tendons ``bend_j`` and ``tilt_j``.
-Their control is the free bend, and they exert k times the free bend. With
-`Actuator.extension` the link in the middle of a segment has a slide joint ``stretch_j``
-with the axial stiffness of a solid round section. The actuator ``air_along_j`` exerts
-this stiffness times the free extension.
+To cancel it, every second pair has the opposite order of hinges. The actuators
+``air_left_j`` and ``air_up_j`` act on the tendons ``bend_j`` and ``tilt_j``. Their
+control is the free bend, and their moment is k times the free bend. With
+`Actuator.extension`, the link in the middle of a segment has a slide joint
+``stretch_j`` with the axial stiffness of a solid round section. The actuator
+``air_along_j`` exerts this stiffness times the free extension.
 
 With a clamped base (`ModelSettings.base`) the head is fixed to the world. The model
-then has no floor, wheels or preload. It has no pitch and roll hinges either, because
-the chain bends in the horizontal plane, in which gravity does no work.
+then has no floor, wheels or preload. It also has no pitch and roll hinges, because the
+chain bends in the horizontal plane, in which gravity does no work.
 """
 
 from __future__ import annotations
@@ -72,12 +72,12 @@ def robot_mjcf(
     """Build the robot without floor: bodies, joints, tendons and actuators.
 
     Args:
-        spec: the robot.
+        spec: robot.
         settings: time step, discretisation and contact.
-        supply_pa: upper limit of the controls, Pa; at least the limits of the robot are
-            used.
-        obstacle_friction: friction coefficient of hulls that touch obstacles
-            (`surroundings`), dimensionless, or None for a body without hulls.
+        supply_pa: upper limit of the controls, Pa. Lower values are raised to the
+            limits of the robot.
+        obstacle_friction: friction coefficient of the hulls that touch obstacles
+            (`surroundings`), or None for a body without hulls.
 
     Raises:
         InputError: the twin does not support the robot with these settings (`rules`).
@@ -123,7 +123,7 @@ def scene_mjcf(
     The sensors measure forces in the world frame, N.
 
     Args:
-        spec: the robot.
+        spec: robot.
         settings: time step, discretisation and contact.
         supply_pa: upper limit of the controls, as in `robot_mjcf`.
         world: floor and obstacles, or None for a level floor without obstacles.
@@ -158,8 +158,8 @@ def _set_options(mj: MjSpec, settings: ModelSettings) -> None:
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     if settings.loaded:
         # There are few normal forces, and the engine selects the Jacobian by their
-        # number. Errors of 1e-7 in the loads would push stopping wheels sideways, in a
-        # direction that depends on the processor.
+        # number. The tolerance is tight because errors of 1e-7 in the loads would push
+        # stopping wheels sideways, in a direction that depends on the processor.
         option.jacobian = mujoco.mjtJacobian.mjJAC_AUTO
         option.tolerance = 1e-12
     else:
@@ -173,9 +173,9 @@ def _set_options(mj: MjSpec, settings: ModelSettings) -> None:
 class _Chain:
     """Chain of connectors and segments that is added to a model.
 
-    Stations are distances along the straight segment from the connector at which it begins.
-    `ahead` is the direction of a segment along the x axis: −1 behind the root, 1 in front
-    of it. Names count from the head in both directions.
+    Stations are distances along the straight segment from the connector at which it
+    begins. `ahead` is the direction of a segment along the x axis: −1 behind the root,
+    1 in front of it. Names are numbered from the head in both directions.
     """
 
     mj: MjSpec
@@ -221,10 +221,10 @@ class _Chain:
             add_wheels(self.mj, body, spec, i, self.settings)
 
     def _add_segment(self, body: MjsBody, near: int, far: int) -> MjsBody:
-        """Add the segment between two neighbouring connectors.
+        """Add the segment between two neighbouring connectors and return the far one.
 
-        Each hinge carries the body beyond it, and the last hinge carries the far connector,
-        whose body is returned.
+        Each hinge carries the body beyond it, and the last hinge carries the far
+        connector.
         """
         spec = self.spec
         g = spec.geometry
@@ -246,7 +246,8 @@ class _Chain:
             anchor = ahead * (hinges[k] - origins[k])
             in_middle = k == n // 2
             if in_middle and spec.actuator.extension:
-                # The slide joint comes first, so that it is along the link in front.
+                # The slide joint is added first, so that it is aligned with the link in
+                # front.
                 self._add_joint(body, "stretch", f"stretch_{j}", anchor, ahead)
             self._add_hinges(body, j, k, anchor, ahead)
             if in_middle:
@@ -262,7 +263,6 @@ class _Chain:
         return body
 
     def _add_hinges(self, body: MjsBody, j: int, k: int, x: float, ahead: int) -> None:
-        """Add the hinges at place k of segment j, counted from 0 away from the root."""
         n = self.settings.hinges_per_segment
         kinds = list(bend_joints(self.spec))
         if k % 2 == 1:
@@ -290,8 +290,8 @@ class _Chain:
     ) -> MjsJoint:
         """Add a joint at x (m).
 
-        In front of the root the axis is reversed, so that the sign of the joint is equal in
-        both directions.
+        In front of the root the axis is reversed, so that the sign of a joint angle
+        does not depend on the direction of construction.
         """
         joint = body.add_joint(self.mj.find_default(kind), name=name, pos=[x, 0, 0])
         if ahead > 0:
@@ -312,14 +312,12 @@ class _Chain:
         body.add_geom(self.mj.find_default(kind), **attributes)
 
     def add_planar_actuators(self, j: int) -> None:
-        """Add the tendon ``bend_j`` and the actuators of its two chambers."""
         tendon = self._add_tendon("bend", "hinge", j)
         left, right = self.spec.modules.gain[j - 1]
         for name, gain in ((f"plus_{j}", left), (f"minus_{j}", -right)):
             self._add_muscle(name, tendon, mjtTrn.mjTRN_TENDON).gainprm[0] *= gain
 
     def add_spatial_actuators(self, j: int) -> None:
-        """Add the tendons ``bend_j`` and ``tilt_j``, and the actuators of a segment."""
         spec = self.spec
         bend = self._add_tendon("bend", "hinge", j)
         left = self._add_muscle(f"air_left_{j}", bend, mjtTrn.mjTRN_TENDON)
@@ -356,8 +354,8 @@ def _set_inertia(
 ) -> None:
     """Set mass and inertia of a body with the radius of gyration of a connector.
 
-    `mass` excludes the parts `fixed` to the body. `x` is the position of the centre of mass
-    along the body's x axis, m.
+    The argument `mass` excludes the parts in `fixed`. `x` is the position of the centre
+    of mass along the body's x axis, m.
     """
     body.mass = mass + fixed.mass
     body.ipos = [x, 0, 0]  # the default of MjSpec would be the body's `pos`

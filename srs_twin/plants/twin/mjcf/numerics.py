@@ -15,10 +15,8 @@ TIMESTEP_S = 0.001
 """Default time step at a time unit of 1 (`robot.scale`), s."""
 
 MAX_STEP_RATIO = 1.5
-"""Upper limit of the time step over the damping time of the segments.
-
-The springs diverge if the ratio is 2 or more.
-"""
+"""Maximum ratio of the time step to the damping time of the segments. The springs
+diverge at a ratio of 2."""
 
 SLIP_SPEED_M_S = 0.001
 """Default slip speed at a time unit of 1, m/s."""
@@ -34,10 +32,10 @@ LAWS_ON_LOADS: tuple[Law, ...] = get_args(Law)
 """Friction laws for loaded contact."""
 
 LOADS = ("momentary", "across", "static")
-"""Load of a wheel in the friction law.
+"""Ways to compute the load of a wheel in the friction law.
 
 - momentary: the instantaneous normal force.
-- across: the weight of the connector, divided in the ratio of the normal forces of its
+- across: the weight of the connector, divided in the ratio of the normal forces on its
   two wheels, as in the analytical model.
 - static: half of the weight of the connector.
 """
@@ -51,24 +49,25 @@ LAW_OF: dict[Wheels, Law] = {"rolling": "wheel", "skid": "ellipse"}
 PRELOAD = {"rolling": 39.0, "skid": 99.0}
 """Preload κ of a wheel and of a skid, dimensionless.
 
-A skid slides in both directions, so its contact opens more easily. With κ = 19
+A skid slides in both directions, so its contact opens more easily. With κ = 19,
 connectors rocked from one skid to the other, and their loads oscillated by as much as
-their mean. With κ = 59 only the loads of the tail did.
+their mean. With κ = 59, only the loads of the tail oscillated.
 """
 
 
 @dataclass(frozen=True)
 class LoadedContact:
-    """Floor contact with normal forces from MuJoCo and friction as a law on them.
+    """Floor contact with normal forces from MuJoCo and friction from a friction law.
 
     Attributes:
-        law: friction law, "wheel", "ellipse", "axis" or "cosine" (docs/models.md). A skin
-            has its own law.
+        law: friction law, "wheel", "ellipse", "axis" or "cosine" (docs/models.md). A
+            skin has its own law.
         load: load of a wheel in the law, one of `LOADS`. All except "momentary" are for
             comparison.
-        slip_speed: slip speed ε, m/s. Below the friction limit μN the force changes by μN/ε
-            times the velocity, so that a resting contact does not creep (`stick_slip`).
-            None means `SLIP_SPEED_M_S` times the time unit of the robot (`robot.scale`).
+        slip_speed: slip speed ε, m/s. Below the friction limit μN, the force changes by
+            μN/ε times the velocity, so that a resting contact does not creep
+            (`stick_slip`). None means `SLIP_SPEED_M_S` times the time unit of the robot
+            (`robot.scale`).
     """
 
     name: ClassVar[Literal["loaded"]] = "loaded"
@@ -96,15 +95,15 @@ class PreloadedContact:
 
     Attributes:
         wheels: kind of feet, "rolling" (wheels on hinges) or "skid" (runners).
-        preload: preload κ, the additional normal force on each wheel as a multiple of its
-            static load. None means `PRELOAD`.
+        preload: preload κ, the additional normal force on each wheel as a multiple of
+            its static load. None means `PRELOAD`.
         slip_time: time constant with which contact friction stops a slip
-            (`solreffriction`), s. None means `SLIP_TIME_S` times the time unit of the robot
-            (`robot.scale`).
-        axle_time: time constant with which the friction of an axle stops its rotation, s.
-            None means `AXLE_TIME_S` times the time unit.
-        slip_speed: slip speed of the axial drag, m/s. None means `SLIP_SPEED_M_S` times the
-            time unit.
+            (`solreffriction`), s. None means `SLIP_TIME_S` times the time unit of the
+            robot (`robot.scale`).
+        axle_time: time constant with which axle friction stops the rotation of a wheel,
+            s. None means `AXLE_TIME_S` times the time unit.
+        slip_speed: slip speed of the axial drag, m/s. None means `SLIP_SPEED_M_S` times
+            the time unit.
     """
 
     name: ClassVar[Literal["preloaded"]] = "preloaded"
@@ -162,7 +161,7 @@ def _scaled(value: float | None, default: float, spec: RobotSpec) -> float:
 
 
 def stated(setting: float | None) -> float:
-    """Return a setting of a contact that `for_robot` has completed."""
+    """Return a setting that `for_robot` has completed."""
     assert setting is not None
     return setting
 
@@ -170,11 +169,11 @@ def stated(setting: float | None) -> float:
 Contact = LoadedContact | PreloadedContact
 ContactName = Literal["loaded", "preloaded"]
 UNSTATED_CONTACT: ContactName = "preloaded"
-"""Contact of the twin in stored results that are older than this setting."""
+"""Contact of the twin in stored results that do not state it."""
 
 
 def as_contact(contact: Contact | str) -> Contact:
-    """Return a contact, or the contact of a given name with its default options.
+    """Return a contact, or the contact of a given name with default options.
 
     Raises:
         InputError: the argument is neither a contact nor a known name.
@@ -191,12 +190,11 @@ class Numerics:
 
     Attributes:
         link_share: mass between the hinges of a segment as a fraction of the lightest
-            connector's mass, dimensionless. The dissertation places all of the mass at the
-            connectors.
-        wheel_spin: factor on the wheels' moment of inertia about their axles,
-            dimensionless.
-        constant_curvature: whether to constrain the hinges of a segment to equal angles, as
-            in the analytical model. Otherwise a loaded segment also bends into an S.
+            connector's mass. The dissertation places all mass at the connectors.
+        wheel_spin: factor on the wheels' moment of inertia about their axles.
+        constant_curvature: whether the hinges of a segment are constrained to equal
+            angles, as in the analytical model. Otherwise a loaded segment also bends
+            into an S.
     """
 
     link_share: float = 0.02
@@ -212,8 +210,8 @@ class ModelSettings:
         timestep: time step, s.
         hinges_per_segment: number of bending hinges per segment, 1 or more.
         contact: contact with the floor.
-        base: "free" or "clamped". With a clamped base the head is held, and the chain hangs
-            in the air and bends in the horizontal plane only.
+        base: "free", or "clamped" to hold the head in the air, so that the chain bends
+            only in the horizontal plane.
         numerics: switches for studies of the twin.
     """
 
@@ -225,7 +223,7 @@ class ModelSettings:
 
     @property
     def loaded(self) -> bool:
-        """Whether there is a floor with loaded contact."""
+        """Whether the robot is on a floor with loaded contact."""
         return isinstance(self.contact, LoadedContact) and self.base == "free"
 
     def for_robot(self, spec: RobotSpec) -> ModelSettings:
@@ -233,19 +231,16 @@ class ModelSettings:
         return replace(self, contact=self.contact.for_robot(spec))
 
     def link_mass(self, spec: RobotSpec) -> float:
-        """Return the mass of a link between two hinges, kg.
-
-        This mass is subtracted from the connectors.
-        """
+        """Return the mass of a link between two hinges, taken from connectors, kg."""
         links = max(1, self.hinges_per_segment - 1)
         return self.numerics.link_share * min(spec.mass.connectors) / links
 
     def contact_time(self, spec: RobotSpec) -> float:
         """Return the time constant of the normal contact, s.
 
-        Under loaded contact it is two time steps, because the loads would oscillate with one.
-        Under a preload it is a fraction of the damping time of pitch and roll, which
-        distribute the load.
+        Under loaded contact it is two time steps, because the loads would oscillate
+        with a single step. Under a preload it is a fraction of the damping time of
+        pitch and roll, which distribute the load.
         """
         if self.loaded:
             return 2 * self.timestep
@@ -253,17 +248,17 @@ class ModelSettings:
 
 
 _CONTACT_RATIO = 10.0
-"""Damping time of pitch and roll over the contact time under a preload."""
+"""Ratio of the damping time of pitch and roll to the contact time under a preload."""
 
 Preset = Literal["reference", "fast"]
 PRESETS: dict[str, dict[str, float]] = {
     "reference": {"timestep": 0.00025},
     "fast": {"timestep": 0.002},
 }
-"""Settings of a twin per preset, for `TwinSnake(spec, **PRESETS["fast"])`.
+"""Settings of a twin for each preset, for `TwinSnake(spec, **PRESETS["fast"])`.
 
-benchmarks/presets.py measures the errors of the presets. 2 ms is the maximum step below
-the damping time of the segments.
+benchmarks/presets.py measures the errors of the presets. The step of 2 ms is the
+longest one below the damping time of the segments.
 """
 
 

@@ -1,21 +1,21 @@
 """Surroundings of a snake: floor, sky, light, obstacles and movable objects.
 
 **Obstacles** consist of capsules. A circle is an upright capsule with the radius of the
-circle. A polygon has a capsule of 1 mm radius along each side, so that it is 1 mm
-larger all round. The hulls of the body are copies of the capsules of its skin at the
+circle. A polygon has a capsule of 1 mm radius along each side, so that it extends 1 mm
+beyond its sides. The hulls of the body are copies of the capsules of its skin at the
 height of the centres of mass, with the width of the robot. MuJoCo computes the contact
-between two capsules in closed form, in the plane. Hulls exist only in worlds with
-obstacles or objects, so other worlds have no additional cost.
+between two capsules in closed form, in the plane. Only worlds with obstacles or objects
+have hulls, so other worlds have no additional cost.
 
 **An object** is a cylinder or a box that slides and turns on the floor. It is a body
 with two slide joints and a hinge about z, so its position in `qpos` is x, y and heading
-in the world. It does not tip. Four points carry its weight and its friction on the
-floor (`MovableObject.supports`).
+in the world. It cannot tip. Four points carry its weight and its friction on the floor
+(`MovableObject.supports`).
 
 `friction_solve` computes the friction at these points and between object and body.
 MuJoCo computes the normal forces, and the friction of an object on obstacles and on
 other objects. In a world with objects the body can also touch itself. Otherwise a tail
-that holds an object and the wave in front of it would pass through each other.
+that holds an object would pass through the body in front of it.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ from srs_twin.plants.twin.mjcf.wheels import add_force_sensor, add_velocity_sens
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import WALL_M, MovableObject, Step, World
 
-# Contype of obstacles and conaffinity of hulls. Floor and wheels have explicit pairs.
+# Contype of obstacles and conaffinity of hulls. The floor and the wheels have explicit
+# contact pairs.
 CONTACT_BIT = 2
 HEIGHT_RATIO = 2.0  # half height of a round obstacle over the body's width
 _MIN_CONTACT_STEPS = 2.0  # minimum contact time over the time step that MuJoCo uses
@@ -41,8 +42,8 @@ _LEVEL_EXTENT = (
     100.0  # of the first and the last level beyond the steps, at a length unit of 1, m
 )
 # Impedance of an obstacle at first touch and at full depth, dimensionless. The rods of
-# a segment are so light that with 0.95 and 0.99 a peg sinks into them by a quarter of a
-# millimetre per newton.
+# a segment are so light that a peg would sink into them by a quarter of a millimetre
+# per newton with 0.95 and 0.99.
 _IMPEDANCE = 0.99, 0.999
 # Depth over which a contact reaches its full stiffness, at a length unit of 1, m.
 _TRANSITION_DEPTH = 0.0005
@@ -115,7 +116,8 @@ def add_steps(mj: mujoco.MjSpec, steps: tuple[Step, ...], spec: RobotSpec) -> li
     Args:
         mj: model, changed in place.
         steps: steps of the floor.
-        spec: the robot. Cameras use its length instead of the extent of the boxes.
+        spec: robot, whose length sets the distance of the cameras instead of the extent
+            of the boxes.
     """
     if not steps:
         return []
@@ -154,7 +156,7 @@ def _add_capsule(
 
 
 def hulls(mj: mujoco.MjSpec | mujoco.MjModel) -> list[str]:
-    """Return the names of the geoms of the body that touch obstacles."""
+    """Return the names of the body's geoms that touch obstacles."""
     if isinstance(mj, mujoco.MjSpec):
         geoms = mj.geoms
     else:
@@ -173,12 +175,13 @@ def friction_of(model: mujoco.MjModel) -> float:
 def add_surroundings(mj: mujoco.MjSpec, body_length: float) -> None:
     """Add the floor ``floor``, the sky, the light ``sun`` and the camera ``track``.
 
-    Light and camera follow the snake. The floor has no collisions by itself: wheels touch
-    it through explicit pairs.
+    Light and camera follow the snake. The floor has no collisions by itself, because
+    wheels touch it through explicit pairs.
 
     Args:
         mj: model, changed in place.
-        body_length: length of the snake, which determines the distance of the camera, m.
+        body_length: length of the snake, which determines the distance of the camera,
+            m.
     """
     visual = mj.visual
     visual.headlight.ambient = [0.3, 0.3, 0.3]
@@ -270,7 +273,7 @@ def _add_self_contacts(mj: mujoco.MjSpec, spec: RobotSpec) -> None:
 
 
 def place_of(hull: str) -> tuple[int, int]:
-    """Return the segment of a hull and its number in the segment, both from 1."""
+    """Return the segment of a hull and the number of the hull in it, counted from 1."""
     _, segment, number = hull.split("_")
     return int(segment), int(number)
 
@@ -315,12 +318,12 @@ def _names(count: int) -> list[str]:
 
 
 def object_names(model: mujoco.MjModel) -> list[str]:
-    """Return the names of the bodies of all objects, in the order of the objects."""
+    """Return the body names of all objects, in the order of the objects."""
     return _names(
         sum(model.body(k).name.startswith("object_") for k in range(model.nbody))
     )
 
 
 def object_force_sensor(name: str, hull: str) -> str:
-    """Return the name of the sensor of the force of an object on a hull."""
+    """Return the name of the sensor for the force of an object on a hull."""
     return f"force_{name}_{hull}"

@@ -3,17 +3,17 @@
 A connector touches the floor at two points at ± half the track, directly below its
 frame.
 
-**Loaded contact.** The wheels are frictionless spheres, and friction is a law on their
-contact forces (`contact_loaded`).
+**Loaded contact.** The wheels are frictionless spheres, and friction is computed by a
+law from their contact forces (`contact_loaded`).
 
 **Preloaded contact.**
 
 - ``rolling``: the feet are wheels on hinges. They touch the floor as spheres with the
   isotropic coefficient μ_n. The `frictionloss` of the axle is μ_t × load × radius.
 - ``skid``: the feet are runners fixed to the connector, which slide with μ_t along it
-  and μ_n across. MuJoCo aligns the contact frame with a geom only between a plane and a
-  capsule, along the axis of the capsule. A horizontal capsule would touch with both
-  ends, so runners rise to the front like the tip of a ski and touch with the rear end.
+  and μ_n across it. MuJoCo aligns the contact frame with a geom only between a plane
+  and a capsule, along the axis of the capsule. A horizontal capsule would touch with
+  both ends, so runners rise to the front like a ski and touch with the rear end.
 
 MuJoCo's friction is convex, which lifts a sliding contact off the floor. Without
 preload, the wheels of a snake are in the air for more than half of the time, and the
@@ -24,8 +24,8 @@ closed, and friction acts as under the static load, as in the analytical model. 
 forces without the preload are the true loads, within 2 % at rest. docs/twin.md
 describes the drawbacks.
 
-Contacts are explicit pairs, which name the floor. They belong to the scene and not to
-the robot.
+Contacts are explicit pairs that name the floor. They belong to the scene and not to the
+robot.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ def preload_force(spec: RobotSpec, contact: PreloadedContact) -> np.ndarray:
 def pair_attributes(spec: RobotSpec, settings: ModelSettings) -> dict[str, Any]:
     """Return the attributes of a contact pair of floor and wheel or skid.
 
-    The friction coefficients are first along, then across the heading.
+    The friction coefficients are ordered along and across the heading.
     """
     mu_t = spec.friction.mu_t
     mu_n = spec.friction.mu_n
@@ -149,9 +149,10 @@ class FixedInertia(NamedTuple):
 def fixed_inertia(spec: RobotSpec, settings: ModelSettings) -> FixedInertia:
     """Return the inertia of skids or wheels fixed to a connector.
 
-    Skids have the mass of the wheels that they replace. Wheels on axles under a preloaded
-    contact are separate bodies and add 0. Without a floor the wheels do not turn and are
-    fixed. Under loaded contact the spin of the wheels is part of the friction law.
+    Skids have the mass of the wheels that they replace. Under a preloaded contact,
+    wheels on axles are separate bodies and contribute nothing. Without a floor, the
+    wheels do not turn and are fixed. Under loaded contact, the friction law includes
+    the spin of the wheels.
     """
     rolling = settings.contact.rolling and settings.base == "free"
     if rolling and not settings.loaded:
@@ -228,8 +229,8 @@ def _add_wheel(
 def add_preload(mj: MjSpec, spec: RobotSpec, contact: PreloadedContact) -> None:
     """Press each connector down with a constant force along the world's z axis.
 
-    A tilted foot rolls on the floor about its centre. The force acts at the height of this
-    centre, so it exerts no moment on the connector.
+    A tilted foot rolls on the floor about its centre. The force acts at the height of
+    this centre, so it exerts no moment on the connector.
     """
     mj.worldbody.add_site(mj.find_default(ROOT), name="origin")
     height = foot_radius(spec, contact) - spec.geometry.com_height
@@ -247,7 +248,7 @@ def add_preload(mj: MjSpec, spec: RobotSpec, contact: PreloadedContact) -> None:
 
 
 def add_drag(mj: MjSpec, spec: RobotSpec) -> None:
-    """Brake each connector along its heading with an equal part of the axial drag."""
+    """Apply an equal part of the axial drag to each connector along its heading."""
     for i in range(1, spec.geometry.connectors + 1):
         mj.body(f"connector_{i}").add_site(mj.find_default(ROOT), name=f"drag_{i}")
         actuator = mj.add_actuator(
@@ -327,7 +328,7 @@ def add_contacts(
 
 
 def add_velocity_sensor(mj: MjSpec, name: str, kind: mjtObj, target: str) -> None:
-    """Add a sensor of the velocity of a site or geom centre, world frame, m/s."""
+    """Add a sensor for the velocity of a site or geom centre, world frame, m/s."""
     mj.add_sensor(
         name=name, type=mjtSensor.mjSENS_FRAMELINVEL, objtype=kind, objname=target
     )
@@ -336,15 +337,16 @@ def add_velocity_sensor(mj: MjSpec, name: str, kind: mjtObj, target: str) -> Non
 def add_force_sensor(
     mj: MjSpec, name: str, kind: mjtObj, source: str, *, on: str, position: bool = False
 ) -> None:
-    """Add a sensor of the contact force on a geom, world frame, N.
+    """Add a sensor for the contact force on a geom in the world frame, N.
 
     Args:
         mj: model, changed in place.
         name: name of the sensor.
         kind: type of `source`, a geom or a body.
-        source: name of the geom, or of the body with all its geoms, that exerts the force.
+        source: name of the geom or body that exerts the force. A body includes all its
+            geoms.
         on: name of the geom on which the force acts.
-        position: whether to measure the point of application (m) as well.
+        position: whether the point of application (m) is measured as well.
     """
     sensor = mj.add_sensor(
         name=name, type=mjtSensor.mjSENS_CONTACT, objtype=kind, objname=source
@@ -374,10 +376,7 @@ def _contact_time_factors(
 def contact_regularisation(
     model: mujoco.MjModel, spec: RobotSpec, settings: ModelSettings
 ) -> np.ndarray:
-    """Return MuJoCo's regularisation R of each normal contact, 1/kg.
-
-    The order is the order of `treads`.
-    """
+    """Return MuJoCo's regularisation R of each geom in `treads`, 1/kg."""
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
     data.qpos[2] -= _REFERENCE_DEPTH * spec.scale.length
