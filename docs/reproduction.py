@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from srs_twin.io.files import atomic_write
-from srs_twin.reproduction.claims import Claim, load_claims
+from srs_twin.reproduction.claims import Category, Claim, load_claims
 from srs_twin.reproduction.report import (
     MEANINGS,
     TITLES,
@@ -31,6 +31,8 @@ from srs_twin.reproduction.verdicts import (
 
 PAGE = Path(__file__).with_name("reproduction.md")
 NAME = "reproduction"
+SHORT: tuple[Category, ...] = ("fitted_robot", "shape", "by_construction", "law", "fit")
+"""Categories of which the page lists only the rows that are not met."""
 
 
 def judged_claims(
@@ -46,20 +48,15 @@ def markdown(rows: Sequence[JudgedClaim]) -> str:
     """Return the tables of docs/reproduction.md: one section per category, with the causes of its misses."""
     sections = []
     for name, chosen in by_category(rows).items():
-        lines = [
-            f"### {TITLES[name]}",
-            "",
-            MEANINGS[name],
-            "",
-            _summary(chosen),
-            "",
-            (
-                "| row | statement | published | analytical | twin | could it have"
-                " failed? |"
-            ),
-            "| --- | --- | --- | --- | --- | --- |",
-            *map(_line, chosen),
-        ]
+        lines = [f"### {TITLES[name]}", "", MEANINGS[name], "", _summary(chosen)]
+        listed = [row for row in chosen if name not in SHORT or not _is_met(row)]
+        if listed:
+            lines += [
+                "",
+                "| row | statement | published | analytical | twin |",
+                "| --- | --- | --- | --- | --- |",
+                *map(_line, listed),
+            ]
         reasons = list(dict.fromkeys(_reasons(chosen)))
         sections.append("\n".join(lines))
         if reasons:
@@ -90,6 +87,10 @@ def table(rows: Sequence[JudgedClaim]) -> str:
     return "\n".join(lines)
 
 
+def _is_met(row: JudgedClaim) -> bool:
+    return all(outcome.verdict == MET for outcome in row.outcomes.values())
+
+
 def _summary(rows: Sequence[JudgedClaim]) -> str:
     parts = []
     for column, name in (
@@ -118,7 +119,6 @@ def _line(row: JudgedClaim) -> str:
         statement,
         f"{published_text(claim)}{unit}",
         *cells,
-        claim.could_fail or "",
     ]
     return f"| {' | '.join(texts)} |".replace("\n", " ")
 

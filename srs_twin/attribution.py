@@ -365,7 +365,7 @@ class PlantVariants:
         """Return twins with the damping time at the ends of its 95 % interval.
 
         There are none without an interval. There are none either if the air depends on the
-        bends, because closed chambers diverge with short damping times (docs/models.md).
+        bends, because closed chambers diverge with short damping times (docs/planar-models.md).
         """
         if self._scenario.document["pneumatics"]["kind"] != "lag":
             return {}

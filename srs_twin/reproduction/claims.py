@@ -152,7 +152,7 @@ class Cause(Section):
     columns: list[Column] = ["analytical", "twin"]
     """Columns that it explains."""
     docs: Name | None = None
-    """Section of the documentation that shows it (docs/agreement.md#why-they-differ).
+    """Section of the documentation that shows it (docs/verification.md#why-they-differ).
     """
     switch: Name | None = None
     """Name of the switched assumption."""

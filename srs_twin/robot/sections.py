@@ -233,7 +233,7 @@ class ContactFile(Records):
     slides on its belly along its whole length."""
     law: SkinLaw | None = None
     """Friction law of a skin; ellipse: the force with the largest dissipation (default), cosine: each
-    component proportional to the direction cosine of the slip (docs/models.md)."""
+    component proportional to the direction cosine of the slip (docs/friction.md#skin)."""
     forward: Number | None = number_field(0.0, 10.0, needed_by="skin")
     """Friction coefficient along the body for slip towards the head; skin only."""
     backward: Number | None = number_field(0.0, 10.0, only_for="skin")
@@ -286,7 +286,7 @@ class BendingFile(Records):
     )
     """Bending stiffness; pressure only."""
     damping_time_s: Number | None = number_field(1e-6, 100.0, needed_by="pressure")
-    """Damping of deviations from the free bend over stiffness (docs/damping.md); pressure only."""
+    """Damping of deviations from the free bend over stiffness (docs/planar-models.md); pressure only."""
     pitch_stiffness_nm_per_rad: Number | None = number_field(
         *STIFFNESSES_NM_PER_RAD, optional=True
     )

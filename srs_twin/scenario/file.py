@@ -65,7 +65,7 @@ class SensorFile(SensorSection):
 
     kind: Literal["ideal", "hall"] = "ideal"
     """ideal: the exact bend; hall: magnet and Hall element on a strip, amplifier,
-    converter and linear calibration (docs/sensor.md)."""
+    converter and linear calibration (docs/module.md#the-curvature-sensor)."""
     span_rad: float | None = quantity(0.1, 1.6, None)
     """Largest bend of trimming and calibration (hall; default {default:.4g})."""
     distance_mm: float | None = quantity(1.0, 50.0, None)

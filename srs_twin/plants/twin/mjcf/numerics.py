@@ -62,7 +62,7 @@ class LoadedContact:
     """Floor contact with normal forces from MuJoCo and friction as a law on them.
 
     Attributes:
-        law: friction law, "wheel", "ellipse", "axis" or "cosine" (docs/models.md). A skin
+        law: friction law, "wheel", "ellipse", "axis" or "cosine" (docs/friction.md). A skin
             has its own law.
         load: load of a wheel in the law, one of `LOADS`. All except "momentary" are for
             comparison.
