@@ -31,6 +31,7 @@ from srs_twin.reproduction.verdicts import (
 
 PAGE = Path(__file__).with_name("reproduction.md")
 NAME = "reproduction"
+CAUSES = "Causes of missed and explained rows; other causes are not known:"
 SHORT: tuple[Category, ...] = ("fitted_robot", "shape", "by_construction", "law", "fit")
 """Categories of which the page lists only the rows that are not met."""
 
@@ -60,9 +61,7 @@ def markdown(rows: Sequence[JudgedClaim]) -> str:
         reasons = list(dict.fromkeys(_reasons(chosen)))
         sections.append("\n".join(lines))
         if reasons:
-            sections.append(
-                "\n".join(["Causes of missed and explained rows:", "", *reasons])
-            )
+            sections.append("\n".join([CAUSES, "", *reasons]))
     return "\n\n".join(sections)
 
 
@@ -134,8 +133,8 @@ def _reasons(rows: Sequence[JudgedClaim]) -> list[str]:
     columns_of: dict[tuple[str, str], list[str]] = {}
     for row in rows:
         for column, outcome in row.outcomes.items():
-            if outcome.verdict != MET:
-                reason = f"{outcome.verdict}: {outcome.why or 'cause not known'}"
+            if outcome.verdict != MET and outcome.why:
+                reason = f"{outcome.verdict}: {outcome.why}"
                 columns_of.setdefault((row.claim.id, reason), []).append(column)
     return [
         f"- `{name}` ({', '.join(columns)}) {reason}"
