@@ -32,8 +32,8 @@ from srs_twin.reproduction.verdicts import (
 PAGE = Path(__file__).with_name("reproduction.md")
 NAME = "reproduction"
 CAUSES = "Causes of missed and explained rows; other causes are not known:"
-SHORT: tuple[Category, ...] = ("fitted_robot", "shape", "by_construction", "law", "fit")
-"""Categories of which the page lists only the rows that are not met."""
+COMPLETE: tuple[Category, ...] = ("headline",)
+"""Categories of which the page lists all rows, not only those that are not met."""
 
 
 def judged_claims(
@@ -50,7 +50,7 @@ def markdown(rows: Sequence[JudgedClaim]) -> str:
     sections = []
     for name, chosen in by_category(rows).items():
         lines = [f"### {TITLES[name]}", "", MEANINGS[name], "", _summary(chosen)]
-        listed = [row for row in chosen if name not in SHORT or not _is_met(row)]
+        listed = [row for row in chosen if name in COMPLETE or not _is_met(row)]
         if listed:
             lines += [
                 "",
