@@ -127,7 +127,7 @@ def main() -> None:
 
 
 def _rows(points: list, pairs: list) -> list[tuple[str, ...]]:
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for (f, p), (reference, candidate) in zip(points, pairs, strict=True):
         a = plant_metrics(reference)
         b = plant_metrics(candidate)
