@@ -27,11 +27,36 @@ from srs_twin.plants.twin.mjcf.numerics import LOADS
 
 FREQUENCIES_HZ = (1.0, 1.5, 2.0)
 PRESSURES_KPA = (41.0, 48.0, 55.0)
+HEAD = (
+    "f Hz",
+    "p kPa",
+    "analytical mm/s",
+    "twin mm/s",
+    "speed %",
+    "analytical rad/s",
+    "twin rad/s",
+    "yaw %",
+    "shape % body",
+    "bend RMS %",
+)
+RANGES_HEAD = (
+    "rigid gaps",
+    "offset",
+    "speed of the model, mm/s",
+    "difference in speed, %",
+    "in yaw rate, %",
+    "shape, % of the body",
+    "bends, RMS %",
+)
 MATCHED_STIFFNESS = 20.0  # N·m/rad; bends follow their free value within 2 % RMS
 
 
 def main() -> None:
-    """Print one table each for straight and turning gaits, with and without rigid gaps."""
+    """Print one table each for straight and turning gaits, with and without rigid gaps.
+
+    The last table contains the ranges over each of these tables, as in
+    docs/verification.md.
+    """
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     arguments.add_argument(
         "--default",
@@ -74,6 +99,7 @@ def main() -> None:
     points = list(product(FREQUENCIES_HZ, PRESSURES_KPA))
     if selected.quick:
         points = points[::4]
+    ranges = []
     for gaps, offset in product((False, True), (0.0, 0.2)):
         runs = [
             Run(
@@ -93,23 +119,15 @@ def main() -> None:
         ]
         done = run_all(runs)
         print(f"\n{'with' if gaps else 'without'} gaps, offset {offset}\n")
-        print(_table(points, list(zip(done[::2], done[1::2], strict=True))), flush=True)
+        rows = _rows(points, list(zip(done[::2], done[1::2], strict=True)))
+        print(table(HEAD, rows), flush=True)
+        ranges.append(("yes" if gaps else "no", f"{offset:g}", *_ranges(rows)))
+    print()
+    print(table(RANGES_HEAD, ranges))
 
 
-def _table(points: list, pairs: list) -> str:
-    head = (
-        "f Hz",
-        "p kPa",
-        "analytical mm/s",
-        "twin mm/s",
-        "speed %",
-        "analytical rad/s",
-        "twin rad/s",
-        "yaw %",
-        "shape % body",
-        "bend RMS %",
-    )
-    rows = []
+def _rows(points: list, pairs: list) -> list[tuple[str, ...]]:
+    rows: list[tuple[str, ...]] = []
     for (f, p), (reference, candidate) in zip(points, pairs, strict=True):
         a = plant_metrics(reference)
         b = plant_metrics(candidate)
@@ -130,7 +148,27 @@ def _table(points: list, pairs: list) -> str:
                 f"{100 * c['bend_rms_rel']:.2f}",
             )
         )
-    return table(head, rows)
+    return rows
+
+
+def _ranges(rows: list[tuple[str, ...]]) -> tuple[str, ...]:
+    """Return the ranges of speed, differences, shape and bends over the rows of a table."""
+    columns = dict(zip(HEAD, zip(*rows, strict=True), strict=True))
+
+    def span(name: str) -> str:
+        cells = sorted((cell for cell in columns[name] if cell != "–"), key=float)
+        return f"{cells[0]} to {cells[-1]}" if cells else "–"
+
+    def largest(name: str) -> str:
+        return f"≤ {max(columns[name], key=float)}"
+
+    return (
+        span("analytical mm/s"),
+        span("speed %"),
+        span("yaw %"),
+        largest("shape % body"),
+        largest("bend RMS %"),
+    )
 
 
 if __name__ == "__main__":

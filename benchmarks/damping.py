@@ -4,7 +4,7 @@
     [--picture FILE]
 
 `--spectra`: frequencies at which the bends deviate from the free bends, and the damping
-times that give the loss factor of docs/damping.md there. `--material`: speeds with a
+times that give the loss factor of docs/planar-models.md#damping there. `--material`: speeds with a
 material whose loss factor hardly depends on the frequency (three Maxwell branches), and
 with a damper of the same loss. `--steps`: speeds for several damping times and steps,
 with both readings of the delay. `--table`: speeds over stiffness and loss factor.
@@ -34,7 +34,7 @@ sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
 from free_bends import free_bends
 
 LOSS, FACTOR = 0.12, 1.5
-"""Median and factor of the loss factor (docs/damping.md)."""
+"""Median and factor of the loss factor (docs/planar-models.md#damping)."""
 BRANCH_TIMES_S = (0.4, 0.04, 0.004)
 """Relaxation times of the Maxwell branches, s."""
 BAND_HZ = np.geomspace(0.3, 40, 60)

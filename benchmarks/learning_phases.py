@@ -47,7 +47,7 @@ SETTINGS = {
     "smallest, 120 Hz": {"target": "smallest", "carrier_hz": 120.0},
     "0.7 rad, 60 Hz": {"target": 0.7, "carrier_hz": 60.0},
 }
-"""Target and carrier: first those of ilc_straight, then those with the least curvature (docs/learning.md)."""
+"""Target and carrier: first those of ilc_straight, then those with the least curvature (docs/module.md)."""
 PERIODS = 16
 LAST = 5
 FIRST_TIMED = 3

@@ -2,7 +2,7 @@ r"""Fits of generation 4 to Table 8: fitted to offsets 0 and ±0.3, validated at
 
     uv run python benchmarks/table8_fit.py --plant twin --threads 2
     uv run python benchmarks/table8_fit.py --plant analytical --wave
-    uv run python benchmarks/table8_fit.py --show --page docs/dissertation-data.md \
+    uv run python benchmarks/table8_fit.py --show --page docs/reproduction.md \
         --picture docs/images/table8_fit.png
 
 The first command fits a plant and writes calibration/fits/gen4_table8_twin.yaml, in ten

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from srs_twin.io.files import atomic_write
-from srs_twin.reproduction.claims import Claim, load_claims
+from srs_twin.reproduction.claims import Category, Claim, load_claims
 from srs_twin.reproduction.report import (
     MEANINGS,
     TITLES,
@@ -31,6 +31,9 @@ from srs_twin.reproduction.verdicts import (
 
 PAGE = Path(__file__).with_name("reproduction.md")
 NAME = "reproduction"
+CAUSES = "Causes of missed and explained rows; other causes are not known:"
+COMPLETE: tuple[Category, ...] = ("headline",)
+"""Categories of which the page lists all rows, not only those that are not met."""
 
 
 def judged_claims(
@@ -46,26 +49,19 @@ def markdown(rows: Sequence[JudgedClaim]) -> str:
     """Return the tables of docs/reproduction.md: one section per category, with the causes of its misses."""
     sections = []
     for name, chosen in by_category(rows).items():
-        lines = [
-            f"### {TITLES[name]}",
-            "",
-            MEANINGS[name],
-            "",
-            _summary(chosen),
-            "",
-            (
-                "| row | statement | published | analytical | twin | could it have"
-                " failed? |"
-            ),
-            "| --- | --- | --- | --- | --- | --- |",
-            *map(_line, chosen),
-        ]
+        lines = [f"### {TITLES[name]}", "", MEANINGS[name], "", _summary(chosen)]
+        listed = [row for row in chosen if name in COMPLETE or not _is_met(row)]
+        if listed:
+            lines += [
+                "",
+                "| row | statement | published | analytical | twin |",
+                "| --- | --- | --- | --- | --- |",
+                *map(_line, listed),
+            ]
         reasons = list(dict.fromkeys(_reasons(chosen)))
         sections.append("\n".join(lines))
         if reasons:
-            sections.append(
-                "\n".join(["Causes of missed and explained rows:", "", *reasons])
-            )
+            sections.append("\n".join([CAUSES, "", *reasons]))
     return "\n\n".join(sections)
 
 
@@ -88,6 +84,10 @@ def table(rows: Sequence[JudgedClaim]) -> str:
         title = f"**{TITLES[name]}**" if name == "headline" else TITLES[name]
         lines.append(f"| {title} | {' | '.join(cells)} |")
     return "\n".join(lines)
+
+
+def _is_met(row: JudgedClaim) -> bool:
+    return all(outcome.verdict == MET for outcome in row.outcomes.values())
 
 
 def _summary(rows: Sequence[JudgedClaim]) -> str:
@@ -118,7 +118,6 @@ def _line(row: JudgedClaim) -> str:
         statement,
         f"{published_text(claim)}{unit}",
         *cells,
-        claim.could_fail or "",
     ]
     return f"| {' | '.join(texts)} |".replace("\n", " ")
 
@@ -134,8 +133,8 @@ def _reasons(rows: Sequence[JudgedClaim]) -> list[str]:
     columns_of: dict[tuple[str, str], list[str]] = {}
     for row in rows:
         for column, outcome in row.outcomes.items():
-            if outcome.verdict != MET:
-                reason = f"{outcome.verdict}: {outcome.why or 'cause not known'}"
+            if outcome.verdict != MET and outcome.why:
+                reason = f"{outcome.verdict}: {outcome.why}"
                 columns_of.setdefault((row.claim.id, reason), []).append(column)
     return [
         f"- `{name}` ({', '.join(columns)}) {reason}"

@@ -361,7 +361,7 @@ class PlantVariants:
 
         The result is empty without an interval. It is also empty if the air depends on
         the bends, because closed chambers diverge with short damping times
-        (docs/models.md).
+        (docs/planar-models.md).
         """
         if self._scenario.document["pneumatics"]["kind"] != "lag":
             return {}

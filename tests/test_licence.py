@@ -34,6 +34,6 @@ def test_citation_has_this_version_and_names_the_dissertation():
     assert thesis["type"] == "thesis" and thesis["year"] == 2017
     assert (
         thesis["title"]
-        in (ROOT / "docs/errata.md").read_text("utf-8")
+        in (ROOT / "docs/reproduction.md").read_text("utf-8")
         + (ROOT / "calibration/README.md").read_text()
     )

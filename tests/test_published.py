@@ -60,7 +60,7 @@ def test_pages_and_tables_run_alike():
 
 
 def test_every_erratum_is_one_that_the_page_explains():
-    page = (Path(__file__).parents[1] / "docs/errata.md").read_text("utf-8")
+    page = (Path(__file__).parents[1] / "docs/reproduction.md").read_text("utf-8")
     explained = set(re.findall(r"^\| (E\d+) \|", page, flags=re.MULTILINE))
     assert {each for name in TABLES for each in load_table(name).errata} <= explained
 
@@ -165,7 +165,7 @@ def test_table_8_is_that_of_the_sweep():
 
 def test_docs_learning_shows_table_8_and_its_deviations():
     """The published columns equal the table, and the text states the deviations of the predicted rows."""
-    page = (data_root() / "docs/learning.md").read_text("utf-8")
+    page = (data_root() / "docs/module.md").read_text("utf-8")
     section = page.partition("## Table 8")[2].partition("\n## ")[0]
     lines = [
         re.split(r"\s*\|\s*", line.replace("−", "-").strip("| "))

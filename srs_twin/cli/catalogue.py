@@ -157,7 +157,7 @@ def show(
 
     Options:
         name: Shipped scenario or robot, a scenario or robot file, or a page such as
-            docs/models.md.
+            docs/planar-models.md.
     """
     page = name.partition("#")[0]
     if page.endswith(".md"):

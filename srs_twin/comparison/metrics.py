@@ -298,7 +298,7 @@ _SAME_RATIO = 0.01
 """Relative difference below which plants agree."""
 _PRESET = (
     "The twin ran with preset {}, for searching: cite a run without it"
-    " (docs/agreement.md#presets)."
+    " (docs/verification.md#presets)."
 )
 _OVERLAP = (
     "Parts of the body overlap by up to {:.0f} mm ({}), as no robot can"
@@ -313,7 +313,7 @@ _MIN_CAUSE_RATIO = 0.25
 
 _LEARNT = (
     "Learning brought the amplitudes to their targets. It does not control the path,"
-    " whose curvature changed from {:.2g} to {:.2g} 1/m (docs/learning.md)."
+    " whose curvature changed from {:.2g} to {:.2g} 1/m (docs/module.md)."
 )
 """Sentence about a learning run whose amplitudes have converged."""
 

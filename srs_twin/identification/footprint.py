@@ -232,7 +232,7 @@ def _make_plant(setup: GaitSetup) -> Plant:
     from srs_twin.plants.analytical import AnalyticalSnake
 
     # With the pulses of learning, the model with prescribed bends would slip too much
-    # (docs/learning.md).
+    # (docs/module.md).
     return AnalyticalSnake(setup.spec, model="compliant", friction="wheel", **settings)
 
 

@@ -45,7 +45,7 @@ _ANY = object()
 RETIRED_KINDS = {
     "compliant_gait": (
         "it was retired, because none of its reactions helps"
-        " (docs/contact.md#yielding-gaits)"
+        " (docs/friction.md#yielding-gaits)"
     ),
     "greedy": "it was retired (`benchmarks/greedy.py` keeps it); use best_first",
     "ompl": "it was retired (`benchmarks/rrt_connect.py` keeps it); use best_first",

@@ -163,7 +163,7 @@ class Cause(Section):
     docs: Name | None = None
     """Section of the documentation that demonstrates the cause.
 
-    An example is docs/agreement.md#why-they-differ.
+    An example is docs/verification.md#why-they-differ.
     """
     switch: Name | None = None
     """Name of the assumption that is switched."""

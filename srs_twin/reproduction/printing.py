@@ -84,7 +84,7 @@ def print_others(*, as_json: bool) -> None:
     print("\n".join(notes.values()))
     print(
         f"undecided: fewer than {MIN_BOUNDING_SAMPLES} robots, or too close to an end"
-        " (docs/others.md)"
+        " (docs/reproduction.md#robots-that-others-built)"
     )
     print(
         f"{len(rows) - len(compared)} predicted quantities without a published value:"

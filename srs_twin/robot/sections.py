@@ -241,7 +241,7 @@ class ContactFile(Records):
     law: SkinLaw | None = None
     """Friction law of a skin; "ellipse" is the force with the maximum dissipation
     (default). "cosine" makes each component proportional to the direction cosine of the
-    slip (docs/models.md)."""
+    slip (docs/friction.md#skin)."""
     forward: Number | None = number_field(0.0, 10.0, needed_by="skin")
     """Friction coefficient along the body for slip towards the head; skin only."""
     backward: Number | None = number_field(0.0, 10.0, only_for="skin")
@@ -296,7 +296,7 @@ class BendingFile(Records):
     """Bending stiffness; pressure only."""
     damping_time_s: Number | None = number_field(1e-6, 100.0, needed_by="pressure")
     """Ratio of damping to stiffness for deviations from the free bend
-    (docs/damping.md); pressure only."""
+    (docs/planar-models.md); pressure only."""
     pitch_stiffness_nm_per_rad: Number | None = number_field(
         *STIFFNESSES_NM_PER_RAD, optional=True
     )

@@ -66,7 +66,7 @@ class SensorFile(SensorSection):
     kind: Literal["ideal", "hall"] = "ideal"
     """Kind of sensor; "ideal" measures the exact bend. "hall" models a magnet and a
     Hall element on a strip, with amplifier, converter and linear calibration
-    (docs/sensor.md)."""
+    (docs/module.md#the-curvature-sensor)."""
     span_rad: float | None = quantity(0.1, 1.6, None)
     """Maximum bend of trimming and calibration (hall only; default {default:.4g})."""
     distance_mm: float | None = quantity(1.0, 50.0, None)

@@ -17,7 +17,7 @@ $$ B = \frac{\mu_0}{4\pi}\left(\frac{3\,(m\cdot r)\,r}{|r|^5} - \frac{m}{|r|^3}\
 
 and the element measures the normal component of the field, B_n = B_y cos θ − B_x sin θ
 (Eq. 1). θ in Eq. 1 is interpreted as the local angle κL. With the whole bend q instead,
-the reading over ±90° would be neither linear nor monotonic (docs/sensor.md).
+the reading over ±90° would be neither linear nor monotonic (docs/module.md#the-curvature-sensor).
 
 **Chambers.** A rectangular chamber becomes round when it is filled and presses on the
 adjacent strip (Section 2.2.2, Fig. 14a, c). The filled chamber is on the outside of the

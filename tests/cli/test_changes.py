@@ -398,7 +398,7 @@ def test_only_expectations_of_plants_are_published_values():
         "metric": "com_speed_rel",
         "of": "comparison",
         "near": 0,
-        "source": "docs/agreement.md",
+        "source": "docs/verification.md",
     }
     assert published([row, agreement]) == {"com_speed_m_s": (0.2, "Table 10")}
 

@@ -77,7 +77,7 @@ METRICS = {
 }
 
 
-REASON = "the drag was never measured (docs/models.md)"
+REASON = "the drag was never measured (docs/planar-models.md)"
 
 
 def marked(*numbers):

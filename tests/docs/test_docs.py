@@ -342,7 +342,7 @@ def test_pages_contain_examples():
 
 def test_errata_that_the_project_names_are_listed():
     """E1 to E29 are in the errata exactly once, with a location and a correction."""
-    text = next(page.text for page in PAGES if page.name == "docs/errata.md")
+    text = next(page.text for page in PAGES if page.name == "docs/reproduction.md")
     rows = [
         line.split(" | ") for line in text.splitlines() if re.match(r"\| E\d+ \|", line)
     ]

@@ -2,7 +2,7 @@ r"""Independent implementation of the `complete` model for SciPy's LSODA, in Num
 
 The unknowns (centre of mass, mean heading, velocity, angular momentum L), the friction
 laws with ε, and the valve events are those of the compiled model. The code follows the
-equations in docs/models.md with complex numbers for points of the plane. It shares no
+equations in docs/planar-models.md with complex numbers for points of the plane. It shares no
 code with the compiled kernels, so it also verifies them.
 
 Between valve events the bends are sums of exponentials whose coefficients are computed

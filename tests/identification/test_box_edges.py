@@ -90,7 +90,7 @@ def test_the_page_shows_the_edges_of_the_shipped_width():
     assert done.returncode == 0, done.stderr
     table = "\n".join(line for line in done.stdout.splitlines() if line.startswith("|"))
     assert "Table 8 (m)" in table and table in (
-        ROOT / "docs/dissertation-data.md"
+        ROOT / "docs/reproduction.md"
     ).read_text("utf-8")
 
 

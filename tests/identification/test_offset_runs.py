@@ -252,7 +252,7 @@ def test_a_shipped_fit_becomes_a_robot(study):
 
 @pytest.mark.slow
 def test_the_page_shows_the_tables_of_the_shipped_fits():
-    page = (ROOT / "docs/dissertation-data.md").read_text("utf-8")
+    page = (ROOT / "docs/reproduction.md").read_text("utf-8")
     done = run_benchmark("table8_fit.py", "--show")
     assert done.returncode == 0, done.stderr
     tables = [

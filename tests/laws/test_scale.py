@@ -2,7 +2,7 @@
 
 The factors of a scale that is a power of four are powers of two, which multiply without
 rounding. What is left there is the tolerance of the iterations: their criteria add
-forces and moments, which scale differently (docs/agreement.md).
+forces and moments, which scale differently (docs/verification.md).
 """
 
 from __future__ import annotations

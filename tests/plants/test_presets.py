@@ -17,7 +17,7 @@ from srs_twin.studies.sweep.points import Experiment
 
 KEY = "plants.twin.preset"
 STATED = (1.95, 21.5, 2.45, 0.155, 0.915, 1.75, 0.0, 1.55)
-"""Largest errors of `fast` that docs/agreement.md#presets states, rounded up, in order of `METRICS`."""
+"""Largest errors of `fast` that docs/verification.md#presets states, rounded up, in order of `METRICS`."""
 
 
 def scenario(twin, **changes):

@@ -406,7 +406,7 @@ def speed_and_amplitude(
 
 
 def test_generation_3_is_limited_by_two_litres_per_minute():
-    """Fills of 45 ml per chamber need ten times the flow (docs/models.md); no limit is the default."""
+    """Fills of 45 ml per chamber need ten times the flow (docs/pneumatics.md); no limit is the default."""
     spec = robot("gen3")
     free = OrificePneumatics(spec, supply_pa=SUPPLY)
     starved = OrificePneumatics(spec, supply_pa=SUPPLY, flow_limit=COMPRESSOR)

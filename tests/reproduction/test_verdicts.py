@@ -107,7 +107,7 @@ def test_an_ordering_needs_strictly_decreasing_values():
 
 
 SWITCH = Cause(says="an estimate", columns=["twin"], switch="compliance", set={"k": 1})
-DOCS = Cause(says="it is known", columns=["analytical"], docs="docs/models.md")
+DOCS = Cause(says="it is known", columns=["analytical"], docs="docs/planar-models.md")
 
 
 def test_a_switched_cause_explains_only_if_the_row_is_then_met():
@@ -116,7 +116,7 @@ def test_a_switched_cause_explains_only_if_the_row_is_then_met():
     assert shown["twin"].verdict == "explained" and "compliance" in shown["twin"].why
     assert (
         shown["analytical"].verdict == "explained"
-        and "docs/models.md" in shown["analytical"].why
+        and "docs/planar-models.md" in shown["analytical"].why
     )
     assert ran == ["a", "a ('k', 1)"]
     not_shown, _ = judge_values(row, {"a": (2, 2), "a ('k', 1)": (9, 1.5)})

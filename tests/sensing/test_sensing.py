@@ -380,7 +380,7 @@ def test_shorter_span_has_a_smaller_error():
 
 
 def test_sensor_study_results():
-    """Section 2.2.2: L as in the dissertation; the sideways magnet is more linear (docs/sensor.md)."""
+    """Section 2.2.2: L as in the dissertation; the sideways magnet is more linear (docs/module.md)."""
     near = 3.1
     far = 4.6
     for heights in ((0.45, 0.45), (0.45, 0.7), (0.7, 0.7)):

@@ -60,7 +60,7 @@ class LoadedContact:
     """Floor contact with normal forces from MuJoCo and friction from a friction law.
 
     Attributes:
-        law: friction law, "wheel", "ellipse", "axis" or "cosine" (docs/models.md). A
+        law: friction law, "wheel", "ellipse", "axis" or "cosine" (docs/friction.md). A
             skin has its own law.
         load: load of a wheel in the law, one of `LOADS`. All except "momentary" are for
             comparison.
