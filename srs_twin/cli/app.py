@@ -110,18 +110,23 @@ def _print_version(requested: bool) -> None:
 
 def _options(
     debug: Annotated[
-        bool, option("--debug", f"Show the traceback of an error (or set {DEBUG}=1).")
+        bool,
+        option("--debug", f"Print the traceback of an error. {DEBUG}=1 does the same."),
     ] = False,
     version: Annotated[
         bool,
         option(
-            "--version", "Print the version.", callback=_print_version, is_eager=True
+            "--version",
+            "Print the version and exit.",
+            callback=_print_version,
+            is_eager=True,
         ),
     ] = False,
 ) -> None:
-    """Simulate a soft robotic snake: equal valve commands drive an analytical model and a MuJoCo twin.
+    """Simulate a soft robotic snake with an analytical model and a MuJoCo twin.
 
-    Texts name pages as docs/NAME.md; `srs-twin show docs/NAME.md` prints one.
+    Both models receive the same valve commands. Messages refer to pages of the
+    documentation as docs/NAME.md; `srs-twin show docs/NAME.md` prints such a page.
     """
     if debug:
         os.environ[DEBUG] = "1"

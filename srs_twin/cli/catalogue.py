@@ -57,10 +57,12 @@ def list_(
     kind: Annotated[str | None, argument("KIND")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """List scenarios, six to begin with, and all other names.
+    """List the shipped scenarios, robots, sweeps and controllers.
+
+    The list begins with six scenarios that introduce the program.
 
     Options:
-        kind: Kind: scenarios, robots, sweeps, controllers, metrics or studies.
+        kind: What to list: scenarios, robots, sweeps, controllers, metrics or studies.
             [default: all but metrics]
     """
     if kind is not None and kind not in _KINDS:
@@ -151,13 +153,14 @@ def show(
     name: Annotated[str, argument("NAME", shipped=["scenario", "robot"])],
     as_json: JsonOption = False,
 ) -> None:
-    """Show a scenario or robot with all sources, or a page.
+    """Show a scenario, a robot or a page of the documentation.
 
-    Default values are included. Pages are those of the documentation.
+    The values of a scenario or robot are printed with their units and sources,
+    including the default values.
 
     Options:
-        name: Shipped scenario or robot, a scenario or robot file, or a page such as
-            docs/models.md.
+        name: Name of a shipped scenario or robot, path of a scenario or robot file, or
+            a page of the documentation such as docs/models.md.
     """
     page = name.partition("#")[0]
     if page.endswith(".md"):
@@ -254,7 +257,7 @@ def schema(
     """Print the JSON Schema of an input file or output document.
 
     Options:
-        kind: Kind of document: scenario, sweep, study, setup or inspect.
+        kind: Kind of the described document: scenario, sweep, study, setup or inspect.
     """
     schemas = {"scenario": "srs_twin.scenario:scenario_json_schema"} | installed(
         SCHEMAS

@@ -35,16 +35,17 @@ def diff(
     """Compare two sets of results value by value.
 
     The exit code is 1 if a value differs by more than its tolerance. A and B are
-    results of `run`, `compare`, `replay`, `sweep` or `reproduce`: metrics.json,
-    results.parquet, reproduce.json, or folders of such files.
+    results of `run`, `compare`, `replay`, `sweep` or `reproduce`. Each is a file
+    (metrics.json, results.parquet or reproduce.json) or a folder of such files.
 
     Options:
-        a: Reference results: a folder or a file.
-        b: Results to compare with the reference.
-        --rel NUMBER: Relative tolerance of all metrics. [default: 1e-6]
-        --abs NUMBER: Absolute tolerance of all metrics. [default: 1e-9]
-        --tolerances FILE: YAML file with tolerances per metric (see docs/ci.md).
-        --junit FILE: Write a JUnit XML report of the differences.
+        a: Folder or file with the reference results.
+        b: Folder or file with the results to compare with the reference.
+        --rel NUMBER: Relative tolerance for all metrics. [default: 1e-6]
+        --abs NUMBER: Absolute tolerance for all metrics. [default: 1e-9]
+        --tolerances FILE: YAML file that sets tolerances for individual metrics (see
+            docs/ci.md).
+        --junit FILE: Write the differences to this file as a JUnit XML report.
     """
     from srs_twin.comparison.diff import (
         Tolerances,

@@ -27,10 +27,12 @@ app = typer.Typer(
 )
 
 NameArgument = Annotated[
-    str, argument("NAME", "Name of the file: letters, digits and _.")
+    str,
+    argument("NAME", "Name of the new file, made of lower-case letters, digits and _."),
 ]
 OutOption = Annotated[
-    str | None, option("--out FILE", "Output file. [default: NAME.yaml, NAME.py]")
+    str | None,
+    option("--out FILE", "Path of the new file. [default: NAME.yaml, NAME.py]"),
 ]
 
 # Generation 2, the basis for scaling.
@@ -64,14 +66,15 @@ class RobotOptions:
     """Size and kind of a robot.
 
     Options:
-        --length M: Body length, m. [default: generation 2]
-        --mass KG: Mass of the whole robot, kg. [default: scaled from generation 2]
-        --segments N: Number of segments. [default: generation 2]
-        --pressure KPA: Supply pressure (gauge), kPa. [default: generation 2]
-        --bend RAD: Bend of one segment at the supply pressure, or of a joint, rad.
-            [default: 1.57; joints 0.6]
-        --skin: A body that slides on its belly, without wheels.
-        --servo: Rigid links with servo joints, without air.
+        --length M: Body length in metres. [default: generation 2]
+        --mass KG: Mass of the whole robot in kg. [default: scaled from generation 2]
+        --segments N: Number of bending segments. [default: generation 2]
+        --pressure KPA: Supply pressure (gauge) in kPa. [default: generation 2]
+        --bend RAD: Bend of one segment at the supply pressure, or maximum angle of a
+            servo joint, in rad. [default: 1.57; joints 0.6]
+        --skin: Write a robot without wheels, which slides on its belly.
+        --servo: Write a robot with rigid links and servo joints instead of air
+            chambers.
     """
 
     length: float | None = None
@@ -173,9 +176,9 @@ _DEFAULT_ROBOT = RobotOptions()
 def robot(
     name: NameArgument, options: RobotOptions = _DEFAULT_ROBOT, out: OutOption = None
 ) -> None:
-    """Write a robot file, scaled from generation 2.
+    """Write a robot file with values scaled from generation 2.
 
-    On a terminal, the command prompts for values that no option sets.
+    On a terminal, the command asks for each value that no option sets.
     """
     size = options.ask()
     from srs_twin.robot.file import load_robot
@@ -262,12 +265,12 @@ def scenario(
     duration: float = 5.0,
     out: OutOption = None,
 ) -> None:
-    """Write a scenario file: a robot, a gait and expectations.
+    """Write a scenario file with a robot, a gait and expectations.
 
     Options:
-        --robot -r ROBOT: Shipped robot or robot file.
-        --frequency HZ: Gait frequency, Hz.
-        --duration S: Simulated time, s.
+        --robot -r ROBOT: Name of a shipped robot, or path of a robot file.
+        --frequency HZ: Frequency of the gait in Hz.
+        --duration S: Simulated time in seconds.
     """
     title = f"{name}: straight at {frequency:g} Hz"
     from srs_twin.scenario.loading import load_scenario
@@ -286,10 +289,10 @@ def study(
     scenario: str = "gen2_straight",
     out: OutOption = None,
 ) -> None:
-    """Write a study file: the fastest gait of a scenario.
+    """Write a study file that finds the fastest gait of a scenario.
 
     Options:
-        --scenario SCENARIO: Shipped scenario or scenario file.
+        --scenario SCENARIO: Name of a shipped scenario, or path of a scenario file.
     """
     check = load(LOADERS["study"])
     title = f"{name}: fastest gait"
@@ -300,7 +303,7 @@ def study(
 
 
 def controller(name: NameArgument, out: OutOption = None) -> None:
-    """Write a controller in Python, and a scenario that runs it."""
+    """Write a controller in Python and a scenario that uses it."""
     from srs_twin.scenario.loading import load_scenario
 
     cls = "".join(part.capitalize() for part in name.split("_"))

@@ -70,7 +70,8 @@ def jobs_option(declaration: str) -> Any:
     """Return the option for the number of parallel runs."""
     return option(
         declaration,
-        "Number of parallel runs; 1: sequential. [default: one per processor]",
+        "Number of runs that are executed in parallel. With 1, they run one after"
+        " another. [default: one per processor]",
         min=1,
         max=4096,
     )
@@ -78,35 +79,51 @@ def jobs_option(declaration: str) -> Any:
 
 ScenarioArgument = Annotated[
     str,
-    argument("SCENARIO", "Shipped scenario or scenario file.", shipped=["scenario"]),
+    argument(
+        "SCENARIO",
+        "Name of a shipped scenario, or path of a scenario file.",
+        shipped=["scenario"],
+    ),
 ]
 RobotArgument = Annotated[
-    str, argument("ROBOT", "Shipped robot or robot file.", shipped=["robot"])
+    str,
+    argument(
+        "ROBOT", "Name of a shipped robot, or path of a robot file.", shipped=["robot"]
+    ),
 ]
 OneOutOption = Annotated[
-    str | None, option("--out DIR", "Output folder. [default: runs/SCENARIO]")
+    str | None,
+    option("--out DIR", "Folder for the output files. [default: runs/SCENARIO]"),
 ]
-CheckOption = Annotated[
-    bool, option("--check", "Exit with code 1 if an expectation is missed.")
-]
-_STRICT = "Like --check, but expectations marked `known` or not judged also fail."
+_CHECK = "Exit with code 1 if a result lies outside its expected range."
+CheckOption = Annotated[bool, option("--check", _CHECK)]
+_STRICT = (
+    "Like --check, but also exit with code 1 if an expectation cannot be judged or is"
+    " marked as a known deviation (`known`)."
+)
 StrictOption = Annotated[bool, option("--strict", _STRICT)]
 QuietOption = Annotated[
-    bool, option("--quiet -q", "Print errors only, no table and no progress.")
+    bool, option("--quiet -q", "Print only errors, without tables and progress.")
 ]
 JobsOption = Annotated[int | None, jobs_option("--jobs -j N")]
 JsonOption = Annotated[
-    bool, option("--json", "Print one JSON document instead of tables.")
+    bool, option("--json", "Print the result as a JSON document instead of tables.")
 ]
 _PLUGIN = (
-    f"Python file whose classes the files may name (repeatable; or set {PLUGINS})."
+    "Python file with classes that the input files use, such as a controller. Can be"
+    f" repeated. The environment variable {PLUGINS} can list such files instead."
 )
 PluginOption = Annotated[list[str] | None, option("--plugin FILE.py", _PLUGIN)]
-OverwriteOption = Annotated[bool, option("--overwrite", "Replace an existing file.")]
+OverwriteOption = Annotated[
+    bool, option("--overwrite", "Replace the output file if it already exists.")
+]
 
-_PRESSURE = "Supply pressure, kPa. [default: the robot's]"
+_PRESSURE = "Supply pressure (gauge) in kPa. [default: from the robot file]"
 PressureOption = Annotated[float | None, option("--pressure KPA", _PRESSURE)]
-_FRICTION = "Friction law of the analytical plant. [default: wheel]"
+_FRICTION = (
+    "Friction law of the analytical model: axis, wheel, ellipse, cosine or viscous."
+    " [default: wheel]"
+)
 FloorOption = Annotated[str | None, option("--law NAME", _FRICTION)]
 
 
@@ -137,10 +154,10 @@ class ChangeOptions:
     """Options that override fields of a scenario.
 
     Options:
-        --set FIELD=VALUE: Override a scenario field, e.g. controller.frequency_hz=1.5
-            (repeatable).
-        --duration S: Simulated time, s.
-        --seed N: Random seed.
+        --set FIELD=VALUE: Override one field of the scenario, for example
+            controller.frequency_hz=1.5. Can be repeated.
+        --duration S: Override the duration of the simulation, in seconds.
+        --seed N: Override the seed of the random number generator.
     """
 
     set: list[str] | None = None

@@ -52,7 +52,8 @@ class ReportOptions:
     """Reports of runs, and the expectations that set the exit code to 1.
 
     Options:
-        --junit FILE.xml: Write a JUnit XML report of runs and expectations.
+        --junit FILE.xml: Write the results of runs and expectations to this file as a
+            JUnit XML report.
     """
 
     check: CheckOption = False
@@ -355,10 +356,11 @@ def compare(
     explain: bool = False,
     changed: ChangeOptions = NO_CHANGES,
 ) -> None:
-    """Run a scenario on both plants and measure the difference.
+    """Simulate a scenario with both models and compare the results.
 
     Options:
-        --explain: Attribute the difference to modelling assumptions.
+        --explain: Also compute how much each modelling assumption contributes to the
+            difference between the models.
     """
     run_all(
         make_cases([scenario]),
@@ -378,14 +380,15 @@ def run(
     plants: str | None = None,
     changed: ChangeOptions = NO_CHANGES,
 ) -> None:
-    """Run scenarios on the plants that they select.
+    """Simulate scenarios with the models that they select.
 
     Options:
-        scenarios: Shipped scenarios, scenario files, or folders of files.
-        --out DIR: Output folder; several scenarios get one subfolder each. [default:
-            runs/SCENARIO]
-        --plants LIST: Plants to run: analytical, twin or analytical,twin. [default: the
-            scenario's]
+        scenarios: Names of shipped scenarios, or paths of scenario files or of folders
+            with such files.
+        --out DIR: Output folder. If there are several scenarios, each gets a subfolder.
+            [default: runs/SCENARIO]
+        --plants LIST: Models to simulate: analytical, twin or analytical,twin.
+            [default: from the scenario]
     """
     run_all(
         make_cases(scenarios),

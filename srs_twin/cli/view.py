@@ -35,13 +35,13 @@ def view(
     web: bool = False,
     port: Annotated[int | None, Bounds(1, 65535)] = None,
 ) -> None:
-    """Open recordings of runs in Rerun.
+    """Open the recordings of finished runs in the Rerun viewer.
 
     Options:
-        runs: Run folders, recordings, or names of folders in runs/; several are shown
-            side by side.
-        --web: Serve the viewer to a browser on this machine until Ctrl-C.
-        --port N: TCP port of the web viewer. [default: free]
+        runs: Folders of runs, names of folders in runs/, or recordings (.rrd). Several
+            runs are shown side by side.
+        --web: Show the viewer in a browser on this machine until you press Ctrl-C.
+        --port N: TCP port of the viewer in the browser. [default: any free port]
     """
     recordings = [find_recording(run) for run in runs]
     if port is not None and not web:
@@ -132,15 +132,17 @@ def play(
     name: Annotated[str, argument("SCENARIO|ROBOT", shipped=["scenario", "robot"])],
     set_: list[str] | None = None,
 ) -> None:
-    """Play a scenario, or steer a robot by keyboard, in MuJoCo.
+    """Play a scenario or steer a robot by keyboard in MuJoCo.
 
-    Keys: left and right change the offset, up and down the frequency, page up and page
-    down the supply pressure; home resets the offset, space pauses, backspace restarts.
-    The controller of a scenario acts until one of the first six keys is pressed.
+    The left and right keys change the steering offset of the gait, and home resets it.
+    Up and down change the gait frequency, page up and page down the supply pressure.
+    Space pauses the simulation, and backspace restarts it. The controller of a scenario
+    acts until you change the offset, the frequency or the pressure.
 
     Options:
-        name: Shipped scenario or robot, or a scenario or robot file.
-        --set FIELD=VALUE: Override a field, e.g. robot.friction.mu_t=0.1 (repeatable).
+        name: Name of a shipped scenario or robot, or path of a scenario or robot file.
+        --set FIELD=VALUE: Override one field, for example robot.friction.mu_t=0.1. Can
+            be repeated.
     """
     from srs_twin.scenario.modified import changes_text
 
@@ -210,18 +212,22 @@ class PictureOptions:
     """Kind, contents and file of the pictures of runs.
 
     Options:
-        --video FILE.mp4: Output video; with several runs, output folder.
-        --image t=2.5: Render an image at this time, s.
-        --strobe: Render several times in one image from above.
-        --ghost: Also draw the analytical model, translucently.
-        --out FILE.png: Output image; with several runs, output folder. [default: the
-            run's folder]
-        --size WxH: Width and height, pixels; --strobe uses the width only.
-        --fps N: Frame rate of the video, Hz.
-        --speed X: Playback speed of the video; 0.25: slow motion.
-        --from S: Start of the video or of the strobe picture, s. [default: start of the
-            run]
-        --to S: End of the video or of the strobe picture, s. [default: end of the run]
+        --video FILE.mp4: Render a video to this file, or to this folder if there are
+            several runs.
+        --image t=2.5: Render one image of the run at this time in seconds.
+        --strobe: Render one image from above that shows the robot at several times.
+        --ghost: Also draw the robot of the analytical model, translucently.
+        --out FILE.png: Image file, or folder for the images of several runs. [default:
+            the run's folder]
+        --size WxH: Width and height of the picture in pixels. For --strobe, only the
+            width is used.
+        --fps N: Frame rate of the video in Hz.
+        --speed X: Playback speed of the video. With 0.25, the video runs at a quarter
+            of real time.
+        --from S: Time in seconds at which the video or the strobe image starts.
+            [default: start of the run]
+        --to S: Time in seconds at which the video or the strobe image ends. [default:
+            end of the run]
     """
 
     video: str | None = None
@@ -341,7 +347,7 @@ def render(
     """Render a video or image of finished runs with MuJoCo.
 
     Options:
-        runs: Run folders, or names of folders in runs/.
+        runs: Folders of runs, or names of folders in runs/.
     """
     picture.check()
     from srs_twin.viewing.mujoco.opengl import usable_opengl

@@ -38,19 +38,23 @@ class LabOptions:
     """Options of `srs-twin shadow` that a set-up file may have, too (`setup_file`).
 
     Options:
-        robot: Shipped robot or robot file. [default: that of --setup]
-        mqtt: MQTT broker. [default: 127.0.0.1:1883, or none with --mcap]
-        natnet: NatNet server of the motion capture. [default: none]
-        name: Robot's name in topics. [default: ROBOT]
-        body: Body of the motion capture and its connector, repeatable. [default:
+        robot: Name of a shipped robot, or path of a robot file. [default: from --setup]
+        mqtt: Address of the MQTT broker. [default: 127.0.0.1:1883, or none with --mcap]
+        natnet: Address of the NatNet server of the motion capture system. [default:
+            none]
+        name: Name of the robot in the MQTT topics. [default: ROBOT]
+        body: Name of a rigid body in the motion capture data, and number of the
+            connector that carries it (1 is the head). Can be repeated. [default:
             connector_1=1 …]
-        local: Address of this machine on which frames arrive.
-        up: Upward axis of the frames, y or z.
-        press_on: Continue without any margin to obstacles instead of stopping
-            (docs/live.md#steering).
-        duration: Stop after S seconds. [default: run until Ctrl-C]
-        user: MQTT user name.
-        ca: CA certificate file (PEM); enables TLS.
+        local: Network address of this machine at which the motion capture frames
+            arrive.
+        up: Axis of the motion capture frames that points upwards: y or z.
+        press_on: If there is no path with a margin to the obstacles, continue without a
+            margin instead of stopping (see docs/live.md#steering).
+        duration: Stop after this many seconds. [default: run until Ctrl-C]
+        user: User name at the MQTT broker.
+        ca: PEM file with the CA certificate of the MQTT broker. This option enables
+            TLS.
     """
 
     robot: Annotated[str | None, argument("ROBOT", shipped=["robot"])] = None
@@ -91,16 +95,19 @@ class SessionOptions:
     """Options of a session of `srs-twin shadow`.
 
     Options:
-        setup: Set-up file of the lab (`srs-twin schema setup`); other options override
-            it. [default: none]
-        mcap: Journal of an earlier session, processed instead of live messages.
-        speed: Playback speed of a journal; 2: twice as fast.
-        out: Output folder; the learnt state of an earlier session in it is restored.
-        follow: Scenario with the path to steer along.
-        members: Ensemble size.
-        seed: Random seed.
-        window: Show the live view in Rerun's window.
-        web: Show the live view on a page of this machine.
+        setup: YAML file with the options of your lab (see `srs-twin schema setup`).
+            Options on the command line override it. [default: none]
+        mcap: Journal that was recorded earlier. It is processed instead of live
+            messages.
+        speed: Playback speed of the journal relative to real time.
+        out: Output folder. If an earlier live twin saved its state in this folder, the
+            state is restored.
+        follow: Scenario with the path along which the robot is steered, as the name of
+            a shipped scenario or the path of a file.
+        members: Number of members in the ensemble of the state estimator.
+        seed: Seed of the random number generator.
+        window: Show the live view in a Rerun window.
+        web: Show the live view in a browser on this machine.
     """
 
     setup: Annotated[Path | None, option("--setup FILE.yaml")] = None
@@ -130,13 +137,14 @@ def shadow(
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Run a live twin: estimate, predict and detect faults.
+    """Estimate and predict a running robot, and detect faults.
 
-    Receives commands, bends and pressures over MQTT and frames of motion capture over
-    NatNet, or reads all of them from a journal. With --follow it steers the robot by
-    its estimate; the keys p, g, v and s, or the words pause, go, vent and stop on the
-    topic srs/NAME/control, control it. docs/live.md describes the messages. The
-    environment variable SRS_TWIN_MQTT_PASSWORD contains the password of --user.
+    The live twin receives commands, bends and pressures over MQTT and motion capture
+    frames over NatNet, or reads them from a journal. With --follow, it also steers the
+    robot along a path. The keys p (pause), g (go), v (vent) and s (stop) control it, as
+    do the words pause, go, vent and stop on the topic srs/NAME/control. docs/live.md
+    describes the messages. The environment variable SRS_TWIN_MQTT_PASSWORD contains the
+    password of --user.
     """
     from threadpoolctl import threadpool_limits
 

@@ -29,10 +29,10 @@ def doctor(
     out: str = "runs",
     as_json: JsonOption = False,
 ) -> None:
-    """Check the installation and this machine, with remedies.
+    """Check the installation and this machine and suggest remedies.
 
     Options:
-        --out DIR: Output folder to check for write access and disk space.
+        --out DIR: Folder whose write access and free disk space are checked.
     """
     from srs_twin.cli.doctor.checks import failed_checks
 
