@@ -1,4 +1,4 @@
-"""`srs-twin models`: export of robots as MJCF."""
+"""Command `srs-twin models`, which exports robots as MJCF models."""
 
 from __future__ import annotations
 
@@ -91,7 +91,10 @@ def check() -> None:
 
 
 def _exportable_robots() -> list[str]:
-    """Return the shipped robots on wheels: MJCF has no friction law for a skin."""
+    """Return the shipped robots with wheels.
+
+    MJCF has no friction law for a robot with a skin.
+    """
     from srs_twin.io.files import shipped_names
     from srs_twin.robot.file import load_robot
 

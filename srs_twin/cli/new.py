@@ -1,4 +1,4 @@
-"""`srs-twin new`: new files from commented templates."""
+"""Command `srs-twin new`, which writes files from commented templates."""
 
 from __future__ import annotations
 
@@ -35,27 +35,32 @@ OutOption = Annotated[
     option("--out FILE", "Path of the new file. [default: NAME.yaml, NAME.py]"),
 ]
 
-# Generation 2, the basis for scaling.
+# Values of generation 2, from which new robots are scaled.
 _PITCH_M = 0.055
 """Distance between connectors, m."""
 
 _MASS_KG = 0.15
 _PRESSURE_KPA = 48.3
 _AIR_ML = 45.0
-"""Growth of the volume of a chamber up to the full bend, ml."""
+"""Increase of the volume of a chamber from the straight to the full bend, ml."""
 
 _BEND_RAD = 1.57
 """Default bend of a segment at the supply pressure, rad."""
 
 _SERVO_BEND_RAD = 0.6
-"""Default largest angle of a servo joint, rad."""
+"""Default maximum angle of a servo joint, rad."""
 
 _JOINT_SHARE = 1 / 15
-"""Share of a servo joint in the distance between joints; the rest is a rigid link."""
+"""Length of a servo joint as a fraction of the distance between joints.
+
+The remaining length is a rigid link.
+"""
 
 _SERVO_PLANE_RATIO = 0.1
-"""Default stiffness of a servo joint in pitch and roll, over weight times body length,
-1."""
+"""Default stiffness of a servo joint in pitch and roll (dimensionless).
+
+The stiffness is divided by the product of weight and body length.
+"""
 
 _SUFFIXES = {".yaml": ".yaml", ".txt": ".py"}
 """Suffix of a template → suffix of the file."""
@@ -86,10 +91,11 @@ class RobotOptions:
     servo: bool = False
 
     def ask(self) -> RobotSize:
-        """Return the size of the robot; prompt for values that no option sets.
+        """Return the size of the robot, and prompt for values that no option sets.
 
         Raises:
-            InputError: a value is not allowed.
+            InputError: a value is not positive, or a robot with servos has a supply
+                pressure.
         """
         count = int(_answer("number of segments", self.segments, 4))
         length = _answer("body length, m", self.length, 4 * _PITCH_M)
@@ -115,14 +121,14 @@ class RobotOptions:
 
 
 class RobotSize(NamedTuple):
-    """Size of a robot; names are those of the options.
+    """Size of a robot. The attributes are named after the options of the command.
 
     Attributes:
         segments: number of segments.
         length: body length, m.
-        mass: mass, kg.
-        pressure: supply pressure, gauge, kPa.
-        bend: largest bend of a segment, rad.
+        mass: mass of the robot, kg.
+        pressure: supply pressure (gauge), kPa.
+        bend: maximum bend of a segment, rad.
     """
 
     segments: int
@@ -132,7 +138,11 @@ class RobotSize(NamedTuple):
     bend: float
 
     def doubts(self) -> list[str]:
-        """Return which options differ from a scaled generation 2 so much that their unit is in doubt."""
+        """Return a message for each value whose unit is in doubt.
+
+        The unit is in doubt if the value differs by a large factor from the value of
+        generation 2 scaled to this size.
+        """
         from srs_twin.robot.plausibility import likely_unit
 
         length = self.segments * _PITCH_M
@@ -162,7 +172,7 @@ _PLAUSIBLE = {
     "pressure": ("kPa", 1 / 6, 20.0),
     "bend": ("rad", 0.0, 4.0),
 }
-"""Option → unit, and plausible multiples of the value of a scaled generation 2."""
+"""Option → unit, and plausible range of its ratio to a scaled generation 2."""
 
 
 def _default_mass(segments: int, length: float) -> float:
@@ -215,11 +225,10 @@ _SERVO_SOURCES = {
     "plane_interval": "assumption",
     "plane_damping": "assumption",
 }
-"""Sources of the values of a robot with chambers, and of one with servos."""
+"""Sources of the values of a robot with servo joints."""
 
 
 def _robot_values(size: RobotSize, *, servo: bool) -> dict[str, Any]:
-    """Return the values of the templates of robots."""
     from srs_twin.robot.spec import GRAVITY
 
     count, length, mass, supply, bend = size
@@ -334,7 +343,10 @@ for _command in (robot, scenario, controller, study):
 
 
 def _answer(question: str, value: float | None, default: float) -> float:
-    """Return a given option, otherwise the user's answer, or the default without a terminal."""
+    """Return the value of an option, or prompt the user if the option is not given.
+
+    Without a terminal, the default is returned.
+    """
     if value is not None:
         return value
     if not sys.stdin.isatty():
@@ -351,9 +363,10 @@ def _write(
     doubts: Sequence[str] = (),
     **values: Any,
 ) -> Path:
-    """Write a file from a template and check it; remove the file if the check fails.
+    """Write a file from a template and check it.
 
-    If there are `doubts`, they are the reasons of the failure.
+    If the check fails, the file is removed. The error then states the `doubts` if there
+    are any, because they are the likely cause.
     """
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
         raise InputError(
@@ -371,7 +384,7 @@ def _write(
     except BaseException as error:
         path.unlink(missing_ok=True)
         if isinstance(error, InputFileError):
-            # Do not name lines of a file that was removed.
+            # The file was removed, so the positions in it would mean nothing.
             place = re.compile(rf"{re.escape(str(path))}[\d:]*: ")
             raise InputError(
                 "\n".join(doubts or [place.sub("", line) for line in error.lines])
@@ -381,7 +394,6 @@ def _write(
 
 
 def _filled(template: str, values: dict[str, Any]) -> str:
-    """Return the text of a template with its values."""
     text = files("srs_twin.cli").joinpath("templates", template).read_text("utf-8")
     texts = {
         key: f"{value:.4g}" if isinstance(value, float) else value

@@ -1,4 +1,4 @@
-"""Options shared by several commands, and dataclasses that group options of a command."""
+"""Options that several commands share, and groups of options as dataclasses."""
 
 from __future__ import annotations
 
@@ -22,10 +22,11 @@ def option(declaration: str, text: str | None = None, **settings: Any) -> Any:
     """Return an option of a command.
 
     Args:
-        declaration: flags and value as the help shows them, "--robot -r ROBOT"; without
-            a value for a switch, "--check".
-        text: help text; default: taken from the docstring, see `expand_option_groups`.
-        settings: further settings of `typer.Option`.
+        declaration: flags and name of the value as the help shows them, such as
+            "--robot -r ROBOT", or only the flags for a switch, such as "--check".
+        text: help text. By default it is taken from the docstring of the command (see
+            `expand_option_groups`).
+        settings: additional arguments of `typer.Option`.
     """
     words = declaration.split()
     flags = [word for word in words if word.startswith("-")]
@@ -34,7 +35,10 @@ def option(declaration: str, text: str | None = None, **settings: Any) -> Any:
 
 
 class Bounds(NamedTuple):
-    """Smallest and largest value of an option that a docstring declares, see `expand_option_groups`."""
+    """Minimum and maximum of an option that is declared in a docstring.
+
+    See `expand_option_groups`.
+    """
 
     min: float | None = None
     max: float | None = None
@@ -48,8 +52,8 @@ def argument(
     Args:
         metavar: name of the argument in the help.
         text: help text, as in `option`.
-        shipped: kinds of shipped files whose names complete the argument in a shell:
-            "scenario", "robot", "sweep".
+        shipped: kinds of shipped files whose names a shell offers as completions, such
+            as "scenario" or "robot".
     """
 
     def complete(incomplete: str) -> list[str]:
@@ -128,11 +132,14 @@ FloorOption = Annotated[str | None, option("--law NAME", _FRICTION)]
 
 
 def print_json(document: Any) -> None:
-    """Print a JSON document on stdout; NumPy numbers and arrays become Python numbers and lists."""
+    """Print a JSON document on stdout.
+
+    NumPy numbers and arrays are converted to Python numbers and lists.
+    """
     import json
 
-    # Write ASCII only: names from foreign files may contain control characters that a
-    # terminal would execute.
+    # The output is pure ASCII, because names from foreign files may contain control
+    # characters that a terminal would execute.
     typer.echo(
         json.dumps(
             document, indent=2, allow_nan=False, default=lambda value: value.tolist()
@@ -141,7 +148,10 @@ def print_json(document: Any) -> None:
 
 
 def parse_plants(text: str | None) -> list[str] | None:
-    """Return the plants named by `--plants`, in a fixed order; None if the option was not given."""
+    """Return the plants that `--plants` names, or None if the option is not given.
+
+    The order of the plants is fixed.
+    """
     plants = ("analytical", "twin")
     names = [name.strip() for name in text.split(",")] if text else []
     for name in names:
@@ -176,7 +186,7 @@ class ChangeOptions:
         for text in self.set or ():
             field, sign, value = text.partition("=")
             if not sign:
-                field = ""  # refused
+                field = ""  # Override.parse rejects an empty field
             changes.append(Override.parse(f"--set {text}", field.strip(), value))
         for name, field in (("duration", "duration_s"), ("seed", "seed")):
             value = getattr(self, name)
@@ -191,16 +201,19 @@ NO_CHANGES = ChangeOptions()
 def expand_option_groups(
     command: Callable[..., None], *, plugins: bool = False
 ) -> Callable[..., None]:
-    """Return a command in the form that typer expects, with all options and help texts.
+    """Return a command in the form that typer expects, with options and help texts.
 
-    With `plugins`, the command has the option ``--plugin``: its files may name parts
-    from outside.
-
-    Typer supports neither groups of options nor options in docstrings. A parameter
-    whose type is a dataclass is therefore replaced by the fields of the dataclass. The
+    Typer supports neither groups of options nor options in docstrings. This function
+    replaces a parameter whose type is a dataclass by the fields of the dataclass. The
     section "Options:" in the docstring of the command or of the dataclass declares the
-    options, "--out DIR: Output folder." for the parameter `out`. A parameter that is
-    annotated with `option` or `argument` only has its help text there, by its name.
+    options. For example, "--out DIR: Output folder." declares the option of the
+    parameter `out`. If a parameter is annotated with `option` or `argument`, the
+    section contains only the name of the parameter and the help text.
+
+    Args:
+        command: function that implements the command.
+        plugins: whether to add the option ``--plugin``, because the files of the
+            command may refer to parts from outside the package.
     """
     description, options = _parse_docstring(command)
     hints = get_type_hints(command, include_extras=True)
@@ -244,7 +257,6 @@ def expand_option_groups(
 
 
 def _with_option(annotation: Any, declaration: str, text: str) -> Any:
-    """Return the annotation of a parameter with its option, or with the help text of its option."""
     (info,) = getattr(annotation, "__metadata__", (None,))
     if declaration.startswith("-"):
         settings = info._asdict() if info else {}
@@ -255,7 +267,10 @@ def _with_option(annotation: Any, declaration: str, text: str) -> Any:
 
 
 def _parse_docstring(documented: object) -> tuple[str, dict[str, tuple[str, str]]]:
-    """Return a docstring without its section "Options:", and parameter → declaration and help text."""
+    """Split a docstring into the description and the section "Options:".
+
+    The section is returned as parameter → (declaration, help text).
+    """
     description, _, section = (inspect.getdoc(documented) or "").partition(
         "\n\nOptions:\n"
     )

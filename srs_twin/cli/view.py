@@ -1,4 +1,8 @@
-"""`srs-twin view`, `play` and `render`: runs in Rerun, a twin in MuJoCo's viewer, and videos and images."""
+"""Commands `srs-twin view`, `play` and `render`.
+
+`view` opens runs in Rerun, `play` opens a twin in the viewer of MuJoCo, and `render`
+writes videos and images.
+"""
 
 from __future__ import annotations
 
@@ -62,7 +66,6 @@ def view(
 
 
 def _serve(recording: Path, port: int) -> None:
-    """Serve a recording until an interrupt, which is the normal end."""
     from srs_twin.viewing.rerun.viewer import serve_recordings
 
     handle_signals(signal.default_int_handler, signal.SIGTERM)
@@ -84,7 +87,7 @@ def find_recording(run: str) -> Path:
     """Return the path of the recording of a run.
 
     Args:
-        run: run folder, recording, or name of a folder in ``./runs``.
+        run: path of a run folder or a recording, or name of a folder in ``./runs``.
 
     Raises:
         InputError: no recording was found.
@@ -110,7 +113,9 @@ def find_recording(run: str) -> Path:
 
 
 def name_recordings(recordings: Sequence[Path]) -> dict[str, Path]:
-    """Return unique name → recording; a name has as many of the last parts of its path as necessary.
+    """Return the recordings by unique names.
+
+    A name consists of the last parts of the path, and has as few parts as possible.
 
     Raises:
         InputError: a recording is given twice.
@@ -161,7 +166,7 @@ def play(
     require_display()
     from srs_twin.viewing.mujoco.live import LiveSnake, steer
 
-    # The font of MuJoCo contains only ASCII.
+    # The font of MuJoCo's viewer contains only ASCII characters.
     snake = LiveSnake(
         robot, scenario=scenario, modified=changes_text(changes).replace("→", "to")
     )
@@ -172,7 +177,6 @@ def play(
 def _changed_robot(
     name: str, overrides: Sequence[Override]
 ) -> tuple[RobotSpec, Changes]:
-    """Return a robot with overridden fields, and the changes."""
     from srs_twin.io.documents import Document
     from srs_twin.robot.file import load_robot_file, robot_in
     from srs_twin.scenario.modified import changed_fields
@@ -198,18 +202,18 @@ _GHOST = "analytical"
 """Plant that `--ghost` draws translucently."""
 
 _MIN_SAMPLES = 2
-"""Smallest number of samples of a video or strobe picture."""
+"""Minimum number of samples of a video or strobe image."""
 
 _MIN_SIDE_PX = 64
-"""Smallest width and height of an image, pixels."""
+"""Minimum width and height of an image, pixels."""
 
 _MAX_SIDE_PX = 4096
-"""Largest width and height of an image, pixels."""
+"""Maximum width and height of an image, pixels."""
 
 
 @dataclass(frozen=True)
 class PictureOptions:
-    """Kind, contents and file of the pictures of runs.
+    """Options for the kind, the contents and the files of rendered pictures.
 
     Options:
         --video FILE.mp4: Render a video to this file, or to this folder if there are
@@ -245,7 +249,7 @@ class PictureOptions:
         """Check that the options can be combined.
 
         Raises:
-            InputError: they contradict each other.
+            InputError: the options contradict each other.
         """
         if sum((self.video is not None, self.image is not None, self.strobe)) != 1:
             raise InputError(
@@ -264,7 +268,7 @@ class PictureOptions:
             )
 
     def drawing(self) -> tuple[str, Callable[..., object]]:
-        """Return the suffix that follows the run in a file name, and the function that writes the file.
+        """Return the suffix of the file name and the function that writes the file.
 
         Raises:
             InputError: the size or the time cannot be read.
@@ -287,10 +291,14 @@ class PictureOptions:
         return f"-strobe{IMAGE_SUFFIX}", partial(write_strobe, width=size.width)
 
     def target(self, runs: int) -> Path | None:
-        """Return the output file or folder; None: the folders of the runs.
+        """Return the output file or folder, or None for the folders of the runs.
+
+        Args:
+            runs: number of runs.
 
         Raises:
-            InputError: it has another suffix, or is a file for several runs.
+            InputError: the file has a wrong suffix, or one file is given for several
+                runs.
         """
         output = self.out
         suffix = IMAGE_SUFFIX
@@ -309,10 +317,10 @@ class PictureOptions:
         return target
 
     def part(self, run: FinishedRun) -> Trajectory:
-        """Return the samples of the twin between the two times.
+        """Return the samples of the twin in the selected interval.
 
         Raises:
-            InputError: the run lacks a plant that is drawn, or has less than two
+            InputError: the run lacks a plant that is drawn, or has fewer than two
                 samples in this interval.
         """
         if "twin" not in run.trajectories:
@@ -352,7 +360,8 @@ def render(
     picture.check()
     from srs_twin.viewing.mujoco.opengl import usable_opengl
 
-    # Before the import of MuJoCo, which fails for an unknown name in MUJOCO_GL.
+    # This check must precede the import of MuJoCo, which fails for an unknown name in
+    # MUJOCO_GL.
     usable_opengl()
     from srs_twin.experiment import load_run
     from srs_twin.io.files import check_output_folder
@@ -379,7 +388,6 @@ def render(
 
 
 def _parse_time(text: str) -> float:
-    """Return the time in 't=2.5' or '2.5', s."""
     try:
         return float(text.strip().removeprefix("t="))
     except ValueError as error:
