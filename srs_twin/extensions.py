@@ -371,7 +371,10 @@ def part(
     if name not in names:
         raise UnknownNameError(kind, name, (*known, *names))
     if not re.fullmatch(PART_PATTERN, names[name], re.ASCII):
-        raise InputError(f"'{names[name]}' does not name a class; write module:Name")
+        raise InputError(
+            f"'{names[name]}' is not the name of a class; write module:Name, such as"
+            " my_module:MyController"
+        )
     module, _, attribute = names[name].partition(":")
     found = getattr(import_plugin(module), attribute, None)
     is_derived = (

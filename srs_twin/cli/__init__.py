@@ -122,8 +122,8 @@ def _check_current_folder() -> None:
         os.getcwd()
     except OSError as error:
         raise InputError(
-            f"cannot use the current folder ({error.strerror}); it may have been"
-            " removed: change to another folder"
+            f"the current folder cannot be used ({error.strerror}), perhaps because it"
+            " was removed; change to another folder"
         ) from error
 
 

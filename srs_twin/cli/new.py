@@ -109,7 +109,8 @@ class RobotOptions:
             bend = _answer("largest angle of a joint, rad", self.bend, _SERVO_BEND_RAD)
         else:
             raise InputError(
-                "a robot with servos has no supply; remove --pressure or --servo"
+                "a robot with servos has no supply pressure; remove --pressure or"
+                " --servo"
             )
         size = RobotSize(count, length, mass, supply, bend)
         for name, number in size._asdict().items():
@@ -370,12 +371,14 @@ def _write(
     """
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
         raise InputError(
-            f"{name!r} is not allowed as a name: use letters a to z, digits and _, a"
-            " letter first"
+            f"{name!r} is not allowed as a name; use lower-case letters, digits and _,"
+            " and begin with a letter"
         )
     path = Path(out or f"{name}{_SUFFIXES[Path(template).suffix]}")
     if path.exists():
-        raise InputError(f"{path} exists; use another name or --out")
+        raise InputError(
+            f"{path} already exists; use another name, or another file with --out"
+        )
     from srs_twin.io.files import write_text
 
     write_text(path, _filled(template, {"name": name, "file": path, **values}))

@@ -250,8 +250,9 @@ def _load(
                 case.folder = base / scenario.name
             if case.folder in folders:
                 raise InputError(
-                    f"{case.source}: another scenario is named '{scenario.name}' and"
-                    f" uses {case.folder} too"
+                    f"{case.source}: another scenario is also named"
+                    f" '{scenario.name}' and would use the same folder {case.folder};"
+                    " rename one of them"
                 )
             folders.add(case.folder)
     valid = [case for case in cases if case.result is None]

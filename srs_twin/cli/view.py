@@ -49,7 +49,7 @@ def view(
     """
     recordings = [find_recording(run) for run in runs]
     if port is not None and not web:
-        raise InputError("--port needs --web")
+        raise InputError("--port is only used with --web; add --web or remove --port")
     with tempfile.TemporaryDirectory(prefix="srs-twin-view-") as folder:
         recording = recordings[0]
         if len(recordings) > 1:
@@ -124,7 +124,9 @@ def name_recordings(recordings: Sequence[Path]) -> dict[str, Path]:
     paths = [path.parent if path.name == "recording.rrd" else path for path in paths]
     if len(set(paths)) < len(paths):
         duplicate = next(path for path in paths if paths.count(path) > 1)
-        raise InputError(f"{duplicate}: given twice")
+        raise InputError(
+            f"{duplicate}: this recording is given twice; give each recording once"
+        )
     count = 1
     while len({path.parts[-count:] for path in paths}) < len(paths):
         count += 1
@@ -185,7 +187,8 @@ def _changed_robot(
     for override in overrides:
         if override.loc[0] != "robot":
             raise InputError(
-                f"{override.label}: a robot has no scenario; set a field of robot"
+                f"{override.label}: only fields of the robot can be set, because no"
+                " scenario is given; begin the field with robot."
             )
         document.apply(override)
     robot_file = robot_in(document, "robot")
@@ -257,14 +260,17 @@ class PictureOptions:
             )
         if self.video is not None and self.out is not None:
             raise InputError(
-                "--out is for images; --video already names the output of a video"
+                "--out sets the output of images, and --video the output of a video;"
+                " remove --out"
             )
         if self.ghost and self.strobe:
-            raise InputError("--ghost needs --video or --image")
+            raise InputError(
+                "--ghost is only possible with --video or --image; remove --ghost"
+            )
         if self.image is not None and (self.from_, self.to) != (None, None):
             raise InputError(
-                "--from and --to are for --video and --strobe; --image t=2.5 is at one"
-                " time"
+                "--from and --to select an interval for --video or --strobe; --image"
+                " shows a single time, so remove them"
             )
 
     def drawing(self) -> tuple[str, Callable[..., object]]:

@@ -236,7 +236,8 @@ def read_results(path: StrPath) -> Results:
     files = sorted(_result_files(source))
     if not files:
         raise InputError(
-            f"{display_path(source)}: the folder has no results ({', '.join(_FILES)})"
+            f"{display_path(source)}: the folder contains no results; give a folder"
+            f" with files such as {', '.join(_FILES)}"
         )
     values: dict[ValueKey, Leaf] = {}
     versions: dict[str, str] = {}

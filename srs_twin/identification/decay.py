@@ -204,7 +204,8 @@ def free_swing(
         first = int(np.searchsorted(time, start))
     if first >= len(time):
         raise InputError(
-            f"{name}: it ends at {time[-1]:g} s, before the free swing from {start:g} s"
+            f"{name}: the recording ends at {time[-1]:g} s, before the free swing"
+            f" starts at {start:g} s"
         )
     turns = _visible_turns(name, bend, first, noise)
     half_period = float(time[turns[-1]] - time[turns[0]]) / (len(turns) - 1)

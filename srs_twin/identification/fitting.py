@@ -350,7 +350,7 @@ def parse_names(text: str | None) -> list[str] | None:
     names = [name.strip() for name in text.split(",") if name.strip()]
     if not names:
         raise InputError(
-            f"--find: '{text}' names nothing; give names such as"
+            f"--find '{text}' contains no parameters; give one or more, such as"
             " friction.mu_t,friction.mu_n"
         )
     return names

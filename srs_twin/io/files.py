@@ -431,11 +431,15 @@ def require_file(
             hint = f" ({suffix}; there is none in it)"
             if inside:
                 hint = f", such as {display_path(path / inside[0])}"
-            raise InputError(f"{display_path(path)}: a folder; give one file{hint}")
+            raise InputError(
+                f"{display_path(path)}: this is a folder; give one file{hint}"
+            )
         if path.exists():
-            raise InputError(f"{display_path(path)}: not a regular file")
+            raise InputError(f"{display_path(path)}: this is not a regular file")
         if path.is_symlink():
-            raise InputError(f"{display_path(path)}: a broken link")
+            raise InputError(
+                f"{display_path(path)}: this is a broken link, which points to no file"
+            )
     except OSError as error:
         # The name is too long, or a folder may not be entered.
         raise InputError(

@@ -176,11 +176,11 @@ def check_kind(label: str, saved: object, present: object) -> None:
     if isinstance(present, np.ndarray):
         if not isinstance(saved, np.ndarray) or saved.ndim != present.ndim:
             raise InputError(
-                f"{label}: the saved state has no array of {present.ndim} dimensions"
-                " for it"
+                f"{label}: the saved value must be an array with {present.ndim}"
+                " dimensions"
             )
     elif isinstance(present, Stateful) and not isinstance(saved, Mapping):
-        raise InputError(f"{label}: the saved state has no nested state for it")
+        raise InputError(f"{label}: the saved value must be a nested state")
 
 
 def _copy_state(value: object) -> object:
@@ -283,8 +283,8 @@ class SavedState:
 def _check_version(label: str, version: object) -> None:
     if version != VERSION:
         raise InputError(
-            f"{label}: saved state of version {version}; this program reads version"
-            f" {VERSION}"
+            f"{label}: the saved state has version {version}, but this program reads"
+            f" only version {VERSION}"
         )
 
 

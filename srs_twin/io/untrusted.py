@@ -289,7 +289,7 @@ def read_arrays(path: Path, what: str) -> dict[str, np.ndarray]:
                         f"{unpacked} bytes unpacked; the limit is {MAX_ARCHIVE_BYTES}"
                     )
                 if any(member.compress_type not in _PACKING for member in members):
-                    raise ValueError("packed by another method than that of NumPy")
+                    raise ValueError("NumPy does not write this compression method")
                 return {
                     member.filename.removesuffix(".npy"): _parse_array(
                         archive.read(member)

@@ -58,8 +58,8 @@ def broker_link(
 
     if set(robot) & set("/+#") or len(robot) > _LONGEST_NAME:
         raise InputError(
-            f"--name {robot[:80]!r} cannot be part of a topic: it has /, + or #, or"
-            f" more than {_LONGEST_NAME} characters"
+            f"--name {robot[:80]!r} cannot be part of a topic; use no /, + or #, and"
+            f" at most {_LONGEST_NAME} characters"
         )
     host, port = links.address(address, links.PORT)
     broker = links.BrokerAccess(host, port, user, os.environ.get(PASSWORD), ca)
@@ -236,7 +236,7 @@ def _pose(text: str) -> tuple[float, float, float]:
         x = y = heading = math.nan
     if not math.isfinite(x + y + heading):
         raise InputError(
-            f"--start '{text}' is no place such as 0.2,-0.1,0.5: x and y in m, heading"
-            " in rad"
+            f"--start '{text}' is not a pose; give x and y in m and the heading in rad,"
+            " such as --start=0.2,-0.1,0.5"
         )
     return x, y, heading

@@ -170,9 +170,9 @@ def shadow(
     if "estimate" not in result:
         sources = " and ".join(filter(None, (lab.mqtt or BROKER, lab.natnet)))
         raise InputError(
-            f"nothing was heard of '{lab.topic_name}' in {result['seconds']:.0f} s from"
-            f" {options.mcap or sources}: is it running, under that name, with that"
-            " number of segments?"
+            f"no messages of the robot '{lab.topic_name}' arrived from"
+            f" {options.mcap or sources} in {result['seconds']:.0f} s; check that it is"
+            " running, and that name and number of segments are right"
         )
 
 
@@ -191,13 +191,15 @@ def _checked(
     of_a_robot = lab.mqtt, lab.natnet, options.follow
     if options.mcap is not None and any(given is not None for given in of_a_robot):
         raise InputError(
-            "--mcap plays what has been; --mqtt, --natnet and --follow are for a"
-            " running robot"
+            "--mcap replays a recorded journal, but --mqtt, --natnet and --follow need"
+            " a running robot; remove --mcap or the other options"
         )
     if options.setup is not None:
         lab = lab.with_setup(options.setup, context)
     if lab.robot is None:
-        raise InputError("which robot? Give ROBOT, or a file with --setup")
+        raise InputError(
+            "no robot is given; give ROBOT, or a set-up file that names it with --setup"
+        )
     if options.mcap is not None:
         require_file(options.mcap, suffix=".mcap")
     if options.out is not None:

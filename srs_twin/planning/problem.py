@@ -100,7 +100,9 @@ class Settings:
     def __post_init__(self) -> None:
         if self.nodes < 1 or self.levels < 1 or not (1 <= self.weight < math.inf):
             values = f"nodes {self.nodes}, levels {self.levels}, weight {self.weight:g}"
-            raise InputError(f"planner: {values}: all must be at least 1")
+            raise InputError(
+                f"planner: {values} are not allowed; each must be at least 1"
+            )
         if not 0 <= self.clearance_weight < math.inf:
             raise InputError(
                 f"planner: clearance_weight {self.clearance_weight:g} must not be"
@@ -192,7 +194,8 @@ def _check_world(world: World) -> None:
             and 0 < circle.radius < math.inf
         ):
             raise InputError(
-                f"obstacle {k + 1}: numbers must be finite and the radius above 0"
+                f"obstacle {k + 1}: position and radius must be finite, and the radius"
+                " above 0"
             )
     for k, polygon in enumerate(world.polygons):
         finite = all(
@@ -211,7 +214,7 @@ def _check_world(world: World) -> None:
         low < high for low, high in (world.bounds.x, world.bounds.y)
     ):
         raise InputError(
-            "bounds: the lower limit comes first and must be below the upper limit"
+            "bounds: give the lower limit first; it must be below the upper limit"
         )
 
 

@@ -220,7 +220,9 @@ def _check_outputs(
         if target is not None:
             check_output_folder(Path(target).parent, (Path(target).name,), option=name)
     if write_map is not None and os.path.lexists(write_map) and not overwrite:
-        raise InputError(f"{write_map}: exists; give --overwrite, or another name")
+        raise InputError(
+            f"{write_map} already exists; give --overwrite, or another name"
+        )
 
 
 def _save_picture(scene: Scene, path: Path) -> None:
@@ -264,7 +266,9 @@ class FormatOptions:
         if not names and out and Path(out).suffix[1:] in _FORMATS:
             return Path(out).suffix[1:]
         if len(names) != 1:
-            raise InputError(f"give one format: --{', --'.join(_FORMATS)}")
+            raise InputError(
+                f"no single format is given; give one of --{', --'.join(_FORMATS)}"
+            )
         return names[0]
 
 
@@ -310,13 +314,17 @@ def export(
     default = "run" if kind == "mcap" else first
     path = Path(out) if out else finished.folder / f"{default}.{kind}"
     if path.suffix != f".{kind}":
-        raise InputError(f"{path.name}: a file of --{kind} ends in .{kind}")
+        raise InputError(
+            f"{path.name}: the name of a file for --{kind} must end in .{kind}"
+        )
     targets = [path]
     if kind == "mcap":
         targets += [path.with_suffix(MAP_SUFFIX), path.with_suffix(_LAYOUT_SUFFIX)]
     for target in targets:
         if target.exists() and not overwrite:
-            raise InputError(f"{display_path(target)} exists; --overwrite replaces it")
+            raise InputError(
+                f"{display_path(target)} already exists; --overwrite replaces it"
+            )
     check_output_folder(path.parent, tuple(target.name for target in targets))
     _write(path, runs, first)
     say(f"wrote {', '.join(map(display_path, targets))}", quiet=quiet)

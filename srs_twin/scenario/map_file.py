@@ -262,9 +262,9 @@ def _rectangles(full: np.ndarray) -> list[list[int]]:
     first, last = (np.flatnonzero(~has_equal(shift)) for shift in (-width, width))
     if len(first) > MAX_RECTANGLES:
         raise InputError(
-            f"{len(first):,} rectangles are needed for its occupied cells;"
-            f" {MAX_RECTANGLES:,} are allowed: remove specks (median filter), crop it"
-            " or reduce its size"
+            f"{len(first):,} rectangles are needed for the occupied cells of the map,"
+            f" but only {MAX_RECTANGLES:,} are allowed; remove specks with a median"
+            " filter, crop the map or reduce its size"
         )
     # Rectangles with the same columns do not overlap: sorted starts and ends belong
     # together.

@@ -214,8 +214,8 @@ def test_control_characters_in_results_are_escaped(capsys, tmp_path, options):
         (
             ("empty", "a"),
             (
-                "empty: the folder has no results (metrics.json, results.parquet,"
-                " reproduce.json)"
+                "empty: the folder contains no results; give a folder with files such as"
+                " metrics.json, results.parquet, reproduce.json"
             ),
         ),
         (
@@ -336,7 +336,7 @@ def test_documented_tolerances_load(tmp_path):
 
 
 def test_foreign_files_are_refused(tmp_path):
-    with pytest.raises(InputError, match="the folder has no results"):
+    with pytest.raises(InputError, match="the folder contains no results"):
         read_results(tmp_path)
 
 
@@ -420,4 +420,4 @@ def test_results_are_found_in_nested_folders(capsys, tmp_path, monkeypatch):
         for _ in range(levels):  # pytest's own removal recurses
             os.chdir("..")
             os.rmdir("a")
-    assert code == 2 and "a: the folder has no results" in err
+    assert code == 2 and "a: the folder contains no results" in err

@@ -103,12 +103,12 @@ def damaged(good: dict[str, Any], name: str) -> tuple[Malformed, ...]:
         Malformed(
             "archive packed with bz2",
             archive(good, zipfile.ZIP_BZIP2),
-            "packed by another method",
+            "NumPy does not write this compression method",
         ),
         Malformed(
             "archive packed with LZMA",
             archive(good, zipfile.ZIP_LZMA),
-            "packed by another method",
+            "NumPy does not write this compression method",
         ),
         Malformed("archive of nothing", archive({}), ""),
         Malformed("other arrays", archive({"a": np.zeros(3)}), ""),
@@ -192,7 +192,7 @@ STATE_MALFORMED = damaged(STATE, "array_0") + (
         content={"@": "dict", "items": [["a", {"@": "array", "name": "b"}]]},
     ),
     _state("a class of another package", content={"@": "os:system", "items": ["true"]}),
-    _state("another version", "saved state of version 1", version=1),
+    _state("another version", "the saved state has version 1", version=1),
     Malformed(
         "a number as document",
         archive(STATE | {"state": np.array(3.0)}),

@@ -143,11 +143,13 @@ MOTIVE_MALFORMED: tuple[Malformed, ...] = (
         ":2: the header is cut: it must have rows Type",
     ),
     Malformed("a header only", _HEADER, ":8: the header has no rows below it"),
-    Malformed("one row", _HEADER + _ROW, ": 1 frames; a recording has 12 or more"),
+    Malformed(
+        "one row", _HEADER + _ROW, ": the recording has 1 frames; 12 or more are needed"
+    ),
     Malformed(
         "the same row forty times",
         _HEADER + _ROW * 40,
-        ": 1 frames; a recording has 12 or more",
+        ": the recording has 1 frames; 12 or more are needed",
     ),
     Malformed(
         "a word in place of a number",
@@ -318,7 +320,7 @@ VALVE_MALFORMED: tuple[Malformed, ...] = (
     Malformed(
         "one row",
         b"\n".join(VALVES.split(b"\n")[:2]) + b"\n",
-        ": a log has 2 rows or more",
+        ": the log has fewer than 2 rows",
     ),
     Malformed(
         "200 MB of junk",

@@ -64,7 +64,7 @@ COMMANDS = [
     ),
     (
         "plan gen2_straight",
-        "there is no planner section; add planner, and controller.kind: follow",
+        "the scenario has no planner section; add the section planner",
     ),
     ("view gen2_straight", "no recording found"),
     ("render gen2_straight", "give exactly one of --video FILE.mp4"),
@@ -75,7 +75,7 @@ COMMANDS = [
     ("play gen22", "unknown scenario or robot 'gen22'; did you mean gen2,"),
     (
         "play gen2 --set controller.offset=0.1",
-        "a robot has no scenario; set a field of robot",
+        "only fields of the robot can be set",
     ),
     ("reproduce --only XY", "docs/reproduction.md lists them"),
     ("schema robots", "(available: inspect, scenario, setup, study, sweep)"),

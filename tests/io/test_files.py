@@ -90,7 +90,7 @@ def test_existing_file_is_not_called_an_unknown_name(tmp_path, monkeypatch):
         find_file("scenario", "notes.txt")
     with pytest.raises(
         InputError,
-        match=r"^empty: a folder; give one file \(\.yaml; there is none in it\)$",
+        match=r"^empty: this is a folder; give one file \(\.yaml; there is none in it\)$",
     ):
         find_file("scenario", "empty")
 

@@ -366,7 +366,7 @@ def test_unobserved_steps_count_and_diverged_run_ends_alone():
         ended is None and batch.errors[0] is None and "finite" in str(batch.errors[1])
     )
     assert np.isfinite(batch.state.com).all() and np.isfinite(sound.com).all()
-    with pytest.raises(InputError, match="1 were given for 2"):
+    with pytest.raises(InputError, match="1 values are given for 2"):
         batch.set_gaits([Gait(2.0)])
 
 

@@ -226,7 +226,8 @@ def body_order(points: np.ndarray) -> np.ndarray:
     ends = np.flatnonzero(neighbours == 1)
     if len(ends) != 2:
         raise InputError(
-            f"the markers are not along one body: {len(ends)} of them are at an end"
+            "the markers do not lie along one body, because the line through them has"
+            f" {len(ends)} ends instead of 2"
         )
     return np.asarray(
         depth_first_order(tree, ends[0], directed=False, return_predecessors=False)

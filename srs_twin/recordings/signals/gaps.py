@@ -89,7 +89,9 @@ def frame_grid(time: np.ndarray) -> FrameGrid:
     rows = order[kept]
     ordered = ordered[kept]
     if len(rows) < MIN_FRAMES:
-        raise InputError(f"{len(rows)} frames; a recording has {MIN_FRAMES} or more")
+        raise InputError(
+            f"the recording has {len(rows)} frames; {MIN_FRAMES} or more are needed"
+        )
     return FrameGrid(*_on_grid(ordered, rows, period, notes), period, tuple(notes))
 
 
@@ -108,7 +110,7 @@ def _on_grid(
         worst = int(np.argmax(steps))
         raise InputError(
             f"the recording has {len(rows)} of {count} frames, and none between"
-            f" {time[worst]:g} s and {time[worst + 1]:g} s; cut the recording"
+            f" {time[worst]:g} s and {time[worst + 1]:g} s; cut the recording there"
         )
     if missing := count - len(rows):
         notes.append(

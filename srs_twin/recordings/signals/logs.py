@@ -374,7 +374,7 @@ def _log(
                 " one is kept"
             )
         if kept.sum() < 2:
-            raise InputError("a log has 2 rows or more")
+            raise InputError("the log has fewer than 2 rows; 2 or more are needed")
         time = time[order][kept]
         values = values[order][kept].reshape(kept.sum(), -1, 2)
         if kind == "setpoint":

@@ -373,7 +373,8 @@ def _value_list(name: str, values: Sequence[Value] | RangeFile) -> list[Value]:
         return list(values)
     if values.count is None:
         raise InputError(
-            f"{name}: a range needs a count here, or sampling: latin_hypercube or sobol"
+            f"{name}: the range has no count; give count, or set sampling to"
+            " latin_hypercube or sobol"
         )
     spaced = np.geomspace if values.scale == "log" else np.linspace
     return [float(value) for value in spaced(values.start, values.stop, values.count)]

@@ -90,7 +90,7 @@ def test_results_do_not_depend_on_engine_or_number_of_workers(
         ),
         (
             ("small.yaml", "--engine", "ray", "--address", "x:1", "--workers", "2"),
-            "--workers is only for a Ray instance started here",
+            "--workers is only allowed if Ray is started on this machine",
         ),
         (("small.yaml", "--workers", "0"), "Invalid value for '--workers'"),
         (("small.yaml", "--out", "small.yaml"), "cannot write there"),
