@@ -453,8 +453,8 @@ class SamplingGrid(NamedTuple):
 
     Attributes:
         tick: control tick, s.
-        step: unit of the sampling intervals within a tick, s; None if any interval is
-            allowed.
+        step: time step of the plant, s. Sampling intervals within a tick must be
+            multiples of it. None means that any interval is allowed.
     """
 
     tick: float

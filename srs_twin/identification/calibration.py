@@ -347,7 +347,8 @@ class _Task:
             one = self.files[kinds.index(True)]
             other = self.files[kinds.index(False)]
             raise InputError(
-                f"{one} is a {first}, {other} a {second}; fit them separately"
+                f"{one} is a {first}, but {other} is a {second}; fit them with"
+                " separate commands"
             )
         return kinds[0]
 

@@ -72,6 +72,8 @@ class Override:
     Attributes:
         label: origin of the value in messages, such as "--set
             controller.frequency_hz=1.5".
+        loc: path of the replaced value.
+        value: new value.
     """
 
     label: str
@@ -94,7 +96,11 @@ class Override:
 
     @classmethod
     def list_of(cls, changes: Overrides) -> Sequence[Override]:
-        """Return overrides as a list; they may be a mapping of dotted field → value."""
+        """Return overrides as a list.
+
+        Args:
+            changes: overrides, or a mapping of dotted field names to values.
+        """
         if not isinstance(changes, Mapping):
             return changes
         return [
@@ -112,13 +118,17 @@ class Document:
     """Data of one file with the positions of values, and the problems found so far.
 
     Attributes:
-        values: path of a value → line and column of its first character; empty for data
-            made in memory.
-        refused: positions of invalid YAML; further problems at these positions are not
-            reported.
-        override_labels: labels of the applied overrides; values of the k-th override
+        name: name of the file in messages.
+        data: parsed data.
+        values: line and column of the first character of each value, by the path of the
+            value. It is empty for data made in memory.
+        keys: line and column of each key, by the path of its value.
+        problems: positions and messages of the problems found so far.
+        refused: positions of invalid YAML, at which no further problems are reported.
+        override_labels: labels of the applied overrides. Values of the k-th override
             have the position (−k, 0).
-        folder: folder of the file; None for data made in memory.
+        folder: folder of the file, or None for data made in memory.
+        warnings: warnings about the file.
     """
 
     name: str
@@ -243,7 +253,14 @@ class Document:
         return prefix + loc
 
     def report(self, loc: Loc, message: str, *, at_key: bool = False) -> None:
-        """Add a problem at a value or key; a missing value has its parent's place."""
+        """Add a problem at a value or key.
+
+        Args:
+            loc: path of the value. If the value is missing, the problem has the
+                position of the parent.
+            message: description of the problem.
+            at_key: whether the problem concerns the key instead of the value.
+        """
         existing = self.existing_prefix(loc)
         positions = self.values
         if at_key and existing == loc:
@@ -365,13 +382,16 @@ def parse_yaml(text: str, name: str) -> Document:
 def _explain(problem: str, lines: list[str], mark: yaml.Mark) -> str:
     before = "".join(lines)[: mark.column]
     if "mapping values are not allowed" in problem and ": " in before:
-        return "; a text with a colon and a blank must be in quotes"
+        return "; a text that contains a colon and a space must be in quotes"
     if "mapping values" in problem or re.search(
         "<block end>, but found '(<block|-)", problem
     ):
-        return "; its indent is wrong: keys of one block begin in the same column"
+        return (
+            "; the indentation is wrong, because all keys of a block must begin in the"
+            " same column"
+        )
     if "expected ':'" in problem:
-        return "; a key is followed by a colon and a blank"
+        return "; a key must be followed by a colon and a space"
     return ""
 
 
@@ -445,7 +465,8 @@ class _Reader:
                 if documents > 1:
                     self.fail(
                         self.last,
-                        "a second document begins here; a file may contain one",
+                        "a second YAML document begins here, but a file may have only"
+                        " one",
                     )
                 if event.version or event.tags:
                     self._refuse(
@@ -479,7 +500,7 @@ class _Reader:
         if isinstance(event, yaml.AliasEvent):
             return None
         if len(loc) >= MAX_DEPTH:
-            self.fail(self.last, f"nested more than {MAX_DEPTH} deep")
+            self.fail(self.last, f"nested more than {MAX_DEPTH} levels deep")
         if isinstance(event, yaml.MappingStartEvent):
             return self._mapping(loc)
         values: list[object] = []
@@ -509,7 +530,7 @@ class _Reader:
     def _check(self, event: yaml.Event) -> None:
         self._nodes += 1
         if self._nodes > MAX_NODES:
-            self.fail(self.last, f"more than {MAX_NODES} keys and values")
+            self.fail(self.last, f"the file has more than {MAX_NODES} keys and values")
         if isinstance(event, yaml.AliasEvent):
             self._refuse(
                 f"aliases (*{event.anchor}) are not allowed; write the value out"

@@ -29,10 +29,10 @@ _PRODUCT_LIST = ".products"
 """Names of the products in a staging folder, one per line."""
 
 _ASIDE = ".aside"
-"""Subfolder of earlier files before any new file is moved in."""
+"""Subfolder of the earlier files until all of them are moved away."""
 
 _SAVED = ".earlier"
-"""Name of this subfolder when it holds all earlier files, while new ones move in."""
+"""Name of this subfolder while the new files are moved in."""
 
 _OBSOLETE = ".gone"
 """Name of this subfolder after a complete replacement."""
@@ -63,7 +63,7 @@ def replace_files(folder: Path, products: Sequence[str]) -> Iterator[Path]:
     process remains.
 
     Args:
-        folder: folder, created if missing.
+        folder: folder of the files, which is created if it is missing.
         products: names of all files of the set, or patterns such as ``best/*.yaml``.
             The first is the completion mark: it exists only in a complete set.
 
@@ -204,7 +204,9 @@ def _clean_up(folder: Path) -> None:
 
 @contextmanager
 def _lock(folder: Path, timeout_s: float = _LOCK_TIMEOUT_S) -> Iterator[bool]:
-    """Lock a folder for a `with` block; yield False if the file system has no locks.
+    """Lock a folder for a `with` block, and yield whether the lock was obtained.
+
+    The value is False if the file system has no locks.
 
     The operating system releases the lock when the process ends.
 

@@ -128,7 +128,9 @@ def find_file(kind: str, name_or_path: StrPath) -> Path:
     if text in names:
         return shipped_folder(kind) / f"{text}.yaml"
     if os.path.isfile(text):
-        raise InputError(f"{text}: a {kind} file ends in {' or '.join(_SUFFIXES)}")
+        raise InputError(
+            f"{text}: the name of a {kind} file must end in {' or '.join(_SUFFIXES)}"
+        )
     if os.path.isdir(text):
         require_file(Path(text))
     raise UnknownNameError(
@@ -152,7 +154,9 @@ def check_file_name(name: str, source: str) -> str:
         InputError: the name is not allowed.
     """
     if not re.fullmatch(r"[a-z][a-z0-9_]{0,59}", name):
-        allowed = "lower-case letters, digits and _, a letter first, 60 at most"
+        allowed = (
+            "use at most 60 lower-case letters, digits and _, and begin with a letter"
+        )
         raise InputError(f"{source}: '{name}' is not allowed; {allowed}")
     return name
 
@@ -269,7 +273,7 @@ def missing_folders(folder: Path) -> list[Path]:
 
 
 def remove_empty_folders(folders: Iterable[Path]) -> None:
-    """Remove the empty folders; another process may use the remaining ones."""
+    """Remove the folders that are empty. Other processes may use the others."""
     for folder in folders:
         with suppress(OSError):
             folder.rmdir()
@@ -328,11 +332,11 @@ def atomic_write(path: StrPath) -> Iterator[Path]:
 
 @contextmanager
 def _temporary_file(target: Path) -> Iterator[Path]:
-    """Yield a hidden file beside a target; after an error the file is removed.
+    """Yield a hidden file next to a target, and remove it after an error.
 
     All writers of a target use one name, so that the next writer overwrites the file of
-    a killed writer. The file of a live writer is locked until its process ends, and
-    other writers then use a random name.
+    a killed writer. While a writer is running, its file is locked, and other writers
+    use random names.
     """
     # The suffix stays at the end, because some writers choose their format by it.
     temporary = target.with_name(f".{target.stem}.part{target.suffix}")
@@ -409,14 +413,16 @@ def require_file(
     names: Iterable[str] = (),
     beside: Path | None = None,
 ) -> Path:
-    """Return the path if it is a regular file; devices and pipes may never end.
+    """Return a path after checking that it is a regular file.
+
+    Devices and pipes are refused, because reading them may never end.
 
     Args:
         path: path as the user wrote it.
         suffix: suffix of the files to suggest.
         remedy: text for the message if no similar file exists.
         names: names of shipped files to suggest.
-        beside: another place where the file was looked for.
+        beside: path of another place where the file was expected.
 
     Raises:
         InputError: the file is missing or not a regular file, or the name is not
@@ -469,8 +475,8 @@ def check_output_folder(
     Args:
         folder: output folder.
         products: file names.
-        option: command-line option that sets the folder, for the message; empty if
-            there is none.
+        option: command-line option that sets the folder, which the message names. An
+            empty string means that there is none.
 
     Raises:
         InputError: the folder cannot be created or written, or a folder has the name of
@@ -500,7 +506,7 @@ def check_not_folders(folder: Path, products: Sequence[str]) -> None:
     """Check that no folder has the name of a product.
 
     Raises:
-        InputError: a folder has the name of a product; the message names it.
+        InputError: a folder has the name of a product.
     """
     for product in products:
         if (folder / product).is_dir():

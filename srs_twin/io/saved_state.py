@@ -106,15 +106,15 @@ class Stateful(DeepCopied):
     state_attributes: ClassVar[tuple[str, ...]] = ()
 
     def state_dict(self) -> dict[str, object]:
-        """Return a copy of the state, attribute name → value or nested state."""
+        """Return a copy of the state as attribute name → value or nested state."""
         return {name: _copy_state(getattr(self, name)) for name in self._state_names()}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Set the state to one that `state_dict` of this or another object returned.
+        """Set the state to a state that `state_dict` returned.
 
         Raises:
             InputError: an attribute is missing, or its kind differs from the current
-                one.
+                kind.
         """
         missing = [name for name in self._state_names() if name not in state]
         if missing:
@@ -191,9 +191,9 @@ def _copy_state(value: object) -> object:
 
 @dataclass(frozen=True, eq=False)
 class SavedState:
-    """State of a plant or a controller that determines its further evolution.
+    """State of a plant or a controller that determines the further evolution.
 
-    It can be pickled, and written to a file.
+    A state can be pickled, and written to a file.
 
     Attributes:
         owner: settings of the saved object as JSON values. Only an object with equal

@@ -88,9 +88,9 @@ def parse_json(text: str, name: str) -> Any:
     except ValueError as error:
         raise InputError(f"{name}: {error}") from error
     except RecursionError:
-        raise InputError(f"{name}: nested more than {MAX_DEPTH} deep") from None
+        raise InputError(f"{name}: nested more than {MAX_DEPTH} levels deep") from None
     if _depth(data) > MAX_DEPTH:
-        raise InputError(f"{name}: nested more than {MAX_DEPTH} deep")
+        raise InputError(f"{name}: nested more than {MAX_DEPTH} levels deep")
     return data
 
 
@@ -173,7 +173,7 @@ def read_table(
 
     Raises:
         InputError: the file is missing, not a regular file, not Parquet, damaged, or
-            larger than a limit; the message names the damaged column.
+            larger than a limit. The message names the damaged column.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -211,7 +211,7 @@ def read_table(
 
 
 def _check_size(path: Path) -> None:
-    """Check the sizes of file and footer; Arrow would read a footer of gigabytes."""
+    """Check the sizes of file and footer, because Arrow would read gigabytes."""
     size = path.stat().st_size
     with path.open("rb") as file:
         file.seek(max(0, size - 8))
@@ -264,7 +264,7 @@ def _read(file: ParquetFile) -> pyarrow.Table:
 
 
 def read_arrays(path: Path, what: str) -> dict[str, np.ndarray]:
-    """Read a NumPy archive (npz) of numbers and texts, name → array.
+    """Return the arrays of a NumPy archive (npz) of numbers and texts, by name.
 
     Args:
         path: archive file.

@@ -193,10 +193,13 @@ def read_circles(path: Path) -> tuple[Circle, ...]:
         try:
             x, y, radius = (float(row[column]) for column in CIRCLE_COLUMNS)
         except (TypeError, ValueError):
-            raise InputError(f"{name}:{line}: not three numbers") from None
+            raise InputError(
+                f"{name}:{line}: the row must have three numbers"
+                f" ({', '.join(CIRCLE_COLUMNS)})"
+            ) from None
         if not (math.isfinite(x) and math.isfinite(y) and 0 < radius < math.inf):
             raise InputError(
-                f"{name}:{line}: numbers must be finite and the radius above 0"
+                f"{name}:{line}: the numbers must be finite and the radius above 0"
             )
         circles.append(Circle(x, y, radius))
     return tuple(circles)

@@ -146,7 +146,7 @@ def _policy(message: str, **changed: Any) -> Malformed:
     )
 
 
-_NO_FIT = "the layers of the policy do not fit together, or have no finite numbers"
+_NO_FIT = "the shapes of the policy's layers do not match"
 POLICY_MALFORMED = damaged(POLICY, "biases_0") + (
     _policy("no vector of numbers 'biases_0'", biases_0=np.array(1.0)),
     _policy("no vector of numbers 'biases_0'", biases_0=np.ones((3, 7))),

@@ -367,7 +367,7 @@ FOLLOWING_MALFORMED = edited(
         (
             "[0.6, 0.5], [0.6, 0.6]",
             "[0.6, 0.6], [0.6, 0.5], [0.5, 0.6]",
-            "world.polygons[0].corners_m: these corners do not bound an area",
+            "world.polygons[0].corners_m: the polygon encloses no area",
         ),
         (", [0.6, 0.6]", "", "world.polygons[0].corners_m: "),
         ("[0.6, 0.6]", "[0.6, 0.6, 0.1]", "world.polygons[0].corners_m[2]"),
@@ -376,7 +376,7 @@ FOLLOWING_MALFORMED = edited(
         (
             "radius_m: [0.02, 0.05]",
             "radius_m: [0.05, 0.02]",
-            "world.random.radius_m: the smallest radius comes first",
+            "world.random.radius_m: give the smaller radius first",
         ),
         (
             "count: 2",

@@ -127,7 +127,7 @@ MOTIVE_MALFORMED: tuple[Malformed, ...] = (
     Malformed(
         "a wrong unit",
         _edited(MOTIVE, "Millimeters", "Meters"),
-        "apart, the connectors of gen2 55 mm; are the lengths in mm?",
+        "but the connectors of gen2 are 55 mm apart; are the lengths in mm?",
     ),
     Malformed(
         "the header cut after one line", _LINES[0] + b"\r\n", ":2: the header is cut"
@@ -206,7 +206,7 @@ MOTIVE_MALFORMED: tuple[Malformed, ...] = (
         "time in another unit",
         _HEADER
         + b"".join(b"%d,%d" % (k * 10**9, k * 10**9) + _ROW[10:] for k in range(40)),
-        "is the unit right?",
+        "unit is probably not s",
     ),
     Malformed(
         "latin-1",

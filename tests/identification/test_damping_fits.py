@@ -226,12 +226,16 @@ def ring(time, hertz=8.0, size=0.4):
             200,
             overdamped,
             (
-                "0 visible half swings; 3 or more are needed. An overdamped decay tells"
-                " only the"
+                "0 visible half swings, but 3 or more are needed; hang a heavier body,"
+                " or record longer"
             ),
         ),
         (200, lambda t: ring(t, size=1e-3), "the amplitude is within the noise"),
-        (100, lambda t: ring(t, hertz=30.0), "samples per swing; 5 or more are needed"),
+        (
+            100,
+            lambda t: ring(t, hertz=30.0),
+            "samples per swing, but 5 or more are needed",
+        ),
     ],
     ids=["slow", "overdamped", "small", "fast"],
 )

@@ -538,8 +538,9 @@ def test_arguments_that_no_file_can_give_are_named(plugin):
         "class B(A):\n    def __init__(self, gain: 'Nothing'): pass\n"
     )
     allow_plugin(path)
-    assert f"{path.stem}:A: no file can give weights; set a default" in problems(
-        document(f"{path.stem}:A")
+    assert (
+        f"{path.stem}:A: a scenario file cannot set the argument weights"
+        in problems(document(f"{path.stem}:A"))
     )
     assert "the types of its arguments cannot be read (name 'Nothing'" in problems(
         document(f"{path.stem}:B")

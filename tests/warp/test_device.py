@@ -341,7 +341,9 @@ def test_environments_agree_with_the_cpu_engine():
             and np.abs(here[1] - there[1]).max() < 1e-4
         )
         assert (here[3] == there[3]).all()
-    with pytest.warns(EngineWarning, match="obstacles differ between episodes"):
+    with pytest.warns(
+        EngineWarning, match="the episodes have different robots or obstacles"
+    ):
         gymnasium.make_vec(
             "srs_twin.envs:SRSTwin/Obstacles-v0", num_envs=1, **ON
         ).reset(seed=1)

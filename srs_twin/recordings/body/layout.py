@@ -308,9 +308,9 @@ def check_scale(points: np.ndarray, spec: RobotSpec) -> None:
     )
     if nearest > _MAX_NEAREST_PITCH * pitch or farthest < _MIN_EXTENT * straight:
         raise InputError(
-            f"markers are {1e3 * nearest:.4g} to {1e3 * farthest:.4g} mm apart, the"
-            f" connectors of {spec.name} {1e3 * pitch:.4g}"
-            f" mm{unit_hint(float(farthest / straight))}"
+            f"the markers are {1e3 * nearest:.4g} to {1e3 * farthest:.4g} mm apart, but"
+            f" the connectors of {spec.name} are {1e3 * pitch:.4g} mm"
+            f" apart{unit_hint(float(farthest / straight))}"
         )
 
 

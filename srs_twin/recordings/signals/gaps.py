@@ -48,8 +48,9 @@ def check_times(time: np.ndarray) -> None:
     largest = float(np.abs(time).max())
     if largest > _MAX_TIME:
         raise InputError(
-            f"times up to {largest:.3g} s; is the unit right? State it in the name of"
-            " the column (time_ms) or in a map (time: {column: NAME, unit: ms})"
+            f"the times reach {largest:.3g} s, so their unit is probably not s; state"
+            " the unit in the name of the column (time_ms) or in a map (time: {column:"
+            " NAME, unit: ms})"
         )
 
 

@@ -414,7 +414,7 @@ def _switched_valves(
         )
     if (time[-1] - time[0]) * carrier_hz > _MAX_PERIODS:
         raise InputError(
-            f"the log has more than {_MAX_PERIODS} carrier periods; cut it"
+            f"the log has more than {_MAX_PERIODS} carrier periods; shorten it"
         )
     starts = np.arange(time[0], time[-1], 1 / carrier_hz)
     duty = held_values(starts + 1e-9, time, duty)

@@ -114,8 +114,8 @@ class SamplingFile(Section):
         elif self.kind == "sobol" and self.count & (self.count - 1):
             below = 1 << (self.count.bit_length() - 1)
             raise ValueError(
-                f"sobol points are balanced in powers of 2 only: {below} or"
-                f" {2 * below}, not {self.count}"
+                f"count {self.count} is not allowed for sobol; use a power of 2, such"
+                f" as {below} or {2 * below}"
             )
         return self
 

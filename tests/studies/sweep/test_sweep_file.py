@@ -224,7 +224,7 @@ def test_an_element_of_a_list_is_varied(tmp_path):
         (
             "fixed:",
             "sampling: {kind: sobol, count: 100}\nfixed:",
-            "3:11: sampling: sobol points are balance",
+            "3:11: sampling: count 100 is not allowed for sobol",
         ),
         (
             "fixed:",
