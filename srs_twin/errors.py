@@ -305,12 +305,12 @@ def _longest_round_divisor(period_s: float, step_s: float) -> float:
 def format_names(
     names: Sequence[str], listing: str = "", longest: int = MAX_LISTED_NAMES
 ) -> str:
-    """Return names as text, or only their number if there are many.
+    """Return names as text, or only their number if there are more than `longest`.
 
     Args:
         names: names to list.
         listing: command or page that lists all names.
-        longest: maximum number of names that are listed.
+        longest: maximum number of listed names.
     """
     if len(names) > longest:
         return f"{len(names)} names{listing and f'; {listing} lists them'}"
@@ -319,11 +319,6 @@ def format_names(
 
 def check_choice(name: str, value: str, allowed: Iterable[str]) -> None:
     """Check that a value is allowed.
-
-    Args:
-        name: name of the value in the message.
-        value: given value.
-        allowed: allowed values.
 
     Raises:
         InputError: the value is not allowed. The message suggests the closest one.
@@ -453,8 +448,8 @@ class SamplingGrid(NamedTuple):
 
     Attributes:
         tick: control tick, s.
-        step: time step of the plant, s. Sampling intervals within a tick must be
-            multiples of it. None means that any interval is allowed.
+        step: time step, s, of which sampling intervals within a tick must be
+            multiples, or None if any interval is allowed.
     """
 
     tick: float

@@ -139,10 +139,7 @@ def _has_package(name: str) -> bool:
 
 
 class _LazyPackage(ModuleType):
-    """Package that imports its public names when they are used.
-
-    A public name hides a submodule with the same name.
-    """
+    """Package whose public names are imported when used and hide submodules."""
 
     _homes: dict[str, str | None]
     """Public name → module that defines the object."""
@@ -172,9 +169,6 @@ def lazy(package: str) -> None:
     The source of the package imports the names below ``TYPE_CHECKING`` in the form
     ``from module import name as name``, where type checkers and editors find them. This
     function reads the names from the source, so that each name is written once.
-
-    Args:
-        package: dotted name of the package.
     """
     module = sys.modules[package]
     homes = {
@@ -207,11 +201,8 @@ In this mode, the parts that the files name are not imported.
 def allow_plugin(source: str | os.PathLike[str] | ModuleType | type) -> None:
     """Allow scenarios and other files to name the parts of a plug-in.
 
-    The permission also applies to worker processes.
-
     Args:
-        source: path of a Python file, a module, the name of a module, or a class in a
-            module. A file is imported under its file name.
+        source: path of a Python file, a module, the name of a module, or a class in it.
 
     Raises:
         InputError: the file or module does not exist, or another module has the name of
@@ -253,10 +244,7 @@ def _why_unusable(entry: str) -> str:
 
 
 def plugins() -> dict[str, str]:
-    """Return the plug-ins that the user allows, by the name of the module.
-
-    The value is the path of the file, or the name of an installed module.
-    """
+    """Return the allowed plug-ins as name of the module → path of the file, or name."""
     entries = os.environ.get(PLUGINS, "").split(os.pathsep)
     return {
         os.path.basename(entry).removesuffix(".py"): entry for entry in entries if entry
@@ -264,10 +252,7 @@ def plugins() -> dict[str, str]:
 
 
 class _PluginFinder:
-    """Finder that imports the files of plug-ins.
-
-    It is the last finder, so that a plug-in cannot replace an installed module.
-    """
+    """Finder that imports plug-in files if no other finder knows the module."""
 
     @staticmethod
     def find_spec(name: str, path: object = None, target: object = None) -> Any:
@@ -281,10 +266,7 @@ sys.meta_path.append(_PluginFinder)
 
 
 def owners() -> dict[str, Any]:
-    """Return the installed distributions that declare entry points ``srs_twin.*``.
-
-    The keys are the names of their packages.
-    """
+    """Return the distributions with entry points ``srs_twin.*``, by package name."""
     # An empty entry of sys.path is the current folder, whose files are not trusted.
     return _owners(tuple(filter(None, sys.path)))
 
@@ -308,12 +290,9 @@ def _owners(path: tuple[str, ...]) -> dict[str, Any]:
 
 
 def registered(kind: str) -> dict[str, str]:
-    """Return the parts that installed distributions register, by their short names.
+    """Return the parts of a kind that installed distributions register.
 
-    The values have the form ``module:Name``.
-
-    Args:
-        kind: kind of part: controller, pneumatics, sensor, metric or format.
+    The result maps short names to ``module:Name``.
     """
     group = f"srs_twin.{kind.removesuffix('s')}s"
     entries = (
@@ -326,10 +305,9 @@ def registered(kind: str) -> dict[str, str]:
 def import_plugin(module: str) -> ModuleType:
     """Import a module from outside the package.
 
-    The user must allow the module, or its distribution must declare an entry point.
-
     Raises:
-        InputError: the module is not allowed, or the import fails.
+        InputError: neither the user nor an installed distribution allows the module, or
+            the import fails.
     """
     package = module.partition(".")[0]
     if (
@@ -357,11 +335,10 @@ def part(
     """Import a class from outside the package.
 
     Args:
-        kind: kind of part: controller, pneumatics, sensor or format.
-        name: name in the form ``module:Name``, or a short name that an installed
-            distribution registers.
-        bases: allowed base classes of the part.
-        known: other names of this kind, which messages list.
+        kind: controller, pneumatics, sensor or format.
+        name: name in the form ``module:Name``, or a registered short name.
+        bases: allowed base classes.
+        known: other names of this kind for messages.
 
     Raises:
         UnknownNameError: no distribution registers the short name.
@@ -390,10 +367,7 @@ def part(
 
 
 def plugin_parts(base: type) -> Iterator[tuple[str, Any]]:
-    """Yield the instances and concrete subclasses of a class that plug-ins define.
-
-    Each item is a pair of the name of the module and the object.
-    """
+    """Yield the modules and the instances and subclasses of a class in plug-ins."""
     for module in plugins():
         for found in vars(import_plugin(module)).values():
             is_class = isinstance(found, type) and found.__module__ == module
@@ -405,10 +379,7 @@ def plugin_parts(base: type) -> Iterator[tuple[str, Any]]:
 
 @contextmanager
 def reading() -> Iterator[None]:
-    """Do not import the parts that files name inside the `with` block.
-
-    The block reads the files of a finished run.
-    """
+    """Import no parts in a block that reads the files of a finished run."""
     token = READING.set(True)
     try:
         yield

@@ -58,12 +58,11 @@ def main(argv: list[str] | None = None) -> None:
 
     The exit codes are 0 (success), 1 (an expectation failed under ``--check``), 2
     (invalid input), 3 (a simulation diverged), 4 (internal error) and 130
-    (interrupted). Messages are printed on stderr, results on stdout. If the reader of a
-    pipe closes it (``| head -1``), the command continues with an unchanged exit code.
+    (interrupted). If the reader of a pipe closes it (``| head -1``), the command
+    continues with an unchanged exit code.
 
     Args:
-        argv: arguments after the program name. By default the arguments of this process
-            are used.
+        argv: arguments after the program name, by default those of the process.
     """
     sys.stdout = _without_broken_pipes(sys.stdout)
     sys.stderr = _without_broken_pipes(sys.stderr)

@@ -77,8 +77,8 @@ def command(only: str = "") -> Any:
     """Return the click command of the application.
 
     Args:
-        only: name of the only command that is imported. If no command has this name,
-            all commands are imported.
+        only: name of the only command to import. All commands are imported if no
+            command has this name.
     """
     # Help and usage errors are printed without rich. Its boxes break file names across
     # lines, and its import would double the duration of `--help`.

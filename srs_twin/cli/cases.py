@@ -23,10 +23,9 @@ class CaseResult:
     """Result of a case without trajectories, so that processes can exchange it.
 
     Attributes:
-        run: results of the run, or None after invalid input or the death of a worker
-            process.
+        run: results of the run, or None after invalid input or the death of a worker.
         errors: errors that stopped the run or one of its plants.
-        wall_s: wall time of the run, s.
+        wall_s: wall time, s.
     """
 
     run: RunResult | None
@@ -48,11 +47,7 @@ class CaseResult:
         return Counter(map(verdict, self.metrics.get("expectations", ())))
 
     def exit_code(self, fails: Set[str]) -> int:
-        """Return the highest exit code of the errors and the failed expectations.
-
-        Args:
-            fails: states in which an expectation counts as failed.
-        """
+        """Return the highest exit code of errors and of expectations in states `fails`."""
         if fails & self.verdicts.keys():
             failed = EXPECTATION_FAILED
         else:
@@ -65,10 +60,10 @@ class Case:
     """Scenario that is given on the command line.
 
     Attributes:
-        source: name or path of the scenario as the user typed it.
-        scenario: loaded scenario, or None if the scenario is invalid.
+        source: name or path as the user typed it.
+        scenario: loaded scenario, or None if it is invalid.
         folder: output folder.
-        result: result of the run, or None until the run is complete.
+        result: result, or None until the run is complete.
     """
 
     source: str

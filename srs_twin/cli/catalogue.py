@@ -1,7 +1,4 @@
-"""Commands `srs-twin list`, `show` and `schema`.
-
-They print the shipped files, the values of a file, and JSON Schemas.
-"""
+"""Commands `srs-twin list`, `show` and `schema`."""
 
 from __future__ import annotations
 
@@ -100,10 +97,7 @@ def _print_scenarios(rows: Sequence[Mapping[str, str]]) -> None:
 def scenario_groups(
     rows: Iterable[Mapping[str, str]],
 ) -> dict[str, list[Mapping[str, str]]]:
-    """Return the scenarios of each group, by the title of the group.
-
-    Scenarios that match no group are in the group "other".
-    """
+    """Return the scenarios of each group, by the title of the group."""
     groups: dict[str, list[Mapping[str, str]]] = {}
     for row in rows:
         titles = (

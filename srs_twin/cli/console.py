@@ -48,8 +48,7 @@ def as_started(text: str) -> str:
     """Adapt the commands in a message to the way in which the program was started.
 
     Commands in backticks get the prefix "uv run " or "uvx " if the user typed it. In an
-    installed wheel, the path of a documentation page becomes the command that prints
-    the page.
+    installed wheel, a page of the documentation becomes the command that prints it.
     """
     if data_root().name == "_data":
         text = _PAGE.sub(r"`srs-twin show \g<0>`", text)
@@ -57,11 +56,7 @@ def as_started(text: str) -> str:
 
 
 def say(*lines: str, quiet: bool = False) -> None:
-    """Print lines on stderr unless `quiet` is set.
-
-    Control characters are escaped, and commands in backticks are adapted by
-    `as_started`.
-    """
+    """Print lines on stderr unless `quiet` is set, after `as_started`."""
     for line in () if quiet else lines:
         print(
             escape_unprintable(as_started(line), keep="\n\t"),
@@ -73,10 +68,7 @@ def say(*lines: str, quiet: bool = False) -> None:
 def handle_signals(
     handler: Callable[[int, FrameType | None], object], *signals: int
 ) -> None:
-    """Install a handler for signals that the caller does not ignore.
-
-    For example, `nohup` starts its command with SIGHUP ignored.
-    """
+    """Install a handler for signals that the caller does not ignore, as `nohup` does."""
     for number in signals:
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, handler)
@@ -84,11 +76,7 @@ def handle_signals(
 
 @contextmanager
 def interruptible(message: Callable[[], str] | str = "") -> Iterator[None]:
-    """Exit with code `INTERRUPTED` on Ctrl-C or SIGTERM, after printing a message.
-
-    Args:
-        message: text about the saved work, which precedes the notes of the interrupt.
-    """
+    """Exit with code `INTERRUPTED` on Ctrl-C or SIGTERM, after printing a message."""
     # CI pipelines cancel jobs with SIGTERM. If the caller ignores the signal, it
     # remains ignored.
     handled = threading.current_thread() is threading.main_thread()
@@ -133,10 +121,7 @@ def new_table(
 ) -> Table:
     """Return an empty table whose columns do not wrap.
 
-    Args:
-        headings: column headings.
-        left: indices of the left-aligned columns. All others are right-aligned.
-        title: heading of the table.
+    All columns are right-aligned, except for those whose indices are in `left`.
     """
     from rich import box
     from rich.table import Table
@@ -172,7 +157,7 @@ class Display(ABC):
 
     Attributes:
         title: name of the task.
-        first_line_s: minimum time from the start to the first progress line, s.
+        first_line_s: time of the first progress line, s.
     """
 
     first_line_s = LINE_INTERVAL_S
@@ -211,10 +196,7 @@ class Display(ABC):
 
     @abstractmethod
     def _bar(self) -> tuple[str, float | None, str]:
-        """Return the title, the completed fraction and the status text of the bar.
-
-        The fraction is from 0 to 1, or None if it is unknown.
-        """
+        """Return the title, the completed fraction and the status of the bar."""
 
     def _draw(self) -> None:
         # The import of rich takes as long as a short run.
@@ -239,7 +221,7 @@ class Display(ABC):
 
 
 class RunCounter(Display):
-    """Progress of several runs. The object is called once per completed run.
+    """Progress of several runs, called once per completed run.
 
     Attributes:
         total: number of runs.
@@ -253,14 +235,6 @@ class RunCounter(Display):
         quiet: bool = False,
         status: Callable[[], str] = str,
     ) -> None:
-        """Create a counter.
-
-        Args:
-            title: name of the task.
-            total: number of runs.
-            quiet: whether to display nothing.
-            status: function that returns additional text for each update.
-        """
         super().__init__(title, quiet=quiet)
         self.total = total
         self._status = status
@@ -281,10 +255,7 @@ class RunCounter(Display):
         self(failed=False)
 
     def follow(self, title: str, total: int, row: Any) -> None:
-        """Show the progress of one part of a study.
-
-        This method is a callback of the type `studies.sweep.execution.Progress`.
-        """
+        """Show the progress of one part of a study."""
         if row is None:
             self.title = title
             self.total = total
@@ -302,10 +273,7 @@ class RunCounter(Display):
             self._progress.start()
 
     def _rate(self) -> float:
-        """Return the runs per second.
-
-        After the second run, the start-up time of the workers is excluded.
-        """
+        """Return the runs per second, without the start-up time of the workers."""
         if self._done < 2:
             return self._done / max(self._elapsed(), 1e-3)
         return (self._done - 1) / max(self._elapsed() - self._first_done_s, 1e-3)

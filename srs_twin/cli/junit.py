@@ -1,7 +1,4 @@
-"""Reports in JUnit XML for GitHub, GitLab and Jenkins.
-
-Each scenario is one test suite.
-"""
+"""Reports in JUnit XML with one test suite per scenario."""
 
 from __future__ import annotations
 
@@ -48,9 +45,9 @@ class TestCase(NamedTuple):
         name: name of the test case.
         wall_s: wall time, s.
         outcome: "failure", "error" or "skipped", or an empty string for a passed test.
-        message: reason for the outcome, in one line.
-        kind: type of the failure or error.
-        text: full description of the failure or error.
+        message: reason for the outcome.
+        kind: type of the failure.
+        text: full description.
     """
 
     classname: str
@@ -68,9 +65,9 @@ def write_report(
     """Write a report atomically.
 
     Args:
-        path: path of the report. An existing file is replaced.
+        path: path of the report.
         name: name of the report.
-        suites: pairs of the name and the test cases of a suite.
+        suites: names and test cases of the suites.
 
     Raises:
         InputError: the file cannot be written.
@@ -107,12 +104,11 @@ def write_junit(
 
     A suite contains the test case ``runs`` for the simulation and one test case per
     expectation. A divergence, invalid input or a dead worker process is an error of
-    ``runs``. A missed expectation is a failure. An expectation is skipped if its run is
-    incomplete, if it cannot be judged, or if it is known to be missed.
+    ``runs``. An expectation is skipped if it cannot be judged or is known to be missed.
 
     Args:
-        path: path of the report. An existing file is replaced.
-        cases: scenarios, whose runs may be incomplete.
+        path: path of the report.
+        cases: scenarios.
         fails: states of expectations that count as failures, in addition to "missed".
 
     Raises:

@@ -91,10 +91,7 @@ def check() -> None:
 
 
 def _exportable_robots() -> list[str]:
-    """Return the shipped robots with wheels.
-
-    MJCF has no friction law for a robot with a skin.
-    """
+    """Return the shipped robots with wheels, because MJCF has no friction of skin."""
     from srs_twin.io.files import shipped_names
     from srs_twin.robot.file import load_robot
 

@@ -127,9 +127,9 @@ class RobotSize(NamedTuple):
     Attributes:
         segments: number of segments.
         length: body length, m.
-        mass: mass of the robot, kg.
+        mass: mass, kg.
         pressure: supply pressure (gauge), kPa.
-        bend: maximum bend of a segment, rad.
+        bend: maximum bend, rad.
     """
 
     segments: int
@@ -344,10 +344,7 @@ for _command in (robot, scenario, controller, study):
 
 
 def _answer(question: str, value: float | None, default: float) -> float:
-    """Return the value of an option, or prompt the user if the option is not given.
-
-    Without a terminal, the default is returned.
-    """
+    """Return an option, or the user's answer, or the default without a terminal."""
     if value is not None:
         return value
     if not sys.stdin.isatty():
@@ -364,10 +361,9 @@ def _write(
     doubts: Sequence[str] = (),
     **values: Any,
 ) -> Path:
-    """Write a file from a template and check it.
+    """Write a file from a template, and remove the file if the check fails.
 
-    If the check fails, the file is removed. The error then states the `doubts` if there
-    are any, because they are the likely cause.
+    If there are `doubts`, the error states them, because they are the likely cause.
     """
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
         raise InputError(

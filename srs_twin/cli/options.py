@@ -22,10 +22,8 @@ def option(declaration: str, text: str | None = None, **settings: Any) -> Any:
     """Return an option of a command.
 
     Args:
-        declaration: flags and name of the value as the help shows them, such as
-            "--robot -r ROBOT", or only the flags for a switch, such as "--check".
-        text: help text. By default it is taken from the docstring of the command (see
-            `expand_option_groups`).
+        declaration: flags and name of the value, such as "--robot -r ROBOT".
+        text: help text, by default from the docstring (see `expand_option_groups`).
         settings: additional arguments of `typer.Option`.
     """
     words = declaration.split()
@@ -50,10 +48,9 @@ def argument(
     """Return an argument of a command.
 
     Args:
-        metavar: name of the argument in the help.
+        metavar: name of the argument.
         text: help text, as in `option`.
-        shipped: kinds of shipped files whose names a shell offers as completions, such
-            as "scenario" or "robot".
+        shipped: kinds of shipped files whose names a shell offers as completions.
     """
 
     def complete(incomplete: str) -> list[str]:
@@ -132,10 +129,7 @@ FloorOption = Annotated[str | None, option("--law NAME", _FRICTION)]
 
 
 def print_json(document: Any) -> None:
-    """Print a JSON document on stdout.
-
-    NumPy numbers and arrays are converted to Python numbers and lists.
-    """
+    """Print a JSON document on stdout, with NumPy arrays as lists."""
     import json
 
     # The output is pure ASCII, because names from foreign files may contain control
@@ -148,10 +142,7 @@ def print_json(document: Any) -> None:
 
 
 def parse_plants(text: str | None) -> list[str] | None:
-    """Return the plants that `--plants` names, or None if the option is not given.
-
-    The order of the plants is fixed.
-    """
+    """Return the plants that `--plants` names, or None if the option is not given."""
     plants = ("analytical", "twin")
     names = [name.strip() for name in text.split(",")] if text else []
     for name in names:
@@ -206,14 +197,12 @@ def expand_option_groups(
     Typer supports neither groups of options nor options in docstrings. This function
     replaces a parameter whose type is a dataclass by the fields of the dataclass. The
     section "Options:" in the docstring of the command or of the dataclass declares the
-    options. For example, "--out DIR: Output folder." declares the option of the
-    parameter `out`. If a parameter is annotated with `option` or `argument`, the
-    section contains only the name of the parameter and the help text.
+    options, such as "--out DIR: Output folder." for the parameter `out`. It contains
+    only the name and the help text of a parameter that has its own annotation.
 
     Args:
         command: function that implements the command.
-        plugins: whether to add the option ``--plugin``, because the files of the
-            command may refer to parts from outside the package.
+        plugins: whether to add the option ``--plugin``.
     """
     description, options = _parse_docstring(command)
     hints = get_type_hints(command, include_extras=True)

@@ -1,7 +1,4 @@
-"""Commands `srs-twin run` and `compare`.
-
-They run scenarios in this process or in worker processes.
-"""
+"""Commands `srs-twin run` and `compare`, which run scenarios."""
 
 from __future__ import annotations
 
@@ -67,10 +64,7 @@ class ReportOptions:
 
     @property
     def fails(self) -> frozenset[str]:
-        """States of expectations that set the exit code to 1.
-
-        See `scenario.expectation.verdict` for the states.
-        """
+        """States (`scenario.expectation.verdict`) that set the exit code to 1."""
         if self.strict:
             return frozenset({"missed", "known", "holds", "not_judged"})
         if self.check:
@@ -93,7 +87,7 @@ def run_case(
     Args:
         task: scenario and output folder.
         progress: progress callback of `PreparedRun.execute`.
-        plants: plants to run. By default the plants of the scenario are run.
+        plants: plants to run, by default those of the scenario.
         explain: whether to attribute the difference between the plants.
     """
     from srs_twin.experiment import prepare
@@ -134,23 +128,21 @@ def run_all(
 ) -> None:
     """Check all scenarios, run the valid ones, and exit with the highest exit code.
 
-    Results are printed in the order of the scenarios. With `--json`, a single scenario
-    prints its `metrics.json`, and several scenarios print `{"runs": […]}`. A failed
-    scenario prints `{"scenario": …, "errors": […]}`.
+    With `--json`, a single scenario prints its `metrics.json`, and several scenarios
+    print `{"runs": […]}`. A failed scenario prints `{"scenario": …, "errors": […]}`.
 
     Args:
         cases: scenarios, which are loaded if necessary.
         report: options for the reports and the exit code.
-        out: output folder. If there are several scenarios, each gets a subfolder.
-        jobs: number of worker processes. With 1, the scenarios run in this process. By
-            default there is one worker per processor.
-        plants: plants to run. By default the plants of each scenario are run.
+        out: output folder, in which each of several scenarios gets a subfolder.
+        jobs: number of worker processes, by default one per processor. With 1, the
+            scenarios run in this process.
+        plants: plants to run, by default those of each scenario.
         explain: whether to attribute the difference between the plants.
-        changes: fields that are overridden in each scenario.
+        changes: overridden fields.
 
     Raises:
-        InputError: the JUnit file or the output folder cannot be written. No scenario
-            was run.
+        InputError: the JUnit file or the output folder cannot be written.
         typer.Exit: the exit code differs from 0.
     """
 
@@ -203,11 +195,7 @@ def _print_tally(results: Sequence[CaseResult]) -> None:
 
 
 def make_cases(names: Sequence[str]) -> list[Case]:
-    """Return one case per scenario.
-
-    Args:
-        names: names of shipped scenarios, paths of files, or folders of files.
-    """
+    """Return one case per scenario, given names, files, or folders of files."""
     from srs_twin.io.files import shipped_names
 
     sources: list[str] = []
@@ -230,10 +218,7 @@ def _load(
     changes: Sequence[Override],
     plants: Sequence[str] | None,
 ) -> list[Case]:
-    """Load and check all scenarios, and return the cases with valid ones.
-
-    Errors are printed and recorded in the cases.
-    """
+    """Load and check scenarios, print errors, and return the cases without errors."""
     from srs_twin.experiment import check_run
     from srs_twin.io.files import check_output_folder
     from srs_twin.scenario.loading import load_scenario

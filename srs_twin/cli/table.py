@@ -1,7 +1,4 @@
-"""Printed result of a run: a table of metrics, the events and the expectations.
-
-The table fits a terminal with 80 columns.
-"""
+"""Printed result of a run: a table of metrics, the events and the expectations."""
 
 from __future__ import annotations
 
@@ -46,11 +43,8 @@ The value applies to differences in m, m/s, rad and rad/s.
 def rows(metrics: Mapping[str, Any]) -> list[list[str]]:
     """Return the rows of the table of metrics.
 
-    A row contains metric, unit, one value per plant, the absolute difference, the
-    difference in per cent, and the published value.
-
-    Args:
-        metrics: content of `metrics.json`.
+    A row contains metric, unit, one value per plant, the difference, the difference in
+    per cent, and the published value.
     """
     plants = metrics["plants"]
     published_values = published(metrics["expectations"])
@@ -115,8 +109,8 @@ def show(result: RunResult) -> None:
 def _attribution_table(attribution: Mapping[str, Any]) -> Table:
     """Return a table with the contribution of each assumption to the difference.
 
-    A contribution may depend on the order in which the assumptions are switched. The
-    table then shows the average, the minimum and the maximum over all orders.
+    If a contribution depends on the order in which the assumptions are switched, the
+    table shows the average, minimum and maximum over all orders.
     """
     measures = [MEASURES[measure] for measure in attribution["measures"]]
     # Headings of several lines leave room for the names of the assumptions.
@@ -169,12 +163,7 @@ def event_lines(metrics: Mapping[str, Any]) -> list[str]:
 def expectation_lines(
     metrics: Mapping[str, Any], verdicts: Container[str] = STATE_LABELS
 ) -> list[str]:
-    """Return one line per expectation with its value, allowed range and source.
-
-    Args:
-        metrics: content of `metrics.json`.
-        verdicts: states of the expectations that are returned.
-    """
+    """Return one line per expectation in the given states."""
     return [
         _expectation_line(row)
         for row in metrics["expectations"]

@@ -1,8 +1,4 @@
-"""Commands `srs-twin view`, `play` and `render`.
-
-`view` opens runs in Rerun, `play` opens a twin in the viewer of MuJoCo, and `render`
-writes videos and images.
-"""
+"""Commands `srs-twin view`, `play` and `render`."""
 
 from __future__ import annotations
 
@@ -84,10 +80,7 @@ def _serve(recording: Path, port: int) -> None:
 
 
 def find_recording(run: str) -> Path:
-    """Return the path of the recording of a run.
-
-    Args:
-        run: path of a run folder or a recording, or name of a folder in ``./runs``.
+    """Return the path of a recording, given its path, a run folder or a run name.
 
     Raises:
         InputError: no recording was found.
@@ -299,12 +292,8 @@ class PictureOptions:
     def target(self, runs: int) -> Path | None:
         """Return the output file or folder, or None for the folders of the runs.
 
-        Args:
-            runs: number of runs.
-
         Raises:
-            InputError: the file has a wrong suffix, or one file is given for several
-                runs.
+            InputError: the suffix is wrong, or one file is given for several runs.
         """
         output = self.out
         suffix = IMAGE_SUFFIX

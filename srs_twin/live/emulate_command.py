@@ -191,7 +191,7 @@ def emulate(
             capture = stack.enter_context(server)
             seen = f", seen at {natnet}"
         if not quiet:
-            say(f"{known} is on the air at {mqtt}{seen}; Ctrl-C ends it")
+            say(f"emulating {known} at {mqtt}{seen}; Ctrl-C stops it")
         result = run(
             emulated,
             link,

@@ -313,8 +313,8 @@ def _live_views(
 
 
 def _print_start(name: str, resumed: bool, keys: str, page: str) -> None:
-    restored = ", with what was learnt before" if resumed else ""
-    say(f"beside {name}{restored}; Ctrl-C ends it{keys}")
+    restored = ", with its earlier state" if resumed else ""
+    say(f"live twin of {name}{restored}; Ctrl-C stops it{keys}")
     if page:
         say(f"open {page} in a browser")
 

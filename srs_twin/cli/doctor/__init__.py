@@ -50,10 +50,7 @@ def doctor(
 
 
 def run_checks(folder: Path) -> list[Check]:
-    """Return all checks, sorted by topic. They take some seconds.
-
-    Args:
-        folder: output folder to check.
+    """Return all checks, sorted by topic.
 
     Raises:
         InputError: temporary files cannot be written.

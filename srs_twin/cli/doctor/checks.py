@@ -1,7 +1,7 @@
 """Checks that need no child process.
 
-They cover Python, packages, extras, processors, memory and disk space. If a container
-limits a resource, the lower of the limits of container and machine is used.
+If a container limits a resource, the lower of the limits of container and machine is
+used.
 """
 
 from __future__ import annotations
@@ -40,13 +40,12 @@ class Check:
     """Result of one check of `srs-twin doctor`.
 
     Attributes:
-        topic: topic of the check, one of `TOPICS`.
-        name: unique name of the check.
+        topic: one of `TOPICS`.
+        name: unique name.
         status: "ok", "missing" (absent or insufficient), "broken" (present but not
             working) or "undecided" (not tested, or no result in time).
-        detail: result of the check in words.
-        remedy: command or sentence that helps, or an empty string if the status is
-            "ok".
+        detail: result in words.
+        remedy: command or sentence, or an empty string if the status is "ok".
         necessary: whether runs fail if the check fails.
     """
 
@@ -116,10 +115,9 @@ class RequiredPackage:
     Attributes:
         name: name of the distribution.
         requirement: requirement in the syntax of pip, such as "mujoco<4,>=3.17".
-        installed: installed version, or None if the package is not installed.
+        installed: installed version, or None.
         fits: whether the installed version satisfies the requirement.
-        extra: extra that requires the package, or an empty string if it is always
-            required.
+        extra: extra that requires the package, or an empty string.
     """
 
     name: str
@@ -144,8 +142,7 @@ def required_packages(
     """Return the packages that this machine needs, with their installed versions.
 
     Args:
-        requirements: requirements in the syntax of pip. By default these are the
-            requirements of srs_twin.
+        requirements: requirements in the syntax of pip, by default those of srs_twin.
     """
     from packaging.requirements import Requirement
 
@@ -177,12 +174,7 @@ def modules(packages: Sequence[RequiredPackage]) -> list[str]:
 
 
 def python_check(version: str, allowed: str) -> Check:
-    """Check the version of Python.
-
-    Args:
-        version: version of the running interpreter, such as "3.11.7".
-        allowed: `requires-python` of pyproject.toml, such as ">=3.11,<3.15".
-    """
+    """Check a version of Python against `requires-python` of pyproject.toml."""
     from packaging.specifiers import SpecifierSet
 
     detail = (
@@ -276,10 +268,7 @@ def _installed_check(
 
 
 def installed_metadata() -> Message:
-    """Return the metadata of the installed srs_twin.
-
-    They are empty if srs_twin runs from files without an installation.
-    """
+    """Return the metadata of the installed srs_twin, empty without an installation."""
     try:
         return metadata.metadata(DISTRIBUTION)  # type: ignore[return-value]
     except metadata.PackageNotFoundError:
@@ -310,13 +299,10 @@ _MEMINFO = Path("/proc/meminfo")
 
 
 def cpu_quota(cgroup: Path = _CGROUP) -> float | None:
-    """Return the number of processors that a container may use, or None.
+    """Return the processor time per wall time that a container may use.
 
-    The number is the processor time per wall time, which may be a fraction. None means
-    that there is no limit.
-
-    Args:
-        cgroup: folder of the control group (version 2) of this process.
+    The value is None without a limit. `cgroup` is the folder of the control group
+    (version 2) of this process.
     """
     quota, _, period = _read(cgroup / "cpu.max").partition(" ")
     if quota.isdigit() and period.isdigit():
@@ -325,12 +311,7 @@ def cpu_quota(cgroup: Path = _CGROUP) -> float | None:
 
 
 def free_memory(cgroup: Path = _CGROUP, meminfo: Path = _MEMINFO) -> int | None:
-    """Return the memory available without swapping in bytes, or None if unknown.
-
-    Args:
-        cgroup: folder of the control group, as in `cpu_quota`.
-        meminfo: memory table of the kernel.
-    """
+    """Return the memory available without swapping in bytes, or None if unknown."""
     limit, used = (_read(cgroup / name) for name in ("memory.max", "memory.current"))
     free = [
         1024 * int(kib)
@@ -349,11 +330,7 @@ def _read(path: Path) -> str:
 
 
 def checks_of_machine(folder: Path) -> Iterator[Check]:
-    """Yield the checks of disk, processors and memory.
-
-    Args:
-        folder: output folder on the checked disk.
-    """
+    """Yield the checks of disk, processors and memory."""
     yield output_check(folder)
     yield disk_check(folder)
     yield processors_check(processor_count(), cpu_quota())
@@ -411,7 +388,7 @@ def disk_check(folder: Path, free: int | None = None) -> Check:
 
     Args:
         folder: output folder, which need not exist.
-        free: free disk space, bytes. By default it is measured on the disk of `folder`.
+        free: free space, bytes. By default it is measured.
     """
     existing = next(
         path

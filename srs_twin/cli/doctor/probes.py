@@ -1,7 +1,7 @@
 """Probes: tests that may crash or hang, and therefore run in child processes.
 
-Each probe has a time limit. A probe of Python packages returns a description of what
-works, or raises an exception with the reason why it does not work.
+A probe of Python packages returns a description of what works, or raises an exception
+with the reason why it does not work.
 """
 
 from __future__ import annotations
@@ -97,10 +97,9 @@ class Probe(NamedTuple):
     """Probe of Python packages.
 
     Attributes:
-        topic: topic of the check. Probes of `INSTALLATION` and `SIMULATION` are
-            necessary for runs.
+        topic: topic of the check.
         run: function that is called in the child process.
-        remedy: remedy to print if the probe fails.
+        remedy: remedy if the probe fails.
     """
 
     topic: str
@@ -140,10 +139,7 @@ NO_VULKAN = (
 
 
 def probed_checks(*, time_limit_s: float = _TIME_LIMIT_S) -> Iterator[Check]:
-    """Yield the checks of all probes. All temporary files are removed.
-
-    Args:
-        time_limit_s: time limit per probe, s.
+    """Yield the checks of all probes, and remove all temporary files.
 
     Raises:
         InputError: temporary files cannot be written.
@@ -201,12 +197,7 @@ def _undecided(
 
 
 def rerun_check(folder: Path, time_limit_s: float) -> Check:
-    """Check that the Rerun viewer can draw its window without a display.
-
-    Args:
-        folder: folder for the image of the window.
-        time_limit_s: time limit, s.
-    """
+    """Check that the Rerun viewer can draw its window without a display."""
     name = "Rerun viewer"
     try:
         program = rerun_executable()
