@@ -1,9 +1,8 @@
 """Exceptions and warnings of the package, with exit codes and remedies.
 
-Every error that the package raises on purpose is an `SrsError`. The message
-says where the problem is, what was given, what is allowed and which valid input is
-closest. The command line prints the message and exits with `exit_code`. The functions
-below format parts of such messages.
+Every error that the package raises on purpose is an `SrsError`. The message says where
+the problem is, what was given, what is allowed and which valid input is closest. The
+command line prints the message and exits with `exit_code`.
 """
 
 from __future__ import annotations
@@ -89,16 +88,13 @@ class AbsentPartError(InputError):
 
 
 class UnknownNameError(InputError):
-    """Error for a name that does not exist.
-
-    The message suggests the closest names. If there are few names, it lists all.
+    """Error for a name that does not exist, with the closest names as suggestions.
 
     Args:
         kind: kind of object with this name, such as "metric".
         name: unknown name.
         available: all valid names.
-        listing: command or page that lists the names, if there are more than
-            `longest`.
+        listing: command or page that lists the names.
         longest: maximum number of names that the message lists.
     """
 
@@ -305,13 +301,7 @@ def _longest_round_divisor(period_s: float, step_s: float) -> float:
 def format_names(
     names: Sequence[str], listing: str = "", longest: int = MAX_LISTED_NAMES
 ) -> str:
-    """Return names as text, or only their number if there are more than `longest`.
-
-    Args:
-        names: names to list.
-        listing: command or page that lists all names.
-        longest: maximum number of listed names.
-    """
+    """Return names as text, or their number and `listing` if they are many."""
     if len(names) > longest:
         return f"{len(names)} names{listing and f'; {listing} lists them'}"
     return ", ".join(names) or "none"
@@ -321,7 +311,7 @@ def check_choice(name: str, value: str, allowed: Iterable[str]) -> None:
     """Check that a value is allowed.
 
     Raises:
-        InputError: the value is not allowed. The message suggests the closest one.
+        InputError: the value is not allowed.
     """
     allowed = tuple(allowed)
     if value not in allowed:
@@ -334,14 +324,9 @@ def check_choice(name: str, value: str, allowed: Iterable[str]) -> None:
 def did_you_mean(text: str, available: Iterable[str]) -> str:
     """Return '; did you mean A, B or C?' for the closest names, or an empty string.
 
-    Names are compared by their last component: `frequency_hz` of
-    `controller.frequency_hz`, `gen2_turn` of `scenarios/gen2_turn.yaml`. Abbreviations
-    and names without their unit count as similar. Among equally similar names, names of
-    the same section are preferred.
-
-    Args:
-        text: unknown name.
-        available: valid names. At most three are suggested, and ties keep this order.
+    Names are compared by their last component, such as `frequency_hz` of
+    `controller.frequency_hz`. Abbreviations and names without their unit count as
+    similar. Among equally similar names, names of the same section are preferred.
     """
     section, last = _split_name(text)
     similarity = {}

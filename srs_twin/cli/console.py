@@ -68,7 +68,7 @@ def say(*lines: str, quiet: bool = False) -> None:
 def handle_signals(
     handler: Callable[[int, FrameType | None], object], *signals: int
 ) -> None:
-    """Install a handler for signals that the caller does not ignore, as `nohup` does."""
+    """Install a handler for signals, except for signals that the caller ignores."""
     for number in signals:
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, handler)

@@ -1,9 +1,9 @@
 """YAML documents with the line and column of every value, for error messages.
 
-Documents follow YAML 1.2 with the core schema: ``yes`` is text and ``012`` is twelve. A
-file is parsed event by event, so that limits apply before data are built. Anchors,
-aliases, tags, directives, merge keys and several documents are rejected. PyYAML's own
-loaders are not suitable, because they have no positions and read YAML 1.1.
+Documents follow YAML 1.2 with the core schema. A file is parsed event by event, so that
+limits apply before data are built. Anchors, aliases, tags, directives, merge keys and
+several documents are rejected. PyYAML's own loaders are not suitable, because they have
+no positions and read YAML 1.1.
 """
 
 from __future__ import annotations
@@ -70,8 +70,7 @@ class Override:
     """Value from the command line or a program that replaces a value of a file.
 
     Attributes:
-        label: origin of the value in messages, such as "--set
-            controller.frequency_hz=1.5".
+        label: origin of the value, such as "--set controller.frequency_hz=1.5".
         loc: path of the replaced value.
         value: new value.
     """
@@ -96,11 +95,7 @@ class Override:
 
     @classmethod
     def list_of(cls, changes: Overrides) -> Sequence[Override]:
-        """Return overrides as a list.
-
-        Args:
-            changes: overrides, or a mapping of dotted field names to values.
-        """
+        """Return overrides as a list, also if they are given as a mapping."""
         if not isinstance(changes, Mapping):
             return changes
         return [
@@ -118,16 +113,15 @@ class Document:
     """Data of one file with the positions of values, and the problems found so far.
 
     Attributes:
-        name: name of the file in messages.
+        name: name of the file.
         data: parsed data.
-        values: line and column of the first character of each value, by the path of the
-            value. It is empty for data made in memory.
-        keys: line and column of each key, by the path of its value.
-        problems: positions and messages of the problems found so far.
-        refused: positions of invalid YAML, at which no further problems are reported.
+        values: line and column of each value, by its path; empty for data in memory.
+        keys: line and column of each key, by its path.
+        problems: positions and messages.
+        refused: positions at which no further problems are reported.
         override_labels: labels of the applied overrides. Values of the k-th override
             have the position (−k, 0).
-        folder: folder of the file, or None for data made in memory.
+        folder: folder of the file, or None for data in memory.
         warnings: warnings about the file.
     """
 
@@ -211,8 +205,7 @@ class Document:
 
         Args:
             loc: path of the value in the data.
-            kind: kind of shipped files whose name may be given instead; an empty kind
-                allows paths only.
+            kind: kind of shipped files whose names are also allowed, if any.
         """
         text = self.get(*loc)
         position = self.values.get(loc, (0, 0))
@@ -245,7 +238,7 @@ class Document:
 
         A robot override is validated after it is merged into its base. An error in
         ``stiffness.value`` of the merged robot is an error in ``stiffness`` of the
-        override. A value from the base keeps its path.
+        override.
         """
         existing = self.existing_prefix(prefix + loc)
         if len(existing) > len(prefix) + 1 or existing == prefix + loc:
@@ -255,11 +248,7 @@ class Document:
     def report(self, loc: Loc, message: str, *, at_key: bool = False) -> None:
         """Add a problem at a value or key.
 
-        Args:
-            loc: path of the value. If the value is missing, the problem has the
-                position of the parent.
-            message: description of the problem.
-            at_key: whether the problem concerns the key instead of the value.
+        A problem with a missing value has the position of the parent.
         """
         existing = self.existing_prefix(loc)
         positions = self.values
@@ -296,10 +285,7 @@ class Document:
             self.report(loc, str(error))
 
     def raise_problems(self, other_files: Iterable[str] = ()) -> None:
-        """Raise one error with all problems, in the order of the file.
-
-        Args:
-            other_files: messages about other files, which come first.
+        """Raise one error with all problems, after messages about other files.
 
         Raises:
             InputFileError: there is at least one problem.
@@ -315,11 +301,7 @@ class Document:
 
 
 def load_yaml(path: Path, *, limit: int = MAX_BYTES) -> Document:
-    """Read and parse a YAML file; see `parse_yaml`.
-
-    Args:
-        path: file path.
-        limit: maximum size, bytes.
+    """Read and parse a YAML file with at most `limit` bytes.
 
     Raises:
         InputError: the file cannot be read.
@@ -398,9 +380,7 @@ def _explain(problem: str, lines: list[str], mark: yaml.Mark) -> str:
 def dump_yaml(data: object, *, compact: bool = False) -> str:
     """Return plain data as YAML text that `parse_yaml` reads back as equal data.
 
-    Args:
-        data: dicts, lists, text, numbers, true, false, None.
-        compact: whether to write lists and dicts of numbers in one line.
+    If `compact` is true, lists and dicts of numbers are written in one line.
     """
     text: str = yaml.dump(
         data,

@@ -1,8 +1,4 @@
-"""Shipped files, paths in messages, and atomic writes of single files.
-
-Output folders are checked before a run starts. `file_sets` replaces several files
-together.
-"""
+"""Shipped files, paths in messages, and atomic writes of single files."""
 
 from __future__ import annotations
 
@@ -41,8 +37,7 @@ _UNPRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\ud800-\udfff]")
 def data_root() -> Path:
     """Return the folder that contains calibration/, models/ and scenarios/.
 
-    An installed wheel has it in ``srs_twin/_data``. In an editable checkout it is the
-    checkout itself.
+    This is ``srs_twin/_data`` in an installed wheel, and otherwise the checkout.
     """
     package = Path(__file__).resolve().parents[1]
     packed = package / "_data"
@@ -79,7 +74,7 @@ def place_of(text: str, folder: Path, kind: str = "") -> str:
     Args:
         text: relative or absolute path.
         folder: folder of the file that contains the path.
-        kind: kind of shipped files to suggest if the file is missing.
+        kind: kind of shipped files to suggest.
 
     Raises:
         InputError: there is nothing at either place.
@@ -148,7 +143,7 @@ def check_file_name(name: str, source: str) -> str:
 
     Args:
         name: name of lower-case letters, digits and _.
-        source: option or argument that gave the name, for the message.
+        source: option or argument that gave the name.
 
     Raises:
         InputError: the name is not allowed.
@@ -164,12 +159,8 @@ def check_file_name(name: str, source: str) -> str:
 def escape_unprintable(text: str, *, keep: str = "") -> str:
     r"""Return text with escapes for control characters and for bytes other than UTF-8.
 
-    Terminals interpret control characters: a title with ``\x1b[31m`` would colour the
-    text after it.
-
-    Args:
-        text: text from any source.
-        keep: control characters to keep, such as line ends.
+    Terminals interpret control characters. For example, a title with ``\x1b[31m`` would
+    colour the text after it. Characters in `keep` are not replaced.
     """
     return _UNPRINTABLE.sub(
         lambda match: match[0] if match[0] in keep else _escape(match[0]), text
@@ -313,8 +304,7 @@ def atomic_write(path: StrPath) -> Iterator[Path]:
 
     Missing folders are created. Readers of ``path`` see either the old file or the
     complete new file. After an error the temporary file and the new folders are
-    removed, and ``path`` is not replaced. The next writer of ``path`` overwrites the
-    temporary file of a killed writer.
+    removed.
 
     Raises:
         InputError: the file cannot be written.
@@ -366,11 +356,7 @@ def _temporary_file(target: Path) -> Iterator[Path]:
 def create_numbered_file(folder: Path, name: str) -> Path:
     """Create an empty file with the lowest free number in its name.
 
-    Concurrent processes get different files.
-
-    Args:
-        folder: folder, created if missing.
-        name: file name with "{}" for the number, such as "journal-{}.mcap".
+    Concurrent processes get different files. The name has the form "journal-{}.mcap".
 
     Raises:
         InputError: the file cannot be created.
@@ -422,11 +408,10 @@ def require_file(
         suffix: suffix of the files to suggest.
         remedy: text for the message if no similar file exists.
         names: names of shipped files to suggest.
-        beside: path of another place where the file was expected.
+        beside: other path at which the file was expected.
 
     Raises:
-        InputError: the file is missing or not a regular file, or the name is not
-            allowed.
+        InputError: the file is missing or not regular, or the name is not allowed.
     """
     check_printable(path)
     try:
@@ -470,17 +455,13 @@ def check_output_folder(
 ) -> None:
     """Check that files can be written to a folder that may not exist yet.
 
-    The folder is left unchanged.
-
     Args:
-        folder: output folder.
+        folder: output folder, which is left unchanged.
         products: file names.
-        option: command-line option that sets the folder, which the message names. An
-            empty string means that there is none.
+        option: option that sets the folder, or an empty string.
 
     Raises:
-        InputError: the folder cannot be created or written, or a folder has the name of
-            a file.
+        InputError: the folder cannot be written, or a folder has the name of a file.
     """
     check_printable(folder)
     try:

@@ -58,8 +58,7 @@ class DeepCopied:
     """Base class of objects that share no state with their copies.
 
     `copy.copy` makes a deep copy, because a shallow copy would advance the chambers and
-    bodies of the original. A copied or unpickled object continues bit-identically to
-    the original.
+    bodies of the original.
     """
 
     def __copy__(self) -> Self:
@@ -170,8 +169,7 @@ def check_kind(label: str, saved: object, present: object) -> None:
     """Check that a saved value can replace the current array or nested state.
 
     Raises:
-        InputError: the saved value is not an array with as many dimensions, or not a
-            nested state.
+        InputError: the saved value has another kind or number of dimensions.
     """
     if isinstance(present, np.ndarray):
         if not isinstance(saved, np.ndarray) or saved.ndim != present.ndim:

@@ -48,8 +48,7 @@ def read_json(path: Path) -> Any:
     """Read a JSON file.
 
     Raises:
-        InputError: the file is missing, not a regular file, not readable, too large, or
-            not JSON.
+        InputError: the file is missing, not readable, too large, or not JSON.
     """
     try:
         with require_file(path, suffix=".json").open("rb") as stream:
@@ -166,14 +165,11 @@ def read_table(
 
     Args:
         path: path or file-like object.
-        kind: expected kind of file for messages, such as "a trajectory written by
-            srs-twin".
-        check: function that raises TypeError or ValueError for an unexpected schema,
-            before any data are read.
+        kind: expected kind of file, such as "a trajectory written by srs-twin".
+        check: function that raises TypeError or ValueError for an unexpected schema.
 
     Raises:
-        InputError: the file is missing, not a regular file, not Parquet, damaged, or
-            larger than a limit. The message names the damaged column.
+        InputError: the file is missing, damaged, not Parquet, or larger than a limit.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -265,10 +261,6 @@ def _read(file: ParquetFile) -> pyarrow.Table:
 
 def read_arrays(path: Path, what: str) -> dict[str, np.ndarray]:
     """Return the arrays of a NumPy archive (npz) of numbers and texts, by name.
-
-    Args:
-        path: archive file.
-        what: kind of file in messages, such as "policy file".
 
     Raises:
         InputError: the file is missing, not readable, damaged or too large, or contains

@@ -96,9 +96,9 @@ class StrictModel(BaseModel):
     """Base class of all models of files.
 
     A model converts no types. It accepts neither unknown keys nor numbers that are not
-    finite. The docstring of a key is the description of the key in JSON schemas. A
-    model with constraints between keys has a method `contradictions()`, which yields
-    path and message of each violation.
+    finite. The docstring of a key is the description of the key in JSON schemas. The
+    optional method `contradictions()` yields path and message of each violated
+    constraint between keys.
 
     Attributes:
         elsewhere: paths of keys that users may expect in this block, with the correct
@@ -122,7 +122,7 @@ def load_model(model: type[Model], path: Path, paths: Mapping[Loc, str] = {}) ->
     Args:
         model: subclass of `StrictModel`.
         path: file path.
-        paths: paths of keys that name other files, with the kind of shipped files (see
+        paths: keys that name other files, with the kind of shipped files (see
             `Document.locate`).
 
     Raises:
@@ -194,10 +194,7 @@ def _schema_of(model: type[StrictModel]) -> Schema:
 def describe_schema(schema: Schema, root: Schema, *, brief: bool = False) -> str:
     """Describe the values of a JSON schema, such as 'a number from 0.01 to 50'.
 
-    Args:
-        schema: value schema.
-        root: complete schema with the definitions.
-        brief: whether to give the number of choices instead of a long list.
+    If `brief` is true, the number of choices replaces a long list.
     """
     texts = [
         _describe_option(option, root, brief) for option in _alternatives(schema, root)
