@@ -47,7 +47,7 @@ class CaseResult:
         return Counter(map(verdict, self.metrics.get("expectations", ())))
 
     def exit_code(self, fails: Set[str]) -> int:
-        """Return the highest exit code of errors and expectations with a state in `fails`."""
+        """Return the highest exit code of errors and expectations in states `fails`."""
         if fails & self.verdicts.keys():
             failed = EXPECTATION_FAILED
         else:

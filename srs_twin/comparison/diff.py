@@ -291,7 +291,8 @@ def _read(path: Path, folder: str) -> Results:
         }
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(
-            f"{display_path(path)}: not the results of a run, a sweep or a reproduction"
+            f"{display_path(path)}: the file does not contain results of `run`,"
+            " `compare`, `replay`, `sweep` or `reproduce`"
         ) from error
     return Results(values, versions)
 

@@ -402,8 +402,8 @@ class _Task:
 def _read_pulls(task: _Task) -> list[Pulls]:
     if len(task.fitted) > 1:
         raise InputError(
-            f"{task.fitted[1]}: a fit uses one table of pulls; give further ones with"
-            " --validate"
+            f"{task.fitted[1]}: a fit uses only one table of pulls; give other tables"
+            " with --validate"
         )
     return [read_pull_table(path) for path in task.files]
 

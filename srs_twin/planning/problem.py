@@ -168,14 +168,14 @@ def _check_poses(start: Pose, goal: Goal) -> None:
     angles = (start.heading, goal.heading or 0.0)
     if not all(math.isfinite(angle) and abs(angle) <= 100 for angle in angles):
         raise InputError(
-            f"headings {angles[0]:g} and {angles[1]:g} rad: must be finite and between"
-            " -100 and 100"
+            f"headings {angles[0]:g} and {angles[1]:g} rad are not allowed; both must"
+            " be finite and between -100 and 100"
         )
     for name, x, y in (("start", start.x, start.y), ("goal", goal.x, goal.y)):
         if not (abs(x) <= _MAX_COORDINATE_M and abs(y) <= _MAX_COORDINATE_M):
             raise InputError(
-                f"{name} ({x:g}, {y:g}) m: must be finite and between "
-                f"-{_MAX_COORDINATE_M:g} and {_MAX_COORDINATE_M:g}"
+                f"{name} ({x:g}, {y:g}) m is not allowed; both coordinates must be"
+                f" finite and between -{_MAX_COORDINATE_M:g} and {_MAX_COORDINATE_M:g}"
             )
     if not (0 <= goal.radius < math.inf and 0 <= goal.heading_tolerance <= math.pi):
         raise InputError(
@@ -207,8 +207,8 @@ def _check_world(world: World) -> None:
             or not shapely.Polygon(polygon.corners).is_valid
         ):
             raise InputError(
-                f"polygon {k + 1}: needs at least three finite corners and sides that"
-                " do not cross"
+                f"polygon {k + 1} is not allowed; it needs at least three finite"
+                " corners, and sides that do not cross"
             )
     if world.bounds and not all(
         low < high for low, high in (world.bounds.x, world.bounds.y)

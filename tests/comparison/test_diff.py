@@ -220,10 +220,10 @@ def test_control_characters_in_results_are_escaped(capsys, tmp_path, options):
         ),
         (
             ("a/walk/analytical.parquet", "a"),
-            "analytical.parquet: not the results of a run",
+            "analytical.parquet: the file does not contain results",
         ),
         (("junk.json", "a"), "junk.json:1:13: not JSON"),
-        (("list.json", "a"), "list.json: not the results of a run"),
+        (("list.json", "a"), "list.json: the file does not contain results"),
         (("a", "a", "--rel", "-1"), "--rel -1 is not allowed"),
         (("a", "a", "--abs", "nan"), "--abs nan is not allowed"),
         (
@@ -402,7 +402,7 @@ def test_json_of_something_else_is_refused(capsys, tmp_path, name, content):
     assert (code, out) == (
         2,
         "",
-    ) and "not the results of a run, a sweep or a reproduction" in err
+    ) and "the file does not contain results" in err
 
 
 def test_results_are_found_in_nested_folders(capsys, tmp_path, monkeypatch):

@@ -165,12 +165,12 @@ def test_friction_is_fitted_to_pulls_by_the_command(tmp_path, srs_twin):
         ),
         (
             ["friction", "p.csv", "q.csv"],
-            "q.csv: a fit uses one table of pulls; give further ones with --validate",
+            "q.csv: a fit uses only one table of pulls; give other tables with",
         ),
         (["friction", "none.csv"], "none.csv: no such file"),
         (
             ["friction", "p.csv", "h.csv"],
-            "p.csv is a table of pulls, h.csv a recording of a coasting test",
+            "p.csv is a table of pulls, but h.csv is a recording of a coasting test",
         ),
         (["friction", "p.csv", "--name", "No"], "--name: 'No' is not allowed"),
         (

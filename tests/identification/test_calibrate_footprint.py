@@ -142,7 +142,7 @@ def test_a_short_footprint_measurement_by_the_command(srs_twin, tmp_path, monkey
         ),
         (
             ["gen2", "--name", "../x"],
-            "--name: '../x' is not allowed; lower-case letters",
+            "--name: '../x' is not allowed; use at most 60 lower-case letters",
         ),
         (["gen2", "--out", "/dev/null/x"], "cannot write there"),
         (["gen4_module"], "one segment"),

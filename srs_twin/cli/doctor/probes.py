@@ -163,8 +163,8 @@ def probed_checks(*, time_limit_s: float = _TIME_LIMIT_S) -> Iterator[Check]:
 def _run(name: str, folder: str, time_limit_s: float) -> Check:
     topic, _, remedy = PROBES[name]
     necessary = topic != VIEWING
-    # Runs also set this value. With another value, MuJoCo loads an OpenGL library during
-    # its import.
+    # Runs also set this value. With other values, MuJoCo loads an OpenGL library when it
+    # is imported.
     environment = {"MUJOCO_GL": "disabled"} | os.environ | {"PYTHONSAFEPATH": "1"}
     try:
         done = subprocess.run(

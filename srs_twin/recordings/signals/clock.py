@@ -187,7 +187,7 @@ def _check_unambiguous(loss: np.ndarray, offsets: np.ndarray, best: int) -> None
         )[:5]
         listed = ", ".join(f"{offset:.4g}" for offset in sorted(nearest))
         raise InputError(
-            f"the offset of its clock is ambiguous: {len(rivals) + 1} offsets fit about"
+            f"the clock offset is ambiguous: {len(rivals) + 1} offsets fit about"
             f" equally well ({listed} s, …), because the gait is periodic and neither"
             " its start nor its end is recorded; give --offset, or a longer recording"
         )

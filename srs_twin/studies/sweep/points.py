@@ -110,7 +110,7 @@ class SamplingFile(Section):
                         f" {self.kind}"
                     )
         elif self.count is None:
-            raise ValueError(f"{self.kind} needs a count")
+            raise ValueError(f"{self.kind} needs the number of points; set count")
         elif self.kind == "sobol" and self.count & (self.count - 1):
             below = 1 << (self.count.bit_length() - 1)
             raise ValueError(

@@ -171,7 +171,7 @@ def test_a_second_sweep_in_the_folder_is_refused(srs_twin, tmp_path):
     run = srs_twin("sweep", "small.yaml", "--out", "out", cwd=tmp_path)
     process.kill()
     process.wait()
-    assert run.returncode == 2 and "another sweep works in this folder" in run.stderr
+    assert run.returncode == 2 and "another sweep uses this folder" in run.stderr
 
 
 @pytest.mark.slow

@@ -229,7 +229,7 @@ def test_an_element_of_a_list_is_varied(tmp_path):
         (
             "fixed:",
             "sampling: {kind: sobol}\nfixed:",
-            "3:11: sampling: sobol needs a count",
+            "3:11: sampling: sobol needs the number of points",
         ),
         (
             "fixed:",
