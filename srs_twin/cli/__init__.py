@@ -33,7 +33,7 @@ _GC_THRESHOLD = 200_000
 """Number of new objects after which Python collects garbage.
 
 With Python's default of 700, garbage collection takes a sixth of the processor time of
-`compare`. With this value it is negligible, and the memory use grows by 3 %.
+`compare`. This value increases the memory use by 3 %.
 """
 
 _PYTHON_FORMATWARNING = warnings.formatwarning
