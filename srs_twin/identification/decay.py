@@ -213,8 +213,7 @@ def free_swing(
     if 2 * half_period < _MIN_SAMPLES_PER_SWING * spacing:
         raise InputError(
             f"{name}: the recording has {2 * half_period / spacing:.2g} samples per"
-            f" swing, but {_MIN_SAMPLES_PER_SWING:g} or more are needed; record at a"
-            " higher rate, or hang a heavier body"
+            f" swing, but {_MIN_SAMPLES_PER_SWING:g} or more are needed; record faster"
         )
     end = time[first] + _KEPT_SPANS * (time[turns[-1]] - time[first])
     used = slice(first, int(np.searchsorted(time, end, side="right")))
