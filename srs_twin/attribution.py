@@ -457,7 +457,9 @@ def explain(
         DivergedError: a variant of a plant diverged.
     """
     if not {"analytical", "twin"} <= trajectories.keys():
-        raise InputError("an attribution needs both plants; run both")
+        raise InputError(
+            "an attribution compares the two plants; run both, analytical and twin"
+        )
     controller = scenario.build_controller()
     end = max(float(run.time[-1]) for run in trajectories.values())
     window = None if whole else _window(scenario, controller, end)
@@ -500,8 +502,9 @@ def _checked_gap(scenario: Scenario, model: Trajectory, twin: Trajectory) -> np.
         ) from error
     if scenario.file.comparison.gap_factor:
         raise InputError(
-            f"{scenario.name}: comparison.gap_factor scales a speed, which cannot be"
-            " attributed; remove it (rigid gaps are a switch already)"
+            f"{scenario.name}: comparison.gap_factor scales the speed, so the"
+            " difference cannot be attributed; remove it (the attribution covers rigid"
+            " gaps without it)"
         )
     return gap
 

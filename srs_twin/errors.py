@@ -1,10 +1,8 @@
 """Exceptions and warnings of the package, with exit codes and remedies.
 
-Every error that the package raises on purpose is an `SrsError`. The message is
-complete: it says where the problem is, what was given, what is allowed and what valid
-input is closest. The command line prints the message and exits with `exit_code`. The
-helpers below build such messages: lists of names, suggestions, and times that divide
-evenly.
+Every error that the package raises on purpose is an `SrsError`. The message says where
+the problem is, what was given, what is allowed and which valid input is closest. The
+command line prints the message and exits with `exit_code`.
 """
 
 from __future__ import annotations
@@ -24,7 +22,7 @@ MAX_LISTED_NAMES = 12
 
 _MAX_SUGGESTIONS = 3
 _MIN_SIMILARITY = 0.6
-"""Minimum similarity of a suggested name; scale and value come from `difflib`."""
+"""Minimum similarity of a suggested name, on the scale of `difflib`."""
 
 _SIMILARITY_TIE = 0.05
 """Maximum similarity difference from the best name for a joint suggestion."""
@@ -82,7 +80,7 @@ class InputError(SrsError):
 class AbsentPartError(InputError):
     """Error for a part from outside the package that is not imported.
 
-    Such a part is absent if a file is only read.
+    Such parts are not imported if a file is only read.
     """
 
     def __init__(self, name: str) -> None:
@@ -90,16 +88,13 @@ class AbsentPartError(InputError):
 
 
 class UnknownNameError(InputError):
-    """Error for a name that is not available; the message suggests the closest names.
-
-    The message also lists the available names if they are few.
+    """Error for a name that does not exist, with the closest names as suggestions.
 
     Args:
         kind: kind of object with this name, such as "metric".
         name: unknown name.
         available: all valid names.
-        listing: command or page that lists them, for messages about more than `longest`
-            names.
+        listing: command or page that lists the names.
         longest: maximum number of names that the message lists.
     """
 
@@ -159,19 +154,19 @@ class InputFileError(InputError):
 
 
 class UnitWarning(UserWarning):
-    """A number of a robot file is implausible, and may be in another unit."""
+    """Warning about an implausible number in a robot file, perhaps in a wrong unit."""
 
 
 class EngineWarning(UserWarning):
-    """A computation ran on another engine than requested."""
+    """Warning about a computation on another engine than requested."""
 
 
 class SessionWarning(UserWarning):
-    """A live session continues without a file or forecast, or lags behind real time."""
+    """Warning about a live twin that lags, or continues without a file or forecast."""
 
 
 class CacheWarning(UserWarning):
-    """Compiled kernels cannot be cached, so every start compiles them again."""
+    """Warning that kernels cannot be cached, so that every start compiles them."""
 
 
 class DivergedError(SrsError):
@@ -306,14 +301,18 @@ def _longest_round_divisor(period_s: float, step_s: float) -> float:
 def format_names(
     names: Sequence[str], listing: str = "", longest: int = MAX_LISTED_NAMES
 ) -> str:
-    """Return a short list of names, or the number of names and the place of the list."""
+    """Return names as text, or their number and `listing` if they are many."""
     if len(names) > longest:
         return f"{len(names)} names{listing and f'; {listing} lists them'}"
     return ", ".join(names) or "none"
 
 
 def check_choice(name: str, value: str, allowed: Iterable[str]) -> None:
-    """Raise InputError unless a value is allowed; the message suggests the closest."""
+    """Check that a value is allowed.
+
+    Raises:
+        InputError: the value is not allowed.
+    """
     allowed = tuple(allowed)
     if value not in allowed:
         raise InputError(
@@ -325,14 +324,9 @@ def check_choice(name: str, value: str, allowed: Iterable[str]) -> None:
 def did_you_mean(text: str, available: Iterable[str]) -> str:
     """Return '; did you mean A, B or C?' for the closest names, or an empty string.
 
-    Names are compared by their last component: `frequency_hz` of
-    `controller.frequency_hz`, `gen2_turn` of `scenarios/gen2_turn.yaml`. Abbreviations
-    and names without their unit count as similar. Among equally similar names, names of
-    the same section are preferred.
-
-    Args:
-        text: unknown name.
-        available: valid names. At most three are suggested, and ties keep this order.
+    Names are compared by their last component, such as `frequency_hz` of
+    `controller.frequency_hz`. Abbreviations and names without their unit count as
+    similar. Among equally similar names, names of the same section are preferred.
     """
     section, last = _split_name(text)
     similarity = {}
@@ -439,8 +433,8 @@ class SamplingGrid(NamedTuple):
 
     Attributes:
         tick: control tick, s.
-        step: unit of the sampling intervals within a tick, s; None if any interval is
-            allowed.
+        step: time step, s, of which sampling intervals within a tick must be
+            multiples, or None if any interval is allowed.
     """
 
     tick: float

@@ -568,11 +568,14 @@ def compare(
     if isinstance(reference, Trajectory):
         if candidate is None or set is not None:
             raise InputError(
-                "give two trajectories, or a scenario, with `set` for the scenario only"
+                "give two trajectories, or one scenario; `set` is only for a scenario"
             )
         return difference(reference, candidate, gap_factor=gap_factor)
     if candidate is not None:
-        raise InputError("a scenario is run on both plants; remove the second argument")
+        raise InputError(
+            "a scenario is run on both plants, so the second argument has no meaning;"
+            " remove it"
+        )
     scenario = load_scenario(reference, set=set or {})
     run = PreparedRun.build(scenario, Path(), PLANTS)
     trajectories = {}
@@ -695,8 +698,8 @@ def load_run(run: str | Path) -> FinishedRun:
     }
     if not trajectories:
         raise InputError(
-            f"{display_path(folder)}: no trajectory there; `srs-twin run SCENARIO`"
-            " writes them"
+            f"{display_path(folder)}: the folder contains no trajectory; `srs-twin run"
+            " SCENARIO` writes trajectories"
         )
     with reading():
         return FinishedRun(folder, load_scenario(folder / RESOLVED), trajectories)
@@ -714,5 +717,6 @@ def find_run(run: str | Path) -> Path:
             return folder
     files = " and ".join(display_path(path / RESOLVED) for path in candidates)
     raise InputError(
-        f"{run}: no run there (looked for {files}); `srs-twin run SCENARIO` makes one"
+        f"{run}: there is no finished run (looked for {files}); `srs-twin run SCENARIO`"
+        " makes one"
     )

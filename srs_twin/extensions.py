@@ -1,14 +1,15 @@
-"""Registry of the extensions, the only place in the core that names them, and of parts from outside.
+"""Registry of the extensions of the core, and of parts from outside the package.
 
-An entry is ``name: "module:object"``. The module is imported when the object is needed.
+This module is the only place in the core that names the extensions. An entry has the
+form ``name: "module:object"``, and the module is imported when the object is needed.
 Entries of extensions that are not installed are ignored.
 
 Files may also name parts from outside the package as ``module:Name``. A file alone
-never runs code: the module must be a plug-in, which the user allows (`allow_plugin`),
-or belong to an installed distribution that declares entry points ``srs_twin.*``. Such a
-distribution may register short names for its parts in the groups
-``srs_twin.controllers``, ``pneumatics``, ``sensors``, ``metrics`` and ``formats``,
-which are read only if a name is unknown.
+never runs code. The module must be a plug-in that the user allows (`allow_plugin`), or
+belong to an installed distribution that declares entry points ``srs_twin.*``. Such a
+distribution may register short names in the groups ``srs_twin.controllers``,
+``pneumatics``, ``sensors``, ``metrics`` and ``formats``. These groups are read only if
+a name is unknown.
 """
 
 from __future__ import annotations
@@ -43,27 +44,27 @@ COMMANDS = {
     "shadow": "srs_twin.live.shadow_command:shadow",
     "calibrate": "srs_twin.identification.command:app",
 }
-"""Commands: functions, or typer applications with subcommands."""
+"""Commands, which are functions or typer applications with subcommands."""
 
 CONTROLLERS = {
     "replay": "srs_twin.recordings.takes:ReplayFile",
     "follow": "srs_twin.planning.follow_file:FollowFile",
 }
-"""Kinds of `controller` in a scenario, as sections that build the controller."""
+"""Kinds of `controller` in a scenario, and the file models that build them."""
 
 SECTIONS = {
     "recording": "srs_twin.recordings.takes:RECORDING",
     "planner": "srs_twin.planning.scenario:PLANNER",
 }
-"""Additional sections of a scenario (`scenario.fields.SectionEntry`)."""
+"""Additional sections of a scenario, of the type `scenario.fields.SectionEntry`."""
 
 METRICS = {
     "following": "srs_twin.planning.metrics:METRICS",
 }
-"""Metrics of runs (`comparison.sampling.MetricGroup`)."""
+"""Metrics of runs, of the type `comparison.sampling.MetricGroup`."""
 
 PICTURES = {"following": "srs_twin.planning.pictures:PICTURES"}
-"""Additions to the pictures of runs (`viewing.additions.RunPictures`)."""
+"""Additional pictures of runs, of the type `viewing.additions.RunPictures`."""
 
 PAGES = {
     "run": "srs_twin.viewing.html.report:page_of_run",
@@ -71,10 +72,10 @@ PAGES = {
     "plan": "srs_twin.planning.pictures:plan_page",
     "fit": "srs_twin.identification.fit_report:fit_page",
 }
-"""HTML pages of results in notebooks."""
+"""Functions that return the HTML page of a result for notebooks."""
 
 ENGINES = {"warp": "srs_twin.warp.batch:WarpBatch"}
-"""Engines of batches of twins."""
+"""Engines that simulate batches of twins."""
 
 FORMATS = {
     "c3d": "srs_twin.recordings.formats.c3d_file:C3d",
@@ -89,13 +90,14 @@ FORMATS = {
     "deeplabcut": "srs_twin.recordings.formats.tables:DeepLabCut",
     "plain": "srs_twin.recordings.formats.tables:PlainCsv",
 }
-"""File formats of motion recordings (`recordings.formats.base.Format`).
+"""File formats of motion recordings, of the type `recordings.formats.base.Format`.
 
-A file is read by the first format that recognizes it; `plain` accepts most tables and
-is last."""
+A file is read by the first format that recognizes it. The format `plain` is last,
+because it accepts most tables.
+"""
 
 LOADERS = {"study": "srs_twin.studies.optimization.loading:load_study"}
-"""Functions that read and check a kind of file."""
+"""Functions that read and check files of a kind."""
 
 SCHEMAS = {
     "sweep": "srs_twin.studies.sweep.points:sweep_json_schema",
@@ -103,7 +105,7 @@ SCHEMAS = {
     "setup": "srs_twin.live.setup_file:setup_json_schema",
     "inspect": "srs_twin.recordings.facts:facts_json_schema",
 }
-"""JSON Schemas of files and of output."""
+"""Functions that return the JSON Schema of a file or of printed JSON."""
 
 
 def load(entry: str) -> Any:
@@ -137,10 +139,10 @@ def _has_package(name: str) -> bool:
 
 
 class _LazyPackage(ModuleType):
-    """Package that imports its public names when they are used; they hide submodules of the same name."""
+    """Package whose public names are imported when used and hide submodules."""
 
     _homes: dict[str, str | None]
-    """Public name → module that defines it."""
+    """Public name → module that defines the object."""
 
     def __getattr__(self, name: str) -> Any:
         if name not in self._homes:
@@ -151,7 +153,8 @@ class _LazyPackage(ModuleType):
         return sorted(self.__all__)
 
     def __setattr__(self, name: str, value: object) -> None:
-        # Python sets a submodule as an attribute of its package after the import.
+        # After the import of a submodule, Python sets it as an attribute of the
+        # package. Here it would hide the public object with this name.
         if isinstance(value, ModuleType) and name in self._homes:
             value = getattr(value, name)
         super().__setattr__(name, value)
@@ -163,9 +166,9 @@ class _LazyPackage(ModuleType):
 def lazy(package: str) -> None:
     """Make a package import its public names when they are used.
 
-    Its source imports them below ``TYPE_CHECKING`` as themselves (``from module import
-    name as name``), where type checkers and editors find them. This function reads them
-    from the source, so that each name is written once.
+    The source of the package imports the names below ``TYPE_CHECKING`` in the form
+    ``from module import name as name``, where type checkers and editors find them. This
+    function reads the names from the source, so that each name is written once.
     """
     module = sys.modules[package]
     homes = {
@@ -180,26 +183,29 @@ def lazy(package: str) -> None:
 
 
 PLUGINS = "SRS_TWIN_PLUGINS"
-"""Environment variable with the plug-ins that the user allows: Python files and names
-of modules. Processes started later inherit it."""
+"""Environment variable that lists the plug-ins that the user allows.
+
+The entries are Python files and names of modules. Child processes inherit the variable.
+"""
 
 PART_PATTERN = r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z]\w*"
-"""Pattern of the name of a part from outside, ``module:Name``."""
+"""Pattern ``module:Name`` for the name of a part from outside the package."""
 
 READING = ContextVar("READING", default=False)
-"""Whether the files of a finished run are read, which imports none of the parts that
-they name."""
+"""Whether the files of a finished run are being read.
+
+In this mode, the parts that the files name are not imported.
+"""
 
 
 def allow_plugin(source: str | os.PathLike[str] | ModuleType | type) -> None:
-    """Allow scenarios and other files to name the parts of a plug-in, in this process and in its workers.
+    """Allow scenarios and other files to name the parts of a plug-in.
 
     Args:
-        source: path of a Python file, which is imported under the name of the file; or
-            a module, its name, or a class in it.
+        source: path of a Python file, a module, the name of a module, or a class in it.
 
     Raises:
-        InputError: there is no such file or module, or another module has the name of
+        InputError: the file or module does not exist, or another module has the name of
             the file.
     """
     if isinstance(source, type | ModuleType):
@@ -215,7 +221,7 @@ def allow_plugin(source: str | os.PathLike[str] | ModuleType | type) -> None:
 
 
 def _why_unusable(entry: str) -> str:
-    """Return the reason why a plug-in cannot be imported; empty if it can be."""
+    """Return why a plug-in cannot be imported, or an empty string if it can be."""
     name = os.path.basename(entry).partition(".")[0]
     module = name.isidentifier() and (sys.modules.get(name) or find_spec(name))
     if not entry.endswith(".py"):
@@ -238,7 +244,7 @@ def _why_unusable(entry: str) -> str:
 
 
 def plugins() -> dict[str, str]:
-    """Return the plug-ins that the user allows: name of the module → path of its file, or its name."""
+    """Return the allowed plug-ins as name of the module → path of the file, or name."""
     entries = os.environ.get(PLUGINS, "").split(os.pathsep)
     return {
         os.path.basename(entry).removesuffix(".py"): entry for entry in entries if entry
@@ -246,7 +252,7 @@ def plugins() -> dict[str, str]:
 
 
 class _PluginFinder:
-    """Finder that imports the files of plug-ins, if no other finder knows the module."""
+    """Finder that imports plug-in files if no other finder knows the module."""
 
     @staticmethod
     def find_spec(name: str, path: object = None, target: object = None) -> Any:
@@ -260,8 +266,8 @@ sys.meta_path.append(_PluginFinder)
 
 
 def owners() -> dict[str, Any]:
-    """Return package → installed distribution, for those that declare entry points ``srs_twin.*``."""
-    # An empty entry is the current folder, whose files are not trusted.
+    """Return the distributions with entry points ``srs_twin.*``, by package name."""
+    # An empty entry of sys.path is the current folder, whose files are not trusted.
     return _owners(tuple(filter(None, sys.path)))
 
 
@@ -284,10 +290,9 @@ def _owners(path: tuple[str, ...]) -> dict[str, Any]:
 
 
 def registered(kind: str) -> dict[str, str]:
-    """Return the parts that installed distributions register: short name → ``module:Name``.
+    """Return the parts of a kind that installed distributions register.
 
-    Args:
-        kind: controller, pneumatics, sensor, metric or format.
+    The result maps short names to ``module:Name``.
     """
     group = f"srs_twin.{kind.removesuffix('s')}s"
     entries = (
@@ -298,10 +303,11 @@ def registered(kind: str) -> dict[str, str]:
 
 
 def import_plugin(module: str) -> ModuleType:
-    """Import a module from outside the package, if the user or its distribution allows it.
+    """Import a module from outside the package.
 
     Raises:
-        InputError: the module is not allowed, or its import fails.
+        InputError: neither the user nor an installed distribution allows the module, or
+            the import fails.
     """
     package = module.partition(".")[0]
     if (
@@ -330,19 +336,22 @@ def part(
 
     Args:
         kind: controller, pneumatics, sensor or format.
-        name: ``module:Name``, or a short name that an installed distribution registers.
-        bases: base classes, one of which the class must have.
-        known: other names of this kind, for messages.
+        name: name in the form ``module:Name``, or a registered short name.
+        bases: allowed base classes.
+        known: other names of this kind for messages.
 
     Raises:
         UnknownNameError: no distribution registers the short name.
-        InputError: the part is not allowed, or has another base class.
+        InputError: the part is not allowed, or derives from none of the base classes.
     """
     names = {name: name} if ":" in name else registered(kind)
     if name not in names:
         raise UnknownNameError(kind, name, (*known, *names))
     if not re.fullmatch(PART_PATTERN, names[name], re.ASCII):
-        raise InputError(f"'{names[name]}' does not name a class; write module:Name")
+        raise InputError(
+            f"'{names[name]}' is not the name of a class; write module:Name, such as"
+            " my_module:MyController"
+        )
     module, _, attribute = names[name].partition(":")
     found = getattr(import_plugin(module), attribute, None)
     is_derived = (
@@ -358,7 +367,7 @@ def part(
 
 
 def plugin_parts(base: type) -> Iterator[tuple[str, Any]]:
-    """Yield module and object of the instances and subclasses of a class that the plug-ins define."""
+    """Yield the modules and the instances and subclasses of a class in plug-ins."""
     for module in plugins():
         for found in vars(import_plugin(module)).values():
             is_class = isinstance(found, type) and found.__module__ == module
@@ -370,7 +379,7 @@ def plugin_parts(base: type) -> Iterator[tuple[str, Any]]:
 
 @contextmanager
 def reading() -> Iterator[None]:
-    """Import none of the parts that files name in a block, which reads the files of a finished run."""
+    """Import no parts in a block that reads the files of a finished run."""
     token = READING.set(True)
     try:
         yield

@@ -653,7 +653,8 @@ def run_scripts(
     ticks = count_steps("duration", duration, "tick", batch.tick)
     if len(controllers) != len(batch.twins):
         raise InputError(
-            f"controllers: {len(controllers)} were given for {len(batch.twins)} runs"
+            f"{len(controllers)} controllers are given for {len(batch.twins)} runs;"
+            " give one per run"
         )
     with claim(batch):
         scripts = []
@@ -662,8 +663,9 @@ def run_scripts(
             script = controller.script(duration)
             if script is None:
                 raise InputError(
-                    f"controller '{controller.kind}' uses sensor readings; "
-                    "run_scripts needs controllers with a script"
+                    f"controller '{controller.kind}' uses sensor readings, but"
+                    " run_scripts needs a controller whose commands are known in"
+                    " advance, such as Gait"
                 )
             scripts.append(script)
         recorders = _record_start(

@@ -481,13 +481,15 @@ def test_attribution_over_a_window_adds_up_to_the_difference_in_it(monkeypatch):
 def test_run_without_attribution_is_rejected():
     s = scenario(duration_s=1.0)
     runs = both(s)
-    with pytest.raises(InputError, match="an attribution needs both plants; run both"):
+    with pytest.raises(
+        InputError, match="an attribution compares the two plants; run both"
+    ):
         explain(s, {"twin": runs["twin"]})
     scaled = {"analytical": {"gaps": False}, "twin": {}}
     with_factor = scenario(plants=scaled, comparison={"gap_factor": True})
     with pytest.raises(
         InputError,
-        match="comparison.gap_factor scales a speed, which cannot be attributed",
+        match="comparison.gap_factor scales the speed, so the difference cannot be",
     ):
         explain(with_factor, both(with_factor))
     with pytest.raises(

@@ -188,7 +188,9 @@ def test_a_plan_is_that_of_the_command(command, place, capsys):
     assert set(srs.plan_scenario("follow_fig57", out="again").files) == files(
         place / "again"
     )
-    with pytest.raises(InputError, match="gen2_straight: there is no planner section"):
+    with pytest.raises(
+        InputError, match="gen2_straight: the scenario has no planner section"
+    ):
         srs.plan_scenario("gen2_straight")
 
 
@@ -379,7 +381,7 @@ def test_a_footprint_is_that_of_its_file(place, capsys):
         ),
         (
             lambda: srs.calibrate_design("gen2", {}),
-            "give parameters such as friction.mu_t",
+            "give one or more, such as friction.mu_t",
         ),
         (lambda: srs.calibrate_margin("gen2_straight"), "planner"),
         (

@@ -1,4 +1,7 @@
-"""Command line: one module per command; commands import their dependencies when they run."""
+"""Command line of srs_twin.
+
+Commands import their dependencies only when they run, so that `--help` is fast.
+"""
 
 from __future__ import annotations
 
@@ -27,16 +30,17 @@ if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
 
 _GC_THRESHOLD = 200_000
-"""Number of new objects between collections of garbage.
+"""Number of new objects after which Python collects garbage.
 
-With Python's default of 700, collections take a sixth of the processor time of
-`compare`; with this number, memory grows by 3 %."""
+With Python's default of 700, garbage collection takes a sixth of the processor time of
+`compare`. This value increases the memory use by 3 %.
+"""
 
 _PYTHON_FORMATWARNING = warnings.formatwarning
 
-# File errors that no earlier check can exclude: a name that is too long, a full or
-# read-only disk, missing permission, a defective medium. A missing file, or a folder in
-# place of a file, remains an internal error.
+# Errors of the file system that earlier checks cannot exclude, such as a full disk or
+# missing permission. They are reported as invalid input. A missing file is not in the
+# list, because it would be a bug of the program.
 _FILE_SYSTEM_ERRORS = [
     "ENAMETOOLONG",
     "EROFS",
@@ -52,19 +56,19 @@ _FILE_SYSTEM_ERRORS = [
 def main(argv: list[str] | None = None) -> None:
     """Run `srs-twin` and exit the process with its exit code.
 
-    Exit codes: 0 success; 1 an expectation failed under ``--check``; 2 invalid input; 3
-    a simulation diverged; 4 internal error; 130 interrupted. Messages are printed on
-    stderr, results on stdout. A pipe that its reader closes (``| head -1``) neither
-    stops the command nor changes the exit code.
+    The exit codes are 0 (success), 1 (an expectation failed under ``--check``), 2
+    (invalid input), 3 (a simulation diverged), 4 (internal error) and 130
+    (interrupted). If the reader of a pipe closes it (``| head -1``), the command
+    continues with an unchanged exit code.
 
     Args:
-        argv: arguments after the program name; default: those of this process.
+        argv: arguments after the program name, by default those of the process.
     """
     sys.stdout = _without_broken_pipes(sys.stdout)
     sys.stderr = _without_broken_pipes(sys.stderr)
     gc.set_threshold(_GC_THRESHOLD)
-    # Without objects to collect, the interpreter ends 0.7 s earlier; the system frees
-    # their memory anyway.
+    # The operating system frees the memory anyway. Without a last garbage collection,
+    # the interpreter ends 0.7 s earlier.
     atexit.register(gc.freeze)
     warnings.formatwarning = _format_warning  # type: ignore[assignment]
     try:
@@ -75,7 +79,7 @@ def main(argv: list[str] | None = None) -> None:
         from srs_twin.cli.app import command
 
         try:
-            # Shells complete the installed program, which has no launcher.
+            # Shell completion applies to the installed program, without "uv run".
             completes = any(argument.endswith("-completion") for argument in arguments)
             started = "srs-twin" if completes else f"{launcher()}srs-twin"
             named = next((each for each in arguments if each != "--debug"), "")
@@ -84,7 +88,8 @@ def main(argv: list[str] | None = None) -> None:
             )
         finally:
             if sys.stdout is not None:
-                # Here an error can still be reported and determine the exit code.
+                # An error in this explicit flush can still be reported. An error in
+                # the interpreter's own flush at exit could not.
                 sys.stdout.flush()
     except SrsError as error:
         show_traceback(error)
@@ -112,40 +117,30 @@ def main(argv: list[str] | None = None) -> None:
 
 
 def _check_current_folder() -> None:
-    """Check that the current folder exists; relative paths depend on it.
-
-    Raises:
-        InputError: the current folder was removed.
-    """
     try:
         os.getcwd()
     except OSError as error:
         raise InputError(
-            f"cannot use the current folder ({error.strerror}); it may have been"
-            " removed: change to another folder"
+            f"the current folder cannot be used ({error.strerror}), perhaps because it"
+            " was removed; change to another folder"
         ) from error
 
 
 class _StandardStream(io.FileIO):
-    """Standard stream that is redirected to the null device after a failed write.
+    """Standard stream that writes to the null device after a write has failed.
 
-    A pipe closed by its reader is not an error; a full disk is.
+    A closed pipe is ignored. Any other failure, such as a full disk, is an error.
     """
 
     def write(self, data: ReadableBuffer, /) -> int:
-        """Write bytes; return the number of bytes written.
-
-        Raises:
-            InputError: the write failed.
-        """
         if not memoryview(data).nbytes:
-            return 0  # libraries write nothing to test whether the stream is binary
+            return 0  # libraries write zero bytes to test if the stream is binary
         try:
             return super().write(data)
         except OSError as error:
             null = os.open(os.devnull, os.O_WRONLY)
-            # Replace the descriptor itself, so that later writes by libraries, child
-            # processes and the interpreter's shutdown also succeed.
+            # The file descriptor itself is replaced, so that later writes by libraries,
+            # child processes and the shutdown of the interpreter succeed.
             os.dup2(null, self.fileno())
             os.close(null)
             if isinstance(error, BrokenPipeError):
@@ -155,7 +150,6 @@ class _StandardStream(io.FileIO):
 
 
 def _without_broken_pipes(stream: TextIO) -> TextIO:
-    """Wrap a standard stream of the process in a `_StandardStream`; return any other stream unchanged."""
     if not isinstance(stream, io.TextIOWrapper) or stream not in (
         sys.__stdout__,
         sys.__stderr__,
@@ -173,14 +167,16 @@ def _without_broken_pipes(stream: TextIO) -> TextIO:
 
 
 def _format_warning(message: Any, category: type[Warning], *location: Any) -> str:
-    """Format a warning; warnings about the machine omit the location in the code."""
     if category in (CacheWarning, EngineWarning, SessionWarning, UnitWarning):
         return as_started(f"warning: {message}\n")
     return _PYTHON_FORMATWARNING(message, category, *location)
 
 
 def _is_interrupt(error: BaseException | None) -> bool:
-    """Return whether an interrupt caused an error; C extensions may convert one during their import."""
+    """Return whether an interrupt caused an error.
+
+    C extensions may convert an interrupt during their import to another error.
+    """
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
     return error is not None

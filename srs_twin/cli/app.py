@@ -27,7 +27,7 @@ _CORE_COMMANDS = {
     "models": "srs_twin.cli.models:app",
     "new": "srs_twin.cli.new:app",
 }
-"""Commands of the core, as in `extensions.COMMANDS`."""
+"""Commands of the core, in the form of `extensions.COMMANDS`."""
 
 _HELP_ORDER = [
     "list",
@@ -54,7 +54,7 @@ _HELP_ORDER = [
     "models",
     "new",
 ]
-"""Order of the commands in the help; other commands come last."""
+"""Order of the commands in the help. Other commands follow in alphabetical order."""
 
 _WITHOUT_PLUGINS = [
     "view",
@@ -66,19 +66,21 @@ _WITHOUT_PLUGINS = [
     "reproduce",
     "emulate",
 ]
-"""Commands that read finished runs or no files of the user; they never import parts
-from outside."""
+"""Commands that read finished runs, or no files of the user.
+
+They never import parts from outside the package.
+"""
 
 
 @cache
 def command(only: str = "") -> Any:
-    """Return the click command of the application; call it with ``args`` and ``prog_name``.
+    """Return the click command of the application.
 
     Args:
-        only: name of a command; the modules of other commands are not imported. All
-            commands are imported if there is none of this name.
+        only: name of the only command to import. All commands are imported if no
+            command has this name.
     """
-    # Help and usage errors are plain text: the boxes of rich break file names across
+    # Help and usage errors are printed without rich. Its boxes break file names across
     # lines, and its import would double the duration of `--help`.
     app = typer.Typer(
         no_args_is_help=True,
@@ -110,18 +112,23 @@ def _print_version(requested: bool) -> None:
 
 def _options(
     debug: Annotated[
-        bool, option("--debug", f"Show the traceback of an error (or set {DEBUG}=1).")
+        bool,
+        option("--debug", f"Print the traceback of an error. {DEBUG}=1 does the same."),
     ] = False,
     version: Annotated[
         bool,
         option(
-            "--version", "Print the version.", callback=_print_version, is_eager=True
+            "--version",
+            "Print the version and exit.",
+            callback=_print_version,
+            is_eager=True,
         ),
     ] = False,
 ) -> None:
-    """Simulate a soft robotic snake: equal valve commands drive an analytical model and a MuJoCo twin.
+    """Simulate a soft robotic snake with an analytical model and a MuJoCo twin.
 
-    Texts name pages as docs/NAME.md; `srs-twin show docs/NAME.md` prints one.
+    Both models receive the same valve commands. Messages refer to pages of the
+    documentation as docs/NAME.md; `srs-twin show docs/NAME.md` prints such a page.
     """
     if debug:
         os.environ[DEBUG] = "1"

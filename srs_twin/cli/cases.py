@@ -1,4 +1,4 @@
-"""Scenarios on the command line, and their results."""
+"""Scenarios that are given on the command line, and their results."""
 
 from __future__ import annotations
 
@@ -20,11 +20,10 @@ EXPECTATION_FAILED = 1
 
 @dataclass(frozen=True)
 class CaseResult:
-    """Result of a case, small enough to be sent between processes.
+    """Result of a case without trajectories, so that processes can exchange it.
 
     Attributes:
-        run: results without trajectories; None after invalid input or the death of a
-            worker process.
+        run: results of the run, or None after invalid input or the death of a worker.
         errors: errors that stopped the run or one of its plants.
         wall_s: wall time, s.
     """
@@ -35,20 +34,20 @@ class CaseResult:
 
     @property
     def metrics(self) -> Mapping[str, Any]:
-        """Content of `metrics.json`; empty if the run is not complete."""
+        """Content of `metrics.json`, or an empty mapping if the run is incomplete."""
         if self.run is None:
             return {}
         return self.run.metrics
 
     @property
     def verdicts(self) -> Counter[str]:
-        """Number of expectations in each state (`scenario.expectation.verdict`)."""
+        """Number of expectations per state (see `scenario.expectation.verdict`)."""
         from srs_twin.scenario.expectation import verdict
 
         return Counter(map(verdict, self.metrics.get("expectations", ())))
 
     def exit_code(self, fails: Set[str]) -> int:
-        """Return the highest exit code of the errors and of expectations whose state is in `fails`."""
+        """Return the highest exit code of errors and expectations in states `fails`."""
         if fails & self.verdicts.keys():
             failed = EXPECTATION_FAILED
         else:
@@ -58,13 +57,13 @@ class CaseResult:
 
 @dataclass
 class Case:
-    """A scenario on the command line.
+    """Scenario that is given on the command line.
 
     Attributes:
-        source: name or path on the command line.
-        scenario: loaded scenario; None if it is invalid.
+        source: name or path as the user typed it.
+        scenario: loaded scenario, or None if it is invalid.
         folder: output folder.
-        result: result; None until the case is complete.
+        result: result, or None until the run is complete.
     """
 
     source: str
@@ -74,20 +73,20 @@ class Case:
 
     @property
     def name(self) -> str:
-        """Name of the scenario, or of its file if the scenario is invalid."""
+        """Name of the scenario, or the stem of the file name if it is invalid."""
         if self.scenario is None:
             return Path(self.source).stem
         return self.scenario.name
 
     @property
     def label(self) -> str:
-        """Name of the scenario with its overridden fields."""
+        """Name of the scenario, followed by the overridden fields."""
         if self.scenario is None:
             return self.name
         return self.scenario.label
 
     def document(self) -> Mapping[str, object]:
-        """Return the result as JSON data: `metrics.json` or the errors."""
+        """Return the content of `metrics.json`, or the errors, as JSON data."""
         result = self.result or CaseResult(None)
         if result.errors:
             return {

@@ -1,4 +1,4 @@
-"""`srs-twin list`, `show` and `schema`: shipped files, their contents, and JSON Schemas."""
+"""Commands `srs-twin list`, `show` and `schema`."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from srs_twin.extensions import SCHEMAS, installed, load, plugins, reading
 
 _KINDS = ("scenarios", "robots", "sweeps", "controllers", "metrics", "studies")
 _DEFAULT_KINDS = _KINDS[:-1]
-"""Keys of `--json` without an argument, part of the public interface."""
+"""Keys that `list --json` prints without an argument. They are a public interface."""
 
 _PRINTED_KINDS = ("scenarios", "robots", "sweeps", "studies", "controllers")
-"""Kinds that are printed without an argument."""
+"""Kinds that `list` prints without an argument."""
 
 _BEGINNING = {
     "gen2_straight": (
@@ -31,7 +31,7 @@ _BEGINNING = {
     "module_step_direct": "control the bend of one module",
     "sensor_up": "read a curvature sensor",
 }
-"""Scenarios to begin with, at most one per group, and what they show."""
+"""Scenarios for new users, at most one per group, with a description of each."""
 
 _GROUPS = {
     "crawl": r"(gen\d|skin)_(straight|climb)",
@@ -43,7 +43,7 @@ _GROUPS = {
     "touch and move objects": "(pegs|push|grasp)_.*",
     "three dimensions": "spatial_.*",
 }
-"""Title of a group of scenarios → pattern of their names."""
+"""Groups of scenarios: title → pattern of the names."""
 
 _FILE_KINDS = {
     "scenarios": "scenario",
@@ -57,10 +57,12 @@ def list_(
     kind: Annotated[str | None, argument("KIND")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """List scenarios, six to begin with, and all other names.
+    """List the shipped scenarios, robots, sweeps and controllers.
+
+    The list begins with six scenarios that introduce the program.
 
     Options:
-        kind: Kind: scenarios, robots, sweeps, controllers, metrics or studies.
+        kind: What to list: scenarios, robots, sweeps, controllers, metrics or studies.
             [default: all but metrics]
     """
     if kind is not None and kind not in _KINDS:
@@ -84,7 +86,6 @@ def list_(
 
 
 def _print_scenarios(rows: Sequence[Mapping[str, str]]) -> None:
-    """Print the scenarios to begin with, then all scenarios by group."""
     beginning = [{"name": name, "title": text} for name, text in _BEGINNING.items()]
     _print_rows(
         f"Scenarios to begin with ({launcher()}srs-twin compare NAME)", beginning
@@ -96,7 +97,7 @@ def _print_scenarios(rows: Sequence[Mapping[str, str]]) -> None:
 def scenario_groups(
     rows: Iterable[Mapping[str, str]],
 ) -> dict[str, list[Mapping[str, str]]]:
-    """Return title of a group → its scenarios; scenarios that fit no group are in "other"."""
+    """Return the scenarios of each group, by the title of the group."""
     groups: dict[str, list[Mapping[str, str]]] = {}
     for row in rows:
         titles = (
@@ -109,7 +110,6 @@ def scenario_groups(
 
 
 def _print_rows(heading: str, rows: Sequence[Mapping[str, str]]) -> None:
-    """Print rows below a heading, the last column wrapped."""
     cells = [[*row.values()] for row in rows]
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)][:-1]
     print(heading)
@@ -126,7 +126,6 @@ def _print_rows(heading: str, rows: Sequence[Mapping[str, str]]) -> None:
 
 
 def _rows(kind: str) -> Iterator[dict[str, str]]:
-    """Yield name and description of each object of a kind."""
     from srs_twin.io.documents import load_yaml
     from srs_twin.io.files import find_file, shipped_names
 
@@ -151,13 +150,14 @@ def show(
     name: Annotated[str, argument("NAME", shipped=["scenario", "robot"])],
     as_json: JsonOption = False,
 ) -> None:
-    """Show a scenario or robot with all sources, or a page.
+    """Show a scenario, a robot or a page of the documentation.
 
-    Default values are included. Pages are those of the documentation.
+    The values of a scenario or robot are printed with their units and sources,
+    including the default values.
 
     Options:
-        name: Shipped scenario or robot, a scenario or robot file, or a page such as
-            docs/planar-models.md.
+        name: Name of a shipped scenario or robot, path of a scenario or robot file, or
+            a page of the documentation such as docs/models.md.
     """
     page = name.partition("#")[0]
     if page.endswith(".md"):
@@ -195,7 +195,6 @@ def show(
 
 
 def _resolved(name: str) -> dict[str, Any]:
-    """Return the JSON data of a scenario or robot with all defaults."""
     from srs_twin.robot.file import load_robot_file
     from srs_twin.scenario.loading import load_scenario
 
@@ -206,10 +205,10 @@ def _resolved(name: str) -> dict[str, Any]:
 
 
 def is_robot(name: str) -> bool:
-    """Return whether a shipped name or the path of a file refers to a robot, not to a scenario.
+    """Return whether a name or path refers to a robot rather than to a scenario.
 
     Raises:
-        InputError: there is no such name or file.
+        InputError: no shipped file has this name, or the file does not exist.
     """
     from srs_twin.io.documents import load_yaml
     from srs_twin.io.files import require_file, shipped_names
@@ -231,7 +230,10 @@ def is_robot(name: str) -> bool:
 def _leaves(
     data: Any, loc: tuple[str | int, ...] = ()
 ) -> Iterator[tuple[tuple[str | int, ...], Any]]:
-    """Yield path and value of each leaf; a value with unit and source counts as one leaf."""
+    """Yield the path and the value of each leaf of nested data.
+
+    A value that has a unit and a source counts as one leaf.
+    """
     is_block = isinstance(data, Mapping) and "unit" not in data
     if is_block or (
         isinstance(data, list) and any(isinstance(item, Mapping) for item in data)
@@ -254,7 +256,7 @@ def schema(
     """Print the JSON Schema of an input file or output document.
 
     Options:
-        kind: Kind of document: scenario, sweep, study, setup or inspect.
+        kind: Kind of the described document: scenario, sweep, study, setup or inspect.
     """
     schemas = {"scenario": "srs_twin.scenario:scenario_json_schema"} | installed(
         SCHEMAS

@@ -1,4 +1,4 @@
-"""Output of commands: messages and progress on stderr, tables on stdout."""
+"""Console output of commands: messages and progress on stderr, tables on stdout."""
 
 from __future__ import annotations
 
@@ -34,21 +34,21 @@ _HINT = re.compile(r"(`(?:\w+=\w+ )?)(srs-twin )")
 
 
 def launcher() -> str:
-    """Return what the user typed in front of `srs-twin`: "uv run ", "uvx " or nothing."""
+    """Return "uv run " or "uvx " if the user typed it in front of `srs-twin`."""
     if "UV_RUN_RECURSION_DEPTH" in os.environ:  # set by `uv run`
         return "uv run "
-    # `uvx` sets only UV, which a user may set as well; its environments are in uv's
-    # archive.
+    # `uvx` sets only the variable UV, which a user may also set. The environments of
+    # `uvx` are in uv's archive folder.
     if "UV" in os.environ and "archive-v" in sys.prefix:
         return "uvx "
     return ""
 
 
 def as_started(text: str) -> str:
-    """Return a message whose commands in backticks begin as this command was started.
+    """Adapt the commands in a message to the way in which the program was started.
 
-    In an installed wheel, the pages of the documentation become commands that print
-    them.
+    Commands in backticks get the prefix "uv run " or "uvx " if the user typed it. In an
+    installed wheel, a page of the documentation becomes the command that prints it.
     """
     if data_root().name == "_data":
         text = _PAGE.sub(r"`srs-twin show \g<0>`", text)
@@ -56,10 +56,7 @@ def as_started(text: str) -> str:
 
 
 def say(*lines: str, quiet: bool = False) -> None:
-    """Print lines on stderr without buffering, control characters escaped; print nothing if `quiet`.
-
-    Commands in backticks are printed as this command was started; see `as_started`.
-    """
+    """Print lines on stderr unless `quiet` is set, after `as_started`."""
     for line in () if quiet else lines:
         print(
             escape_unprintable(as_started(line), keep="\n\t"),
@@ -71,7 +68,7 @@ def say(*lines: str, quiet: bool = False) -> None:
 def handle_signals(
     handler: Callable[[int, FrameType | None], object], *signals: int
 ) -> None:
-    """Install a handler for signals, except for those that the caller ignores, as `nohup` ignores SIGHUP."""
+    """Install a handler for signals, except for signals that the caller ignores."""
     for number in signals:
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, handler)
@@ -79,13 +76,9 @@ def handle_signals(
 
 @contextmanager
 def interruptible(message: Callable[[], str] | str = "") -> Iterator[None]:
-    """Exit with `INTERRUPTED` on Ctrl-C or SIGTERM, after a message about the saved work.
-
-    Args:
-        message: the message; by default the notes of the interrupt.
-    """
-    # Pipelines cancel jobs with SIGTERM. A signal that the caller ignores stays
-    # ignored.
+    """Exit with code `INTERRUPTED` on Ctrl-C or SIGTERM, after printing a message."""
+    # CI pipelines cancel jobs with SIGTERM. If the caller ignores the signal, it
+    # remains ignored.
     handled = threading.current_thread() is threading.main_thread()
     handled = handled and signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
     if handled:
@@ -108,7 +101,10 @@ def interruptible(message: Callable[[], str] | str = "") -> Iterator[None]:
 
 
 def console() -> Console:
-    """Return a rich console on stdout without markup, control characters escaped."""
+    """Return a rich console on stdout that ignores markup.
+
+    Control characters are escaped.
+    """
     import rich.console
 
     class Plain(rich.console.Console):
@@ -125,10 +121,7 @@ def new_table(
 ) -> Table:
     """Return an empty table whose columns do not wrap.
 
-    Args:
-        headings: column headings.
-        left: indices of the left-aligned columns; all other columns are right-aligned.
-        title: heading of the table.
+    All columns are right-aligned, except for those whose indices are in `left`.
     """
     from rich import box
     from rich.table import Table
@@ -153,10 +146,10 @@ def show_traceback(error: Exception) -> None:
 
 
 DISPLAY_DELAY_S = 2.0
-"""Shortest duration after which progress is displayed, s."""
+"""Duration of a task from which its progress is displayed, s."""
 
 LINE_INTERVAL_S = 10.0
-"""Interval between two lines, s."""
+"""Interval between two progress lines if stderr is not a terminal, s."""
 
 
 class Display(ABC):
@@ -164,7 +157,7 @@ class Display(ABC):
 
     Attributes:
         title: name of the task.
-        first_line_s: earliest time of the first line, s.
+        first_line_s: time of the first progress line, s.
     """
 
     first_line_s = LINE_INTERVAL_S
@@ -185,11 +178,9 @@ class Display(ABC):
             self._progress.stop()
 
     def _elapsed(self) -> float:
-        """Return the time since the start, s."""
         return time.monotonic() - self._start
 
     def _show(self, *, now: bool = False) -> None:
-        """Update the bar, or print a line if one is due or wanted `now`."""
         elapsed = self._elapsed()
         if self._quiet or (elapsed < DISPLAY_DELAY_S and not now):
             return
@@ -205,10 +196,10 @@ class Display(ABC):
 
     @abstractmethod
     def _bar(self) -> tuple[str, float | None, str]:
-        """Return the title, the completed fraction (0 to 1; None: unknown) and the status text of a bar."""
+        """Return the title, the completed fraction and the status of the bar."""
 
     def _draw(self) -> None:
-        """Draw the bar; rich is imported only here because its import takes as long as a short run."""
+        # The import of rich takes as long as a short run.
         from rich.console import Console
         from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -230,7 +221,7 @@ class Display(ABC):
 
 
 class RunCounter(Display):
-    """Progress of a number of runs; called once per completed run.
+    """Progress of several runs, called once per completed run.
 
     Attributes:
         total: number of runs.
@@ -244,7 +235,6 @@ class RunCounter(Display):
         quiet: bool = False,
         status: Callable[[], str] = str,
     ) -> None:
-        """Create a counter; `status` returns additional text for each update."""
         super().__init__(title, quiet=quiet)
         self.total = total
         self._status = status
@@ -260,12 +250,12 @@ class RunCounter(Display):
         self._show()
 
     def count(self, done: int, total: int) -> None:
-        """Count a completed run of a `total` that is known only now."""
+        """Count a completed run, and set the total number of runs."""
         self.total = total
         self(failed=False)
 
     def follow(self, title: str, total: int, row: Any) -> None:
-        """Show the runs of a part of a study, see `studies.sweep.execution.Progress`."""
+        """Show the progress of one part of a study."""
         if row is None:
             self.title = title
             self.total = total
@@ -283,7 +273,7 @@ class RunCounter(Display):
             self._progress.start()
 
     def _rate(self) -> float:
-        """Return the runs per second; after two complete runs, without the start-up time of the workers."""
+        """Return the runs per second, without the start-up time of the workers."""
         if self._done < 2:
             return self._done / max(self._elapsed(), 1e-3)
         return (self._done - 1) / max(self._elapsed() - self._first_done_s, 1e-3)
@@ -332,7 +322,10 @@ class ScenarioProgress(Display):
     def __call__(
         self, stage: str, fraction: float, remaining_s: float | None = None
     ) -> None:
-        """Update the completed fraction of a stage, 0 to 1; show a stage that is estimated to be long."""
+        """Update the completed fraction (0 to 1) of a stage.
+
+        The start of a stage that is expected to take long is shown at once.
+        """
         is_new = stage != self._stage
         self._stage = stage
         self._fraction = fraction

@@ -1,4 +1,4 @@
-"""`srs-twin diff`: comparison of two sets of results."""
+"""Command `srs-twin diff`, which compares two sets of results."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ EXIT_DIFFERENT = 1
 """Exit code if a value differs by more than its tolerance."""
 
 _MAX_ROWS = 40
-"""Largest number of rows of the printed tables."""
+"""Maximum number of rows in all printed tables together."""
 
 
 def diff(
@@ -35,16 +35,17 @@ def diff(
     """Compare two sets of results value by value.
 
     The exit code is 1 if a value differs by more than its tolerance. A and B are
-    results of `run`, `compare`, `replay`, `sweep` or `reproduce`: metrics.json,
-    results.parquet, reproduce.json, or folders of such files.
+    results of `run`, `compare`, `replay`, `sweep` or `reproduce`. Each is a file
+    (metrics.json, results.parquet or reproduce.json) or a folder of such files.
 
     Options:
-        a: Reference results: a folder or a file.
-        b: Results to compare with the reference.
-        --rel NUMBER: Relative tolerance of all metrics. [default: 1e-6]
-        --abs NUMBER: Absolute tolerance of all metrics. [default: 1e-9]
-        --tolerances FILE: YAML file with tolerances per metric (see docs/ci.md).
-        --junit FILE: Write a JUnit XML report of the differences.
+        a: Folder or file with the reference results.
+        b: Folder or file with the results to compare with the reference.
+        --rel NUMBER: Relative tolerance for all metrics. [default: 1e-6]
+        --abs NUMBER: Absolute tolerance for all metrics. [default: 1e-9]
+        --tolerances FILE: YAML file that sets tolerances for individual metrics (see
+            docs/ci.md).
+        --junit FILE: Write the differences to this file as a JUnit XML report.
     """
     from srs_twin.comparison.diff import (
         Tolerances,
@@ -79,7 +80,6 @@ def diff(
 
 
 def _show(difference: Difference) -> None:
-    """Print one table per run and plant with values that differ, at most `_MAX_ROWS` rows in all."""
     tables: dict[str, Table] = {}
     for change in difference.moved[:_MAX_ROWS]:
         plant, dot, metric = change.metric.rpartition(".")
@@ -97,7 +97,10 @@ def _show(difference: Difference) -> None:
 
 
 def _cells(change: ChangedValue) -> list[str]:
-    """Return both values with enough digits to differ, their difference, and its per cent of a."""
+    """Return a, b, b − a, and this difference in per cent of a.
+
+    Both values are printed with enough digits to show the difference.
+    """
     from srs_twin.comparison.diff import tolerance_names
     from srs_twin.comparison.sampling import is_near_zero, split_unit
 
@@ -123,7 +126,6 @@ def _text(value: Leaf, digits: int = 9) -> str:
 
 
 def _test_cases(difference: Difference) -> Iterator[TestCase]:
-    """Yield one test case per compared run or row; it fails if a value differs."""
     for where in difference.wheres:
         lines = [
             f"{m.metric}: {_text(m.a)} → {_text(m.b)}"

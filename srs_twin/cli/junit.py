@@ -1,4 +1,4 @@
-"""Results as JUnit XML for GitHub, GitLab and Jenkins: one test suite per scenario."""
+"""Reports in JUnit XML with one test suite per scenario."""
 
 from __future__ import annotations
 
@@ -18,17 +18,18 @@ if TYPE_CHECKING:
     from srs_twin.scenario.expectation import ExpectationRow
 
 _OUTCOMES = {"failures": "failure", "errors": "error", "skipped": "skipped"}
-# Characters outside XML 1.0: control characters, and the surrogates of file names that
-# are not UTF-8.
+# XML 1.0 excludes control characters and surrogates. Surrogates represent bytes of file
+# names that are not UTF-8.
 _INVALID_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 def report_path(name: str) -> Path:
     """Return the path of a report.
 
+    The suffix is checked, so that a mistyped command cannot overwrite a scenario file.
+
     Raises:
-        InputError: the name does not end in .xml; the check prevents overwriting a
-            scenario file by mistake.
+        InputError: the name does not end in .xml.
     """
     path = Path(name)
     if path.suffix.lower() != ".xml":
@@ -40,13 +41,13 @@ class TestCase(NamedTuple):
     """Test case of a report.
 
     Attributes:
-        classname: group of the test case, e.g. the scenario.
+        classname: group of the test case, for example the scenario.
         name: name of the test case.
-        wall_s: duration, s.
-        outcome: "failure", "error" or "skipped"; empty: passed.
-        message: reason of the outcome in one line.
-        kind: type of the failure or error.
-        text: full description of the failure or error.
+        wall_s: wall time, s.
+        outcome: "failure", "error" or "skipped", or an empty string for a passed test.
+        message: reason for the outcome.
+        kind: type of the failure.
+        text: full description.
     """
 
     classname: str
@@ -64,9 +65,9 @@ def write_report(
     """Write a report atomically.
 
     Args:
-        path: file; an existing file is replaced.
+        path: path of the report.
         name: name of the report.
-        suites: name and test cases of each suite.
+        suites: names and test cases of the suites.
 
     Raises:
         InputError: the file cannot be written.
@@ -99,16 +100,16 @@ def write_report(
 def write_junit(
     path: Path, cases: Sequence[Case], fails: Set[str] = frozenset()
 ) -> None:
-    """Write a report with one suite per scenario, and test cases for its run and its expectations.
+    """Write a report with one suite per scenario.
 
-    A missed expectation is a failure; a divergence, invalid input or a dead worker
-    process is an error of the test case ``runs``. Expectations that were not reached,
-    are not judged or are known to be missed are skipped.
+    A suite contains the test case ``runs`` for the simulation and one test case per
+    expectation. A divergence, invalid input or a dead worker process is an error of
+    ``runs``. An expectation is skipped if it cannot be judged or is known to be missed.
 
     Args:
-        path: file; an existing file is replaced.
-        cases: scenarios, complete or not.
-        fails: states of expectations that are failures, in addition to "missed".
+        path: path of the report.
+        cases: scenarios.
+        fails: states of expectations that count as failures, in addition to "missed".
 
     Raises:
         InputError: the file cannot be written.
@@ -150,7 +151,6 @@ def _test_cases(case: Case, fails: Set[str]) -> Iterator[TestCase]:
 
 
 def _add_outcome(test: TestCase, row: ExpectationRow, fails: Set[str]) -> TestCase:
-    """Return the test case of an expectation with its outcome."""
     from srs_twin.scenario.expectation import result_text, verdict
 
     state = verdict(row)
@@ -178,5 +178,4 @@ def _add_outcome(test: TestCase, row: ExpectationRow, fails: Set[str]) -> TestCa
 
 
 def _escape(text: str) -> str:
-    """Return a text in which escapes replace the characters that XML does not allow."""
     return _INVALID_XML.sub(lambda match: ascii(match[0])[1:-1], text)

@@ -1,4 +1,4 @@
-"""`srs-twin models`: export of robots as MJCF."""
+"""Command `srs-twin models`, which exports robots as MJCF models."""
 
 from __future__ import annotations
 
@@ -28,18 +28,21 @@ def export(
     pressure: Annotated[float, Bounds(0.0, 2000.0)] = 0.0,
     linear: bool = False,
 ) -> None:
-    """Write robots as MJCF, one folder per robot.
+    """Write MJCF models of robots, one folder per robot.
 
-    Lines on stderr name what the files lack or approximate.
+    For each robot, the command prints on stderr what the MJCF files omit or
+    approximate.
 
     Options:
-        names: Robots on wheels, or their files; default all.
-        --out DIR: Output folder; each robot gets a subfolder.
-        --contact NAME: Contact model; MJCF files support only `preloaded`.
-        --pressure KPA: Highest pressure of the controls, kPa; at least the limits of
-            the robot are used.
-        --linear: Export robots with a dead zone for controls that you convert
-            (models/README.md).
+        names: Names of shipped robots with wheels, or paths of robot files. [default:
+            all shipped robots with wheels]
+        --out DIR: Output folder, in which each robot gets a subfolder.
+        --contact NAME: Contact model of the wheels. MJCF files support only
+            `preloaded`.
+        --pressure KPA: Maximum pressure of the actuator controls in kPa. The limit is
+            never lower than the pressure limit of the robot.
+        --linear: Export a robot with a dead zone as a model with linear actuators. You
+            must then convert the pressures to controls (models/README.md).
     """
     from srs_twin.cli.console import say
     from srs_twin.io.files import check_output_folder, escape_unprintable
@@ -88,7 +91,7 @@ def check() -> None:
 
 
 def _exportable_robots() -> list[str]:
-    """Return the shipped robots on wheels: MJCF has no friction law for a skin."""
+    """Return the shipped robots with wheels, because MJCF has no friction of skin."""
     from srs_twin.io.files import shipped_names
     from srs_twin.robot.file import load_robot
 

@@ -1,4 +1,4 @@
-"""`srs-twin new`: new files from commented templates."""
+"""Command `srs-twin new`, which writes files from commented templates."""
 
 from __future__ import annotations
 
@@ -27,33 +27,40 @@ app = typer.Typer(
 )
 
 NameArgument = Annotated[
-    str, argument("NAME", "Name of the file: letters, digits and _.")
+    str,
+    argument("NAME", "Name of the new file, made of lower-case letters, digits and _."),
 ]
 OutOption = Annotated[
-    str | None, option("--out FILE", "Output file. [default: NAME.yaml, NAME.py]")
+    str | None,
+    option("--out FILE", "Path of the new file. [default: NAME.yaml, NAME.py]"),
 ]
 
-# Generation 2, the basis for scaling.
+# Values of generation 2, from which new robots are scaled.
 _PITCH_M = 0.055
 """Distance between connectors, m."""
 
 _MASS_KG = 0.15
 _PRESSURE_KPA = 48.3
 _AIR_ML = 45.0
-"""Growth of the volume of a chamber up to the full bend, ml."""
+"""Increase of the volume of a chamber from the straight to the full bend, ml."""
 
 _BEND_RAD = 1.57
 """Default bend of a segment at the supply pressure, rad."""
 
 _SERVO_BEND_RAD = 0.6
-"""Default largest angle of a servo joint, rad."""
+"""Default maximum angle of a servo joint, rad."""
 
 _JOINT_SHARE = 1 / 15
-"""Share of a servo joint in the distance between joints; the rest is a rigid link."""
+"""Length of a servo joint as a fraction of the distance between joints.
+
+The remaining length is a rigid link.
+"""
 
 _SERVO_PLANE_RATIO = 0.1
-"""Default stiffness of a servo joint in pitch and roll, over weight times body length,
-1."""
+"""Default stiffness of a servo joint in pitch and roll (dimensionless).
+
+The stiffness is divided by the product of weight and body length.
+"""
 
 _SUFFIXES = {".yaml": ".yaml", ".txt": ".py"}
 """Suffix of a template → suffix of the file."""
@@ -64,14 +71,15 @@ class RobotOptions:
     """Size and kind of a robot.
 
     Options:
-        --length M: Body length, m. [default: generation 2]
-        --mass KG: Mass of the whole robot, kg. [default: scaled from generation 2]
-        --segments N: Number of segments. [default: generation 2]
-        --pressure KPA: Supply pressure (gauge), kPa. [default: generation 2]
-        --bend RAD: Bend of one segment at the supply pressure, or of a joint, rad.
-            [default: 1.57; joints 0.6]
-        --skin: A body that slides on its belly, without wheels.
-        --servo: Rigid links with servo joints, without air.
+        --length M: Body length in metres. [default: generation 2]
+        --mass KG: Mass of the whole robot in kg. [default: scaled from generation 2]
+        --segments N: Number of bending segments. [default: generation 2]
+        --pressure KPA: Supply pressure (gauge) in kPa. [default: generation 2]
+        --bend RAD: Bend of one segment at the supply pressure, or maximum angle of a
+            servo joint, in rad. [default: 1.57; joints 0.6]
+        --skin: Write a robot without wheels, which slides on its belly.
+        --servo: Write a robot with rigid links and servo joints instead of air
+            chambers.
     """
 
     length: float | None = None
@@ -83,10 +91,11 @@ class RobotOptions:
     servo: bool = False
 
     def ask(self) -> RobotSize:
-        """Return the size of the robot; prompt for values that no option sets.
+        """Return the size of the robot, and prompt for values that no option sets.
 
         Raises:
-            InputError: a value is not allowed.
+            InputError: a value is not positive, or a robot with servos has a supply
+                pressure.
         """
         count = int(_answer("number of segments", self.segments, 4))
         length = _answer("body length, m", self.length, 4 * _PITCH_M)
@@ -100,7 +109,8 @@ class RobotOptions:
             bend = _answer("largest angle of a joint, rad", self.bend, _SERVO_BEND_RAD)
         else:
             raise InputError(
-                "a robot with servos has no supply; remove --pressure or --servo"
+                "a robot with servos has no supply pressure; remove --pressure or"
+                " --servo"
             )
         size = RobotSize(count, length, mass, supply, bend)
         for name, number in size._asdict().items():
@@ -112,14 +122,14 @@ class RobotOptions:
 
 
 class RobotSize(NamedTuple):
-    """Size of a robot; names are those of the options.
+    """Size of a robot. The attributes are named after the options of the command.
 
     Attributes:
         segments: number of segments.
         length: body length, m.
         mass: mass, kg.
-        pressure: supply pressure, gauge, kPa.
-        bend: largest bend of a segment, rad.
+        pressure: supply pressure (gauge), kPa.
+        bend: maximum bend, rad.
     """
 
     segments: int
@@ -129,7 +139,11 @@ class RobotSize(NamedTuple):
     bend: float
 
     def doubts(self) -> list[str]:
-        """Return which options differ from a scaled generation 2 so much that their unit is in doubt."""
+        """Return a message for each value whose unit is in doubt.
+
+        The unit is in doubt if the value differs by a large factor from the value of
+        generation 2 scaled to this size.
+        """
         from srs_twin.robot.plausibility import likely_unit
 
         length = self.segments * _PITCH_M
@@ -159,7 +173,7 @@ _PLAUSIBLE = {
     "pressure": ("kPa", 1 / 6, 20.0),
     "bend": ("rad", 0.0, 4.0),
 }
-"""Option → unit, and plausible multiples of the value of a scaled generation 2."""
+"""Option → unit, and plausible range of its ratio to a scaled generation 2."""
 
 
 def _default_mass(segments: int, length: float) -> float:
@@ -173,9 +187,9 @@ _DEFAULT_ROBOT = RobotOptions()
 def robot(
     name: NameArgument, options: RobotOptions = _DEFAULT_ROBOT, out: OutOption = None
 ) -> None:
-    """Write a robot file, scaled from generation 2.
+    """Write a robot file with values scaled from generation 2.
 
-    On a terminal, the command prompts for values that no option sets.
+    On a terminal, the command asks for each value that no option sets.
     """
     size = options.ask()
     from srs_twin.robot.file import load_robot
@@ -212,11 +226,10 @@ _SERVO_SOURCES = {
     "plane_interval": "assumption",
     "plane_damping": "assumption",
 }
-"""Sources of the values of a robot with chambers, and of one with servos."""
+"""Sources of the values of a robot with servo joints."""
 
 
 def _robot_values(size: RobotSize, *, servo: bool) -> dict[str, Any]:
-    """Return the values of the templates of robots."""
     from srs_twin.robot.spec import GRAVITY
 
     count, length, mass, supply, bend = size
@@ -262,12 +275,12 @@ def scenario(
     duration: float = 5.0,
     out: OutOption = None,
 ) -> None:
-    """Write a scenario file: a robot, a gait and expectations.
+    """Write a scenario file with a robot, a gait and expectations.
 
     Options:
-        --robot -r ROBOT: Shipped robot or robot file.
-        --frequency HZ: Gait frequency, Hz.
-        --duration S: Simulated time, s.
+        --robot -r ROBOT: Name of a shipped robot, or path of a robot file.
+        --frequency HZ: Frequency of the gait in Hz.
+        --duration S: Simulated time in seconds.
     """
     title = f"{name}: straight at {frequency:g} Hz"
     from srs_twin.scenario.loading import load_scenario
@@ -286,10 +299,10 @@ def study(
     scenario: str = "gen2_straight",
     out: OutOption = None,
 ) -> None:
-    """Write a study file: the fastest gait of a scenario.
+    """Write a study file that finds the fastest gait of a scenario.
 
     Options:
-        --scenario SCENARIO: Shipped scenario or scenario file.
+        --scenario SCENARIO: Name of a shipped scenario, or path of a scenario file.
     """
     check = load(LOADERS["study"])
     title = f"{name}: fastest gait"
@@ -300,7 +313,7 @@ def study(
 
 
 def controller(name: NameArgument, out: OutOption = None) -> None:
-    """Write a controller in Python, and a scenario that runs it."""
+    """Write a controller in Python and a scenario that uses it."""
     from srs_twin.scenario.loading import load_scenario
 
     cls = "".join(part.capitalize() for part in name.split("_"))
@@ -331,7 +344,7 @@ for _command in (robot, scenario, controller, study):
 
 
 def _answer(question: str, value: float | None, default: float) -> float:
-    """Return a given option, otherwise the user's answer, or the default without a terminal."""
+    """Return an option, or the user's answer, or the default without a terminal."""
     if value is not None:
         return value
     if not sys.stdin.isatty():
@@ -348,18 +361,20 @@ def _write(
     doubts: Sequence[str] = (),
     **values: Any,
 ) -> Path:
-    """Write a file from a template and check it; remove the file if the check fails.
+    """Write a file from a template, and remove the file if the check fails.
 
-    If there are `doubts`, they are the reasons of the failure.
+    If there are `doubts`, the error states them, because they are the likely cause.
     """
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
         raise InputError(
-            f"{name!r} is not allowed as a name: use letters a to z, digits and _, a"
-            " letter first"
+            f"{name!r} is not allowed as a name; use lower-case letters, digits and _,"
+            " and begin with a letter"
         )
     path = Path(out or f"{name}{_SUFFIXES[Path(template).suffix]}")
     if path.exists():
-        raise InputError(f"{path} exists; use another name or --out")
+        raise InputError(
+            f"{path} already exists; use another name, or another file with --out"
+        )
     from srs_twin.io.files import write_text
 
     write_text(path, _filled(template, {"name": name, "file": path, **values}))
@@ -368,7 +383,7 @@ def _write(
     except BaseException as error:
         path.unlink(missing_ok=True)
         if isinstance(error, InputFileError):
-            # Do not name lines of a file that was removed.
+            # The file was removed, so the positions in it would mean nothing.
             place = re.compile(rf"{re.escape(str(path))}[\d:]*: ")
             raise InputError(
                 "\n".join(doubts or [place.sub("", line) for line in error.lines])
@@ -378,7 +393,6 @@ def _write(
 
 
 def _filled(template: str, values: dict[str, Any]) -> str:
-    """Return the text of a template with its values."""
     text = files("srs_twin.cli").joinpath("templates", template).read_text("utf-8")
     texts = {
         key: f"{value:.4g}" if isinstance(value, float) else value

@@ -1,4 +1,4 @@
-"""Options shared by several commands, and dataclasses that group options of a command."""
+"""Options that several commands share, and groups of options as dataclasses."""
 
 from __future__ import annotations
 
@@ -22,10 +22,9 @@ def option(declaration: str, text: str | None = None, **settings: Any) -> Any:
     """Return an option of a command.
 
     Args:
-        declaration: flags and value as the help shows them, "--robot -r ROBOT"; without
-            a value for a switch, "--check".
-        text: help text; default: taken from the docstring, see `expand_option_groups`.
-        settings: further settings of `typer.Option`.
+        declaration: flags and name of the value, such as "--robot -r ROBOT".
+        text: help text, by default from the docstring (see `expand_option_groups`).
+        settings: additional arguments of `typer.Option`.
     """
     words = declaration.split()
     flags = [word for word in words if word.startswith("-")]
@@ -34,7 +33,10 @@ def option(declaration: str, text: str | None = None, **settings: Any) -> Any:
 
 
 class Bounds(NamedTuple):
-    """Smallest and largest value of an option that a docstring declares, see `expand_option_groups`."""
+    """Minimum and maximum of an option that is declared in a docstring.
+
+    See `expand_option_groups`.
+    """
 
     min: float | None = None
     max: float | None = None
@@ -46,10 +48,9 @@ def argument(
     """Return an argument of a command.
 
     Args:
-        metavar: name of the argument in the help.
+        metavar: name of the argument.
         text: help text, as in `option`.
-        shipped: kinds of shipped files whose names complete the argument in a shell:
-            "scenario", "robot", "sweep".
+        shipped: kinds of shipped files whose names a shell offers as completions.
     """
 
     def complete(incomplete: str) -> list[str]:
@@ -70,7 +71,8 @@ def jobs_option(declaration: str) -> Any:
     """Return the option for the number of parallel runs."""
     return option(
         declaration,
-        "Number of parallel runs; 1: sequential. [default: one per processor]",
+        "Number of runs that are executed in parallel. With 1, they run one after"
+        " another. [default: one per processor]",
         min=1,
         max=4096,
     )
@@ -78,44 +80,60 @@ def jobs_option(declaration: str) -> Any:
 
 ScenarioArgument = Annotated[
     str,
-    argument("SCENARIO", "Shipped scenario or scenario file.", shipped=["scenario"]),
+    argument(
+        "SCENARIO",
+        "Name of a shipped scenario, or path of a scenario file.",
+        shipped=["scenario"],
+    ),
 ]
 RobotArgument = Annotated[
-    str, argument("ROBOT", "Shipped robot or robot file.", shipped=["robot"])
+    str,
+    argument(
+        "ROBOT", "Name of a shipped robot, or path of a robot file.", shipped=["robot"]
+    ),
 ]
 OneOutOption = Annotated[
-    str | None, option("--out DIR", "Output folder. [default: runs/SCENARIO]")
+    str | None,
+    option("--out DIR", "Folder for the output files. [default: runs/SCENARIO]"),
 ]
-CheckOption = Annotated[
-    bool, option("--check", "Exit with code 1 if an expectation is missed.")
-]
-_STRICT = "Like --check, but expectations marked `known` or not judged also fail."
+_CHECK = "Exit with code 1 if a result lies outside its expected range."
+CheckOption = Annotated[bool, option("--check", _CHECK)]
+_STRICT = (
+    "Like --check, but also exit with code 1 if an expectation cannot be judged or is"
+    " marked as a known deviation (`known`)."
+)
 StrictOption = Annotated[bool, option("--strict", _STRICT)]
 QuietOption = Annotated[
-    bool, option("--quiet -q", "Print errors only, no table and no progress.")
+    bool, option("--quiet -q", "Print only errors, without tables and progress.")
 ]
 JobsOption = Annotated[int | None, jobs_option("--jobs -j N")]
 JsonOption = Annotated[
-    bool, option("--json", "Print one JSON document instead of tables.")
+    bool, option("--json", "Print the result as a JSON document instead of tables.")
 ]
 _PLUGIN = (
-    f"Python file whose classes the files may name (repeatable; or set {PLUGINS})."
+    "Python file with classes that the input files use, such as a controller. Can be"
+    f" repeated. The environment variable {PLUGINS} can list such files instead."
 )
 PluginOption = Annotated[list[str] | None, option("--plugin FILE.py", _PLUGIN)]
-OverwriteOption = Annotated[bool, option("--overwrite", "Replace an existing file.")]
+OverwriteOption = Annotated[
+    bool, option("--overwrite", "Replace the output file if it already exists.")
+]
 
-_PRESSURE = "Supply pressure, kPa. [default: the robot's]"
+_PRESSURE = "Supply pressure (gauge) in kPa. [default: from the robot file]"
 PressureOption = Annotated[float | None, option("--pressure KPA", _PRESSURE)]
-_FRICTION = "Friction law of the analytical plant. [default: wheel]"
+_FRICTION = (
+    "Friction law of the analytical model: axis, wheel, ellipse, cosine or viscous."
+    " [default: wheel]"
+)
 FloorOption = Annotated[str | None, option("--law NAME", _FRICTION)]
 
 
 def print_json(document: Any) -> None:
-    """Print a JSON document on stdout; NumPy numbers and arrays become Python numbers and lists."""
+    """Print a JSON document on stdout, with NumPy arrays as lists."""
     import json
 
-    # Write ASCII only: names from foreign files may contain control characters that a
-    # terminal would execute.
+    # The output is pure ASCII, because names from foreign files may contain control
+    # characters that a terminal would execute.
     typer.echo(
         json.dumps(
             document, indent=2, allow_nan=False, default=lambda value: value.tolist()
@@ -124,7 +142,7 @@ def print_json(document: Any) -> None:
 
 
 def parse_plants(text: str | None) -> list[str] | None:
-    """Return the plants named by `--plants`, in a fixed order; None if the option was not given."""
+    """Return the plants that `--plants` names, or None if the option is not given."""
     plants = ("analytical", "twin")
     names = [name.strip() for name in text.split(",")] if text else []
     for name in names:
@@ -137,10 +155,10 @@ class ChangeOptions:
     """Options that override fields of a scenario.
 
     Options:
-        --set FIELD=VALUE: Override a scenario field, e.g. controller.frequency_hz=1.5
-            (repeatable).
-        --duration S: Simulated time, s.
-        --seed N: Random seed.
+        --set FIELD=VALUE: Override one field of the scenario, for example
+            controller.frequency_hz=1.5. Can be repeated.
+        --duration S: Override the duration of the simulation, in seconds.
+        --seed N: Override the seed of the random number generator.
     """
 
     set: list[str] | None = None
@@ -159,7 +177,7 @@ class ChangeOptions:
         for text in self.set or ():
             field, sign, value = text.partition("=")
             if not sign:
-                field = ""  # refused
+                field = ""  # Override.parse rejects an empty field
             changes.append(Override.parse(f"--set {text}", field.strip(), value))
         for name, field in (("duration", "duration_s"), ("seed", "seed")):
             value = getattr(self, name)
@@ -174,16 +192,17 @@ NO_CHANGES = ChangeOptions()
 def expand_option_groups(
     command: Callable[..., None], *, plugins: bool = False
 ) -> Callable[..., None]:
-    """Return a command in the form that typer expects, with all options and help texts.
+    """Return a command in the form that typer expects, with options and help texts.
 
-    With `plugins`, the command has the option ``--plugin``: its files may name parts
-    from outside.
-
-    Typer supports neither groups of options nor options in docstrings. A parameter
-    whose type is a dataclass is therefore replaced by the fields of the dataclass. The
+    Typer supports neither groups of options nor options in docstrings. This function
+    replaces a parameter whose type is a dataclass by the fields of the dataclass. The
     section "Options:" in the docstring of the command or of the dataclass declares the
-    options, "--out DIR: Output folder." for the parameter `out`. A parameter that is
-    annotated with `option` or `argument` only has its help text there, by its name.
+    options, such as "--out DIR: Output folder." for the parameter `out`. It contains
+    only the name and the help text of a parameter that has its own annotation.
+
+    Args:
+        command: function that implements the command.
+        plugins: whether to add the option ``--plugin``.
     """
     description, options = _parse_docstring(command)
     hints = get_type_hints(command, include_extras=True)
@@ -227,7 +246,6 @@ def expand_option_groups(
 
 
 def _with_option(annotation: Any, declaration: str, text: str) -> Any:
-    """Return the annotation of a parameter with its option, or with the help text of its option."""
     (info,) = getattr(annotation, "__metadata__", (None,))
     if declaration.startswith("-"):
         settings = info._asdict() if info else {}
@@ -238,7 +256,10 @@ def _with_option(annotation: Any, declaration: str, text: str) -> Any:
 
 
 def _parse_docstring(documented: object) -> tuple[str, dict[str, tuple[str, str]]]:
-    """Return a docstring without its section "Options:", and parameter → declaration and help text."""
+    """Split a docstring into the description and the section "Options:".
+
+    The section is returned as parameter → (declaration, help text).
+    """
     description, _, section = (inspect.getdoc(documented) or "").partition(
         "\n\nOptions:\n"
     )

@@ -1,4 +1,4 @@
-"""`srs-twin run` and `compare`: execution of scenarios, in this process or in worker processes."""
+"""Commands `srs-twin run` and `compare`, which run scenarios."""
 
 from __future__ import annotations
 
@@ -49,10 +49,11 @@ RUNS_FOLDER = Path("runs")
 
 @dataclass(frozen=True)
 class ReportOptions:
-    """Reports of runs, and the expectations that set the exit code to 1.
+    """Options for the reports of runs and for the exit code.
 
     Options:
-        --junit FILE.xml: Write a JUnit XML report of runs and expectations.
+        --junit FILE.xml: Write the results of runs and expectations to this file as a
+            JUnit XML report.
     """
 
     check: CheckOption = False
@@ -63,7 +64,7 @@ class ReportOptions:
 
     @property
     def fails(self) -> frozenset[str]:
-        """States of expectations (`scenario.expectation.verdict`) that set the exit code to 1."""
+        """States (`scenario.expectation.verdict`) that set the exit code to 1."""
         if self.strict:
             return frozenset({"missed", "known", "holds", "not_judged"})
         if self.check:
@@ -81,13 +82,13 @@ def run_case(
     plants: Sequence[str] | None = None,
     explain: bool = False,
 ) -> CaseResult:
-    """Run a scenario, in this process or in a worker process.
+    """Run a scenario in this process or in a worker process.
 
     Args:
         task: scenario and output folder.
-        progress: callback of `PreparedRun.execute`.
-        plants: plants to run; default: those of the scenario.
-        explain: add the attribution of the difference.
+        progress: progress callback of `PreparedRun.execute`.
+        plants: plants to run, by default those of the scenario.
+        explain: whether to attribute the difference between the plants.
     """
     from srs_twin.experiment import prepare
 
@@ -108,8 +109,8 @@ def run_case(
         return CaseResult(None, (error,), time.perf_counter() - start)
     errors = (*result.diverged, *result.failed_attributions)
     for failure in errors:
-        # Drop the trajectories: they are in files, and a worker process should not send
-        # them as well.
+        # The trajectories are in files already, and sending them from a worker process
+        # would be slow.
         failure.trajectory = failure.history = None
     result = replace(result, trajectories={}, diverged=(), failed_attributions=())
     return CaseResult(result, errors, time.perf_counter() - start)
@@ -125,25 +126,23 @@ def run_all(
     explain: bool = False,
     changes: Sequence[Override] = (),
 ) -> None:
-    """Check all scenarios, then run the valid ones; exit with the highest exit code.
+    """Check all scenarios, run the valid ones, and exit with the highest exit code.
 
-    Results are printed in the order of the scenarios. As JSON they are one document:
-    `metrics.json` of a single scenario, `{"runs": […]}` for several, and `{"scenario",
-    "errors"}` for a scenario that failed.
+    With `--json`, a single scenario prints its `metrics.json`, and several scenarios
+    print `{"runs": […]}`. A failed scenario prints `{"scenario": …, "errors": […]}`.
 
     Args:
-        cases: scenarios, loaded or not.
-        report: reports and exit code.
-        out: output folder; several scenarios get one subfolder each.
-        jobs: number of worker processes; 1: run sequentially in this process; default:
-            one per processor.
-        plants: plants to run; default: those of each scenario.
-        explain: add the attribution of the difference between the plants.
-        changes: overridden fields of each scenario.
+        cases: scenarios, which are loaded if necessary.
+        report: options for the reports and the exit code.
+        out: output folder, in which each of several scenarios gets a subfolder.
+        jobs: number of worker processes, by default one per processor. With 1, the
+            scenarios run in this process.
+        plants: plants to run, by default those of each scenario.
+        explain: whether to attribute the difference between the plants.
+        changes: overridden fields.
 
     Raises:
-        InputError: the JUnit file or the output folder cannot be written; nothing was
-            simulated.
+        InputError: the JUnit file or the output folder cannot be written.
         typer.Exit: the exit code differs from 0.
     """
 
@@ -159,8 +158,8 @@ def run_all(
             from srs_twin.cli.junit import report_path, write_junit
 
             write = partial(write_junit, report_path(report.junit), cases, fails)
-            # A first write reports an unusable path early and replaces the report of an
-            # earlier run.
+            # Writing the report before the runs reveals an unusable path early. It also
+            # replaces the report of an earlier run.
             write()
             stack.callback(write)
         valid = _load(cases, out, report.quiet, changes, plants)
@@ -185,7 +184,6 @@ def run_all(
 
 
 def _print_tally(results: Sequence[CaseResult]) -> None:
-    """Print how many expectations have each verdict, and how many are left out."""
     from srs_twin.scenario.expectation import tally
 
     verdicts = sum((result.verdicts for result in results), Counter())
@@ -197,13 +195,13 @@ def _print_tally(results: Sequence[CaseResult]) -> None:
 
 
 def make_cases(names: Sequence[str]) -> list[Case]:
-    """Return one case per scenario, for shipped names, files, and the files of folders in sorted order."""
+    """Return one case per scenario, given names, files, or folders of files."""
     from srs_twin.io.files import shipped_names
 
     sources: list[str] = []
     for name in names:
-        # A shipped scenario takes precedence over a folder of the same name. For names
-        # that are too long, `isdir` returns False, whereas `glob` raises an error.
+        # A shipped scenario takes precedence over a folder with the same name. If a
+        # name is too long, `glob` would raise an error, but `isdir` returns False.
         is_folder = name not in shipped_names("scenario") and os.path.isdir(name)
         if is_folder:
             files = sorted(map(str, Path(name).glob("*.yaml")))
@@ -220,7 +218,7 @@ def _load(
     changes: Sequence[Override],
     plants: Sequence[str] | None,
 ) -> list[Case]:
-    """Load and check all scenarios; print the errors of invalid ones, return the valid ones."""
+    """Load and check scenarios, print errors, and return the cases without errors."""
     from srs_twin.experiment import check_run
     from srs_twin.io.files import check_output_folder
     from srs_twin.scenario.loading import load_scenario
@@ -237,13 +235,14 @@ def _load(
                 case.folder = base / scenario.name
             if case.folder in folders:
                 raise InputError(
-                    f"{case.source}: another scenario is named '{scenario.name}' and"
-                    f" uses {case.folder} too"
+                    f"{case.source}: another scenario is also named"
+                    f" '{scenario.name}' and would use the same folder {case.folder};"
+                    " rename one of them"
                 )
             folders.add(case.folder)
     valid = [case for case in cases if case.result is None]
     if len(valid) > 1:
-        # Report a folder that cannot be written once, not once per scenario.
+        # This check reports an unusable folder once instead of once per scenario.
         check_output_folder(base)
     for case in valid:
         with _record_input_errors(case):
@@ -258,7 +257,6 @@ def _load(
 
 @contextmanager
 def _record_input_errors(case: Case) -> Iterator[None]:
-    """Print an input error and record it as the result of the case."""
     try:
         yield
     except InputError as error:
@@ -273,7 +271,7 @@ def _run(
     *,
     quiet: bool,
 ) -> Generator[Case, None, None]:
-    """Run cases in this process or in workers; yield a case when it and all previous ones are complete."""
+    """Run cases, and yield them in their order as soon as they are complete."""
     from srs_twin.compute.workers import processor_count, run_tasks
 
     workers = min(jobs or processor_count(), len(cases))
@@ -302,7 +300,6 @@ def _run(
 
 
 def _add_name(case: Case, error: Exception | None) -> SrsError:
-    """Return the error with the name of the scenario in its message."""
     assert isinstance(error, SrsError)
     error.args = (f"{case.name}: {error}",)
     return error
@@ -311,7 +308,6 @@ def _add_name(case: Case, error: Exception | None) -> SrsError:
 def _print_result(
     case: Case, report: ReportOptions, changes: Sequence[Override]
 ) -> None:
-    """Print the results and errors of a case."""
     from srs_twin.cli.table import expectation_lines, show
 
     result = case.result
@@ -333,7 +329,6 @@ def _print_result(
 def _suggest_explanation(
     case: Case, result: CaseResult, changes: Sequence[Override]
 ) -> None:
-    """Print the command that attributes a difference between the plants, if it is unexpected."""
     from srs_twin.cli.table import needs_explanation
 
     if not needs_explanation(result.metrics):
@@ -355,10 +350,11 @@ def compare(
     explain: bool = False,
     changed: ChangeOptions = NO_CHANGES,
 ) -> None:
-    """Run a scenario on both plants and measure the difference.
+    """Simulate a scenario with both models and compare the results.
 
     Options:
-        --explain: Attribute the difference to modelling assumptions.
+        --explain: Also compute how much each modelling assumption contributes to the
+            difference between the models.
     """
     run_all(
         make_cases([scenario]),
@@ -378,14 +374,15 @@ def run(
     plants: str | None = None,
     changed: ChangeOptions = NO_CHANGES,
 ) -> None:
-    """Run scenarios on the plants that they select.
+    """Simulate scenarios with the models that they select.
 
     Options:
-        scenarios: Shipped scenarios, scenario files, or folders of files.
-        --out DIR: Output folder; several scenarios get one subfolder each. [default:
-            runs/SCENARIO]
-        --plants LIST: Plants to run: analytical, twin or analytical,twin. [default: the
-            scenario's]
+        scenarios: Names of shipped scenarios, or paths of scenario files or of folders
+            with such files.
+        --out DIR: Output folder. If there are several scenarios, each gets a subfolder.
+            [default: runs/SCENARIO]
+        --plants LIST: Models to simulate: analytical, twin or analytical,twin.
+            [default: from the scenario]
     """
     run_all(
         make_cases(scenarios),

@@ -1,4 +1,4 @@
-"""Result of a run on a terminal of 80 columns: a table of metrics, events and expectations."""
+"""Printed result of a run: a table of metrics, the events and the expectations."""
 
 from __future__ import annotations
 
@@ -28,21 +28,23 @@ STATE_LABELS = {
     "holds": "HOLDS",
     "not_judged": "not judged",
 }
-"""State of an expectation → label at the beginning of its line."""
+"""State of an expectation → label at the beginning of the printed line."""
 
 _EXPLAINABLE = {"com_speed_rel", "yaw_rate_abs"}
 """Differences that `compare --explain` attributes to assumptions."""
 
 _ZERO = 5e-5
-"""Absolute value below which a difference is printed as 0; in m, m/s, rad and rad/s
-alike."""
+"""Absolute value below which a difference is printed as 0.
+
+The value applies to differences in m, m/s, rad and rad/s.
+"""
 
 
 def rows(metrics: Mapping[str, Any]) -> list[list[str]]:
-    """Return the rows of the table: metric, unit, one value per plant, difference, per cent, published.
+    """Return the rows of the table of metrics.
 
-    Args:
-        metrics: content of `metrics.json`.
+    A row contains metric, unit, one value per plant, the difference, the difference in
+    per cent, and the published value.
     """
     plants = metrics["plants"]
     published_values = published(metrics["expectations"])
@@ -105,13 +107,13 @@ def show(result: RunResult) -> None:
 
 
 def _attribution_table(attribution: Mapping[str, Any]) -> Table:
-    """Return the table of the contributions of the assumptions to the difference.
+    """Return a table with the contribution of each assumption to the difference.
 
-    Two rows below an average over the orders of switching show the lowest and the
-    highest contribution.
+    If a contribution depends on the order in which the assumptions are switched, the
+    table shows the average, minimum and maximum over all orders.
     """
     measures = [MEASURES[measure] for measure in attribution["measures"]]
-    # Narrow headings leave room for the names of the assumptions at 80 columns.
+    # Headings of several lines leave room for the names of the assumptions.
     headings = [title.replace(" ", "\n", 1) + f"\n{unit}" for title, unit in measures]
     title = "attribution: twin − analytical, and the contribution of each assumption"
     if (window := attribution["window_s"]) is not None:
@@ -147,13 +149,13 @@ def _number(value: float | str | None) -> str:
 
 
 def event_lines(metrics: Mapping[str, Any]) -> list[str]:
-    """Return one line per event other than a contact."""
+    """Return one line per event, without contacts."""
     return [
         f"{event['kind']:6} {plant} at {event['time']:.4g} s: {event['text']}"
         for plant, events in metrics.get("events", {}).items()
         for event in events
-        # Contacts can be many; the headline names the first, the table their number and
-        # duration.
+        # There may be many contacts. The headline names the first one, and the table
+        # contains their number and duration.
         if event["kind"] not in CONTACT_EVENTS
     ]
 
@@ -161,7 +163,7 @@ def event_lines(metrics: Mapping[str, Any]) -> list[str]:
 def expectation_lines(
     metrics: Mapping[str, Any], verdicts: Container[str] = STATE_LABELS
 ) -> list[str]:
-    """Return one line per expectation in these states: value, allowed range and source."""
+    """Return one line per expectation in the given states."""
     return [
         _expectation_line(row)
         for row in metrics["expectations"]
@@ -170,7 +172,7 @@ def expectation_lines(
 
 
 def needs_explanation(metrics: Mapping[str, Any]) -> bool:
-    """Return whether the plants differ more than expected and the attribution is missing."""
+    """Return whether the plants differ unexpectedly and no attribution exists."""
     missed = {
         row["metric"]
         for row in metrics["expectations"]

@@ -1,4 +1,4 @@
-"""`srs-twin view`, `play` and `render`: runs in Rerun, a twin in MuJoCo's viewer, and videos and images."""
+"""Commands `srs-twin view`, `play` and `render`."""
 
 from __future__ import annotations
 
@@ -35,17 +35,17 @@ def view(
     web: bool = False,
     port: Annotated[int | None, Bounds(1, 65535)] = None,
 ) -> None:
-    """Open recordings of runs in Rerun.
+    """Open the recordings of finished runs in the Rerun viewer.
 
     Options:
-        runs: Run folders, recordings, or names of folders in runs/; several are shown
-            side by side.
-        --web: Serve the viewer to a browser on this machine until Ctrl-C.
-        --port N: TCP port of the web viewer. [default: free]
+        runs: Folders of runs, names of folders in runs/, or recordings (.rrd). Several
+            runs are shown side by side.
+        --web: Show the viewer in a browser on this machine until you press Ctrl-C.
+        --port N: TCP port of the viewer in the browser. [default: any free port]
     """
     recordings = [find_recording(run) for run in runs]
     if port is not None and not web:
-        raise InputError("--port needs --web")
+        raise InputError("--port is only used with --web; add --web or remove --port")
     with tempfile.TemporaryDirectory(prefix="srs-twin-view-") as folder:
         recording = recordings[0]
         if len(recordings) > 1:
@@ -62,7 +62,6 @@ def view(
 
 
 def _serve(recording: Path, port: int) -> None:
-    """Serve a recording until an interrupt, which is the normal end."""
     from srs_twin.viewing.rerun.viewer import serve_recordings
 
     handle_signals(signal.default_int_handler, signal.SIGTERM)
@@ -81,10 +80,7 @@ def _serve(recording: Path, port: int) -> None:
 
 
 def find_recording(run: str) -> Path:
-    """Return the path of the recording of a run.
-
-    Args:
-        run: run folder, recording, or name of a folder in ``./runs``.
+    """Return the path of a recording, given its path, a run folder or a run name.
 
     Raises:
         InputError: no recording was found.
@@ -110,7 +106,9 @@ def find_recording(run: str) -> Path:
 
 
 def name_recordings(recordings: Sequence[Path]) -> dict[str, Path]:
-    """Return unique name → recording; a name has as many of the last parts of its path as necessary.
+    """Return the recordings by unique names.
+
+    A name consists of the last parts of the path, and has as few parts as possible.
 
     Raises:
         InputError: a recording is given twice.
@@ -119,7 +117,9 @@ def name_recordings(recordings: Sequence[Path]) -> dict[str, Path]:
     paths = [path.parent if path.name == "recording.rrd" else path for path in paths]
     if len(set(paths)) < len(paths):
         duplicate = next(path for path in paths if paths.count(path) > 1)
-        raise InputError(f"{duplicate}: given twice")
+        raise InputError(
+            f"{duplicate}: this recording is given twice; give each recording once"
+        )
     count = 1
     while len({path.parts[-count:] for path in paths}) < len(paths):
         count += 1
@@ -132,15 +132,17 @@ def play(
     name: Annotated[str, argument("SCENARIO|ROBOT", shipped=["scenario", "robot"])],
     set_: list[str] | None = None,
 ) -> None:
-    """Play a scenario, or steer a robot by keyboard, in MuJoCo.
+    """Play a scenario or steer a robot by keyboard in MuJoCo.
 
-    Keys: left and right change the offset, up and down the frequency, page up and page
-    down the supply pressure; home resets the offset, space pauses, backspace restarts.
-    The controller of a scenario acts until one of the first six keys is pressed.
+    The left and right keys change the steering offset of the gait, and home resets it.
+    Up and down change the gait frequency, page up and page down the supply pressure.
+    Space pauses the simulation, and backspace restarts it. The controller of a scenario
+    acts until you change the offset, the frequency or the pressure.
 
     Options:
-        name: Shipped scenario or robot, or a scenario or robot file.
-        --set FIELD=VALUE: Override a field, e.g. robot.friction.mu_t=0.1 (repeatable).
+        name: Name of a shipped scenario or robot, or path of a scenario or robot file.
+        --set FIELD=VALUE: Override one field, for example robot.friction.mu_t=0.1. Can
+            be repeated.
     """
     from srs_twin.scenario.modified import changes_text
 
@@ -159,7 +161,7 @@ def play(
     require_display()
     from srs_twin.viewing.mujoco.live import LiveSnake, steer
 
-    # The font of MuJoCo contains only ASCII.
+    # The font of MuJoCo's viewer contains only ASCII characters.
     snake = LiveSnake(
         robot, scenario=scenario, modified=changes_text(changes).replace("→", "to")
     )
@@ -170,7 +172,6 @@ def play(
 def _changed_robot(
     name: str, overrides: Sequence[Override]
 ) -> tuple[RobotSpec, Changes]:
-    """Return a robot with overridden fields, and the changes."""
     from srs_twin.io.documents import Document
     from srs_twin.robot.file import load_robot_file, robot_in
     from srs_twin.scenario.modified import changed_fields
@@ -179,7 +180,8 @@ def _changed_robot(
     for override in overrides:
         if override.loc[0] != "robot":
             raise InputError(
-                f"{override.label}: a robot has no scenario; set a field of robot"
+                f"{override.label}: only fields of the robot can be set, because no"
+                " scenario is given; begin the field with robot."
             )
         document.apply(override)
     robot_file = robot_in(document, "robot")
@@ -196,32 +198,36 @@ _GHOST = "analytical"
 """Plant that `--ghost` draws translucently."""
 
 _MIN_SAMPLES = 2
-"""Smallest number of samples of a video or strobe picture."""
+"""Minimum number of samples of a video or strobe image."""
 
 _MIN_SIDE_PX = 64
-"""Smallest width and height of an image, pixels."""
+"""Minimum width and height of an image, pixels."""
 
 _MAX_SIDE_PX = 4096
-"""Largest width and height of an image, pixels."""
+"""Maximum width and height of an image, pixels."""
 
 
 @dataclass(frozen=True)
 class PictureOptions:
-    """Kind, contents and file of the pictures of runs.
+    """Options for the kind, the contents and the files of rendered pictures.
 
     Options:
-        --video FILE.mp4: Output video; with several runs, output folder.
-        --image t=2.5: Render an image at this time, s.
-        --strobe: Render several times in one image from above.
-        --ghost: Also draw the analytical model, translucently.
-        --out FILE.png: Output image; with several runs, output folder. [default: the
-            run's folder]
-        --size WxH: Width and height, pixels; --strobe uses the width only.
-        --fps N: Frame rate of the video, Hz.
-        --speed X: Playback speed of the video; 0.25: slow motion.
-        --from S: Start of the video or of the strobe picture, s. [default: start of the
-            run]
-        --to S: End of the video or of the strobe picture, s. [default: end of the run]
+        --video FILE.mp4: Render a video to this file, or to this folder if there are
+            several runs.
+        --image t=2.5: Render one image of the run at this time in seconds.
+        --strobe: Render one image from above that shows the robot at several times.
+        --ghost: Also draw the robot of the analytical model, translucently.
+        --out FILE.png: Image file, or folder for the images of several runs. [default:
+            the run's folder]
+        --size WxH: Width and height of the picture in pixels. For --strobe, only the
+            width is used.
+        --fps N: Frame rate of the video in Hz.
+        --speed X: Playback speed of the video. With 0.25, the video runs at a quarter
+            of real time.
+        --from S: Time in seconds at which the video or the strobe image starts.
+            [default: start of the run]
+        --to S: Time in seconds at which the video or the strobe image ends. [default:
+            end of the run]
     """
 
     video: str | None = None
@@ -239,7 +245,7 @@ class PictureOptions:
         """Check that the options can be combined.
 
         Raises:
-            InputError: they contradict each other.
+            InputError: the options contradict each other.
         """
         if sum((self.video is not None, self.image is not None, self.strobe)) != 1:
             raise InputError(
@@ -247,18 +253,21 @@ class PictureOptions:
             )
         if self.video is not None and self.out is not None:
             raise InputError(
-                "--out is for images; --video already names the output of a video"
+                "--out sets the output of images, and --video the output of a video;"
+                " remove --out"
             )
         if self.ghost and self.strobe:
-            raise InputError("--ghost needs --video or --image")
+            raise InputError(
+                "--ghost is only possible with --video or --image; remove --ghost"
+            )
         if self.image is not None and (self.from_, self.to) != (None, None):
             raise InputError(
-                "--from and --to are for --video and --strobe; --image t=2.5 is at one"
-                " time"
+                "--from and --to select an interval for --video or --strobe; --image"
+                " shows a single time, so remove them"
             )
 
     def drawing(self) -> tuple[str, Callable[..., object]]:
-        """Return the suffix that follows the run in a file name, and the function that writes the file.
+        """Return the suffix of the file name and the function that writes the file.
 
         Raises:
             InputError: the size or the time cannot be read.
@@ -281,10 +290,10 @@ class PictureOptions:
         return f"-strobe{IMAGE_SUFFIX}", partial(write_strobe, width=size.width)
 
     def target(self, runs: int) -> Path | None:
-        """Return the output file or folder; None: the folders of the runs.
+        """Return the output file or folder, or None for the folders of the runs.
 
         Raises:
-            InputError: it has another suffix, or is a file for several runs.
+            InputError: the suffix is wrong, or one file is given for several runs.
         """
         output = self.out
         suffix = IMAGE_SUFFIX
@@ -303,10 +312,10 @@ class PictureOptions:
         return target
 
     def part(self, run: FinishedRun) -> Trajectory:
-        """Return the samples of the twin between the two times.
+        """Return the samples of the twin in the selected interval.
 
         Raises:
-            InputError: the run lacks a plant that is drawn, or has less than two
+            InputError: the run lacks a plant that is drawn, or has fewer than two
                 samples in this interval.
         """
         if "twin" not in run.trajectories:
@@ -341,12 +350,13 @@ def render(
     """Render a video or image of finished runs with MuJoCo.
 
     Options:
-        runs: Run folders, or names of folders in runs/.
+        runs: Folders of runs, or names of folders in runs/.
     """
     picture.check()
     from srs_twin.viewing.mujoco.opengl import usable_opengl
 
-    # Before the import of MuJoCo, which fails for an unknown name in MUJOCO_GL.
+    # This check must precede the import of MuJoCo, which fails for an unknown name in
+    # MUJOCO_GL.
     usable_opengl()
     from srs_twin.experiment import load_run
     from srs_twin.io.files import check_output_folder
@@ -373,7 +383,6 @@ def render(
 
 
 def _parse_time(text: str) -> float:
-    """Return the time in 't=2.5' or '2.5', s."""
     try:
         return float(text.strip().removeprefix("t="))
     except ValueError as error:

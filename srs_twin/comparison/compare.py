@@ -146,14 +146,15 @@ def _check_connectors(reference: Trajectory, candidate: Trajectory) -> None:
         x, y, bend = (run.stack(name).shape[-1] for name in ("x", "y", "bend"))
         if not x == y == bend + 1:
             raise InputError(
-                f"{label(run)}: {x} columns x_1…, {y} y_1… and {bend} bend_1…; "
-                "a snake with N connectors has N, N and N − 1"
+                f"{label(run)} has {x} columns x_1…, {y} columns y_1… and {bend}"
+                " columns bend_1…; a snake with N connectors has N, N and N − 1"
             )
         counts.append(x)
     if counts[0] != counts[1]:
         raise InputError(
             f"{label(reference)} has {counts[0]} connectors and {label(candidate)}"
-            f" {counts[1]}; only bodies with equally many can be compared"
+            f" {counts[1]}; only runs of robots with the same number of connectors can"
+            " be compared"
         )
 
 
@@ -168,7 +169,8 @@ def _common_times(reference: Trajectory, candidate: Trajectory) -> np.ndarray:
             for t in (reference, candidate)
         ]
         raise InputError(
-            f"{spans[0]}, {spans[1]}: no time in common, nothing to compare"
+            f"{spans[0]}, {spans[1]}; the runs have no times in common and cannot be"
+            " compared"
         )
     return common
 

@@ -244,7 +244,8 @@ def read_results(path: StrPath) -> Results:
     files = sorted(_result_files(source))
     if not files:
         raise InputError(
-            f"{display_path(source)}: the folder has no results ({', '.join(_FILES)})"
+            f"{display_path(source)}: the folder contains no results; give a folder"
+            f" with files such as {', '.join(_FILES)}"
         )
     values: dict[ValueKey, Leaf] = {}
     versions: dict[str, str] = {}
@@ -293,7 +294,8 @@ def _read(path: Path, folder: str) -> Results:
         }
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(
-            f"{display_path(path)}: not the results of a run, a sweep or a reproduction"
+            f"{display_path(path)}: the file does not contain results of `run`,"
+            " `compare`, `replay`, `sweep` or `reproduce`"
         ) from error
     return Results(values, versions)
 

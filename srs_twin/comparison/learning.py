@@ -105,8 +105,8 @@ def _chamber_periods(trajectory: Trajectory, segments: int) -> tuple[float, Arra
         or not np.isfinite(fill_starts).all()
     ):
         raise InputError(
-            f"{label(trajectory)}: the periods of the chambers are unknown; the"
-            " metadata need gait_frequency_hz and control.fill_begins_s"
+            f"{label(trajectory)}: the fill times of the chambers are unknown; add"
+            " gait_frequency_hz and control.fill_begins_s to the metadata"
         )
     return 1 / frequency, fill_starts
 

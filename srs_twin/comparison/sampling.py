@@ -96,11 +96,14 @@ def check_columns(trajectory: Trajectory, *names: str) -> None:
         bad = np.flatnonzero(~np.isfinite(values.reshape(len(values), -1)).all(axis=1))
         if bad.size:
             raise InputError(
-                f"{run}: column '{name}' is not finite at sample {bad[0]}; cut the run"
-                " before it"
+                f"{run}: column '{name}' is not finite at sample {bad[0]}; remove this"
+                " sample and all later ones"
             )
     if np.any(np.diff(trajectory.time) <= 0):
-        raise InputError(f"{run}: time must increase from sample to sample")
+        raise InputError(
+            f"{run}: the times are not increasing; each sample must be later than the"
+            " sample before it"
+        )
 
 
 def positive_number(trajectory: Trajectory, name: str) -> float | None:

@@ -158,8 +158,8 @@ class ScheduledOffset(Controller):
         times = [0.0, *(time for time, _ in changes)]
         if not all(b > a for a, b in zip(times, times[1:], strict=False)):
             raise InputError(
-                f"times {times[1:]} s of offset changes are not allowed; they must be"
-                " above 0 and increasing"
+                f"offset changes at the times {times[1:]} s are not allowed; the times"
+                " must be above 0 and increase"
             )
         self.kind = controller.kind
         self.frequency = controller.frequency

@@ -102,8 +102,8 @@ class PitchWave:
             )
         if self.lifted_segments > spec.segments:
             raise InputError(
-                f"{self.lifted_segments} lifted segments, but {spec.name} has"
-                f" {spec.segments} segments"
+                f"{self.lifted_segments} lifted segments are not allowed;"
+                f" {spec.name} has only {spec.segments} segments"
             )
 
     @property
@@ -179,8 +179,8 @@ class Gait(Controller):
         self.rest_level = math.sin(math.pi / 2 * rest_share)
         if pitch is not None and rest_share:
             raise InputError(
-                "a gait with a pitch wave rests as its share demands; leave out"
-                " rest_share"
+                "rest_share is not allowed for a gait with a pitch wave, because the"
+                " pitch share sets how long the gait rests; remove rest_share"
             )
         self.pitch = pitch
 
@@ -223,8 +223,8 @@ class Gait(Controller):
         """
         if len(self._phases) not in (0, spec.segments):
             raise InputError(
-                f"{len(self._phases)} phases, but {spec.name} has {spec.segments}"
-                " segments"
+                f"{len(self._phases)} phases are given, but {spec.name} has"
+                f" {spec.segments} segments; give one phase for each segment"
             )
         if self.pitch is not None:
             self.pitch.check(spec)

@@ -72,7 +72,10 @@ def check_release(mode: str, drag_m: float | None) -> None:
         InputError: a distance is given in open loop.
     """
     if drag_m is not None and mode == "open_loop":
-        raise InputError("drag_m needs mode sensed; in open_loop, set release_after_s")
+        raise InputError(
+            "drag_m is only used in mode sensed; set release_after_s instead in mode"
+            " open_loop"
+        )
 
 
 def hold_with(valves: np.ndarray, hold: int, duty: float, pulses: int = 1) -> None:

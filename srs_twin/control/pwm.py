@@ -102,7 +102,8 @@ class PulseWidthModulator(Stateful):
         new_duty = np.asarray(duty, dtype=float)
         if new_duty.shape != self.duty.shape:
             raise InputError(
-                f"duties have shape {new_duty.shape}; allowed: {self.duty.shape}"
+                f"duties of shape {new_duty.shape} are not allowed; the shape must be"
+                f" {self.duty.shape}"
             )
         outside = ~((new_duty >= 0) & (new_duty <= 1))
         if outside.any():

@@ -191,7 +191,7 @@ class CrawlEpisode(ObservedEpisode):
         self._initialise_from_state()
         if self._distance <= goal.radius:
             raise InputError(
-                f"{name}; the snake is there already, within {goal.radius:g} m"
+                f"{name}; the snake is already within {goal.radius:g} m of it"
             )
         self._set_first(self._observation())
 

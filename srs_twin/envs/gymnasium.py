@@ -357,7 +357,10 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
         twins = [env.episode.twin for env in self.envs if env.episode is not None]
         try:
             if not self.envs[0].task.has_identical_episodes:
-                raise InputError("robot or obstacles differ between episodes")
+                raise InputError(
+                    "the episodes have different robots or obstacles, but they must be"
+                    " equal"
+                )
             if self._batch is None or any(
                 a is not b for a, b in zip(self._batch.twins, twins, strict=True)
             ):

@@ -147,8 +147,8 @@ def load_policy(name_or_path: StrPath) -> NetworkPolicy:
         or shapes != [(after, before) for before, after in pairwise(sizes)]
     ):
         raise InputError(
-            f"{path}: the layers of the policy do not fit together, or have no finite"
-            " numbers"
+            f"{path}: the shapes of the policy's layers do not match, or some of the"
+            " numbers are not finite"
         )
     return NetworkPolicy(str(task), tuple(map(str, observations)), layers)
 

@@ -418,8 +418,8 @@ class Episode(Stateful, ABC):
                 place.
         """
         raise InputError(
-            f"option goal is not allowed: the task {self._task.name} has no goal at a"
-            " place"
+            f"option goal is not allowed, because the task {self._task.name} has no"
+            " goal position; remove it"
         )
 
     def _initialise_from_state(self) -> None:

@@ -122,8 +122,8 @@ def log_of(recording: Recording, name: str) -> ValveLog:
     """
     if recording.valves is None:
         raise InputError(
-            f"{name}: no log of valves or pressures; join one with the recording"
-            " (--valves)"
+            f"{name}: the recording has no log of valves or pressures; give one with"
+            " --valves"
         )
     return recording.valves
 

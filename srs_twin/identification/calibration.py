@@ -345,7 +345,8 @@ class _Task:
             one = self.files[kinds.index(True)]
             other = self.files[kinds.index(False)]
             raise InputError(
-                f"{one} is a {first}, {other} a {second}; fit them separately"
+                f"{one} is a {first}, but {other} is a {second}; fit them with"
+                " separate commands"
             )
         return kinds[0]
 
@@ -399,8 +400,8 @@ class _Task:
 def _read_pulls(task: _Task) -> list[Pulls]:
     if len(task.fitted) > 1:
         raise InputError(
-            f"{task.fitted[1]}: a fit uses one table of pulls; give further ones with"
-            " --validate"
+            f"{task.fitted[1]}: a fit uses only one table of pulls; give other tables"
+            " with --validate"
         )
     return [read_pull_table(path) for path in task.files]
 

@@ -46,7 +46,8 @@ _LOCOMOTION = (
 """Parameters that `calibrate locomotion` fits by default."""
 
 _INERTIA = (
-    "Moment of inertia of the body about its centre, kg*m^2. [default: the robot's]"
+    "Moment of inertia of the body at the end of the segment, about the centre of the"
+    " body, in kg*m^2. [default: from the robot file]"
 )
 InertiaOption = Annotated[
     float | None, option("--inertia KGM2", _INERTIA, min=0, max=1)
@@ -58,7 +59,7 @@ _DEFAULT_OUTPUT = FitOptions()
 app = typer.Typer(
     rich_markup_mode=None,
     no_args_is_help=True,
-    help="Robot parameters from recordings and runs.",
+    help="Estimate robot parameters from recordings and runs.",
 )
 
 
@@ -108,11 +109,11 @@ def friction(
 ) -> None:
     """Estimate mu_t and mu_n from pulls or coasting tests.
 
-    The input is a table of spring deformations, measured while a spring car pulls the
-    robot, or recordings of coasting tests.
+    Pulls with a spring car are given as a table of spring deformations. Coasting tests
+    are given as recordings.
 
     Options:
-        --law NAME: Friction law of coasting tests: wheel, axis or ellipse (skids).
+        --law NAME: Friction law for coasting tests: wheel, axis or ellipse (for skids).
         --wheel-inertia/--no-wheel-inertia: Include the rotational inertia of the wheels
             in coasting tests.
     """
@@ -125,14 +126,14 @@ def design(
     want: str,
     as_json: JsonOption = False,
 ) -> None:
-    """Choose the recordings for a requested accuracy.
+    """Choose experiments that reach a target accuracy.
 
-    Possible experiments are pulls, weighing, markers, constant pressures, pressure
-    steps and gait runs.
+    The command chooses among pulls, weighing, marker recordings, constant pressures,
+    pressure steps and gait runs.
 
     Options:
-        --want NAMES: Parameters and target half-widths of their 95 % intervals, e.g.
-            friction.mu_t=5%,bending.stiffness_nm_per_rad=10%.
+        --want NAMES: Parameters with the target half-width of each 95 % interval, for
+            example friction.mu_t=5%,bending.stiffness_nm_per_rad=10%.
     """
     from srs_twin.identification.design import calibrate_design
 
@@ -194,12 +195,12 @@ def actuator(
     """Estimate time constants, gains and rest bends.
 
     The data are recordings of step responses. Tables or recordings of constant
-    pressures are sufficient for gains.
+    pressures are also allowed, but they do not determine the time constants.
 
     Options:
-        --static: Fit plateaus of constant pressure in recordings, and write them to
-            NAME.table.csv.
-        --starts N: Number of searches.
+        --static: Fit only the intervals of constant pressure in the recordings, and
+            write these intervals to NAME.table.csv.
+        --starts N: Number of searches, each from a different starting point.
     """
 
 
@@ -221,14 +222,17 @@ def locomotion(
 ) -> None:
     """Estimate friction, gap, masses or stiffness.
 
-    If the recordings include markers, the rigid gap (or the length of a segment) is
+    If the recordings contain markers, the rigid gap or the length of a segment is
     measured from the markers.
 
     Options:
-        --plant NAME: Simulated plant: analytical or twin.
-        --model NAME: Analytical model. [default: compliant]
-        --against WHAT: Compared signals: averages, shapes or both.
-        --starts N: Number of searches. [default: 3, or 1 with shapes of the twin]
+        --plant NAME: Model whose parameters are fitted: analytical or twin.
+        --model NAME: Kind of analytical model: complete, simplified, compliant or
+            quasistatic. [default: compliant]
+        --against WHAT: Signals that are fitted: averages (speed and yaw rate), shapes
+            (path, heading and bends over time) or both.
+        --starts N: Number of searches, each from a different starting point. [default:
+            3; 1 with the twin's shapes]
     """
 
 
@@ -247,17 +251,18 @@ def damping(
 ) -> None:
     """Estimate stiffness, damping time and loss factor.
 
-    The data are recordings of a hanging segment that is released from a bend, sampled
-    at 100 Hz or more.
+    The data are recordings of a hanging segment that is bent and then released. The
+    frame rate must be at least 100 Hz.
 
     Options:
         --valves STATE: State of the chambers during the recordings: open or closed.
-        --mass-kg KG: Mass of the body at the end of the segment. [default: mass of the
-            first connector]
-        --leak-per-s RATE: Leak rate of closed chambers, 1/s. [default: estimated]
-        --noise-rad RAD: Standard deviation of a recorded bend, rad. [default:
+        --mass-kg KG: Mass in kg of the body at the end of the segment. [default: from
+            the robot file]
+        --leak-per-s RATE: Leak rate of closed chambers in 1/s. [default: estimated]
+        --noise-rad RAD: Standard deviation of the recorded bends in rad. [default:
             estimated]
-        --from-s S: Time from which the segment swings freely, s. [default: detected]
+        --from-s S: Time in seconds from which the segment swings freely. [default:
+            detected]
     """
 
 
@@ -275,10 +280,11 @@ def robot(
     """Write a robot file with the results of fits.
 
     Options:
-        fits: Fit files of one robot. Later files override earlier files.
-        --name NAME: Name of the new robot and its file.
-        --out FILE.yaml: Output robot file. [default: robots/NAME.yaml]
-        --weak/--no-weak: Include weakly identified parameters.
+        fits: Fit files of one robot. If several contain a parameter, the last one sets
+            its value.
+        --name NAME: Name of the new robot and of its file.
+        --out FILE.yaml: Path of the robot file. [default: robots/NAME.yaml]
+        --weak/--no-weak: Include parameters that the data determine only weakly.
     """
     from srs_twin.identification.fitted_robot import calibrate_robot
 

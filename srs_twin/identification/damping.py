@@ -132,8 +132,8 @@ class HangingBody:
             inertia = float(spec.yaw_inertia()[0]) * mass / connector
         if not (0 < mass < math.inf and 0 <= inertia < math.inf):
             raise InputError(
-                f"mass {mass:g} kg with inertia {inertia:g} kg·m² is not allowed; give"
-                " more than 0"
+                f"mass {mass:g} kg with inertia {inertia:g} kg·m² is not allowed; the"
+                " mass must be above 0 and the inertia at least 0"
             )
         return cls(mass, inertia)
 
@@ -173,11 +173,12 @@ def fit_damping(
     """
     check_choice("valves", valves, VALVES)
     if not decays:
-        raise InputError("a fit needs decays; give at least one")
+        raise InputError("a fit needs at least one recorded decay, but none is given")
     measured = [decay.pressure is not None for decay in decays]
     if any(measured) and (valves == "open" or not all(measured)):
         raise InputError(
-            "measured pressures need closed valves, and all files must have them"
+            "measured pressures can be used only with closed valves and only if all"
+            " files contain them; set valves to closed, or remove the pressures"
         )
     fit = _DampingFit(
         decays, spec, body or HangingBody.of(spec), valves == "closed", leak

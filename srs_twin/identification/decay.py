@@ -204,23 +204,23 @@ def free_swing(
         first = int(np.searchsorted(time, start))
     if first >= len(time):
         raise InputError(
-            f"{name}: it ends at {time[-1]:g} s, before the free swing from {start:g} s"
+            f"{name}: the recording ends at {time[-1]:g} s, before the free swing"
+            f" starts at {start:g} s"
         )
     turns = _visible_turns(name, bend, first, noise)
     half_period = float(time[turns[-1]] - time[turns[0]]) / (len(turns) - 1)
     spacing = float(np.median(np.diff(time)))
     if 2 * half_period < _MIN_SAMPLES_PER_SWING * spacing:
         raise InputError(
-            f"{name}: {2 * half_period / spacing:.2g} samples per swing;"
-            f" {_MIN_SAMPLES_PER_SWING:g} or more are needed: record faster, or hang a"
-            " heavier body"
+            f"{name}: the recording has {2 * half_period / spacing:.2g} samples per"
+            f" swing, but {_MIN_SAMPLES_PER_SWING:g} or more are needed; record faster"
         )
     end = time[first] + _KEPT_SPANS * (time[turns[-1]] - time[first])
     used = slice(first, int(np.searchsorted(time, end, side="right")))
     if len(time[used]) < _MIN_SAMPLES:
         raise InputError(
-            f"{name}: {len(time[used])} samples of free swing; {_MIN_SAMPLES} or more"
-            " are needed"
+            f"{name}: the recording has {len(time[used])} samples of free swing;"
+            f" {_MIN_SAMPLES} or more are needed"
         )
     used_pressure = None if pressure is None else pressure[used]
     swings = np.abs(np.diff(bend[turns]))
@@ -250,9 +250,9 @@ def _visible_turns(name: str, bend: np.ndarray, first: int, noise: float) -> lis
     turns = [first + turn for turn in _turning_points(bend[first:], threshold)]
     if len(turns) < _MIN_HALF_SWINGS:
         raise InputError(
-            f"{name}: {len(turns)} visible half swings; {_MIN_HALF_SWINGS} or more are"
-            " needed. An overdamped decay tells only the product k T: hang a heavier"
-            " body, or record longer"
+            f"{name}: the recording has {len(turns)} visible half swings, but"
+            f" {_MIN_HALF_SWINGS} or more are needed; hang a heavier body, or record"
+            " longer (an overdamped decay determines only the product k T)"
         )
     return turns
 

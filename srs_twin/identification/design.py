@@ -315,7 +315,7 @@ def choose_experiments(
     """
     if not targets:
         raise InputError(
-            "--want names nothing; give parameters such as friction.mu_t=5%"
+            "--want contains no parameters; give one or more, such as friction.mu_t=5%"
         )
     zero_scale = 0.1 * spec.friction.mu_t * spec.mass.total * GRAVITY
     names = list(dict.fromkeys([*targets, *known]))

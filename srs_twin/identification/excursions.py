@@ -252,8 +252,8 @@ def measure_excursions(
     controller = scenario.controller
     if planner is None or not isinstance(controller, FollowFile):
         raise InputError(
-            f"{scenario.name}: it follows no plan; margins are only for"
-            " controller.kind: follow"
+            f"{scenario.name}: the scenario follows no planned path; a margin needs a"
+            " planner section and controller.kind: follow"
         )
     robot = RobotFile.model_validate(scenario.document["robot"])
     settings = {plant: scenario.document["plants"].get(plant, {})}

@@ -97,8 +97,8 @@ def robot_override(
         tolerance = SPREAD_KEYS[key.removesuffix("_rad")]
         if getattr(file.modules, tolerance) is not None:
             raise InputError(
-                f"{fit.robot}: it draws modules.{key} at random ({tolerance}), which"
-                f" excludes fits; remove {tolerance} first"
+                f"{fit.robot}: {tolerance} draws modules.{key} at random, so a fit"
+                f" cannot set it; remove {tolerance} from the robot file"
             )
     return block
 
@@ -234,15 +234,15 @@ def merge_overrides(
     """
     loaded = [load_fit(path) for path in fits]
     if not loaded:
-        raise InputError("a robot needs fits; give at least one")
+        raise InputError("no fit file is given; give at least one")
     block: dict[str, Any] = {}
     spec = load_robot_file(loaded[0].robot).spec()
     for path, fit in zip(fits, loaded, strict=True):
         expected = base or loaded[0].robot
         if Path(fit.robot).resolve() != Path(expected).resolve():
             raise InputError(
-                f"{path}: a fit of robot {fit.robot}, not of {expected}; fits can only"
-                " change the robot from which they started"
+                f"{path}: the fit is for robot {fit.robot}, not for {expected}; a fit"
+                " can change only the robot from which it started"
             )
         override = robot_override(fit, weak=weak, over=spec)
         refitted = {parameter.name for parameter in fit.parameters}

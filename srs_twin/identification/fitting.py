@@ -35,13 +35,21 @@ FITS = "calibration/fits"
 
 FilesArgument = Annotated[list[str], argument("FILE", "Recordings or tables to fit.")]
 RobotOption = Annotated[
-    str, option("--robot -r ROBOT", "Initial robot, shipped or a file.")
+    str,
+    option(
+        "--robot -r ROBOT",
+        "Robot whose parameters are the initial values of the fit, as the name of a"
+        " shipped robot or the path of a robot file.",
+    ),
 ]
 
-_VALIDATE = "Recording or table for validation, not used by the fit (repeatable)."
+_VALIDATE = (
+    "Recording or table that validates the fit and does not influence it. Can be"
+    " repeated."
+)
 ValidateOption = Annotated[list[str] | None, option("--validate FILE", _VALIDATE)]
 
-_FIND = "Parameters to fit, e.g. friction.mu_t,friction.mu_n."
+_FIND = "Names of the parameters to fit, for example friction.mu_t,friction.mu_n."
 FindOption = Annotated[str | None, option("--find NAMES", _FIND)]
 
 
@@ -75,9 +83,10 @@ class FitOptions:
     """Output files of a fit, and format of the printed result.
 
     Options:
-        --name NAME: Name of the fit and its file. [default: ROBOT_WHAT]
-        --out FILE.yaml: Output fit file. [default: calibration/fits/NAME.yaml]
-        --overwrite: Replace an existing fit file that another command wrote.
+        --name NAME: Name of the fit and of its file, for example gen2_friction.
+            [default: ROBOT_COMMAND]
+        --out FILE.yaml: Path of the fit file. [default: calibration/fits/NAME.yaml]
+        --overwrite: Replace the fit file even if another command line wrote it.
     """
 
     name: str | None = None
@@ -337,7 +346,7 @@ def parse_names(text: str | None) -> list[str] | None:
     names = [name.strip() for name in text.split(",") if name.strip()]
     if not names:
         raise InputError(
-            f"--find: '{text}' names nothing; give names such as"
+            f"--find '{text}' contains no parameters; give one or more, such as"
             " friction.mu_t,friction.mu_n"
         )
     return names

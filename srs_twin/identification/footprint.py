@@ -292,12 +292,13 @@ class FootprintStudy:
         listed = ", ".join(f"{offset:g}" for offset in self.offsets) or "(none)"
         message = f"offsets {listed} are not allowed"
         if not all(b > a for a, b in zip(self.offsets, self.offsets[1:], strict=False)):
-            raise InputError(f"{message}; give each once, in ascending order")
+            raise InputError(f"{message}; give each offset once, in ascending order")
         both_sides = self.offsets and self.offsets[0] < 0 < self.offsets[-1]
         fewest, most = _OFFSETS
         if not (both_sides and fewest <= len(self.offsets) <= most):
             raise InputError(
-                f"{message}; a planner needs {fewest} to {most}, on both sides of 0"
+                f"{message}; a planner needs {fewest} to {most} offsets, some below"
+                " and some above 0"
             )
         for before, after in self.changes:
             if before == after or not {before, after} <= set(self.offsets):

@@ -38,18 +38,22 @@ class MeasurementOptions:
     """Options of the runs from which a footprint is measured.
 
     Options:
-        --controller NAME: Controller: gait (open loop) or ilc (learning).
-        --frequency HZ: Gait frequency. [default: 2; ilc: 1.5]
-        --target RAD: Target bend amplitude of ilc, rad.
-        --plant NAME: Simulated plant: twin or analytical.
-        --contact NAME: Contact model of the twin: loaded or preloaded. [default:
-            default of the twin]
-        --chambers NAME: Pneumatic model: lag, or orifice for compressible flow.
-        --offsets LIST: Offsets, e.g. --offsets=-0.3,0,0.3. [default: -0.4 to 0.4; ilc:
-            -0.3 to 0.3]
-        --transients/--no-transients: Also measure changes of offset.
-        --periods N: Number of measured gait periods of each run.
-        --phases N: Number of runs per offset, with different initial phases.
+        --controller NAME: Controller of the robot: gait (open loop) or ilc (iterative
+            learning control).
+        --frequency HZ: Frequency of the gait in Hz. [default: 2, ilc 1.5]
+        --target RAD: Bend amplitude in rad that the ilc controller aims for.
+        --plant NAME: Model to simulate: twin or analytical.
+        --contact NAME: Contact model of the twin: loaded or preloaded. [default: the
+            twin's]
+        --chambers NAME: Pneumatic model of the chambers: lag (first order) or orifice
+            (compressible flow).
+        --offsets LIST: Steering offsets of the gait that are measured, for example
+            --offsets=-0.3,0,0.3. [default: -0.4 to 0.4; ilc: -0.3 to 0.3]
+        --transients/--no-transients: Also measure the area that the robot sweeps while
+            the offset changes.
+        --periods N: Number of gait periods that are measured in each run.
+        --phases N: Number of runs per offset, which start at different phases of the
+            gait.
     """
 
     controller: str = "gait"
@@ -100,13 +104,13 @@ def footprint(
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure the area that the robot sweeps at each offset.
+    """Measure the area that a robot sweeps at each offset.
 
-    With --transients, the area swept during changes of offset is also measured.
+    The result is the footprint that the path planner uses for this robot.
 
     Options:
-        --out DIR: Output folder.
-        --name NAME: Name of the footprint and its file. [default: ROBOT_CONTROLLER]
+        --out DIR: Output folder for the footprint file.
+        --name NAME: Name of the footprint and of its file. [default: ROBOT_CONTROLLER]
     """
     from srs_twin.robot.file import load_robot
 
@@ -147,17 +151,17 @@ def margin(
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure how far a robot leaves the footprint along a path.
+    """Measure how far a robot deviates from a path.
 
-    The robot follows random paths under the conditions of a scenario. The excursions
-    are written to the footprint file, from which planner.margin_probability derives a
-    margin.
+    The robot follows random paths under the conditions of a scenario. The deviations
+    are written to the footprint file. If a scenario sets planner.margin_probability,
+    the planner derives its margin from them.
 
     Options:
-        --runs N: Number of runs on each plant.
-        --plants LIST: Plants: analytical, twin or analytical,twin. [default: plants of
-            the scenario]
-        --out DIR: Output folder of the footprint file.
+        --runs N: Number of runs with each model.
+        --plants LIST: Models to simulate: analytical, twin or analytical,twin.
+            [default: from the scenario]
+        --out DIR: Folder of the footprint file.
     """
     from srs_twin.identification.excursions import NO_MARGIN, calibrate_margin
     from srs_twin.planning.footprint_file import excursion_quantile, load_footprint_file

@@ -423,7 +423,7 @@ class CoastingTest:
         needed = f"{_MIN_SAMPLES} or more are needed"
         time = trajectory.time
         if len(time) < _MIN_SAMPLES:
-            raise InputError(f"{name}: {len(time)} samples; {needed}")
+            raise InputError(f"{name}: the recording has {len(time)} samples; {needed}")
         speed = np.hypot(*moving_slope(time, trajectory.com).T)
         if start is None:
             first = int(np.argmax(speed))
@@ -431,10 +431,13 @@ class CoastingTest:
             first = int(np.searchsorted(time, start))
         time = time[first:]
         if len(time) < _MIN_SAMPLES:
-            raise InputError(f"{name}: {len(time)} samples after the push; {needed}")
+            raise InputError(
+                f"{name}: the recording has {len(time)} samples after the push;"
+                f" {needed}"
+            )
         if speed[first] < _MIN_SPEED_M_S:
             raise InputError(
-                f"{name}: the largest speed is {speed[first]:.2g} m/s;"
+                f"{name}: the maximum speed is {speed[first]:.2g} m/s; at least"
                 f" {_MIN_SPEED_M_S:g} m/s is needed"
             )
         heading = trajectory["heading"][first:]

@@ -184,8 +184,9 @@ class SteadyPath:
         turn = float(turns.mean())
         if not chord >= MIN_TRAVEL_BODY_LENGTHS * body_length(trajectory):
             raise InputError(
-                f"the snake moves {1000 * chord:.3g} mm ahead in a gait period, too"
-                " little for a footprint; try another pressure or frequency"
+                f"the snake moves forward by {1000 * chord:.3g} mm per gait period,"
+                " which is too little for a footprint; try another pressure or"
+                " frequency"
             )
         speed = chord / window.period / float(np.sinc(turn / (2 * np.pi)))
         curvature = path_curvature(chord, turn)
@@ -284,7 +285,8 @@ def measure_transient(
     old = GaitWindow.ending_at(trajectory, period, change.time, STEADY_PERIODS)
     if old is None:
         raise InputError(
-            f"a change of offset needs {STEADY_PERIODS} gait periods before it"
+            "the offset changes too early; at least"
+            f" {STEADY_PERIODS} gait periods must precede the change"
         )
     before, after = paths
     settled = _settling_time(trajectory, period, change.time, paths)
@@ -352,7 +354,7 @@ def _settling_time(
     if unrest > MAX_UNREST or first >= len(begins):
         raise InputError(
             f"the path has not settled {(trajectory.time[-1] - time) / period:.3g} gait"
-            " periods after it"
+            " periods after the change of offset"
         )
     return float(begins[first])
 

@@ -102,8 +102,8 @@ class Priors:
                 )
         if not parameters:
             raise InputError(
-                f"robot {robot.name}: no number is uncertain; add `uncertain:` to its"
-                " numbers (docs/uncertainty.md)"
+                f"robot {robot.name}: the robot file has no uncertain numbers; add"
+                " `uncertain:` to some of them (docs/uncertainty.md)"
             )
         index = {prior.path: i for i, prior in enumerate(parameters)}
         correlation = np.eye(len(parameters))
@@ -113,7 +113,8 @@ class Priors:
                 correlation[i, j] = correlation[j, i] = pair.r
         if np.linalg.eigvalsh(correlation)[0] <= 1e-9:
             raise InputError(
-                f"robot {robot.name}: its correlations contradict each other"
+                f"robot {robot.name}: the correlations contradict each other (their"
+                " matrix is not positive definite); reduce some of them"
             )
         return cls(tuple(parameters), correlation)
 

@@ -48,22 +48,27 @@ def replay(
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Drive both plants with the valve states of a recording.
+    """Simulate a recorded run with its recorded valve states.
 
-    The output compares each plant with the measured motion. The file
-    scenario.resolved.yaml in the output folder repeats the replay with `srs-twin run`.
+    The output compares the simulated motion with the measured motion. The command also
+    writes the replay as a scenario to scenario.resolved.yaml in the output folder;
+    `srs-twin run` runs this file.
 
     Options:
-        motion: File of motion capture, or of bends on a bench.
-        --robot -r ROBOT: Shipped robot or robot file.
-        --valves LOG: Log of valves or pressures. [default: NAME.valves.csv in the same
-            folder]
-        --fit FIT: Fit file of this robot (repeatable).
-        --expect FILE.yaml: File of expectations, as in a scenario: `expect: …`.
-        --bench: Simulate a robot or module that is clamped at its head on a bench
-            instead of crawling on the floor.
-        --plants LIST: Plants: analytical, twin or analytical,twin.
-        --model NAME: Model of the analytical plant.
+        motion: File with the recorded motion, from motion capture or from a bend
+            measurement on a bench.
+        --robot -r ROBOT: Name of a shipped robot, or path of a robot file.
+        --valves LOG: Log with the recorded valve states or pressures. [default:
+            NAME.valves.csv in the same folder]
+        --fit FIT: Fit file whose parameters replace the values of the robot file. Can
+            be repeated.
+        --expect FILE.yaml: YAML file with expected ranges of results, under the key
+            `expect` as in a scenario.
+        --bench: Simulate the robot, or a single module, clamped at its head on a bench
+            instead of free on the floor.
+        --plants LIST: Models to simulate: analytical, twin or analytical,twin.
+        --model NAME: Kind of analytical model: complete, simplified, compliant or
+            quasistatic.
         --out DIR: Output folder. [default: runs/MOTION]
     """
     from srs_twin.identification.replay import replay_scenario

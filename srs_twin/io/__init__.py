@@ -1,1 +1,1 @@
-"""Input and output: YAML with positions, JSON, Parquet, saved states, shipped files."""
+"""Readers and writers of YAML, JSON, Parquet, saved states and shipped files."""

@@ -1,8 +1,7 @@
 """Type checks of the arguments of public functions against their annotations.
 
-They run once per call and never per time step. A wrong type is reported where the user
-gave it, in the words of the command line. The functions themselves check names and
-ranges.
+A check runs once per call and never per time step. It reports a wrong type in the words
+of the command line.
 """
 
 from __future__ import annotations
@@ -78,8 +77,8 @@ def check_types(
 
     Args:
         owner: name of the function or class in messages.
-        annotated: function or class; its annotations are importable at run time.
-        values: name → value; names without annotation are ignored.
+        annotated: function or class whose annotations are importable at run time.
+        values: values by name. Names without annotation are ignored.
 
     Raises:
         InputError: a value has another type.

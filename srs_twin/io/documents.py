@@ -1,9 +1,9 @@
 """YAML documents with the line and column of every value, for error messages.
 
-Documents follow YAML 1.2 with the core schema: ``yes`` is text and ``012`` is twelve. A
-file is parsed event by event, so that limits apply before data are built. Anchors,
-aliases, tags, directives, merge keys and several documents are rejected. PyYAML's own
-loaders are not suitable, because they have no positions and read YAML 1.1.
+Documents follow YAML 1.2 with the core schema. A file is parsed event by event, so that
+limits apply before data are built. Anchors, aliases, tags, directives, merge keys and
+several documents are rejected. PyYAML's own loaders are not suitable, because they have
+no positions and read YAML 1.1.
 """
 
 from __future__ import annotations
@@ -70,8 +70,9 @@ class Override:
     """Value from the command line or a program that replaces a value of a file.
 
     Attributes:
-        label: origin of the value in messages, such as "--set
-            controller.frequency_hz=1.5".
+        label: origin of the value, such as "--set controller.frequency_hz=1.5".
+        loc: path of the replaced value.
+        value: new value.
     """
 
     label: str
@@ -94,7 +95,7 @@ class Override:
 
     @classmethod
     def list_of(cls, changes: Overrides) -> Sequence[Override]:
-        """Return overrides as a list; they may be a mapping of dotted field → value."""
+        """Return overrides as a list, also if they are given as a mapping."""
         if not isinstance(changes, Mapping):
             return changes
         return [
@@ -112,13 +113,16 @@ class Document:
     """Data of one file with the positions of values, and the problems found so far.
 
     Attributes:
-        values: path of a value → line and column of its first character; empty for data
-            made in memory.
-        refused: positions of invalid YAML; further problems at these positions are not
-            reported.
-        override_labels: labels of the applied overrides; values of the k-th override
+        name: name of the file.
+        data: parsed data.
+        values: line and column of each value, by its path; empty for data in memory.
+        keys: line and column of each key, by its path.
+        problems: positions and messages.
+        refused: positions at which no further problems are reported.
+        override_labels: labels of the applied overrides. Values of the k-th override
             have the position (−k, 0).
-        folder: folder of the file; None for data made in memory.
+        folder: folder of the file, or None for data in memory.
+        warnings: warnings about the file.
     """
 
     name: str
@@ -201,8 +205,7 @@ class Document:
 
         Args:
             loc: path of the value in the data.
-            kind: kind of shipped files whose name may be given instead; an empty kind
-                allows paths only.
+            kind: kind of shipped files whose names are also allowed, if any.
         """
         text = self.get(*loc)
         position = self.values.get(loc, (0, 0))
@@ -235,7 +238,7 @@ class Document:
 
         A robot override is validated after it is merged into its base. An error in
         ``stiffness.value`` of the merged robot is an error in ``stiffness`` of the
-        override. A value from the base keeps its path.
+        override.
         """
         existing = self.existing_prefix(prefix + loc)
         if len(existing) > len(prefix) + 1 or existing == prefix + loc:
@@ -243,7 +246,10 @@ class Document:
         return prefix + loc
 
     def report(self, loc: Loc, message: str, *, at_key: bool = False) -> None:
-        """Add a problem at a value or key; a missing value has its parent's place."""
+        """Add a problem at a value or key.
+
+        A problem with a missing value has the position of the parent.
+        """
         existing = self.existing_prefix(loc)
         positions = self.values
         if at_key and existing == loc:
@@ -279,10 +285,7 @@ class Document:
             self.report(loc, str(error))
 
     def raise_problems(self, other_files: Iterable[str] = ()) -> None:
-        """Raise one error with all problems, in the order of the file.
-
-        Args:
-            other_files: messages about other files, which come first.
+        """Raise one error with all problems, after messages about other files.
 
         Raises:
             InputFileError: there is at least one problem.
@@ -298,11 +301,7 @@ class Document:
 
 
 def load_yaml(path: Path, *, limit: int = MAX_BYTES) -> Document:
-    """Read and parse a YAML file; see `parse_yaml`.
-
-    Args:
-        path: file path.
-        limit: maximum size, bytes.
+    """Read and parse a YAML file with at most `limit` bytes.
 
     Raises:
         InputError: the file cannot be read.
@@ -365,22 +364,23 @@ def parse_yaml(text: str, name: str) -> Document:
 def _explain(problem: str, lines: list[str], mark: yaml.Mark) -> str:
     before = "".join(lines)[: mark.column]
     if "mapping values are not allowed" in problem and ": " in before:
-        return "; a text with a colon and a blank must be in quotes"
+        return "; a text that contains a colon and a space must be in quotes"
     if "mapping values" in problem or re.search(
         "<block end>, but found '(<block|-)", problem
     ):
-        return "; its indent is wrong: keys of one block begin in the same column"
+        return (
+            "; the indentation is wrong, because all keys of a block must begin in the"
+            " same column"
+        )
     if "expected ':'" in problem:
-        return "; a key is followed by a colon and a blank"
+        return "; a key must be followed by a colon and a space"
     return ""
 
 
 def dump_yaml(data: object, *, compact: bool = False) -> str:
     """Return plain data as YAML text that `parse_yaml` reads back as equal data.
 
-    Args:
-        data: dicts, lists, text, numbers, true, false, None.
-        compact: whether to write lists and dicts of numbers in one line.
+    If `compact` is true, lists and dicts of numbers are written in one line.
     """
     text: str = yaml.dump(
         data,
@@ -445,7 +445,8 @@ class _Reader:
                 if documents > 1:
                     self.fail(
                         self.last,
-                        "a second document begins here; a file may contain one",
+                        "a second YAML document begins here, but a file may have only"
+                        " one",
                     )
                 if event.version or event.tags:
                     self._refuse(
@@ -479,7 +480,7 @@ class _Reader:
         if isinstance(event, yaml.AliasEvent):
             return None
         if len(loc) >= MAX_DEPTH:
-            self.fail(self.last, f"nested more than {MAX_DEPTH} deep")
+            self.fail(self.last, f"nested more than {MAX_DEPTH} levels deep")
         if isinstance(event, yaml.MappingStartEvent):
             return self._mapping(loc)
         values: list[object] = []
@@ -509,7 +510,7 @@ class _Reader:
     def _check(self, event: yaml.Event) -> None:
         self._nodes += 1
         if self._nodes > MAX_NODES:
-            self.fail(self.last, f"more than {MAX_NODES} keys and values")
+            self.fail(self.last, f"the file has more than {MAX_NODES} keys and values")
         if isinstance(event, yaml.AliasEvent):
             self._refuse(
                 f"aliases (*{event.anchor}) are not allowed; write the value out"

@@ -29,10 +29,10 @@ _PRODUCT_LIST = ".products"
 """Names of the products in a staging folder, one per line."""
 
 _ASIDE = ".aside"
-"""Subfolder of earlier files before any new file is moved in."""
+"""Subfolder of the earlier files until all of them are moved away."""
 
 _SAVED = ".earlier"
-"""Name of this subfolder when it holds all earlier files, while new ones move in."""
+"""Name of this subfolder while the new files are moved in."""
 
 _OBSOLETE = ".gone"
 """Name of this subfolder after a complete replacement."""
@@ -59,16 +59,15 @@ def replace_files(folder: Path, products: Sequence[str]) -> Iterator[Path]:
     """Yield an empty folder for files that replace the earlier set when the block ends.
 
     After an error or an interrupt the earlier set is restored. Other files in the
-    folder are kept. If several processes finish at one time, the set of the last
-    process remains.
+    folder are kept.
 
     Args:
-        folder: folder, created if missing.
+        folder: folder of the files.
         products: names of all files of the set, or patterns such as ``best/*.yaml``.
-            The first is the completion mark: it exists only in a complete set.
+            The first is the completion mark, which exists only in a complete set.
 
     Raises:
-        InputError: the files cannot be written, for example because the disk is full.
+        InputError: the files cannot be written.
     """
     try:
         with make_folder(folder), _staging_folder(folder, products) as staging:
@@ -150,10 +149,6 @@ def _restore(folder: Path, staging: Path) -> None:
     """Restore the earlier set after an incomplete replacement.
 
     The function can be repeated after an interruption at any point.
-
-    Raises:
-        OSError: a file cannot be moved.
-        ValueError: the list of products is damaged.
     """
     mark, *others = (staging / _PRODUCT_LIST).read_text("utf-8").splitlines()
     # If the completion mark exists, either no file was moved away or all new files were
@@ -204,9 +199,9 @@ def _clean_up(folder: Path) -> None:
 
 @contextmanager
 def _lock(folder: Path, timeout_s: float = _LOCK_TIMEOUT_S) -> Iterator[bool]:
-    """Lock a folder for a `with` block; yield False if the file system has no locks.
+    """Lock a folder for a `with` block, and yield whether the lock was obtained.
 
-    The operating system releases the lock when the process ends.
+    The value is False if the file system has no locks.
 
     Raises:
         BlockingIOError: another process holds the lock for longer than `timeout_s`.

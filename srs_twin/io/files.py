@@ -1,8 +1,4 @@
-"""Shipped files, paths in messages, and atomic writes of single files.
-
-Output folders are checked before a run starts. `file_sets` replaces several files
-together.
-"""
+"""Shipped files, paths in messages, and atomic writes of single files."""
 
 from __future__ import annotations
 
@@ -41,8 +37,7 @@ _UNPRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\ud800-\udfff]")
 def data_root() -> Path:
     """Return the folder that contains calibration/, models/ and scenarios/.
 
-    An installed wheel has it in ``srs_twin/_data``. In an editable checkout it is the
-    checkout itself.
+    This is ``srs_twin/_data`` in an installed wheel, and otherwise the checkout.
     """
     package = Path(__file__).resolve().parents[1]
     packed = package / "_data"
@@ -79,7 +74,7 @@ def place_of(text: str, folder: Path, kind: str = "") -> str:
     Args:
         text: relative or absolute path.
         folder: folder of the file that contains the path.
-        kind: kind of shipped files to suggest if the file is missing.
+        kind: kind of shipped files to suggest.
 
     Raises:
         InputError: there is nothing at either place.
@@ -128,7 +123,9 @@ def find_file(kind: str, name_or_path: StrPath) -> Path:
     if text in names:
         return shipped_folder(kind) / f"{text}.yaml"
     if os.path.isfile(text):
-        raise InputError(f"{text}: a {kind} file ends in {' or '.join(_SUFFIXES)}")
+        raise InputError(
+            f"{text}: the name of a {kind} file must end in {' or '.join(_SUFFIXES)}"
+        )
     if os.path.isdir(text):
         require_file(Path(text))
     raise UnknownNameError(
@@ -146,13 +143,15 @@ def check_file_name(name: str, source: str) -> str:
 
     Args:
         name: name of lower-case letters, digits and _.
-        source: option or argument that gave the name, for the message.
+        source: option or argument that gave the name.
 
     Raises:
         InputError: the name is not allowed.
     """
     if not re.fullmatch(r"[a-z][a-z0-9_]{0,59}", name):
-        allowed = "lower-case letters, digits and _, a letter first, 60 at most"
+        allowed = (
+            "use at most 60 lower-case letters, digits and _, and begin with a letter"
+        )
         raise InputError(f"{source}: '{name}' is not allowed; {allowed}")
     return name
 
@@ -160,12 +159,8 @@ def check_file_name(name: str, source: str) -> str:
 def escape_unprintable(text: str, *, keep: str = "") -> str:
     r"""Return text with escapes for control characters and for bytes other than UTF-8.
 
-    Terminals interpret control characters: a title with ``\x1b[31m`` would colour the
-    text after it.
-
-    Args:
-        text: text from any source.
-        keep: control characters to keep, such as line ends.
+    Terminals interpret control characters. For example, a title with ``\x1b[31m`` would
+    colour the text after it. Characters in `keep` are not replaced.
     """
     return _UNPRINTABLE.sub(
         lambda match: match[0] if match[0] in keep else _escape(match[0]), text
@@ -269,7 +264,7 @@ def missing_folders(folder: Path) -> list[Path]:
 
 
 def remove_empty_folders(folders: Iterable[Path]) -> None:
-    """Remove the empty folders; another process may use the remaining ones."""
+    """Remove the folders that are empty. Other processes may use the others."""
     for folder in folders:
         with suppress(OSError):
             folder.rmdir()
@@ -309,8 +304,7 @@ def atomic_write(path: StrPath) -> Iterator[Path]:
 
     Missing folders are created. Readers of ``path`` see either the old file or the
     complete new file. After an error the temporary file and the new folders are
-    removed, and ``path`` is not replaced. The next writer of ``path`` overwrites the
-    temporary file of a killed writer.
+    removed.
 
     Raises:
         InputError: the file cannot be written.
@@ -328,11 +322,11 @@ def atomic_write(path: StrPath) -> Iterator[Path]:
 
 @contextmanager
 def _temporary_file(target: Path) -> Iterator[Path]:
-    """Yield a hidden file beside a target; after an error the file is removed.
+    """Yield a hidden file next to a target, and remove it after an error.
 
     All writers of a target use one name, so that the next writer overwrites the file of
-    a killed writer. The file of a live writer is locked until its process ends, and
-    other writers then use a random name.
+    a killed writer. While a writer is running, its file is locked, and other writers
+    use random names.
     """
     # The suffix stays at the end, because some writers choose their format by it.
     temporary = target.with_name(f".{target.stem}.part{target.suffix}")
@@ -362,11 +356,7 @@ def _temporary_file(target: Path) -> Iterator[Path]:
 def create_numbered_file(folder: Path, name: str) -> Path:
     """Create an empty file with the lowest free number in its name.
 
-    Concurrent processes get different files.
-
-    Args:
-        folder: folder, created if missing.
-        name: file name with "{}" for the number, such as "journal-{}.mcap".
+    Concurrent processes get different files. The name has the form "journal-{}.mcap".
 
     Raises:
         InputError: the file cannot be created.
@@ -409,18 +399,19 @@ def require_file(
     names: Iterable[str] = (),
     beside: Path | None = None,
 ) -> Path:
-    """Return the path if it is a regular file; devices and pipes may never end.
+    """Return a path after checking that it is a regular file.
+
+    Devices and pipes are refused, because reading them may never end.
 
     Args:
         path: path as the user wrote it.
         suffix: suffix of the files to suggest.
         remedy: text for the message if no similar file exists.
         names: names of shipped files to suggest.
-        beside: another place where the file was looked for.
+        beside: other path at which the file was expected.
 
     Raises:
-        InputError: the file is missing or not a regular file, or the name is not
-            allowed.
+        InputError: the file is missing or not regular, or the name is not allowed.
     """
     check_printable(path)
     try:
@@ -431,11 +422,15 @@ def require_file(
             hint = f" ({suffix}; there is none in it)"
             if inside:
                 hint = f", such as {display_path(path / inside[0])}"
-            raise InputError(f"{display_path(path)}: a folder; give one file{hint}")
+            raise InputError(
+                f"{display_path(path)}: this is a folder; give one file{hint}"
+            )
         if path.exists():
-            raise InputError(f"{display_path(path)}: not a regular file")
+            raise InputError(f"{display_path(path)}: this is not a regular file")
         if path.is_symlink():
-            raise InputError(f"{display_path(path)}: a broken link")
+            raise InputError(
+                f"{display_path(path)}: this is a broken link, which points to no file"
+            )
     except OSError as error:
         # The name is too long, or a folder may not be entered.
         raise InputError(
@@ -460,17 +455,13 @@ def check_output_folder(
 ) -> None:
     """Check that files can be written to a folder that may not exist yet.
 
-    The folder is left unchanged.
-
     Args:
-        folder: output folder.
+        folder: output folder, which is left unchanged.
         products: file names.
-        option: command-line option that sets the folder, for the message; empty if
-            there is none.
+        option: option that sets the folder, or an empty string.
 
     Raises:
-        InputError: the folder cannot be created or written, or a folder has the name of
-            a file.
+        InputError: the folder cannot be written, or a folder has the name of a file.
     """
     check_printable(folder)
     try:
@@ -496,7 +487,7 @@ def check_not_folders(folder: Path, products: Sequence[str]) -> None:
     """Check that no folder has the name of a product.
 
     Raises:
-        InputError: a folder has the name of a product; the message names it.
+        InputError: a folder has the name of a product.
     """
     for product in products:
         if (folder / product).is_dir():

@@ -58,8 +58,7 @@ class DeepCopied:
     """Base class of objects that share no state with their copies.
 
     `copy.copy` makes a deep copy, because a shallow copy would advance the chambers and
-    bodies of the original. A copied or unpickled object continues bit-identically to
-    the original.
+    bodies of the original.
     """
 
     def __copy__(self) -> Self:
@@ -106,15 +105,15 @@ class Stateful(DeepCopied):
     state_attributes: ClassVar[tuple[str, ...]] = ()
 
     def state_dict(self) -> dict[str, object]:
-        """Return a copy of the state, attribute name → value or nested state."""
+        """Return a copy of the state as attribute name → value or nested state."""
         return {name: _copy_state(getattr(self, name)) for name in self._state_names()}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Set the state to one that `state_dict` of this or another object returned.
+        """Set the state to a state that `state_dict` returned.
 
         Raises:
             InputError: an attribute is missing, or its kind differs from the current
-                one.
+                kind.
         """
         missing = [name for name in self._state_names() if name not in state]
         if missing:
@@ -170,17 +169,16 @@ def check_kind(label: str, saved: object, present: object) -> None:
     """Check that a saved value can replace the current array or nested state.
 
     Raises:
-        InputError: the saved value is not an array with as many dimensions, or not a
-            nested state.
+        InputError: the saved value has another kind or number of dimensions.
     """
     if isinstance(present, np.ndarray):
         if not isinstance(saved, np.ndarray) or saved.ndim != present.ndim:
             raise InputError(
-                f"{label}: the saved state has no array of {present.ndim} dimensions"
-                " for it"
+                f"{label}: the saved value must be an array with {present.ndim}"
+                " dimensions"
             )
     elif isinstance(present, Stateful) and not isinstance(saved, Mapping):
-        raise InputError(f"{label}: the saved state has no nested state for it")
+        raise InputError(f"{label}: the saved value must be a nested state")
 
 
 def _copy_state(value: object) -> object:
@@ -191,9 +189,9 @@ def _copy_state(value: object) -> object:
 
 @dataclass(frozen=True, eq=False)
 class SavedState:
-    """State of a plant or a controller that determines its further evolution.
+    """State of a plant or a controller that determines the further evolution.
 
-    It can be pickled, and written to a file.
+    A state can be pickled, and written to a file.
 
     Attributes:
         owner: settings of the saved object as JSON values. Only an object with equal
@@ -283,8 +281,8 @@ class SavedState:
 def _check_version(label: str, version: object) -> None:
     if version != VERSION:
         raise InputError(
-            f"{label}: saved state of version {version}; this program reads version"
-            f" {VERSION}"
+            f"{label}: the saved state has version {version}, but this program reads"
+            f" only version {VERSION}"
         )
 
 

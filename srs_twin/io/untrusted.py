@@ -48,8 +48,7 @@ def read_json(path: Path) -> Any:
     """Read a JSON file.
 
     Raises:
-        InputError: the file is missing, not a regular file, not readable, too large, or
-            not JSON.
+        InputError: the file is missing, not readable, too large, or not JSON.
     """
     try:
         with require_file(path, suffix=".json").open("rb") as stream:
@@ -88,9 +87,9 @@ def parse_json(text: str, name: str) -> Any:
     except ValueError as error:
         raise InputError(f"{name}: {error}") from error
     except RecursionError:
-        raise InputError(f"{name}: nested more than {MAX_DEPTH} deep") from None
+        raise InputError(f"{name}: nested more than {MAX_DEPTH} levels deep") from None
     if _depth(data) > MAX_DEPTH:
-        raise InputError(f"{name}: nested more than {MAX_DEPTH} deep")
+        raise InputError(f"{name}: nested more than {MAX_DEPTH} levels deep")
     return data
 
 
@@ -166,14 +165,11 @@ def read_table(
 
     Args:
         path: path or file-like object.
-        kind: expected kind of file for messages, such as "a trajectory written by
-            srs-twin".
-        check: function that raises TypeError or ValueError for an unexpected schema,
-            before any data are read.
+        kind: expected kind of file, such as "a trajectory written by srs-twin".
+        check: function that raises TypeError or ValueError for an unexpected schema.
 
     Raises:
-        InputError: the file is missing, not a regular file, not Parquet, damaged, or
-            larger than a limit; the message names the damaged column.
+        InputError: the file is missing, damaged, not Parquet, or larger than a limit.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -211,7 +207,7 @@ def read_table(
 
 
 def _check_size(path: Path) -> None:
-    """Check the sizes of file and footer; Arrow would read a footer of gigabytes."""
+    """Check the sizes of file and footer, because Arrow would read gigabytes."""
     size = path.stat().st_size
     with path.open("rb") as file:
         file.seek(max(0, size - 8))
@@ -264,11 +260,7 @@ def _read(file: ParquetFile) -> pyarrow.Table:
 
 
 def read_arrays(path: Path, what: str) -> dict[str, np.ndarray]:
-    """Read a NumPy archive (npz) of numbers and texts, name → array.
-
-    Args:
-        path: archive file.
-        what: kind of file in messages, such as "policy file".
+    """Return the arrays of a NumPy archive (npz) of numbers and texts, by name.
 
     Raises:
         InputError: the file is missing, not readable, damaged or too large, or contains
@@ -289,7 +281,7 @@ def read_arrays(path: Path, what: str) -> dict[str, np.ndarray]:
                         f"{unpacked} bytes unpacked; the limit is {MAX_ARCHIVE_BYTES}"
                     )
                 if any(member.compress_type not in _PACKING for member in members):
-                    raise ValueError("packed by another method than that of NumPy")
+                    raise ValueError("NumPy does not write this compression method")
                 return {
                     member.filename.removesuffix(".npy"): _parse_array(
                         archive.read(member)

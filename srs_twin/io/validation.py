@@ -54,7 +54,7 @@ RETIRED_KINDS = {
     ),
     "contour": "it was retired; use line, with one of the two fields as by",
 }
-"""Retired kind or key → why it was removed, or what to use instead."""
+"""Retired kind or key → reason for its removal, or replacement."""
 _UNION_TAG_ERRORS = ("union_tag_invalid", "union_tag_not_found")
 
 
@@ -95,14 +95,14 @@ def _add_descriptions(schema: dict[str, Any], cls: type[StrictModel]) -> None:
 class StrictModel(BaseModel):
     """Base class of all models of files.
 
-    It converts no types and accepts no unknown keys and only finite numbers. The
-    docstring of a key is its description in JSON schemas. A model with constraints
-    between its keys has a method `contradictions()`, which yields path and message of
-    each violation.
+    A model converts no types. It accepts neither unknown keys nor numbers that are not
+    finite. The docstring of a key is the description of the key in JSON schemas. The
+    optional method `contradictions()` yields path and message of each violated
+    constraint between keys.
 
     Attributes:
-        elsewhere: paths of keys that users expect in this block → correct keys, for
-            messages.
+        elsewhere: paths of keys that users may expect in this block, with the correct
+            keys, which messages suggest.
     """
 
     elsewhere: ClassVar[dict[str, str]] = {}
@@ -122,12 +122,12 @@ def load_model(model: type[Model], path: Path, paths: Mapping[Loc, str] = {}) ->
     Args:
         model: subclass of `StrictModel`.
         path: file path.
-        paths: keys of the file that name other files → kind of shipped files; see
-            `Document.locate`.
+        paths: keys that name other files, with the kind of shipped files (see
+            `Document.locate`).
 
     Raises:
         InputError: the file cannot be read.
-        InputFileError: the file is not valid; the message lists all problems.
+        InputFileError: the file is not valid. The message lists all problems.
     """
     document = load_yaml(path)
     for loc, kind in paths.items():
@@ -194,10 +194,7 @@ def _schema_of(model: type[StrictModel]) -> Schema:
 def describe_schema(schema: Schema, root: Schema, *, brief: bool = False) -> str:
     """Describe the values of a JSON schema, such as 'a number from 0.01 to 50'.
 
-    Args:
-        schema: value schema.
-        root: complete schema with the definitions.
-        brief: whether to give the number of choices instead of a long list.
+    If `brief` is true, the number of choices replaces a long list.
     """
     texts = [
         _describe_option(option, root, brief) for option in _alternatives(schema, root)
@@ -279,7 +276,7 @@ def _suggest_unit(value: object, loc: Loc, options: Iterable[Schema]) -> str:
         or not 0 < abs(value) < 1e300
     ):
         return ""
-    # The key of a record has the unit, its `value` has not.
+    # The unit is in the key of a record, not in the key `value` below it.
     key = next(
         (key for key in reversed(loc) if isinstance(key, str) and key != "value"), ""
     )

@@ -58,8 +58,8 @@ def broker_link(
 
     if set(robot) & set("/+#") or len(robot) > _LONGEST_NAME:
         raise InputError(
-            f"--name {robot[:80]!r} cannot be part of a topic: it has /, + or #, or"
-            f" more than {_LONGEST_NAME} characters"
+            f"--name {robot[:80]!r} cannot be part of a topic; use no /, + or #, and"
+            f" at most {_LONGEST_NAME} characters"
         )
     host, port = links.address(address, links.PORT)
     broker = links.BrokerAccess(host, port, user, os.environ.get(PASSWORD), ca)
@@ -78,14 +78,16 @@ class RobotOptions:
     """Options of the simulated robot.
 
     Options:
-        seed: Random seed of module properties, sensor noise, message loss and delay.
-        fault: Fault and its time, e.g. stuck_valve:2+@5, dead_sensor:1@8,
-            leak:3-=fast@2; repeatable.
-        spread: Relative standard deviation of the bending gains of the modules.
-        noise: Standard deviation of bend readings, rad.
-        chambers: orifice (compressible flow) or lag (first order). [default: orifice;
-            spatial robots: lag]
-        start: Initial pose, m and rad, e.g. --start=0.2,-0.1,0.5.
+        seed: Seed of the random number generator for module properties, sensor noise,
+            and lost or delayed messages.
+        fault: Fault with its place and its time in seconds, for example
+            stuck_valve:2+@5, dead_sensor:1@8 or leak:3-=fast@2. Can be repeated.
+        spread: Relative standard deviation of the gains of the modules.
+        noise: Standard deviation of the measured bends in rad.
+        chambers: Pneumatic model of the chambers: orifice (compressible flow) or lag
+            (first order). [default: orifice; spatial robots: lag]
+        start: Initial position in metres and initial heading in rad, for example
+            --start=0.2,-0.1,0.5.
     """
 
     seed: Annotated[int, option("--seed N", min=0)] = 0
@@ -126,12 +128,13 @@ class MessageOptions:
     """Options of the messages of an emulated robot.
 
     Options:
-        loss: Fraction of messages that are lost.
-        jitter: Maximum delay of a message, s.
-        tell_supply: Publish the supply pressure.
-        duration: Stop after S seconds. [default: run until Ctrl-C]
-        user: MQTT user name.
-        ca: CA certificate file (PEM), which enables TLS.
+        loss: Fraction of the messages that are lost.
+        jitter: Maximum delay of a message in seconds.
+        tell_supply: Also publish the supply pressure.
+        duration: Stop after this many seconds. [default: run until Ctrl-C]
+        user: User name at the MQTT broker.
+        ca: PEM file with the CA certificate of the MQTT broker. This option enables
+            TLS.
     """
 
     loss: Annotated[float, option("--loss SHARE", min=0.0, max=0.99)] = 0.0
@@ -152,18 +155,18 @@ def emulate(
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Emulate a robot over MQTT and NatNet.
+    """Emulate a robot that communicates over MQTT and NatNet.
 
-    The emulated robot obeys commands and publishes bends, pressures, valve states and
-    poses in real time. It has random module properties, sensor noise and faults.
-    docs/live.md describes the messages. The environment variable
-    SRS_TWIN_MQTT_PASSWORD contains the password of --user.
+    The emulated robot is a twin with unequal modules, compressible flow in the
+    chambers, sensor noise and faults. It executes valve commands and publishes bends,
+    pressures, valve states and poses in real time. docs/live.md describes the messages.
+    The environment variable SRS_TWIN_MQTT_PASSWORD contains the password of --user.
 
     Options:
-        mqtt: MQTT broker.
-        natnet: Local address on which NatNet frames are served. [default: no motion
-            capture]
-        name: Name of the robot in topics. [default: ROBOT]
+        mqtt: Address of the MQTT broker.
+        natnet: Address of this machine at which NatNet frames are served. [default: no
+            motion capture]
+        name: Name of the robot in the MQTT topics. [default: ROBOT]
     """
     from srs_twin.live.emulator import Transport, emulate as run
     from srs_twin.live.messages import COMMAND
@@ -191,7 +194,7 @@ def emulate(
             capture = stack.enter_context(server)
             seen = f", seen at {natnet}"
         if not quiet:
-            say(f"{known} is on the air at {mqtt}{seen}; Ctrl-C ends it")
+            say(f"emulating {known} at {mqtt}{seen}; Ctrl-C stops it")
         result = run(
             emulated,
             link,
@@ -226,7 +229,7 @@ def _pose(text: str) -> tuple[float, float, float]:
         x = y = heading = math.nan
     if not math.isfinite(x + y + heading):
         raise InputError(
-            f"--start '{text}' is no place such as 0.2,-0.1,0.5: x and y in m, heading"
-            " in rad"
+            f"--start '{text}' is not a pose; give x and y in m and the heading in rad,"
+            " such as --start=0.2,-0.1,0.5"
         )
     return x, y, heading

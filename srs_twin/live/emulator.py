@@ -111,19 +111,20 @@ class Fault:
         """
         match = _FAULT.fullmatch(text)
         if match is None:
-            raise InputError(f"{text!r} is no fault; the form is {_FORM}")
+            raise InputError(f"{text!r} is not a valid fault; write {_FORM}")
         kind, number, side, how, since = match.groups()
         if kind not in KINDS:
             raise UnknownNameError("fault", kind, KINDS)
         part, variants = KINDS[kind]
         how = how or next(iter(variants))
         if how not in variants:
-            raise UnknownNameError(f"way of {kind}", how, variants)
+            raise UnknownNameError(f"variant of {kind}", how, variants)
         is_complete = bool(number) == bool(part)
         if not is_complete or bool(side) != (part == "chamber"):
-            needed = f"is of one {part}" if part else "is of the whole robot"
+            needed = f"concerns one {part}" if part else "concerns the whole robot"
             raise InputError(
-                f"{text!r}: {kind} {needed}; {kind}{_EXAMPLES[part]} would be one"
+                f"{text!r}: the fault {kind} {needed}; write it as"
+                f" {kind}{_EXAMPLES[part]}"
             )
         most = segments + (part == "connector")
         if number and not 1 <= int(number) <= most:
@@ -259,8 +260,8 @@ class EmulatedRobot:
             )
         if leaks and not isinstance(self._air, OrificePneumatics):
             raise InputError(
-                "chambers without compressible flow do not begin to leak; those of"
-                " pneumatics 'orifice' do"
+                "a leak cannot be simulated without compressible flow; use pneumatics"
+                " 'orifice'"
             )
         self._air.stuck = tuple(
             StuckValve(fault.number, fault.side, int(fault.how), fault.since)

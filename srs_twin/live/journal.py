@@ -219,7 +219,7 @@ def opened_journal(path: Path) -> IO[bytes]:
             f"{display_path(path)}: cannot be read ({error.strerror})"
         ) from error
     file.close()
-    raise InputError(f"{display_path(path)}: not an MCAP file")
+    raise InputError(f"{display_path(path)}: this is not an MCAP file")
 
 
 def _message(
@@ -229,7 +229,7 @@ def _message(
     try:
         prefix, source, kind = topic.split("/", 2)
         if prefix != PREFIX:
-            raise ValueError("a topic of another program")
+            raise ValueError("the topic belongs to another program")
         if kind == POSES:
             said = json.loads(data)
             poses = np.array(said["poses"], dtype=float).reshape(-1, 4)
@@ -237,10 +237,12 @@ def _message(
             names = tuple(map(str, said["names"]))
             places = all(map(is_place, np.nan_to_num(poses, nan=0.0)))
             if len(names) != len(poses) or not abs(sent) <= LATEST_S or not places:
-                raise ValueError("its numbers do not fit together")
+                raise ValueError("the lists of names and poses do not match")
             return Message(kind, source, sent, arrived, poses, names)
     except (ValueError, TypeError, KeyError, RecursionError, OverflowError) as error:
-        raise BadMessageError(f"no message of ours: {type(error).__name__}") from None
+        raise BadMessageError(
+            f"not a message of srs-twin: {type(error).__name__}"
+        ) from None
     if source != robot:
         return None
     return decode(kind, data, source=source, arrived=arrived, segments=segments)
@@ -341,7 +343,7 @@ class McapLink(Link):
             found += f"; it has messages of {names} (--name)"
         if bad:
             found += f"; not readable: {', '.join(bad[:3])}"
-        raise InputError(f"{display_path(path)}: holds {found}")
+        raise InputError(f"{display_path(path)}: the journal has {found}")
 
     def _play(self) -> None:
         try:

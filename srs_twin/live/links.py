@@ -140,8 +140,9 @@ def address(given: str, port: int) -> tuple[str, int]:
         colon and not (re.fullmatch("[0-9]{1,5}", number) and 0 < int(number) < 65536)
     ):
         raise InputError(
-            f"{given[:80]!r} is no address; HOST or HOST:PORT is, such as"
-            f" {LOOPBACK}:{port}: a name or an IPv4 address, and a port from 1 to 65535"
+            f"{given[:80]!r} is not an address; give HOST or HOST:PORT, such as"
+            f" {LOOPBACK}:{port}, with a name or an IPv4 address as HOST and a PORT"
+            " from 1 to 65535"
         )
     return host, int(number or port)
 
@@ -166,7 +167,7 @@ def resolved(host: str) -> str:
     try:
         return socket.gethostbyname(host)
     except (OSError, UnicodeError) as error:
-        raise InputError(f"{host[:80]!r}: no host of this name is known") from error
+        raise InputError(f"the host {host[:80]!r} cannot be found") from error
 
 
 PORT = 1883
@@ -235,7 +236,7 @@ class MqttLink(Link):
             from paho.mqtt.enums import CallbackAPIVersion
         except ImportError as error:
             raise InputError(
-                "MQTT needs paho-mqtt: pip install 'srs-twin[live]'"
+                "MQTT needs paho-mqtt; install it with: pip install 'srs-twin[live]'"
             ) from error
         self._robot = robot
         self._topics = {topic(robot, kind): kind for kind in kinds}
@@ -265,7 +266,8 @@ class MqttLink(Link):
         if not self._answered.wait(_ANSWER_S) or not self.connected:
             self.close()
             raise InputError(
-                f"the broker at {place} does not admit us: {self._why or 'no answer'}"
+                f"the broker at {place} refuses the connection:"
+                f" {self._why or 'no answer'}"
             )
 
     def send(
@@ -334,7 +336,7 @@ class MqttLink(Link):
         try:
             kind = self._topics.get(message.topic, "")
             if message.retain and kind != STATUS:
-                raise BadMessageError("retained by the broker from earlier")
+                raise BadMessageError("an old message that the broker retained")
             self._take(self._decode(kind, message.payload, arrived=arrived))
         except Exception as error:  # an exception would end the thread of the client
             self._refuse(error)
@@ -346,8 +348,8 @@ def _trust(client: mqtt.Client, ca: Path) -> None:
         client.tls_set(str(place))
     except (OSError, ValueError) as error:
         raise InputError(
-            f"{display_path(ca)}: not a certificate in PEM form; --ca needs that of the"
-            " authority that signed the broker's"
+            f"{display_path(ca)}: this is not a certificate in PEM form; --ca needs the"
+            " certificate of the authority that signed the broker's certificate"
         ) from error
 
 

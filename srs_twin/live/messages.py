@@ -189,8 +189,8 @@ def decode(
         BadMessageError: the payload is invalid, or has another number of segments.
     """
     if kind not in KINDS:
-        raise BadMessageError(f"no kind of message is called {kind!r}")
-    if kind == CONTROL and payload in _PLAIN_WORDS:  # typed by hand in an emergency
+        raise BadMessageError(f"{kind!r} is not a kind of message")
+    if kind == CONTROL and payload in _PLAIN_WORDS:  # by hand, in a hurry
         return Message(kind, source, arrived, arrived, names=(payload.decode(),))
     document = _document(payload)
     sent = _number(document.get("t"), "t", -LATEST_S, LATEST_S)
@@ -211,32 +211,36 @@ def decode(
 
 def _document(payload: bytes) -> Mapping[str, Any]:
     if len(payload) > LARGEST_BYTES:
-        raise BadMessageError(f"more bytes than the {LARGEST_BYTES} that are allowed")
+        raise BadMessageError(f"the message has more than {LARGEST_BYTES} bytes")
     try:
         document = json.loads(payload)
     except (ValueError, RecursionError) as error:
         # The position of the error is omitted, because messages are counted per reason
         # and the number of distinct reasons is limited.
         reason = getattr(error, "msg", type(error).__name__)
-        raise BadMessageError(f"no JSON: {reason}") from None
+        raise BadMessageError(f"the message is not JSON: {reason}") from None
     if not isinstance(document, Mapping):
-        raise BadMessageError(f"a JSON object is needed, not {type(document).__name__}")
+        raise BadMessageError(
+            f"the message must be a JSON object, not {type(document).__name__}"
+        )
     return document
 
 
 def _text(document: Mapping[str, Any], kind: str) -> str:
     text = document.get("text", "")
     if not isinstance(text, str) or len(text) > _LONGEST_TEXT:
-        raise BadMessageError(f"text is needed, {_LONGEST_TEXT} characters at most")
+        raise BadMessageError(
+            f"text: must be a string with at most {_LONGEST_TEXT} characters"
+        )
     if kind == CONTROL and text not in WORDS:
-        raise BadMessageError(f"a control is one of {', '.join(WORDS)}")
+        raise BadMessageError(f"text: a control must be one of {', '.join(WORDS)}")
     return text
 
 
 def _number(given: object, key: str, low: float, high: float) -> float:
     is_number = isinstance(given, int | float) and not isinstance(given, bool)
     if not (is_number and low <= given <= high):  # type: ignore[operator]
-        raise BadMessageError(f"{key}: a number from {low:g} to {high:g} is needed")
+        raise BadMessageError(f"{key}: must be a number from {low:g} to {high:g}")
     return float(given)  # type: ignore[arg-type]
 
 
@@ -246,7 +250,7 @@ def _numbers(
     given = document.get(key)
     if not isinstance(given, list) or len(given) != count:
         raise BadMessageError(
-            f"{key}: a list of {count} numbers is needed, one a segment"
+            f"{key}: must be a list of {count} numbers, one per segment"
         )
     return [
         math.nan

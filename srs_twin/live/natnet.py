@@ -126,7 +126,7 @@ class _Reader:
         (count,) = self.read("i")
         if not 0 <= count <= _MOST:
             raise BadMessageError(
-                f"a list with a negative number of entries, or more than {_MOST}"
+                f"the number of list entries is negative or above {_MOST}"
             )
         return int(count)
 
@@ -141,7 +141,7 @@ class _Reader:
         """Read the size of a list in bytes, and return the position of its end."""
         (size,) = self.read("i")
         if not 0 <= size <= len(self._data) - self.at:
-            raise BadMessageError("a list is longer than its packet")
+            raise BadMessageError("a list is longer than the packet")
         return self.at + int(size)
 
     def text(self) -> str:
@@ -149,7 +149,7 @@ class _Reader:
         rest = bytes(self._data[self.at : self.at + _NAME + 1])
         end = rest.find(b"\0")
         if end < 0:
-            raise BadMessageError("a name without an end")
+            raise BadMessageError("a name in the packet has no end")
         self.at += end + 1
         return rest[:end].decode("utf-8", "replace")
 
@@ -161,10 +161,10 @@ def opened(packet: bytes) -> tuple[int, bytes]:
         BadMessageError: the packet is invalid or incomplete.
     """
     if len(packet) < 4:
-        raise BadMessageError("no packet: fewer than 4 bytes")
+        raise BadMessageError("the packet has fewer than 4 bytes")
     kind, size = struct.unpack_from("<HH", packet)
     if len(packet) - 4 < size:
-        raise BadMessageError("the packet is shorter than its head says")
+        raise BadMessageError("the packet is shorter than its header states")
     return kind, packet[4 : 4 + size]
 
 
@@ -186,7 +186,9 @@ def read_server(content: bytes) -> Server:
     if not VERSIONS[0] <= version < (VERSIONS[-1][0] + 1, 0):
         first = ".".join(map(str, VERSIONS[0]))
         last = ".".join(map(str, VERSIONS[-1]))
-        raise BadMessageError(f"NatNet of another version than {first} to {last}")
+        raise BadMessageError(
+            f"the NatNet version is not supported; it must be {first} to {last}"
+        )
     # Servers before 3.0 do not state their multicast group.
     if version < (3, 0) or len(content) - packet.at < 15:
         return Server(version)
@@ -279,7 +281,9 @@ def read_frame(content: bytes, version: Version) -> Frame:
     packet.read("II")
     (time,) = packet.read("d" if version >= (2, 7) else "f")
     if not abs(time) <= LATEST_S:
-        raise BadMessageError(f"the frame's time is no number up to {LATEST_S:g} s")
+        raise BadMessageError(
+            f"the time of the frame is not a number up to {LATEST_S:g} s"
+        )
     return Frame(number, time, bodies)
 
 
@@ -325,8 +329,8 @@ def _skeleton(packet: _Reader, version: Version) -> None:
 
 
 def _asset(packet: _Reader, version: Version) -> None:
-    # Lists of assets exist from version 4.1 on, and are skipped there by their length.
-    raise BadMessageError("an asset without its length")
+    # Lists of assets exist from version 4.1 on, and have their length.
+    raise BadMessageError("the list of assets does not state its length")
 
 
 def _labelled(packet: _Reader, version: Version) -> None:

@@ -156,7 +156,10 @@ class NatNetLink(_UdpLink):
             own.bind((local, 0))
         except OSError as error:
             own.close()
-            raise InputError(f"frames cannot arrive at {local}: {error}") from error
+            raise InputError(
+                f"motion capture frames cannot be received at {local}: {error}; give an"
+                " address of this machine with --local"
+            ) from error
         super().__init__([own])
         self.version: natnet.Version | None = None
         self.names: dict[int, str] = {}
@@ -199,11 +202,13 @@ class NatNetLink(_UdpLink):
         if kind == natnet.Packet.FRAME:
             expected = (self._server[0], sender[1])
         if sender != expected:
-            raise BadMessageError("a packet from elsewhere")
+            raise BadMessageError("a packet from an unexpected address")
         if kind == natnet.Packet.SERVER_INFO:
             self._meet(natnet.read_server(content))
         elif self.version is None:
-            raise BadMessageError("a packet before the server said its version")
+            raise BadMessageError(
+                "a packet that arrived before the version of the server was known"
+            )
         elif kind == natnet.Packet.MODELDEF:
             self.names = natnet.read_models(content, self.version)
             self._unknown = False
@@ -213,7 +218,7 @@ class NatNetLink(_UdpLink):
             self._count(frame)
             self._take(self._message(frame, arrived))
         else:
-            raise BadMessageError("a packet of a kind that is not used here")
+            raise BadMessageError("a packet of a kind that is not used")
 
     def _meet(self, server: natnet.Server) -> None:
         if self.version is None:
@@ -291,7 +296,9 @@ class NatNetServer(_UdpLink):
             own.bind((host, port))
         except (OSError, UnicodeError, OverflowError) as error:
             own.close()
-            raise InputError(f"{host}:{port} cannot be listened on: {error}") from error
+            raise InputError(
+                f"the address {host}:{port} cannot be used for NatNet: {error}"
+            ) from error
         super().__init__([own])
         self.port: int = own.getsockname()[1]
         self._names = dict(names)

@@ -248,7 +248,7 @@ def _restore(shadow: Shadow, path: Path) -> bool:
         shadow.restore(SavedState.read(path))
     except InputError as error:
         raise InputError(
-            f"{error}; another --out keeps them apart, or remove {display_path(path)}"
+            f"{error}; give another folder with --out, or remove {display_path(path)}"
         ) from error
     return True
 

@@ -93,7 +93,9 @@ class SetupFile(Section):
     @classmethod
     def _is_part_of_a_topic(cls, given: str | None) -> str | None:
         if given and re.search("[/+#]", given):
-            raise ValueError("the name cannot be part of a topic: it has /, + or #")
+            raise ValueError(
+                "the name cannot be part of a topic; use a name without /, + and #"
+            )
         return given
 
     def options(self) -> dict[str, Any]:

@@ -488,8 +488,8 @@ def frames_of(pairs: Sequence[str], connectors: int) -> dict[str, int]:
         name, _, number = pair.rpartition("=")
         if not name or not number.isdigit() or not 1 <= int(number) <= connectors:
             raise InputError(
-                f"{pair!r} names no body; BODY=CONNECTOR does, with a connector from 1"
-                f" to {connectors}"
+                f"--body {pair!r} is not allowed; write BODY=CONNECTOR with a connector"
+                f" from 1 to {connectors}, such as head=1"
             )
         frames[name] = int(number)
     return frames

@@ -38,19 +38,23 @@ class LabOptions:
     """Options of `srs-twin shadow` that a set-up file may also contain.
 
     Options:
-        robot: Shipped robot or robot file. [default: robot of the set-up file]
-        mqtt: MQTT broker. [default: 127.0.0.1:1883, or none with --mcap]
-        natnet: NatNet server of the motion capture. [default: none]
-        name: Name of the robot in topics. [default: ROBOT]
-        body: Rigid body of the motion capture and number of its connector; repeatable.
-            [default: connector_1=1 …]
-        local: Address of this machine on which frames arrive.
-        up: Upward axis of the frames, y or z.
-        press_on: Continue without any margin to obstacles instead of stopping
-            (docs/live.md#steering).
-        duration: Stop after S seconds. [default: run until Ctrl-C]
-        user: MQTT user name.
-        ca: CA certificate file (PEM), which enables TLS.
+        robot: Name of a shipped robot, or path of a robot file. [default: from --setup]
+        mqtt: Address of the MQTT broker. [default: 127.0.0.1:1883, or none with --mcap]
+        natnet: Address of the NatNet server of the motion capture system. [default:
+            none]
+        name: Name of the robot in the MQTT topics. [default: ROBOT]
+        body: Name of a rigid body in the motion capture data, and number of the
+            connector that carries it (1 is the head). Can be repeated. [default:
+            connector_1=1 …]
+        local: Network address of this machine at which the motion capture frames
+            arrive.
+        up: Axis of the motion capture frames that points upwards: y or z.
+        press_on: If there is no path with a margin to the obstacles, continue without a
+            margin instead of stopping (see docs/live.md#steering).
+        duration: Stop after this many seconds. [default: run until Ctrl-C]
+        user: User name at the MQTT broker.
+        ca: PEM file with the CA certificate of the MQTT broker. This option enables
+            TLS.
     """
 
     robot: Annotated[str | None, argument("ROBOT", shipped=["robot"])] = None
@@ -95,16 +99,19 @@ class SessionOptions:
     """Options of a session of `srs-twin shadow`.
 
     Options:
-        setup: Set-up file of the lab (`srs-twin schema setup`), which other options
-            override. [default: none]
-        mcap: Journal of an earlier session, processed instead of live messages.
-        speed: Playback speed of a journal as a multiple of real time.
-        out: Output folder. The learnt state of an earlier session in it is restored.
-        follow: Scenario with the path that the robot is steered along.
-        members: Number of ensemble members.
-        seed: Random seed.
+        setup: YAML file with the options of your lab (see `srs-twin schema setup`).
+            Options on the command line override it. [default: none]
+        mcap: Journal that was recorded earlier. It is processed instead of live
+            messages.
+        speed: Playback speed of the journal relative to real time.
+        out: Output folder. If an earlier live twin saved its state in this folder, the
+            state is restored.
+        follow: Scenario with the path along which the robot is steered, as the name of
+            a shipped scenario or the path of a file.
+        members: Number of members in the ensemble of the state estimator.
+        seed: Seed of the random number generator.
         window: Show the live view in a Rerun window.
-        web: Serve the live view as a web page on this machine.
+        web: Show the live view in a browser on this machine.
     """
 
     setup: Annotated[Path | None, option("--setup FILE.yaml")] = None
@@ -134,14 +141,14 @@ def shadow(
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Run a live twin: estimate, predict and detect faults.
+    """Estimate and predict a running robot, and detect faults.
 
-    The live twin receives commands, bends and pressures over MQTT and frames of motion
-    capture over NatNet, or reads all of them from a journal. With --follow it steers
-    the robot along a path. The keys p, g, v and s control the steering, and so do the
-    words pause, go, vent and stop on the topic srs/NAME/control. docs/live.md describes
-    the messages. The environment variable SRS_TWIN_MQTT_PASSWORD contains the password
-    of --user.
+    The live twin receives commands, bends and pressures over MQTT and motion capture
+    frames over NatNet, or reads them from a journal. With --follow, it also steers the
+    robot along a path. The keys p (pause), g (go), v (vent) and s (stop) control it, as
+    do the words pause, go, vent and stop on the topic srs/NAME/control. docs/live.md
+    describes the messages. The environment variable SRS_TWIN_MQTT_PASSWORD contains the
+    password of --user.
     """
     from threadpoolctl import threadpool_limits
 
@@ -167,9 +174,9 @@ def shadow(
     if "estimate" not in result:
         sources = " and ".join(filter(None, (lab.mqtt or BROKER, lab.natnet)))
         raise InputError(
-            f"nothing was heard of '{lab.topic_name}' in {result['seconds']:.0f} s from"
-            f" {options.mcap or sources}: is it running, under that name, with that"
-            " number of segments?"
+            f"no messages of the robot '{lab.topic_name}' arrived from"
+            f" {options.mcap or sources} in {result['seconds']:.0f} s; check that it is"
+            " running, and that name and number of segments are right"
         )
 
 
@@ -183,13 +190,15 @@ def _checked(
     of_a_robot = lab.mqtt, lab.natnet, options.follow
     if options.mcap is not None and any(given is not None for given in of_a_robot):
         raise InputError(
-            "--mcap plays what has been; --mqtt, --natnet and --follow are for a"
-            " running robot"
+            "--mcap replays a recorded journal, but --mqtt, --natnet and --follow need"
+            " a running robot; remove --mcap or the other options"
         )
     if options.setup is not None:
         lab = lab.with_setup(options.setup, context)
     if lab.robot is None:
-        raise InputError("which robot? Give ROBOT, or a file with --setup")
+        raise InputError(
+            "no robot is given; give ROBOT, or a set-up file that names it with --setup"
+        )
     if options.mcap is not None:
         require_file(options.mcap, suffix=".mcap")
     if options.out is not None:
@@ -301,8 +310,8 @@ def _live_views(
 
 
 def _print_start(name: str, resumed: bool, keys: str, page: str) -> None:
-    restored = ", with what was learnt before" if resumed else ""
-    say(f"beside {name}{restored}; Ctrl-C ends it{keys}")
+    restored = ", with its earlier state" if resumed else ""
+    say(f"live twin of {name}{restored}; Ctrl-C stops it{keys}")
     if page:
         say(f"open {page} in a browser")
 

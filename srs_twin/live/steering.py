@@ -124,8 +124,8 @@ class EstimateSteering:
         controller = scenario.build_controller()
         if not isinstance(controller, Follower):
             raise InputError(
-                f"{scenario.name}: it follows no plan; --follow takes a scenario with"
-                " controller.kind: follow"
+                f"{scenario.name}: the scenario follows no planned path; --follow needs"
+                " a scenario with controller.kind: follow"
             )
         if differ := differences(scenario.robot, shadow.spec):
             listed = ", ".join(differ[:3])

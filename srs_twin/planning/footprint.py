@@ -351,15 +351,18 @@ def validate_footprint(footprint: Footprint) -> Footprint:
     columns = (getattr(footprint, name) for name in COLUMNS)
     numbers = [*chain.from_iterable(columns), footprint.ahead, footprint.behind]
     if not np.isfinite(numbers).all():
-        raise InputError(f"footprint {footprint.name}: a number is not finite")
+        raise InputError(
+            f"footprint {footprint.name}: all numbers must be finite, but at least one"
+            " is not"
+        )
     if (
         min(footprint.speeds) <= 0
         or footprint.narrowest <= 0
         or min(footprint.ahead, footprint.behind) < 0
     ):
         raise InputError(
-            f"footprint {footprint.name}: speeds and edges must be above 0, ahead and"
-            " behind not negative"
+            f"footprint {footprint.name}: speeds and edges must be above 0, and ahead"
+            " and behind must be at least 0"
         )
     for field, message in find_problems(footprint):
         raise InputError(f"footprint {footprint.name}: {field}: {message}")

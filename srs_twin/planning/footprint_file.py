@@ -362,14 +362,14 @@ def excursion_quantile(excursions: Sequence[float], probability: float) -> float
     if rank > count:
         least = math.ceil(probability / (1 - probability) - 1e-9)
         raise InputError(
-            f"a margin of probability {probability:g} needs at least {least} runs, not"
-            f" {count}"
+            f"a margin with probability {probability:g} needs at least {least} measured"
+            f" runs, but there are {count}"
         )
     excursion = sorted(excursions)[rank - 1]
     if excursion >= LOST_M:
         raise InputError(
-            f"there is no margin of probability {probability:g}: too many runs did not"
-            " arrive"
+            f"no margin has the probability {probability:g}, because too many runs did"
+            " not reach the goal; choose a smaller probability"
         )
     return max(excursion, 0.0)
 
@@ -398,8 +398,8 @@ def margin_for(
             items = condition.model_dump(exclude_none=True).items()
             text = ", ".join(f"{key} {value}" for key, value in items)
             raise InputError(
-                f"no excursions are measured for {text}; `srs-twin calibrate margin`"
-                " measures them"
+                f"no deviations from the path have been measured for {text}; `srs-twin"
+                " calibrate margin` measures them"
             )
         # Only one block is used, because runs would exceed the minimum over several
         # blocks more often than the probability states.

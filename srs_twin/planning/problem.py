@@ -102,7 +102,9 @@ class Settings:
     def __post_init__(self) -> None:
         if self.nodes < 1 or self.levels < 1 or not (1 <= self.weight < math.inf):
             values = f"nodes {self.nodes}, levels {self.levels}, weight {self.weight:g}"
-            raise InputError(f"planner: {values}: all must be at least 1")
+            raise InputError(
+                f"planner: {values} are not allowed; each must be at least 1"
+            )
         if not 0 <= self.clearance_weight < math.inf:
             raise InputError(
                 f"planner: clearance_weight {self.clearance_weight:g} must not be"
@@ -168,14 +170,14 @@ def _check_poses(start: Pose, goal: Goal) -> None:
     angles = (start.heading, goal.heading or 0.0)
     if not all(math.isfinite(angle) and abs(angle) <= 100 for angle in angles):
         raise InputError(
-            f"headings {angles[0]:g} and {angles[1]:g} rad: must be finite and between"
-            " -100 and 100"
+            f"headings {angles[0]:g} and {angles[1]:g} rad are not allowed; both must"
+            " be finite and between -100 and 100"
         )
     for name, x, y in (("start", start.x, start.y), ("goal", goal.x, goal.y)):
         if not (abs(x) <= _MAX_COORDINATE_M and abs(y) <= _MAX_COORDINATE_M):
             raise InputError(
-                f"{name} ({x:g}, {y:g}) m: must be finite and between "
-                f"-{_MAX_COORDINATE_M:g} and {_MAX_COORDINATE_M:g}"
+                f"{name} ({x:g}, {y:g}) m is not allowed; both coordinates must be"
+                f" finite and between -{_MAX_COORDINATE_M:g} and {_MAX_COORDINATE_M:g}"
             )
     if not (0 <= goal.radius < math.inf and 0 <= goal.heading_tolerance <= math.pi):
         raise InputError(
@@ -194,7 +196,8 @@ def _check_world(world: World) -> None:
             and 0 < circle.radius < math.inf
         ):
             raise InputError(
-                f"obstacle {k + 1}: numbers must be finite and the radius above 0"
+                f"obstacle {k + 1}: position and radius must be finite, and the radius"
+                " above 0"
             )
     for k, polygon in enumerate(world.polygons):
         finite = all(
@@ -206,14 +209,14 @@ def _check_world(world: World) -> None:
             or not shapely.Polygon(polygon.corners).is_valid
         ):
             raise InputError(
-                f"polygon {k + 1}: needs at least three finite corners and sides that"
-                " do not cross"
+                f"polygon {k + 1} is not allowed; it needs at least three finite"
+                " corners, and sides that do not cross"
             )
     if world.bounds and not all(
         low < high for low, high in (world.bounds.x, world.bounds.y)
     ):
         raise InputError(
-            "bounds: the lower limit comes first and must be below the upper limit"
+            "bounds: give the lower limit first; it must be below the upper limit"
         )
 
 

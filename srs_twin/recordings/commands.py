@@ -31,15 +31,18 @@ if TYPE_CHECKING:
 
 
 _LOGS = (
-    "Logs: one for each FILE, then one for each --validate. [default: NAME.valves.csv"
-    " in the same folder]"
+    "Log with valve states or pressures. Give one log for each FILE, then one for each"
+    " --validate. [default: NAME.valves.csv in the same folder]"
 )
 
 
 ValvesOption = Annotated[list[str] | None, option("--valves LOG", _LOGS)]
 
 
-_OFFSET = "Clock offset added to the times of the logs, s. [default: estimated]"
+_OFFSET = (
+    "Clock offset in seconds that is added to the times of the logs. [default:"
+    " estimated]"
+)
 
 
 OffsetOption = Annotated[float | None, option("--offset S", _OFFSET)]
@@ -48,7 +51,8 @@ OffsetOption = Annotated[float | None, option("--offset S", _OFFSET)]
 FrequencyOption = Annotated[
     float | None,
     option(
-        "--frequency HZ", "Gait frequency, Hz. [default: that of the valve pattern]"
+        "--frequency HZ",
+        "Frequency of the gait in Hz. [default: from the valve pattern]",
     ),
 ]
 
@@ -58,13 +62,14 @@ class TableOptions:
     """Options for information that a file lacks or that cannot be detected.
 
     Options:
-        map: Recording map: quantities of markers and columns (docs/logs.md).
-        units: Unit of length of a file that does not state it: m, cm, mm, in or ft.
-        rate: Frame rate of a file without times, Hz.
-        columns: Column names of a plain file without a header, e.g. time,x_1,y_1.
-        separator: Cell separator of a plain file: , ; | tab or space. [default:
-            detected]
-        decimal: Decimal mark of a plain file. [default: detected]
+        map: YAML file (recording map) that states what the markers and columns of the
+            recording mean (see docs/logs.md).
+        units: Unit of lengths if the file does not state it: m, cm, mm, in or ft.
+        rate: Frame rate in Hz if the file contains no times.
+        columns: Column names of a text file without a header, for example time,x_1,y_1.
+        separator: Character that separates the cells of a text file: , ; | tab or
+            space. [default: detected]
+        decimal: Decimal mark of the numbers in a text file. [default: detected]
     """
 
     map: Annotated[str | None, option("--map FILE.yaml")] = None
@@ -97,13 +102,15 @@ class ReadingOptions(TableOptions):
     """Options of `RecordingReader`.
 
     Options:
-        up: Upward axis of the files: x, y, z, -x, -y, -z or auto.
-        layout: Markers: auto, single, head, pair, middles or head_middles.
+        up: Axis of the recording that points upwards: x, y, z, -x, -y, -z or auto.
+        layout: Arrangement of the markers on the body: auto, single, head, pair,
+            middles or head_middles (see docs/logs.md).
         head: Name of the marker at the head. [default: the end in the direction of
             motion]
-        longest_gap: Maximum duration of a gap that is interpolated, s. [default: 0.2]
-        marker: Position of a marker, e.g. "tip=connector 3" or "m1=middle 1"
-            (repeatable).
+        longest_gap: Maximum duration in seconds of a gap in a marker's track that is
+            filled. [default: 0.2]
+        marker: Position of a marker on the body, for example "tip=connector 3" or
+            "m1=middle 1". Can be repeated.
     """
 
     up: Annotated[str, option("--up AXIS")] = "auto"
@@ -142,7 +149,9 @@ _DEFAULT_TABLE = TableOptions()
 
 
 def inspect(
-    files: Annotated[list[str], argument("FILE", "Recordings of markers, or logs.")],
+    files: Annotated[
+        list[str], argument("FILE", "Recordings of markers or logs to describe.")
+    ],
     robot: Annotated[str | None, option("--robot -r ROBOT")] = None,
     table: TableOptions = _DEFAULT_TABLE,
     picture: Annotated[str | None, option("--picture FILE.png")] = None,
@@ -150,16 +159,17 @@ def inspect(
     overwrite: OverwriteOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Describe recordings and propose a map.
+    """Describe recordings and propose a recording map.
 
-    With --robot, the output also states whether the files can be read as recordings of
-    the robot.
+    The command needs neither a robot nor a log. With --robot, the output also states
+    whether the files can be read as recordings of this robot.
 
     Options:
-        robot: Shipped robot or robot file that the recording is checked against.
-        picture: Output picture of the markers from above. With several files, one
-            picture per file is written.
-        write_map: Output file for the proposed map.
+        robot: Robot for which the recordings are checked, as the name of a shipped
+            robot or the path of a robot file.
+        picture: Draw the markers from above and write the picture to this file. With
+            several recordings, each picture's name begins with the recording's name.
+        write_map: Write the proposed recording map to this file.
     """
     from srs_twin.io.files import escape_unprintable, write_text
     from srs_twin.recordings.facts import in_words, proposed_map
@@ -210,7 +220,9 @@ def _check_outputs(
         if target is not None:
             check_output_folder(Path(target).parent, (Path(target).name,), option=name)
     if write_map is not None and os.path.lexists(write_map) and not overwrite:
-        raise InputError(f"{write_map}: exists; give --overwrite, or another name")
+        raise InputError(
+            f"{write_map} already exists; give --overwrite, or another name"
+        )
 
 
 def _save_picture(scene: Scene, path: Path) -> None:
@@ -235,9 +247,9 @@ class FormatOptions:
     """Format of an exported file.
 
     Options:
-        mcap: ROS 2 messages, for Foxglove, PlotJuggler and ros2 bag.
-        csv: Columns of the trajectory in SI units.
-        npz: Columns of the trajectory as a NumPy archive.
+        mcap: Write ROS 2 messages for Foxglove, PlotJuggler and ros2 bag.
+        csv: Write the columns of the trajectory in SI units as a CSV table.
+        npz: Write the columns of the trajectory in SI units as a NumPy archive.
     """
 
     mcap: Annotated[bool, option("--mcap")] = False
@@ -254,7 +266,9 @@ class FormatOptions:
         if not names and out and Path(out).suffix[1:] in _FORMATS:
             return Path(out).suffix[1:]
         if len(names) != 1:
-            raise InputError(f"give one format: --{', --'.join(_FORMATS)}")
+            raise InputError(
+                f"no single format is given; give one of --{', --'.join(_FORMATS)}"
+            )
         return names[0]
 
 
@@ -270,17 +284,18 @@ def export(
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Write a run as MCAP (ROS 2), CSV or NumPy archive.
+    """Export a run as MCAP (ROS 2), CSV or NumPy archive.
 
-    An MCAP file contains all plants. Next to it, the command writes a recording map,
-    which `inspect` and `replay` need to read the file, and a Foxglove layout.
+    An MCAP file contains all models of the run. Next to it, the command writes a
+    recording map, with which `inspect` and `replay` read the file, and a Foxglove
+    layout.
 
     Options:
-        run: Folder of a run, or its name in ./runs.
-        file: Output file as with --out, whose suffix selects the format.
-        plant: Plant to export: analytical, twin or measured. [default: all in MCAP,
-            else the twin]
-        out: Output file. [default: RUN/twin.csv or RUN/run.mcap]
+        run: Folder of a run, or name of a folder in runs/.
+        file: Output file, as with --out. The suffix of the name selects the format.
+        plant: Trajectory to export: analytical, twin or measured. [default: all in
+            MCAP, else the twin]
+        out: Output file. [default: RUN/twin.csv, RUN/run.mcap]
     """
     from srs_twin.experiment import load_run
     from srs_twin.io.files import check_output_folder, display_path
@@ -299,13 +314,17 @@ def export(
     default = "run" if kind == "mcap" else first
     path = Path(out) if out else finished.folder / f"{default}.{kind}"
     if path.suffix != f".{kind}":
-        raise InputError(f"{path.name}: a file of --{kind} ends in .{kind}")
+        raise InputError(
+            f"{path.name}: the name of a file for --{kind} must end in .{kind}"
+        )
     targets = [path]
     if kind == "mcap":
         targets += [path.with_suffix(MAP_SUFFIX), path.with_suffix(_LAYOUT_SUFFIX)]
     for target in targets:
         if target.exists() and not overwrite:
-            raise InputError(f"{display_path(target)} exists; --overwrite replaces it")
+            raise InputError(
+                f"{display_path(target)} already exists; --overwrite replaces it"
+            )
     check_output_folder(path.parent, tuple(target.name for target in targets))
     _write(path, runs, first)
     say(f"wrote {', '.join(map(display_path, targets))}", quiet=quiet)

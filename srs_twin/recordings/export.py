@@ -89,7 +89,8 @@ def write_mcap(path: Path, runs: Mapping[str, Trajectory]) -> None:
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
         raise InputError(
-            "MCAP needs an extra; install it with: pip install 'srs-twin[recordings]'"
+            "MCAP files need optional packages; install them with: pip install"
+            " 'srs-twin[recordings]'"
         ) from error
     store = get_typestore(Stores.ROS2_HUMBLE)
     channels: dict[str, int] = {}

@@ -215,7 +215,8 @@ class Recording:
         time = self.trajectory.time
         if log is None:
             raise InputError(
-                f"{name}: no log of valves or pressures; join one with the recording"
+                f"{name}: the recording has no log of valves or pressures; give one"
+                " with `valves`"
             )
         if log.kind != "valve":
             vented = np.full((1, *log.values.shape[1:]), -1, dtype=np.int8)

@@ -163,9 +163,9 @@ def logs_of(takes: Sequence[str], given: Sequence[str]) -> list[str]:
         return [_log_of(Path(take)) for take in takes]
     if len(given) != len(takes):
         wanted = f"give one for each, in their order ({', '.join(takes)})"
-        otherwise = f"or none where each lies beside its recording as NAME{_LOG}"
+        otherwise = f"or none if each log is next to its recording as NAME{_LOG}"
         raise InputError(
-            f"{len(given)} logs of valves for {len(takes)} recordings; {wanted},"
+            f"{len(given)} valve logs are given for {len(takes)} recordings; {wanted},"
             f" {otherwise}"
         )
     return list(given)

@@ -101,9 +101,9 @@ class RunRequest(Section):
         if [self.scenario, self.sweep, self.law].count(None) != 2:
             raise ValueError("give exactly one of scenario, sweep and law")
         if self.where and self.sweep is None:
-            raise ValueError("where is only for a sweep")
+            raise ValueError("where is only allowed with sweep; remove it")
         if self.periods is not None and self.scenario is None:
-            raise ValueError("periods is only for a scenario")
+            raise ValueError("periods is only allowed with scenario; remove it")
         return self
 
     @property

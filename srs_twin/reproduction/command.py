@@ -33,21 +33,22 @@ def reproduce(
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Judge the dissertation's claims on both plants.
+    """Check the claims of the dissertation with both models.
 
-    The command runs what the claims need, judges every row, and compares the verdicts
-    with the baseline.
+    The command simulates what the claims need, judges every claim, and compares the
+    verdicts with the stored baseline.
 
     Options:
-        --only ID: Name of a row, or a prefix of several names, e.g. gen3 (repeatable).
-        --quick: Judge only the rows with short runs, laws first.
-        --out DIR: Output folder, which also stores finished runs.
-        --no-figures: Omit the figures and their runs.
-        --write-baseline: Write the verdicts as the new baseline.
+        --only ID: Judge only the claim with this name, or the claims whose names begin
+            with this word and a dot, for example gen3. Can be repeated.
+        --quick: Judge only the claims that need short simulations.
+        --out DIR: Output folder. Finished runs are kept there and reused.
+        --no-figures: Omit the figures and the simulations that only they need.
+        --write-baseline: Store the verdicts as the new baseline.
         --scorecard: Print only the credibility grades according to NASA-STD-7009,
-            without any run.
-        --others: Print only predicted and published motion of robots that others built,
-            without any run.
+            without running simulations.
+        --others: Print only the predicted and published motion of robots from other
+            laboratories, without running simulations.
     """
     if others or scorecard:
         from srs_twin.reproduction.printing import print_others, print_scorecard

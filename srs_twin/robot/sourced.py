@@ -138,11 +138,13 @@ class Uncertain(StrictModel):
         if present != required:
             needs = " and ".join(required)
             has = ", ".join(present) or "nothing"
-            raise ValueError(f"{self.kind} takes {needs}, not {has}")
+            raise ValueError(f"{self.kind} needs {needs}, but {has} is given")
         if self.median is not None and self.kind != "lognormal":
-            raise ValueError(f"{self.kind} takes {' and '.join(required)}, not median")
+            raise ValueError(
+                f"{self.kind} needs {' and '.join(required)}, but median is given"
+            )
         if self.low is not None and self.high is not None and not self.low < self.high:
-            raise ValueError(f"low {self.low:g} is not below high {self.high:g}")
+            raise ValueError(f"low {self.low:g} must be below high {self.high:g}")
         return self
 
     @model_serializer(mode="wrap")

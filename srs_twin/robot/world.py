@@ -358,7 +358,7 @@ def random_circles(
             circles.append(Circle(x, y, r))
     if len(circles) < count:
         raise InputError(
-            f"{count} circles do not fit with gaps of {gap:g} m: {len(circles)} did;"
-            " take fewer or smaller"
+            f"only {len(circles)} of {count} circles fit with gaps of {gap:g} m; use"
+            " fewer or smaller circles"
         )
     return tuple(circles)

@@ -260,16 +260,18 @@ class Expectation(Section):
             raise ValueError("give exactly one of near, below, above and published")
         if (self.within is None) != (self.published is None):
             raise ValueError(
-                "published needs within: interval_50 or interval_95, and the reverse"
+                "published and within must be given together, as in published: 0.1"
+                " with within: interval_95"
             )
         if self.published is None and self.scatter is not None:
-            raise ValueError("scatter needs published")
+            raise ValueError("scatter is only allowed with published; remove scatter")
         if self.published is not None and self.of is not None:
             raise ValueError("published needs plant: analytical or plant: twin")
         tolerances = 2 - (self.rel, self.abs).count(None)
         if tolerances != (self.near is not None):
             raise ValueError(
-                "near needs either rel or abs; below and above take neither"
+                "near needs a tolerance, either rel or abs; below, above and published"
+                " need none"
             )
         if self.near == 0 and self.rel is not None:
             raise ValueError(

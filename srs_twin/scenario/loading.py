@@ -220,8 +220,8 @@ def _check_field(change: Override) -> None:
     first, *more = change.loc
     if first == "changes":
         raise InputError(
-            f"{change.label}: this list is written by srs_twin; set the fields"
-            " themselves"
+            f"{change.label}: srs_twin writes the list `changes` itself; set the"
+            " changed fields instead"
         )
     known = first in {*ScenarioFile.model_fields, *SECTIONS}
     if first == "robot" and more:

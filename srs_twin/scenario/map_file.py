@@ -195,10 +195,13 @@ def read_circles(path: Path) -> tuple[Circle, ...]:
         try:
             x, y, radius = (float(row[column]) for column in CIRCLE_COLUMNS)
         except (TypeError, ValueError):
-            raise InputError(f"{name}:{line}: not three numbers") from None
+            raise InputError(
+                f"{name}:{line}: the row must have three numbers"
+                f" ({', '.join(CIRCLE_COLUMNS)})"
+            ) from None
         if not (math.isfinite(x) and math.isfinite(y) and 0 < radius < math.inf):
             raise InputError(
-                f"{name}:{line}: numbers must be finite and the radius above 0"
+                f"{name}:{line}: the numbers must be finite and the radius above 0"
             )
         circles.append(Circle(x, y, radius))
     return tuple(circles)
@@ -263,9 +266,9 @@ def _rectangles(full: np.ndarray) -> list[list[int]]:
     first, last = (np.flatnonzero(~has_equal(shift)) for shift in (-width, width))
     if len(first) > MAX_RECTANGLES:
         raise InputError(
-            f"{len(first):,} rectangles are needed for its occupied cells;"
-            f" {MAX_RECTANGLES:,} are allowed: remove specks (median filter), crop it"
-            " or reduce its size"
+            f"{len(first):,} rectangles are needed for the occupied cells of the map,"
+            f" but only {MAX_RECTANGLES:,} are allowed; remove specks with a median"
+            " filter, crop the map or reduce its size"
         )
     # Rectangles with the same columns do not overlap, so their sorted starts and ends
     # belong together.

@@ -178,8 +178,8 @@ def _section(key: str, name: str, found: type) -> type[Section]:
                 not_written.add(field)
         elif default is ...:
             raise InputError(
-                f"{name}: no file can give {parameter.name}; set a default, or write a"
-                " section"
+                f"{name}: a scenario file cannot set the argument {parameter.name}; give"
+                " the argument a default value, or define a section for the class"
             )
     fields["constructors"] = (ClassVar[Any], (found,))
     fields["not_written"] = (ClassVar[Any], not_written)

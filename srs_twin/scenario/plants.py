@@ -249,6 +249,6 @@ class PlantsFile(Section):
             )
         if not self.model_fields_set:
             raise ValueError(
-                "names no plant; write 'analytical: {}', 'twin: {}' or both"
+                "the section names no plant; write 'analytical: {}', 'twin: {}' or both"
             )
         return self

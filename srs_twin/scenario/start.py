@@ -209,8 +209,8 @@ def _state_at(folder: Path, plant: str, time: float, segments: int) -> _MotionSt
     path = folder / f"{plant}.parquet"
     if not os.path.isfile(path):
         raise InputError(
-            f"{display_path(folder)} has no trajectory of the {plant} plant"
-            f" ({path.name})"
+            f"{display_path(folder)}: the folder contains no trajectory of the {plant}"
+            f" plant ({path.name})"
         )
     trajectory = Trajectory.from_parquet(path)
     times = trajectory.time

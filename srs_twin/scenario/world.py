@@ -65,7 +65,7 @@ class PolygonFile(Section):
 
         if not Polygon(corners).is_valid:
             raise ValueError(
-                "these corners do not bound an area: sides cross or overlap"
+                "the polygon encloses no area, because sides cross or overlap"
             )
         return corners
 
@@ -85,7 +85,7 @@ class BoundsFile(Section):
     def _ordered(cls, ends: Pair) -> Pair:
         if not ends[0] < ends[1]:
             raise ValueError(
-                f"the minimum comes first, but {ends[0]:g} is not below {ends[1]:g}"
+                f"give the minimum first; {ends[0]:g} is not below {ends[1]:g}"
             )
         return ends
 
@@ -135,7 +135,7 @@ class RandomFile(Section):
     def _ordered(cls, ends: tuple[float, ...]) -> tuple[float, ...]:
         if not ends[0] <= ends[1]:
             raise ValueError(
-                f"the smallest radius comes first, but {ends[0]:g} is above {ends[1]:g}"
+                f"give the smaller radius first; {ends[0]:g} is above {ends[1]:g}"
             )
         return ends
 

@@ -303,8 +303,8 @@ class WarpBatch(Claimable):
         slots = self._engine.slots * self._engine.steps
         if max(ticks, samples) % min(ticks, samples):
             raise InputError(
-                f"{samples} samples in {ticks} ticks are not possible with engine"
-                " 'warp'; one number must be a multiple of the other"
+                f"engine 'warp' cannot record {samples} samples in {ticks} ticks; one"
+                " number must be a multiple of the other"
             )
         middles = (np.arange(ticks * slots) + 0.5) * self.tick / slots
         idle = np.full(

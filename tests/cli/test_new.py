@@ -141,7 +141,7 @@ def test_a_new_study_and_controller_are_valid(srs_twin, tmp_path):
         ),
         (
             ("robot", "worm", "--servo", "--pressure", "40"),
-            "a robot with servos has no supply; remove --pressure",
+            "a robot with servos has no supply pressure; remove --pressure",
         ),
         (("scenario", "walk", "--robot", "gen9"), "gen9"),
         (("scenario", "walk", "--robot", "gen2\nseed: 3"), "control character"),
@@ -157,7 +157,7 @@ def test_bad_input_leaves_no_file(words, message, srs_twin, tmp_path):
 def test_an_existing_file_is_kept(srs_twin, tmp_path):
     (tmp_path / "walk.yaml").write_text("mine")
     done = srs_twin("new", "scenario", "walk", cwd=tmp_path)
-    assert done.returncode == 2 and "walk.yaml exists" in done.stderr
+    assert done.returncode == 2 and "walk.yaml already exists" in done.stderr
     assert (tmp_path / "walk.yaml").read_text() == "mine"
 
 

@@ -94,7 +94,7 @@ def test_names_are_those_of_the_folders(tmp_path):
     )
     assert name_recordings([one, file]) == {"turn": one, "x.rrd": file}
     assert list(name_recordings([one, two])) == ["a/turn", "b/turn"]
-    with pytest.raises(InputError, match="a/turn: given twice"):
+    with pytest.raises(InputError, match="a/turn: this recording is given twice"):
         name_recordings([one, one])
 
 
@@ -188,7 +188,11 @@ def interrupted(*_):
 def test_invalid_options_are_refused(recordings, srs_twin, tmp_path):
     run = str(recordings["left+1"].parent)
     done = srs_twin("view", run, "--port", "9000", cwd=tmp_path)
-    assert done.returncode == 2 and done.stderr.strip() == "--port needs --web"
+    assert (
+        done.returncode == 2
+        and done.stderr.strip()
+        == "--port is only used with --web; add --web or remove --port"
+    )
     done = srs_twin("view", run, run, cwd=tmp_path)
     assert done.returncode == 2 and "given twice" in done.stderr
     with serve_recordings([recordings["left+1"]]) as (address, _):

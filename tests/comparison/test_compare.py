@@ -225,8 +225,8 @@ def test_robots_with_equally_many_connectors_can_be_compared():
         (
             Snake(connectors=4).trajectory("twin"),
             (
-                "analytical has 5 connectors and twin 4; only bodies with equally many"
-                " can be compared"
+                "analytical has 5 connectors and twin 4; only runs of robots with the"
+                " same number of connectors can be compared"
             ),
         ),
         (
@@ -234,13 +234,13 @@ def test_robots_with_equally_many_connectors_can_be_compared():
                 Snake().trajectory("twin"), **numbered("x", np.zeros((601, 6)))
             ),
             (
-                "twin: 6 columns x_1…, 5 y_1… and 4 bend_1…; a snake with N connectors"
-                " has N, N and N − 1"
+                "twin has 6 columns x_1…, 5 columns y_1… and 4 columns bend_1…; a snake"
+                " with N connectors has N, N and N − 1"
             ),
         ),
         (
             with_columns(Snake().trajectory("twin"), time=np.arange(601) / 100 + 9),
-            "analytical covers 0 to 6 s, twin covers 9 to 15 s: no time in common",
+            "analytical covers 0 to 6 s, twin covers 9 to 15 s; the runs have no times",
         ),
         (
             with_columns(Snake().trajectory("twin"), x_2=np.full(601, np.nan)),

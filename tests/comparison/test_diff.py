@@ -214,16 +214,16 @@ def test_control_characters_in_results_are_escaped(capsys, tmp_path, options):
         (
             ("empty", "a"),
             (
-                "empty: the folder has no results (metrics.json, results.parquet,"
-                " reproduce.json)"
+                "empty: the folder contains no results; give a folder with files such as"
+                " metrics.json, results.parquet, reproduce.json"
             ),
         ),
         (
             ("a/walk/analytical.parquet", "a"),
-            "analytical.parquet: not the results of a run",
+            "analytical.parquet: the file does not contain results",
         ),
         (("junk.json", "a"), "junk.json:1:13: not JSON"),
-        (("list.json", "a"), "list.json: not the results of a run"),
+        (("list.json", "a"), "list.json: the file does not contain results"),
         (("a", "a", "--rel", "-1"), "--rel -1 is not allowed"),
         (("a", "a", "--abs", "nan"), "--abs nan is not allowed"),
         (
@@ -336,7 +336,7 @@ def test_documented_tolerances_load(tmp_path):
 
 
 def test_foreign_files_are_refused(tmp_path):
-    with pytest.raises(InputError, match="the folder has no results"):
+    with pytest.raises(InputError, match="the folder contains no results"):
         read_results(tmp_path)
 
 
@@ -402,7 +402,7 @@ def test_json_of_something_else_is_refused(capsys, tmp_path, name, content):
     assert (code, out) == (
         2,
         "",
-    ) and "not the results of a run, a sweep or a reproduction" in err
+    ) and "the file does not contain results" in err
 
 
 def test_results_are_found_in_nested_folders(capsys, tmp_path, monkeypatch):
@@ -420,4 +420,4 @@ def test_results_are_found_in_nested_folders(capsys, tmp_path, monkeypatch):
         for _ in range(levels):  # pytest's own removal recurses
             os.chdir("..")
             os.rmdir("a")
-    assert code == 2 and "a: the folder has no results" in err
+    assert code == 2 and "a: the folder contains no results" in err

@@ -338,7 +338,7 @@ def spoiled(name: str, index: int, value: float) -> Trajectory:
             "analytical: column 'com_y' is not finite at sample 7",
         ),
         (spoiled("bend_2", 30, math.inf), "column 'bend' is not finite at sample 30"),
-        (spoiled("time", 5, 0.0), "time must increase from sample to sample"),
+        (spoiled("time", 5, 0.0), "the times are not increasing"),
         (sampled(Snake().trajectory(), slice(0)), "has no samples"),
         (Trajectory({"time": np.arange(3.0)}), "trajectory: no column 'com_x'"),
         (

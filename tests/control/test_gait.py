@@ -221,7 +221,7 @@ def test_rest_share_vents_that_fraction_of_the_period():
     ("more", "why"),
     [
         ({"rest_share": 1.0}, "gait rest 1.0"),
-        ({"phases": [0.1, 0.2]}, "2 phases, but gen2 has 4"),
+        ({"phases": [0.1, 0.2]}, "2 phases are given, but gen2 has 4"),
     ],
 )
 def test_invalid_waves_are_refused(more, why):

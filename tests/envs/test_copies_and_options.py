@@ -284,8 +284,8 @@ def test_a_given_goal_is_kept_by_saved_and_placed_states():
             (2.6, 0.0),
             r"option goal \(2.6, 0\) is not allowed; it is outside the bounds",
         ),
-        ("GoTo", (0.05, 0.0), "the snake is there already, within 0.1 m"),
-        ("Module", (1.0, 0.0), "the task Module has no goal at a place"),
+        ("GoTo", (0.05, 0.0), "the snake is already within 0.1 m of it"),
+        ("Module", (1.0, 0.0), "the task Module has no goal position"),
     ],
 )
 def test_goals_that_cannot_be_reached_are_refused(task, goal, message):

@@ -272,7 +272,8 @@ def test_calls_in_the_wrong_order_and_unknown_names_are_refused():
     with pytest.raises(InputError, match="unknown render mode 'human'"):
         SnakeEnv("GoTo", render_mode="human")
     with pytest.raises(
-        InputError, match="robot 'gen2' has 4 segments; this task is for one module"
+        InputError,
+        match="robot 'gen2' has 4 segments; this task needs a robot with one",
     ):
         SnakeEnv("Module", robot="gen2")
 

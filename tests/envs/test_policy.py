@@ -53,7 +53,7 @@ def test_damaged_files_are_refused(tmp_path, content):
 def test_layers_must_fit_together(tmp_path):
     policy = network()
     NetworkPolicy("GoTo", ("x_m", *NAMES), policy.layers).save(tmp_path / "p.npz")
-    with pytest.raises(InputError, match="do not fit together"):
+    with pytest.raises(InputError, match="layers do not match"):
         load_policy(tmp_path / "p.npz")
     with pytest.raises(InputError, match=r"gone\.npz"):
         load_policy(tmp_path / "gone.npz")

@@ -103,12 +103,12 @@ def damaged(good: dict[str, Any], name: str) -> tuple[Malformed, ...]:
         Malformed(
             "archive packed with bz2",
             archive(good, zipfile.ZIP_BZIP2),
-            "packed by another method",
+            "NumPy does not write this compression method",
         ),
         Malformed(
             "archive packed with LZMA",
             archive(good, zipfile.ZIP_LZMA),
-            "packed by another method",
+            "NumPy does not write this compression method",
         ),
         Malformed("archive of nothing", archive({}), ""),
         Malformed("other arrays", archive({"a": np.zeros(3)}), ""),
@@ -146,7 +146,7 @@ def _policy(message: str, **changed: Any) -> Malformed:
     )
 
 
-_NO_FIT = "the layers of the policy do not fit together, or have no finite numbers"
+_NO_FIT = "the shapes of the policy's layers do not match"
 POLICY_MALFORMED = damaged(POLICY, "biases_0") + (
     _policy("no vector of numbers 'biases_0'", biases_0=np.array(1.0)),
     _policy("no vector of numbers 'biases_0'", biases_0=np.ones((3, 7))),
@@ -192,7 +192,7 @@ STATE_MALFORMED = damaged(STATE, "array_0") + (
         content={"@": "dict", "items": [["a", {"@": "array", "name": "b"}]]},
     ),
     _state("a class of another package", content={"@": "os:system", "items": ["true"]}),
-    _state("another version", "saved state of version 1", version=1),
+    _state("another version", "the saved state has version 1", version=1),
     Malformed(
         "a number as document",
         archive(STATE | {"state": np.array(3.0)}),

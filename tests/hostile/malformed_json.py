@@ -28,15 +28,15 @@ MALFORMED = (
     Malformed(
         "100,000 lists deep",
         b"[" * 100_000 + b"]" * 100_000,
-        "nested more than 64 deep",
+        "nested more than 64 levels deep",
     ),
     Malformed(
-        "100,000 lists deep, cut off", b"[" * 100_000, "nested more than 64 deep"
+        "100,000 lists deep, cut off", b"[" * 100_000, "nested more than 64 levels deep"
     ),
     Malformed(
         "900 objects deep",
         b'{"a":' * 900 + b"1" + b"}" * 900,
-        "nested more than 64 deep",
+        "nested more than 64 levels deep",
     ),
     Malformed(
         "duplicate key",

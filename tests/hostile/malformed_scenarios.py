@@ -278,7 +278,7 @@ FOLLOWING_MALFORMED = edited(
         (
             "footprint: gen2_section52",
             "footprint: /dev/zero",
-            "planner.footprint: /dev/zero: not a regular file",
+            "planner.footprint: /dev/zero: this is not a regular file",
         ),
         (
             "footprint: gen2_section52",
@@ -367,16 +367,16 @@ FOLLOWING_MALFORMED = edited(
         (
             "[0.6, 0.5], [0.6, 0.6]",
             "[0.6, 0.6], [0.6, 0.5], [0.5, 0.6]",
-            "world.polygons[0].corners_m: these corners do not bound an area",
+            "world.polygons[0].corners_m: the polygon encloses no area",
         ),
         (", [0.6, 0.6]", "", "world.polygons[0].corners_m: "),
         ("[0.6, 0.6]", "[0.6, 0.6, 0.1]", "world.polygons[0].corners_m[2]"),
         ("[0.6, 0.6]", "[0.6, .nan]", "world.polygons[0].corners_m[2]"),
-        ("count: 2", "count: 900", "world.random: 900 circles do not fit"),
+        ("count: 2", "count: 900", "of 900 circles fit with gaps of"),
         (
             "radius_m: [0.02, 0.05]",
             "radius_m: [0.05, 0.02]",
-            "world.random.radius_m: the smallest radius comes first",
+            "world.random.radius_m: give the smaller radius first",
         ),
         (
             "count: 2",

@@ -105,7 +105,11 @@ FIT_MALFORMED = edited(
             "parameters: friction.mu_t is listed 2 times",
         ),
         ('mu_t, unit: "1"', "mu_t, unit: N", "parameters[0].unit: must be 1, not N"),
-        ("b" * 64, "a" * 64, ":8:3: data: later.csv: the same data as pulls.csv"),
+        (
+            "b" * 64,
+            "a" * 64,
+            ":8:3: data: later.csv: these are the same data as pulls.csv",
+        ),
         (
             "role: validation",
             "role: test",

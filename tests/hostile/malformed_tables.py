@@ -127,7 +127,7 @@ MOTIVE_MALFORMED: tuple[Malformed, ...] = (
     Malformed(
         "a wrong unit",
         _edited(MOTIVE, "Millimeters", "Meters"),
-        "apart, the connectors of gen2 55 mm; are the lengths in mm?",
+        "but the connectors of gen2 are 55 mm apart; are the lengths in mm?",
     ),
     Malformed(
         "the header cut after one line", _LINES[0] + b"\r\n", ":2: the header is cut"
@@ -143,11 +143,13 @@ MOTIVE_MALFORMED: tuple[Malformed, ...] = (
         ":2: the header is cut: it must have rows Type",
     ),
     Malformed("a header only", _HEADER, ":8: the header has no rows below it"),
-    Malformed("one row", _HEADER + _ROW, ": 1 frames; a recording has 12 or more"),
+    Malformed(
+        "one row", _HEADER + _ROW, ": the recording has 1 frames; 12 or more are needed"
+    ),
     Malformed(
         "the same row forty times",
         _HEADER + _ROW * 40,
-        ": 1 frames; a recording has 12 or more",
+        ": the recording has 1 frames; 12 or more are needed",
     ),
     Malformed(
         "a word in place of a number",
@@ -204,7 +206,7 @@ MOTIVE_MALFORMED: tuple[Malformed, ...] = (
         "time in another unit",
         _HEADER
         + b"".join(b"%d,%d" % (k * 10**9, k * 10**9) + _ROW[10:] for k in range(40)),
-        "is the unit right?",
+        "unit is probably not s",
     ),
     Malformed(
         "latin-1",
@@ -318,7 +320,7 @@ VALVE_MALFORMED: tuple[Malformed, ...] = (
     Malformed(
         "one row",
         b"\n".join(VALVES.split(b"\n")[:2]) + b"\n",
-        ": a log has 2 rows or more",
+        ": the log has fewer than 2 rows",
     ),
     Malformed(
         "200 MB of junk",

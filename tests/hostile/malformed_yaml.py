@@ -111,12 +111,18 @@ STRUCTURE: tuple[Malformed, ...] = (
     Malformed("60 kB key", b"x" * 60_000 + b": 1\n", ":1:60001: not YAML"),
     Malformed("60 kB scalar", b"title: " + b"x" * 60_000, ":1:8: title: "),
     Malformed(
-        "unclosed brackets", b"a: " + b"[" * 60_000, ":1:19: nested more than 16 deep"
+        "unclosed brackets",
+        b"a: " + b"[" * 60_000,
+        ":1:19: nested more than 16 levels deep",
     ),
     Malformed(
-        "unclosed braces", b"a: " + b"{a: " * 10_000, ":1:64: nested more than 16 deep"
+        "unclosed braces",
+        b"a: " + b"{a: " * 10_000,
+        ":1:64: nested more than 16 levels deep",
     ),
-    Malformed("nested dashes", b"- " * 30_000, ":1:33: nested more than 16 deep"),
+    Malformed(
+        "nested dashes", b"- " * 30_000, ":1:33: nested more than 16 levels deep"
+    ),
     Malformed("nested question marks", b"? " * 30_000, ":1:"),
     Malformed(
         "deep indentation",
@@ -126,12 +132,12 @@ STRUCTURE: tuple[Malformed, ...] = (
     Malformed(
         "10,000 keys",
         b"".join(b"k%d:\n" % i for i in range(5_500)),
-        ":5000:7: more than 10000 keys and values",
+        ":5000:7: the file has more than 10000 keys",
     ),
     Malformed(
         "10,000 entries",
         b"a: [" + b"1," * 20_000 + b"]",
-        ":1:19999: more than 10000 keys and values",
+        ":1:19999: the file has more than 10000 keys",
     ),
     Malformed("a billion laughs", laughs(), ":1:5: anchors (&a0) are not allowed"),
     Malformed(
@@ -175,9 +181,9 @@ STRUCTURE: tuple[Malformed, ...] = (
     ),
     Malformed("YAML 9.9", b"%YAML 9.9\n---\ntitle: x\n", ":1:1: not YAML"),
     Malformed(
-        "second document",
+        "second YAML document",
         b"title: x\n---\ntitle: y\n",
-        ":2:1: a second document begins here",
+        ":2:1: a second YAML document begins here",
     ),
     Malformed(
         "merge key", b"<<: {title: x}\n", ":1:1: merge keys (<<) are not allowed"

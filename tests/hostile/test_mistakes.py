@@ -64,7 +64,7 @@ COMMANDS = [
     ),
     (
         "plan gen2_straight",
-        "there is no planner section; add planner, and controller.kind: follow",
+        "the scenario has no planner section; add the section planner",
     ),
     ("view gen2_straight", "no recording found"),
     ("render gen2_straight", "give exactly one of --video FILE.mp4"),
@@ -75,7 +75,7 @@ COMMANDS = [
     ("play gen22", "unknown scenario or robot 'gen22'; did you mean gen2,"),
     (
         "play gen2 --set controller.offset=0.1",
-        "a robot has no scenario; set a field of robot",
+        "only fields of the robot can be set",
     ),
     ("reproduce --only XY", "docs/reproduction.md lists them"),
     ("schema robots", "(available: inspect, scenario, setup, study, sweep)"),
@@ -190,27 +190,27 @@ SCENARIO_EDITS = [
         "title: Mine",
         "title: Mine: the second",
         (
-            "1:12: not YAML: mapping values are not allowed here; a text with a colon"
-            " and a blank must be in quotes"
+            "1:12: not YAML: mapping values are not allowed here; a text that contains"
+            " a colon and a space must be in quotes"
         ),
     ),
     (
         "robot: gen2",
         "  robot: gen2",
         (
-            "2:8: not YAML: mapping values are not allowed here; its indent is wrong:"
-            " keys of one block begin in the same column"
+            "2:8: not YAML: mapping values are not allowed here; the indentation is"
+            " wrong, because all keys of a block must begin in the same column"
         ),
     ),
     (
         "robot: gen2",
         "supply:\n    pressure_kpa: 40\n  robot: gen2",
-        "its indent is wrong: keys of one block begin in the same column",
+        "the indentation is wrong, because all keys of a block must begin in the",
     ),
     (
         "robot: gen2",
         "robot gen2",
-        "could not find expected ':'; a key is followed by a colon and a blank",
+        "could not find expected ':'; a key must be followed by a colon and a space",
     ),
     (
         "title: Mine",
@@ -363,7 +363,11 @@ POSITIONS = [
         "6:1: not YAML: while scanning for the next token: found character '\\t'",
     ),
     ("world: {}", "world: {}}", "6:10: not YAML: "),
-    ("title: G", "---\ntitle: x\n---\ntitle: G", "3:1: a second document begins here"),
+    (
+        "title: G",
+        "---\ntitle: x\n---\ntitle: G",
+        "3:1: a second YAML document begins here",
+    ),
     ("title: G", "\x07title: G", "1:1: not YAML: unusable character U+0007"),
     ("title: G", "on: G", "1:1: on: unknown key; allowed: "),
 ]

@@ -150,7 +150,7 @@ REJECTED = [
     (f"sweep ./sweep.yaml --without seed=3 --out {NEW}", "unknown value of seed '3'"),
     (f"{FITTING} --out {NEW}/f.yaml", "nothing.csv: no such file"),
     (f"replay nothing.csv --robot gen2 --out {NEW}", "nothing.csv"),
-    (f"render nothing --strobe --out {NEW}", "nothing: no run there"),
+    (f"render nothing --strobe --out {NEW}", "nothing: there is no finished run"),
     # Names that cannot be written to result files.
     ("run ./good.yaml --out new/\udcff", rf"new/\xff: {BYTES}"),
     ("run \udcff.yaml", rf"\xff.yaml: {BYTES}"),
@@ -325,8 +325,8 @@ def test_every_command_rejects_a_removed_current_folder(
     output, message = capsys.readouterr()
     assert (exit_.value.code, output) == (2, "")
     assert message.startswith(
-        "cannot use the current folder (No such file or directory); it may have been"
-        " removed"
+        "the current folder cannot be used (No such file or directory), perhaps because"
+        " it was removed"
     )
     assert display_path(tmp_path / "x") == str(
         tmp_path / "x"

@@ -161,16 +161,16 @@ def test_friction_is_fitted_to_pulls_by_the_command(tmp_path, srs_twin):
     [
         (
             ["friction", "p.csv", "--validate", "p.csv"],
-            "p.csv: the same data as p.csv, to which the model is fitted",
+            "p.csv: these are the same data as p.csv, to which the model is fitted",
         ),
         (
             ["friction", "p.csv", "q.csv"],
-            "q.csv: a fit uses one table of pulls; give further ones with --validate",
+            "q.csv: a fit uses only one table of pulls; give other tables with",
         ),
         (["friction", "none.csv"], "none.csv: no such file"),
         (
             ["friction", "p.csv", "h.csv"],
-            "p.csv is a table of pulls, h.csv a recording of a coasting test",
+            "p.csv is a table of pulls, but h.csv is a recording of a coasting test",
         ),
         (["friction", "p.csv", "--name", "No"], "--name: 'No' is not allowed"),
         (
@@ -189,11 +189,11 @@ def test_friction_is_fitted_to_pulls_by_the_command(tmp_path, srs_twin):
             ["actuator", "h.csv", "--find", "modules.gan_plus_1"],
             "did you mean modules.gain_plus_N",
         ),
-        (["actuator", "h.csv", "--find", ","], "--find: ',' names nothing"),
+        (["actuator", "h.csv", "--find", ","], "--find ',' contains no parameters"),
         (["locomotion", "w.csv"], "w.valves.csv: no such file"),
         (
             ["locomotion", "w.csv", "--valves", "a", "--valves", "b"],
-            "2 logs of valves for 1 recordings",
+            "2 valve logs are given for 1 recordings",
         ),
         (
             ["locomotion", "w.csv", "--plant", "twn"],
@@ -390,7 +390,7 @@ def test_replayed_valves_keep_their_last_state_and_check_the_robot():
 def test_logs_are_found_next_to_their_recordings():
     assert logs_of(["a/b.csv", "c.csv"], []) == ["a/b.valves.csv", "c.valves.csv"]
     assert logs_of(["a.csv"], ["x.csv"]) == ["x.csv"]
-    with pytest.raises(InputError, match="1 logs of valves for 2 recordings"):
+    with pytest.raises(InputError, match="1 valve logs are given for 2 recordings"):
         logs_of(["a.csv", "b.csv"], ["x.csv"])
 
 

@@ -118,7 +118,7 @@ def test_a_short_footprint_measurement_by_the_command(srs_twin, tmp_path, monkey
         ),
         (["gen2", "--offsets="], "--offsets: '' is not a list of numbers"),
         (["gen2", "--offsets=nan,0,0.3"], "offset nan is not allowed"),
-        (["gen2", "--offsets=0,0.3"], "on both sides of 0"),
+        (["gen2", "--offsets=0,0.3"], "some below and some above 0"),
         (["gen2", "--pressure", "1e9"], "is above the"),
         (["gen2", "--pressure", "nan"], "pressure nan kPa is not allowed"),
         (["gen2", "--frequency", "-1"], "frequency -1.0 Hz is not allowed"),
@@ -142,7 +142,7 @@ def test_a_short_footprint_measurement_by_the_command(srs_twin, tmp_path, monkey
         ),
         (
             ["gen2", "--name", "../x"],
-            "--name: '../x' is not allowed; lower-case letters",
+            "--name: '../x' is not allowed; use at most 60 lower-case letters",
         ),
         (["gen2", "--out", "/dev/null/x"], "cannot write there"),
         (["gen4_module"], "one segment"),

@@ -191,7 +191,9 @@ def test_measured_pressures_replace_the_model_of_the_air(tmp_path):
     settings = dict(mass_kg=MASS, inertia_kg_m2=INERTIA)
     found = srs.calibrate_damping([path], "gen2", valves="closed", **settings).estimate
     assert found[STIFFNESS].value == pytest.approx(0.5, rel=0.01)
-    with pytest.raises(InputError, match="measured pressures need closed valves"):
+    with pytest.raises(
+        InputError, match="measured pressures can be used only with closed valves"
+    ):
         srs.calibrate_damping([path], "gen2", **settings)
 
 
@@ -224,12 +226,16 @@ def ring(time, hertz=8.0, size=0.4):
             200,
             overdamped,
             (
-                "0 visible half swings; 3 or more are needed. An overdamped decay tells"
-                " only the"
+                "0 visible half swings, but 3 or more are needed; hang a heavier body,"
+                " or record longer"
             ),
         ),
         (200, lambda t: ring(t, size=1e-3), "the amplitude is within the noise"),
-        (100, lambda t: ring(t, hertz=30.0), "samples per swing; 5 or more are needed"),
+        (
+            100,
+            lambda t: ring(t, hertz=30.0),
+            "samples per swing, but 5 or more are needed",
+        ),
     ],
     ids=["slow", "overdamped", "small", "fast"],
 )
@@ -269,7 +275,7 @@ def test_free_swing_may_start_at_a_given_time():
         fit_damping([decay], srs.load_robot("gen2"), body=body)[STIFFNESS], 0.5
     )
     with pytest.raises(
-        InputError, match="it ends at 2.995 s, before the free swing from 4 s"
+        InputError, match="ends at 2.995 s, before the free swing starts at 4 s"
     ):
         free_swing("decay", "0" * 64, time, bend, start=4.0)
 

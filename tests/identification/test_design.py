@@ -105,5 +105,5 @@ def test_unreachable_targets_are_reported(srs_twin, tmp_path):
     )
     assert wrong.returncode == 2
     assert "must be NAME=PERCENT" in wrong.stderr
-    with pytest.raises(InputError, match="names nothing"):
+    with pytest.raises(InputError, match="contains no parameters"):
         choose_experiments(SPEC, {}, {})

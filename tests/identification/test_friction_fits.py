@@ -351,13 +351,15 @@ def test_bends_of_a_body_without_sideways_throws_use_the_known_normal_friction()
 def test_unsuitable_throws_are_refused():
     time = np.arange(0.0, 1.0, 0.01)
     still = {"time": time, "com_x": 0 * time, "com_y": 0 * time, "heading": 0 * time}
-    with pytest.raises(InputError, match="the largest speed is 0 m/s"):
+    with pytest.raises(InputError, match="the maximum speed is 0 m/s"):
         CoastingTest.from_trajectory(Trajectory(still), "x")
     with pytest.raises(InputError, match="it turns by"):
         CoastingTest.from_trajectory(
             Trajectory(still | {"com_x": 0.3 * time, "heading": time}), "x", start=0.0
         )
-    with pytest.raises(InputError, match="x: 4 samples; 8 or more are needed"):
+    with pytest.raises(
+        InputError, match="x: the recording has 4 samples; 8 or more are needed"
+    ):
         CoastingTest.from_trajectory(
             Trajectory({name: column[:4] for name, column in still.items()}), "x"
         )

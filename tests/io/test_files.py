@@ -85,12 +85,13 @@ def test_existing_file_is_not_called_an_unknown_name(tmp_path, monkeypatch):
     (tmp_path / "notes.txt").write_text("title: x")
     (tmp_path / "empty").mkdir()
     with pytest.raises(
-        InputError, match=r"^notes\.txt: a scenario file ends in \.yaml or \.yml$"
+        InputError,
+        match=r"^notes\.txt: the name of a scenario file must end in \.yaml or \.yml$",
     ):
         find_file("scenario", "notes.txt")
     with pytest.raises(
         InputError,
-        match=r"^empty: a folder; give one file \(\.yaml; there is none in it\)$",
+        match=r"^empty: this is a folder; give one file \(\.yaml; there is none in it\)$",
     ):
         find_file("scenario", "empty")
 
@@ -206,7 +207,7 @@ def test_all_rejected_features_are_reported_at_once():
     [
         (
             "a: 1\n---\nb: 2\n",
-            "f.yaml:2:1: a second document begins here; a file may contain one",
+            "f.yaml:2:1: a second YAML document begins here, but a file may have only one",
         ),
         ("%YAML 1.1\n---\na: 1\n", "f.yaml:1:1: YAML directives are not allowed"),
         ("a: 1\n\tb: 2\n", "f.yaml:2:1: not YAML: .*spaces, not tabs"),
@@ -246,8 +247,14 @@ def test_all_rejected_features_are_reported_at_once():
         ),
         ('a: "\\ud800"\n', "f.yaml:1:4: half a surrogate pair is not allowed"),
         ("? [1]\n: 2\n", "f.yaml:1:3: a key must be plain text"),
-        ("[" * (MAX_DEPTH + 1), f"f.yaml:1:17: nested more than {MAX_DEPTH} deep"),
-        ("[" + "1," * 10_000 + "1]", "f.yaml:1:20000: more than 10000 keys and values"),
+        (
+            "[" * (MAX_DEPTH + 1),
+            f"f.yaml:1:17: nested more than {MAX_DEPTH} levels deep",
+        ),
+        (
+            "[" + "1," * 10_000 + "1]",
+            "f.yaml:1:20000: the file has more than 10000 keys and values",
+        ),
     ],
 )
 def test_syntax_error_is_reported_with_its_position(text, message):

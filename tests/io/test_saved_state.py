@@ -305,7 +305,7 @@ def test_file_of_another_version_is_rejected(tmp_path):
     np.savez(tmp_path / "state.npz", state=np.array(tree))
     with pytest.raises(
         InputError,
-        match=r"state.npz: saved state of version 1; this program reads version \d",
+        match=r"state.npz: the saved state has version 1, but this program reads only version \d",
     ):
         SavedState.read(tmp_path / "state.npz")
 

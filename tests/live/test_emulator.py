@@ -89,12 +89,12 @@ def test_faults_do_what_they_say():
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        ("stuck", "is no fault; the form is"),
+        ("stuck", "is not a valid fault; write"),
         ("stuck_valv:2+@5", "unknown fault 'stuck_valv'"),
-        ("stuck_valve:2@5", "is of one chamber; stuck_valve:2\\+@5 would be one"),
-        ("starved:2@5", "is of the whole robot; starved@5"),
+        ("stuck_valve:2@5", "concerns one chamber; write it as stuck_valve:2\\+@5"),
+        ("starved:2@5", "concerns the whole robot; write it as starved@5"),
         ("dead_sensor:5@1", "there is no segment 5"),
-        ("stuck_valve:2+=shut@5", "unknown way of stuck_valve 'shut'"),
+        ("stuck_valve:2+=shut@5", "unknown variant of stuck_valve 'shut'"),
     ],
 )
 def test_what_is_no_fault_is_refused(text, why):
@@ -296,7 +296,7 @@ def test_the_command_says_what_is_wrong(srs_twin, tmp_path):
         (("--fault", "stuck@1"), "unknown fault 'stuck'"),
         ((), f"no broker answers at 127.0.0.1:{port}"),
         (("--name", "a/b"), "cannot be part of a topic"),
-        (("--start", "1,2"), "--start '1,2' is no place such as 0.2,-0.1,0.5"),
+        (("--start", "1,2"), "--start '1,2' is not a pose; give x and y in m"),
         (("--chambers", "orifce"), "did you mean orifice?"),
     ):
         done = srs_twin(

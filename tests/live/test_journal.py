@@ -105,7 +105,7 @@ def test_no_file_is_said(tmp_path):
 @pytest.mark.parametrize("content", [b"", b"hello" * 100, b"\x89MCAP1\r\n"])
 def test_a_file_that_is_no_journal_is_refused_at_once(tmp_path, content):
     (tmp_path / "a.mcap").write_bytes(content)
-    with pytest.raises(InputError, match="a.mcap: not an MCAP file"):
+    with pytest.raises(InputError, match="a.mcap: this is not an MCAP file"):
         McapLink(tmp_path / "a.mcap", "r", 2)
 
 
@@ -134,15 +134,18 @@ SECOND = 10**9
 @pytest.mark.parametrize(
     ("records", "words"),
     [
-        ([], "holds no message at all"),
+        ([], "has no message at all"),
         (
             [("srs/other/bends", BEND, 1), ("srs/natnet/poses", POSE, 2)],
-            "holds no message of 'r'; it has messages of other \\(--name\\)",
+            "has no message of 'r'; it has messages of other \\(--name\\)",
         ),
-        ([("/imu/data", b"{}", 1)], "not readable: 1 × no message of ours: ValueError"),
+        (
+            [("/imu/data", b"{}", 1)],
+            "not readable: 1 × not a message of srs-twin: ValueError",
+        ),
         (
             [("srs/r/bends", b'{"t": 1, "rad": [0.1]}', 1)],
-            "not readable: 1 × rad: a list of 2 numbers",
+            "not readable: 1 × rad: must be a list of 2 numbers",
         ),
     ],
 )
@@ -159,7 +162,7 @@ def test_the_command_refuses_a_journal_of_another_robot(tmp_path, srs_twin):
     done = srs_twin("shadow", "gen2", "--mcap", "a.mcap", "--name", "r", cwd=tmp_path)
     assert done.returncode == 2
     assert (
-        "a.mcap: holds no message of 'r'; it has messages of other (--name)"
+        "a.mcap: the journal has no message of 'r'; it has messages of other (--name)"
         in done.stderr
     )
 

@@ -79,7 +79,9 @@ def test_a_password_is_asked_for(tmp_path):
         with MqttLink("r", 1, BrokerAccess("127.0.0.1", port, "lab", "bench")) as link:
             assert link.connected
         for login in ((), ("lab", "wrong")):
-            with pytest.raises(InputError, match="does not admit us: Not authorized"):
+            with pytest.raises(
+                InputError, match="refuses the connection: Not authorized"
+            ):
                 MqttLink("r", 1, BrokerAccess("127.0.0.1", port, *login))
 
 
@@ -151,7 +153,7 @@ def test_no_broker_is_said_in_one_line():
 )
 def test_addresses(given, found):
     if found is None:
-        with pytest.raises(InputError, match="is no address"):
+        with pytest.raises(InputError, match="is not an address"):
             address(given, 7)
         return
     assert address(given, 7) == found
@@ -195,7 +197,7 @@ def test_addresses(given, found):
     ],
 )
 def test_what_is_no_address_is_refused(given):
-    with pytest.raises(InputError, match="is no address"):
+    with pytest.raises(InputError, match="is not an address"):
         address(given, 7)
 
 
@@ -207,7 +209,9 @@ def test_an_address_or_a_name_that_cannot_be_used_has_exit_code_2(
 ):
     done = srs_twin("emulate", "gen2", "--duration-s", "0.1", *words, cwd=tmp_path)
     assert done.returncode == 2 and len(done.stderr.splitlines()) == 1
-    assert "is no address" in done.stderr or "cannot be part of a topic" in done.stderr
+    assert (
+        "is not an address" in done.stderr or "cannot be part of a topic" in done.stderr
+    )
 
 
 @pytest.mark.parametrize(
@@ -236,5 +240,5 @@ def test_a_file_that_is_no_certificate_is_refused(tmp_path, content, words):
         content(file)
     elif content is not None:
         file.write_bytes(content)
-    with pytest.raises(InputError, match=f"ca.pem: {words}"):
+    with pytest.raises(InputError, match=f"ca.pem: .*{words}"):
         MqttLink("r", 1, BrokerAccess(port=free_port(), ca=file))

@@ -240,9 +240,9 @@ def test_a_group_is_joined(monkeypatch):
 
 
 def test_an_address_of_others_is_refused():
-    with pytest.raises(InputError, match="cannot be listened on"):
+    with pytest.raises(InputError, match="cannot be used for NatNet"):
         NatNetServer({}, host="192.0.2.1")
-    with pytest.raises(InputError, match=r"frames cannot arrive at 192\.0\.2\.1"):
+    with pytest.raises(InputError, match=r"frames cannot be received at 192\.0\.2\.1"):
         NatNetLink(local="192.0.2.1")
 
 
@@ -284,7 +284,7 @@ def test_a_name_that_no_host_has_is_refused(monkeypatch, given):
         return name
 
     monkeypatch.setattr(socket, "gethostbyname", unknown)
-    with pytest.raises(InputError, match="no host of this name is known"):
+    with pytest.raises(InputError, match="cannot be found"):
         NatNetLink(**given)
 
 
@@ -318,7 +318,7 @@ def test_places_beyond_a_kilometre_are_not_seen():
 
 @pytest.mark.parametrize("time", [1e11, -1e11, 1e300, math.nan])
 def test_frames_with_an_impossible_time_are_refused(time):
-    with pytest.raises(BadMessageError, match="the frame's time"):
+    with pytest.raises(BadMessageError, match="the time of the frame"):
         read(natnet.write_frame(Frame(1, time, {})), (4, 1))
 
 
@@ -408,7 +408,7 @@ def test_a_group_that_cannot_be_joined_is_named_and_motion_capture_goes_on(fed, 
 
 def test_answers_of_another_program_on_the_servers_machine_are_refused(fed):
     link, feed, _ = fed
-    with pytest.raises(BadMessageError, match="from elsewhere"):
+    with pytest.raises(BadMessageError, match="from an unexpected address"):
         feed(packets.write_server((2, 7)), 0.0, ("127.0.0.1", 9))
     assert link.version is None
 

@@ -122,9 +122,9 @@ def test_the_command_says_what_is_wrong(srs_twin, tmp_path):
     port = free_port()
     for more, why in (
         ((), f"no broker answers at 127.0.0.1:{port}"),
-        (("--mcap", "no.mcap"), "--mcap plays what has been"),
-        (("--body", "head=9"), "names no body"),
-        (("--follow", "gen2_straight"), "it follows no plan"),
+        (("--mcap", "no.mcap"), "--mcap replays a recorded journal"),
+        (("--body", "head=9"), "write BODY=CONNECTOR"),
+        (("--follow", "gen2_straight"), "the scenario follows no planned path"),
     ):
         done = srs_twin(
             "shadow", "gen4", "--mqtt", f"127.0.0.1:{port}", *more, cwd=tmp_path

@@ -86,7 +86,7 @@ def test_the_command_prints_the_schema(srs_twin, tmp_path):
         ),
         (
             "robot: gen4\nbroker: {address: 'lab:0'}\n",
-            "lab.yaml:2:19: broker.address: 'lab:0' is no address",
+            "lab.yaml:2:19: broker.address: 'lab:0' is not an address",
         ),
         (
             "robot: gen4\nlimits: {duration_s: -1}\n",
@@ -151,10 +151,7 @@ def test_options_override_the_setup_file(srs_twin, tmp_path, monkeypatch):
 
 def test_without_a_robot_the_command_asks_for_one(srs_twin, tmp_path):
     done = srs_twin("shadow", cwd=tmp_path)
-    assert (
-        done.returncode == 2
-        and "which robot? Give ROBOT, or a file with --setup" in done.stderr
-    )
+    assert done.returncode == 2 and "no robot is given; give ROBOT" in done.stderr
 
 
 @needs_broker
@@ -175,7 +172,10 @@ def test_a_session_that_hears_nothing_says_so_with_exit_code_2(srs_twin, tmp_pat
             cwd=tmp_path,
         )
     assert done.returncode == 2
-    assert f"nothing was heard of 'gen4' in 0 s from 127.0.0.1:{port}" in done.stderr
+    assert (
+        f"no messages of the robot 'gen4' arrived from 127.0.0.1:{port} in 0 s"
+        in done.stderr
+    )
     assert "None" not in done.stderr and "Traceback" not in done.stderr
     assert "estimate" not in json.loads((tmp_path / "lab/shadow.json").read_text())
 

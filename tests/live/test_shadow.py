@@ -286,13 +286,13 @@ def test_a_restart_of_the_robot_is_not_a_fault(seed, pause, supply, monkeypatch)
 def test_bodies_have_names():
     assert frames_of(["head=1", "Rigid Body 3=5"], 5) == {"head": 1, "Rigid Body 3": 5}
     for wrong in ("head", "head=0", "head=6", "=1"):
-        with pytest.raises(InputError, match="names no body"):
+        with pytest.raises(InputError, match="write BODY=CONNECTOR"):
             frames_of([wrong], 5)
 
 
 def test_steerings_refuse_what_cannot_be_steered():
     shadow = Shadow(load_robot("gen2"), members=8)
-    with pytest.raises(InputError, match="it follows no plan"):
+    with pytest.raises(InputError, match="the scenario follows no planned path"):
         EstimateSteering(load_scenario("gen2_straight"), shadow, 0.02)
     text = (
         r"follow_gen4_a is for robot 'gen4', not for 'gen2'; they differ in"

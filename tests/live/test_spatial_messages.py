@@ -61,10 +61,10 @@ def test_messages_have_a_list_per_chamber_and_two_bends():
 @pytest.mark.parametrize(
     ("kind", "values", "chambers", "words"),
     [
-        (COMMAND, FULL, 0, "plus: a list of 8"),
-        (COMMAND, FULL[:, :2], 4, "chamber_1: a list of 8"),
-        (VALVES, FULL[:, :3], 4, "chamber_4: a list of 8"),
-        (BENDS, np.zeros(8), 4, "pitch_rad: a list of 8"),
+        (COMMAND, FULL, 0, "plus: must be a list of 8"),
+        (COMMAND, FULL[:, :2], 4, "chamber_1: must be a list of 8"),
+        (VALVES, FULL[:, :3], 4, "chamber_4: must be a list of 8"),
+        (BENDS, np.zeros(8), 4, "pitch_rad: must be a list of 8"),
     ],
 )
 def test_messages_of_the_other_kind_of_robot_are_refused(kind, values, chambers, words):
@@ -108,7 +108,9 @@ def test_dead_sensors_freeze_both_axes_and_chambers_with_a_side_are_refused():
         InputError, match="fault stuck_valve.* does not support the spatial robot"
     ):
         EmulatedRobot("spatial_example", faults=["stuck_valve:2+@1"])
-    with pytest.raises(InputError, match="do not begin to leak"):
+    with pytest.raises(
+        InputError, match="a leak cannot be simulated without compressible flow"
+    ):
         EmulatedRobot("spatial_example", faults=["leak:2+@1"])
 
 

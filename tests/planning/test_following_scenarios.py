@@ -146,7 +146,7 @@ def test_plan_command_rejects_scenarios_without_a_planner(tmp_path, srs_twin):
     done = srs_twin("plan", "gen2_straight", cwd=tmp_path)
     assert (
         done.returncode == 2
-        and "there is no planner section; add planner, and controller.kind: follow"
+        and "the scenario has no planner section; add the section planner"
         in done.stderr
     )
     assert list(tmp_path.iterdir()) == []
@@ -388,7 +388,7 @@ def test_goal_of_a_given_path_is_its_end():
                     "random": {"count": 99, "gap_m": 1.0},
                 }
             },
-            "world.random: 99 circles do not fit",
+            "of 99 circles fit with gaps of",
         ),
     ],
 )

@@ -192,8 +192,8 @@ def test_unknown_footprint_error_lists_the_names():
     ("changes", "words"),
     [
         ({"speeds": (0.2, 0.0, 0.2)}, "speeds and edges must be above 0"),
-        ({"ahead": -0.1}, "ahead and behind not negative"),
-        ({"left": (0.02, math.nan, 0.02)}, "a number is not finite"),
+        ({"ahead": -0.1}, "ahead and behind must be at least 0"),
+        ({"left": (0.02, math.nan, 0.02)}, "all numbers must be finite"),
         ({"curvatures": (-1.0, 1.0, 0.5)}, "curvatures: must increase"),
         (
             {"transients": (Transient(0, 0.3, 0.2, 0, 0.1),)},

@@ -355,20 +355,23 @@ def test_worlds_with_a_plan_are_never_disconnected(seed):
             {"start": Pose(-1, 0, 1.57)},
             "the straight body's footprint leaves the bounds",
         ),
-        ({"goal": Goal(math.nan, 0, 0.0, 0.1)}, r"goal \(nan, 0\) m: must be finite"),
+        (
+            {"goal": Goal(math.nan, 0, 0.0, 0.1)},
+            r"goal \(nan, 0\) m is not allowed; both coordinates must be finite",
+        ),
         ({"start": Pose(0, 0, math.inf)}, "headings inf and 0 rad"),
         ({"goal": Goal(1, 0, 0.0, -0.1)}, "radius -0.1 m must not be below 0"),
         (
             {"world": World((Circle(1, 1, 0),))},
-            "obstacle 1: numbers must be finite and the radius above 0",
+            "obstacle 1: position and radius must be finite",
         ),
         (
             {"world": World(polygons=(Polygon(((0, 0), (1, 1), (1, 0), (0, 1))),))},
-            "polygon 1: .* sides that do not cross",
+            "polygon 1 .* sides that do not cross",
         ),
         (
             {"world": World(bounds=Bounds((1, -1), (0, 1)))},
-            "the lower limit comes first",
+            "give the lower limit first",
         ),
     ],
 )
@@ -379,7 +382,8 @@ def test_invalid_problems_are_rejected_by_name(changes, words):
 
 def test_invalid_settings_are_rejected():
     with pytest.raises(
-        InputError, match="nodes 0, levels 4, weight 1: all must be at least 1"
+        InputError,
+        match="nodes 0, levels 4, weight 1 are not allowed; each must be at least 1",
     ):
         Settings(nodes=0)
     with pytest.raises(InputError, match="levels 9 must be at most 5"):
@@ -403,7 +407,7 @@ def test_random_worlds_repeat_for_a_seed_and_keep_their_gaps():
         min(gaps) >= 0.1
         and min(math.hypot(c.x, c.y) - c.radius for c in circles) >= 0.2
     )
-    with pytest.raises(InputError, match="do not fit with gaps of 0.5 m"):
+    with pytest.raises(InputError, match="fit with gaps of 0.5 m"):
         random_circles(30, FIG54_BOUNDS, 0, gap=0.5)
     with pytest.raises(InputError, match="19 obstacles cannot be drawn from 18 sites"):
         fig54_world(19, 0)

@@ -575,12 +575,12 @@ def test_batch_rejects_invalid_robots_and_settings():
             TwinBatch(specs)
     with pytest.raises(
         InputError,
-        match=r"supply_pa: 3 were given for 2 runs; give one value, or one per run",
+        match=r"supply_pa: 3 values are given for 2 runs; give one value, or one per run",
     ):
         TwinBatch([SPEC, SPEC], supply_pa=[1e4, 2e4, 3e4])
     own = make_pneumatics("lag", SPEC, supply_pa=48e3, layout="3/2")
     with pytest.raises(
-        InputError, match="the twins of a batch cannot share one object; give its kind"
+        InputError, match="the twins of a batch cannot share one object; give the name"
     ):
         TwinBatch([SPEC, SPEC], pneumatics=own)
     with pytest.raises(
@@ -592,15 +592,15 @@ def test_batch_rejects_invalid_robots_and_settings():
 def test_batch_rejects_wrong_numbers_of_arguments():
     batch = TwinBatch([SPEC, SPEC], threads=1)
     with pytest.raises(
-        InputError, match="poses: 1 were given for 2 runs; give one per run"
+        InputError, match="poses: 1 values are given for 2 runs; give one per run"
     ):
         batch.reset(poses=POSES[:1])
     with pytest.raises(
-        InputError, match="valves: 3 were given for 2 runs; give one per run"
+        InputError, match="valves: 3 values are given for 2 runs; give one per run"
     ):
         batch.step(np.stack([vented(SPEC)] * 3))
     with pytest.raises(
-        InputError, match="schedules: 0 were given for 2 runs; give one per run"
+        InputError, match="schedules: 0 values are given for 2 runs; give one per run"
     ):
         batch.play([], 1)
     impossible = np.stack([vented(SPEC), 0 * vented(SPEC)])

@@ -362,7 +362,7 @@ def test_mjx_scene_moves_as_the_scene(root, name):
 
 @pytest.mark.parametrize("name", ["skin_example", "spatial_example"])
 def test_robot_without_wheels_is_refused(name):
-    with pytest.raises(InputError, match=f"{name} has a skin"):
+    with pytest.raises(InputError, match=f"{name} cannot be exported"):
         robot_files(load_robot(name))
 
 

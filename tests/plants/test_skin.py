@@ -259,7 +259,7 @@ def test_saved_state_continues_bit_for_bit():
 
 def test_robots_with_skin_have_no_mjcf_file():
     with pytest.raises(
-        InputError, match="skin_example has a skin: srs_twin computes its friction"
+        InputError, match="skin_example cannot be exported, because an MJCF file"
     ):
         robot_files(SPEC)
 

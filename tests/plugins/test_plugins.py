@@ -333,7 +333,7 @@ def test_damaged_entry_points_are_named(tmp_path, monkeypatch):
         "[srs_twin.controllers]\nodd = not a name!\n"
     )
     monkeypatch.syspath_prepend(tmp_path / "site")
-    assert "'not a name!' does not name a class; write module:Name" in problems(
+    assert "'not a name!' is not the name of a class; write module:Name" in problems(
         document("odd")
     )
 
@@ -469,7 +469,7 @@ def test_other_names_are_refused_before_the_import(kind, plugin):
     path = plugin(CONTROLLER)
     allow_plugin(path)
     text = problems(document(kind.format(path.stem)))
-    assert "does not name a class; write module:Name" in text
+    assert "is not the name of a class; write module:Name" in text
     assert path.stem not in sys.modules
 
 
@@ -538,8 +538,9 @@ def test_arguments_that_no_file_can_give_are_named(plugin):
         "class B(A):\n    def __init__(self, gain: 'Nothing'): pass\n"
     )
     allow_plugin(path)
-    assert f"{path.stem}:A: no file can give weights; set a default" in problems(
-        document(f"{path.stem}:A")
+    assert (
+        f"{path.stem}:A: a scenario file cannot set the argument weights"
+        in problems(document(f"{path.stem}:A"))
     )
     assert "the types of its arguments cannot be read (name 'Nothing'" in problems(
         document(f"{path.stem}:B")

@@ -129,11 +129,11 @@ def test_the_command_writes_each_format(run, srs_twin, tmp_path):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ((), "give one format: --mcap, --csv, --npz"),
-        (("--csv", "--npz"), "give one format"),
+        ((), "give one of --mcap, --csv, --npz"),
+        (("--csv", "--npz"), "no single format is given"),
         (
             ("--csv", "--out", "run.parquet"),
-            "run.parquet: a file of --csv ends in .csv",
+            "the name of a file for --csv must end in .csv",
         ),
         (("--csv", "--plant", "twim"), "did you mean twin"),
     ],

@@ -192,7 +192,7 @@ def test_inspect_command(tmp_path, monkeypatch, capsys):
     assert "one rigid part" in capsys.readouterr().out
     assert (tmp_path / "seen.png").read_bytes().startswith(b"\x89PNG")
     run(["inspect", "take.csv", "--write-map", "map.yaml"], 2)
-    assert "map.yaml: exists; give --overwrite" in capsys.readouterr().err
+    assert "map.yaml already exists; give --overwrite" in capsys.readouterr().err
     run(["inspect", "cut.csv", "take.csv", "--json"], 2)
     said = capsys.readouterr()
     assert [each["file"] for each in json.loads(said.out)] == [

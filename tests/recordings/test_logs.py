@@ -369,7 +369,7 @@ def test_plain_csv_in_a_wrong_unit_is_refused(tmp_path):
     path.write_text(plain_csv(motion(), "m", 1e3).replace("_m", ""))
     with pytest.raises(
         InputError,
-        match=r"plain.csv: markers are 5.* mm apart, .* 55 mm; are the lengths in mm\?",
+        match=r"the markers are 5.* mm apart, .* 55 mm apart; are the lengths in mm\?",
     ):
         read_motion(path, SPEC)
 
@@ -380,7 +380,7 @@ def test_another_robot_is_refused(tmp_path):
     path = tmp_path / "plain.csv"
     path.write_text(plain_csv(motion()))
     with pytest.raises(
-        InputError, match=r"the connectors of gen4 .* mm; is it this robot\?"
+        InputError, match=r"the connectors of gen4 .* mm apart; is it this robot\?"
     ):
         read_motion(path, load_robot("gen4"))
 

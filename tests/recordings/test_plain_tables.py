@@ -382,7 +382,9 @@ def test_logs_with_times_since_1970_are_read(tmp_path, unit, name):
 def test_counters_are_not_times_since_1970(tmp_path, times):
     path = tmp_path / "log.csv"
     path.write_text(VALVES + "".join(f"{t:.0f},1,0\n" for t in times))
-    with pytest.raises(InputError, match="is the unit right. State it in the name of"):
+    with pytest.raises(
+        InputError, match="their unit is probably not s; state the unit"
+    ):
         read_valves(path, MODULE)
 
 

@@ -220,7 +220,7 @@ def test_short_gaps_of_a_sensor_are_filled(bench, tmp_path):
             r"x.csv:3:2: bend_1: a bend of 47.9 rad is not allowed.*bend_1_deg",
         ),
         ("time,bend_1\n0,0\n,1\n", "x.csv:3:1: the row has no time"),
-        ("time,bend_1\n0,0\n1,1\n", "x.csv: 2 frames"),
+        ("time,bend_1\n0,0\n1,1\n", "x.csv: the recording has 2 frames"),
     ],
 )
 def test_invalid_bend_logs_are_refused(tmp_path, text, message):

@@ -87,7 +87,7 @@ def test_a_gait_without_its_start_is_ambiguous(tmp_path, captured):
     with pytest.raises(
         InputError,
         match=(
-            r"offset of its clock is ambiguous: \d+ offsets fit .* because the gait is"
+            r"clock offset is ambiguous: \d+ offsets fit .* because the gait is"
             r" periodic"
         ),
     ):
@@ -101,7 +101,7 @@ def test_a_log_of_another_run_is_refused(tmp_path, captured):
     other = valve_csv(motion(4.0, 0.0, 1.3), 0.0, 4.0, 0.0)
     with pytest.raises(
         InputError,
-        match=r"valves.csv: (no offset explains|the offset of its clock is ambiguous)",
+        match=r"valves.csv: (no offset explains|the clock offset is ambiguous)",
     ):
         join(captured, log(tmp_path, other), SPEC)
 

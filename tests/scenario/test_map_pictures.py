@@ -396,7 +396,7 @@ def test_checkerboard_is_rejected_quickly(tmp_path, monkeypatch, capsys):
     said = capsys.readouterr().err
     assert (
         "wall.yaml:1:8: image: 500,000 rectangles" in said
-        and "20,000 are allowed: remove specks" in said
+        and "20,000 are allowed; remove specks" in said
     )
 
 

@@ -204,9 +204,9 @@ def test_a_list_of_circles(tmp_path):
         ),
         (
             "x_m,y_m,radius_m\n1,2,0\n",
-            ":2: numbers must be finite and the radius above 0",
+            ":2: the numbers must be finite and the radius above 0",
         ),
-        ("x_m,y_m,radius_m\n1,2,wide\n", ":2: not three numbers"),
+        ("x_m,y_m,radius_m\n1,2,wide\n", ":2: the row must have three numbers"),
     ):
         path.write_text(text)
         with pytest.raises(InputError) as error:

@@ -650,11 +650,14 @@ def test_expectations_of_the_comparison():
             {"below": None},
             "expect[0]: give exactly one of near, below, above and published",
         ),
-        ({"abs": 1}, "expect[0]: near needs either rel or abs"),
-        ({"below": None, "near": 1}, "expect[0]: near needs either rel or abs"),
+        ({"abs": 1}, "expect[0]: near needs a tolerance, either rel or abs"),
+        (
+            {"below": None, "near": 1},
+            "expect[0]: near needs a tolerance, either rel or abs",
+        ),
         (
             {"below": None, "near": 1, "rel": 0.1, "abs": 1},
-            "expect[0]: near needs either rel or abs",
+            "expect[0]: near needs a tolerance, either rel or abs",
         ),
         (
             {"below": None, "near": 0, "rel": 0.1},

@@ -103,7 +103,7 @@ def test_run_from_a_trajectory_continues_it(plant, tmp_path):
         ),
         (
             {"from": "nowhere", "time_s": 1.0},
-            "start: nowhere has no trajectory of the analytical plant",
+            "start: nowhere: the folder contains no trajectory of the analytical plant",
         ),
         ({"from": "nowhere"}, "start.from: needs the time in that run; set time_s"),
         ({"time_s": 1.0}, "start.time_s: needs a run; set from"),

@@ -110,7 +110,7 @@ def test_part_of_a_run_is_rendered(runs, srs_twin, tmp_path):
         ),
         (
             ("--image", "t=1", "--to", "1"),
-            "--from and --to are for --video and --strobe",
+            "--from and --to select an interval for --video or --strobe",
         ),
     ],
 )
@@ -375,7 +375,10 @@ def test_scale_bar_has_the_stated_length(runs, opengl_here):
 
 
 REFUSED = {
-    "ghost on a strobe": (("--strobe", "--ghost"), "--ghost needs --video or --image"),
+    "ghost on a strobe": (
+        ("--strobe", "--ghost"),
+        "--ghost is only possible with --video or --image",
+    ),
     "ghost of none": (
         ("--image", "1", "--ghost"),
         "the run contains no analytical model; omit --ghost",
@@ -385,7 +388,10 @@ REFUSED = {
         "give exactly one of --video FILE.mp4, --image t=2.5 and --strobe",
     ),
     "two things asked": (("--strobe", "--image", "1"), "give exactly one of"),
-    "out with a video": (("--video", "a.mp4", "--out", "b.png"), "--out is for images"),
+    "out with a video": (
+        ("--video", "a.mp4", "--out", "b.png"),
+        "--out sets the output of images",
+    ),
     "not a moment": (
         ("--image", "t=two"),
         "--image t=two: not a time; give seconds, such as t=2.5",
@@ -415,7 +421,10 @@ def test_invalid_options_are_refused(runs, srs_twin, tmp_path, name):
 
 def test_missing_run_is_refused(runs, srs_twin, tmp_path):
     done = srs_twin("render", "nowhere", "--strobe", cwd=tmp_path)
-    assert done.returncode == 2 and "nowhere: no run there (looked for" in done.stderr
+    assert (
+        done.returncode == 2
+        and "nowhere: there is no finished run (looked for" in done.stderr
+    )
     alone = tmp_path / "alone"
     run_scenario(shortened("gen2_straight", 0.2), alone, plants=["analytical"])
     done = srs_twin("render", "alone", "--strobe", cwd=tmp_path)

@@ -341,7 +341,9 @@ def test_environments_agree_with_the_cpu_engine():
             and np.abs(here[1] - there[1]).max() < 1e-4
         )
         assert (here[3] == there[3]).all()
-    with pytest.warns(EngineWarning, match="obstacles differ between episodes"):
+    with pytest.warns(
+        EngineWarning, match="the episodes have different robots or obstacles"
+    ):
         gymnasium.make_vec(
             "srs_twin.envs:SRSTwin/Obstacles-v0", num_envs=1, **ON
         ).reset(seed=1)
@@ -366,7 +368,7 @@ def test_unobserved_steps_count_and_diverged_run_ends_alone():
         ended is None and batch.errors[0] is None and "finite" in str(batch.errors[1])
     )
     assert np.isfinite(batch.state.com).all() and np.isfinite(sound.com).all()
-    with pytest.raises(InputError, match="1 were given for 2"):
+    with pytest.raises(InputError, match="1 values are given for 2"):
         batch.set_gaits([Gait(2.0)])
 
 

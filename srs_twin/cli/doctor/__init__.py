@@ -1,7 +1,7 @@
-"""`srs-twin doctor`: check of the installation and the machine, with remedies.
+"""Command `srs-twin doctor`, which checks the installation and the machine.
 
-`checks` contains what this process can find out itself. Tests that may crash or hang are
-probes (`probes`) and run in child processes.
+The module `checks` contains checks that run in this process. Tests that may crash or
+hang are in `probes` and run in child processes.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ def doctor(
     out: str = "runs",
     as_json: JsonOption = False,
 ) -> None:
-    """Check the installation and this machine, with remedies.
+    """Check the installation and this machine and suggest remedies.
 
     Options:
-        --out DIR: Output folder to check for write access and disk space.
+        --out DIR: Folder whose write access and free disk space are checked.
     """
     from srs_twin.cli.doctor.checks import failed_checks
 
@@ -50,10 +50,7 @@ def doctor(
 
 
 def run_checks(folder: Path) -> list[Check]:
-    """Return all checks, by topic; they take some seconds.
-
-    Args:
-        folder: output folder to check.
+    """Return all checks, sorted by topic.
 
     Raises:
         InputError: temporary files cannot be written.
@@ -74,7 +71,6 @@ def run_checks(folder: Path) -> list[Check]:
 
 
 def _show(checks: Sequence[Check]) -> None:
-    """Print one line per check, grouped by topic, with its remedy on the next line."""
     if sys.stdout.isatty():
         width = shutil.get_terminal_size((100, 24)).columns
     else:
@@ -91,5 +87,5 @@ def _show(checks: Sequence[Check]) -> None:
             wrapper.break_on_hyphens = wrapper.break_long_words = False
             typer.echo(wrapper.fill(as_started(check.detail)))
             if check.remedy:
-                # Not wrapped, so that commands can be copied.
+                # Remedies are not wrapped, so that users can copy the commands.
                 typer.echo(as_started(f"{indent}→ {check.remedy}"))

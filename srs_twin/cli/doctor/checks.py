@@ -1,6 +1,7 @@
-"""Checks that need no child process: Python, packages, extras, processors, memory and disk space.
+"""Checks that need no child process.
 
-The lower of the limits of the container and of the machine is used.
+If a container limits a resource, the lower of the limits of container and machine is
+used.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ MACHINE = "machine"
 VIEWING = "viewing (optional)"
 EXTRAS = "extras"
 TOPICS = (INSTALLATION, SIMULATION, MACHINE, VIEWING, EXTRAS)
-"""Groups of the checks, in the order of the output."""
+"""Topics of the checks, in the order of the output."""
 
 Status = Literal["ok", "missing", "broken", "undecided"]
 
@@ -39,13 +40,13 @@ class Check:
     """Result of one check of `srs-twin doctor`.
 
     Attributes:
-        topic: group of the check.
-        name: unique name of the check.
-        status: "ok"; "missing": absent or insufficient; "broken": present but not
-            working; "undecided": no result in time, or not tested.
-        detail: observation.
-        remedy: command or sentence; empty if and only if the status is "ok".
-        necessary: whether runs require it.
+        topic: one of `TOPICS`.
+        name: unique name.
+        status: "ok", "missing" (absent or insufficient), "broken" (present but not
+            working) or "undecided" (not tested, or no result in time).
+        detail: result in words.
+        remedy: command or sentence, or an empty string if the status is "ok".
+        necessary: whether runs fail if the check fails.
     """
 
     topic: str
@@ -64,7 +65,7 @@ class Check:
 
 
 def failed_checks(checks: Iterable[Check]) -> list[Check]:
-    """Return the necessary checks that failed; undecided checks do not fail."""
+    """Return the necessary checks that failed, without undecided checks."""
     return [
         check
         for check in checks
@@ -95,10 +96,10 @@ _LISTED_PACKAGES = (
     "matplotlib",
     "rerun-sdk",
 )
-"""Packages whose versions are printed; they affect results most."""
+"""Packages whose versions are printed, because they affect results most."""
 
-# Modules whose names differ from their package. Of rerun-sdk only the bindings are
-# imported: its Python part takes as long to import as all other packages together.
+# Modules whose names differ from the name of the package. For rerun-sdk, only the
+# bindings are imported, because the Python part takes as long as all other packages.
 _MODULES = {
     "rerun-sdk": "rerun_bindings",
     "pyyaml": "yaml",
@@ -113,10 +114,10 @@ class RequiredPackage:
 
     Attributes:
         name: name of the distribution.
-        requirement: requirement in the syntax of pip, e.g. "mujoco<4,>=3.17".
-        installed: installed version; None if it is not installed.
+        requirement: requirement in the syntax of pip, such as "mujoco<4,>=3.17".
+        installed: installed version, or None.
         fits: whether the installed version satisfies the requirement.
-        extra: extra that requires it; empty: always required.
+        extra: extra that requires the package, or an empty string.
     """
 
     name: str
@@ -127,7 +128,7 @@ class RequiredPackage:
 
     @property
     def fault(self) -> str:
-        """Problem with the installed version; empty if there is none."""
+        """Problem with the installed version, or an empty string."""
         if self.installed is None:
             return f"{self.name} is missing"
         if self.fits:
@@ -141,7 +142,7 @@ def required_packages(
     """Return the packages that this machine needs, with their installed versions.
 
     Args:
-        requirements: requirements in the syntax of pip; default: those of srs_twin.
+        requirements: requirements in the syntax of pip, by default those of srs_twin.
     """
     from packaging.requirements import Requirement
 
@@ -173,12 +174,7 @@ def modules(packages: Sequence[RequiredPackage]) -> list[str]:
 
 
 def python_check(version: str, allowed: str) -> Check:
-    """Check the version of Python.
-
-    Args:
-        version: running version, e.g. "3.11.7".
-        allowed: `requires-python` of pyproject.toml, e.g. ">=3.11,<3.15".
-    """
+    """Check a version of Python against `requires-python` of pyproject.toml."""
     from packaging.specifiers import SpecifierSet
 
     detail = (
@@ -202,7 +198,7 @@ def python_check(version: str, allowed: str) -> Check:
 
 
 def packages_check(packages: Sequence[RequiredPackage], *, checkout: bool) -> Check:
-    """Check that every package that is always required is installed in a suitable version."""
+    """Check that suitable versions of all required packages are installed."""
     always = [package for package in packages if not package.extra]
     versions = _versions(
         package for package in always if package.name in _LISTED_PACKAGES
@@ -256,7 +252,6 @@ def _installed_check(
     command: str,
     prefix: str = "",
 ) -> Check:
-    """Check packages; the remedy is `command`, or by default an installation with pip."""
     faulty = [package for package in packages if package.fault]
     if not faulty:
         return Check(
@@ -273,7 +268,7 @@ def _installed_check(
 
 
 def installed_metadata() -> Message:
-    """Return the metadata of the installed srs_twin; empty if it runs from files without installation."""
+    """Return the metadata of the installed srs_twin, empty without an installation."""
     try:
         return metadata.metadata(DISTRIBUTION)  # type: ignore[return-value]
     except metadata.PackageNotFoundError:
@@ -281,7 +276,7 @@ def installed_metadata() -> Message:
 
 
 def _extra_of(marker: str) -> str:
-    """Return 'ray' for a marker like `python_version < "3.13" and extra == "ray"`."""
+    """Return the extra of a marker, such as 'ray' for `extra == "ray"`."""
     _, _, rest = marker.partition('extra == "')
     return rest.partition('"')[0]
 
@@ -294,20 +289,20 @@ def _installed(name: str) -> str | None:
 
 
 MIN_MEMORY_BYTES = 1 << 30
-"""Free memory below which the system may kill runs."""
+"""Free memory below which the operating system may kill runs, bytes."""
 
 MIN_DISK_BYTES = 512 << 20
-"""Free disk space below which a sweep may not fit."""
+"""Free disk space below which the results of a sweep may not fit, bytes."""
 
 _CGROUP = Path("/sys/fs/cgroup")
 _MEMINFO = Path("/proc/meminfo")
 
 
 def cpu_quota(cgroup: Path = _CGROUP) -> float | None:
-    """Return the processor time per wall time that a container allows; None without a limit.
+    """Return the processor time per wall time that a container may use.
 
-    Args:
-        cgroup: folder of the control group (version 2) of this process.
+    The value is None without a limit. `cgroup` is the folder of the control group
+    (version 2) of this process.
     """
     quota, _, period = _read(cgroup / "cpu.max").partition(" ")
     if quota.isdigit() and period.isdigit():
@@ -316,12 +311,7 @@ def cpu_quota(cgroup: Path = _CGROUP) -> float | None:
 
 
 def free_memory(cgroup: Path = _CGROUP, meminfo: Path = _MEMINFO) -> int | None:
-    """Return the memory available without swapping, bytes; None if it is unknown.
-
-    Args:
-        cgroup: as in `cpu_quota`.
-        meminfo: memory table of the kernel.
-    """
+    """Return the memory available without swapping in bytes, or None if unknown."""
     limit, used = (_read(cgroup / name) for name in ("memory.max", "memory.current"))
     free = [
         1024 * int(kib)
@@ -340,7 +330,7 @@ def _read(path: Path) -> str:
 
 
 def checks_of_machine(folder: Path) -> Iterator[Check]:
-    """Yield the checks of the disk of the output folder, the processors and the memory."""
+    """Yield the checks of disk, processors and memory."""
     yield output_check(folder)
     yield disk_check(folder)
     yield processors_check(processor_count(), cpu_quota())
@@ -359,7 +349,7 @@ def processors_check(usable: int, quota: float | None) -> Check:
 
 
 def memory_check(free: int | None) -> Check:
-    """Check the free memory, bytes."""
+    """Check the free memory in bytes."""
     if free is None:
         return Check(
             MACHINE, "memory", "ok", "this system does not report the free memory"
@@ -378,7 +368,7 @@ def _space_check(name: str, free: int, minimum: int, remedy: str) -> Check:
 
 
 def output_check(folder: Path) -> Check:
-    """Check that a folder can be written, by a temporary file."""
+    """Check that a temporary file can be written to a folder."""
     try:
         check_output_folder(folder)
     except InputError as error:
@@ -397,8 +387,8 @@ def disk_check(folder: Path, free: int | None = None) -> Check:
     """Check the free disk space for results.
 
     Args:
-        folder: output folder; it need not exist.
-        free: free space, bytes; default: that of the disk of `folder`.
+        folder: output folder, which need not exist.
+        free: free space, bytes. By default it is measured.
     """
     existing = next(
         path

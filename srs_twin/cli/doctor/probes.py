@@ -1,7 +1,7 @@
-"""Probes: tests that may crash or hang, each in a child process with a time limit.
+"""Probes: tests that may crash or hang, and therefore run in child processes.
 
-A probe of Python packages returns a description of the working part, or raises an
-exception with the reason why it does not work.
+A probe of Python packages returns a description of what works, or raises an exception
+with the reason why it does not work.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def imports() -> str:
 
 
 def kernels() -> str:
-    """Compare a compiled kernel with the same function in Python, and find its cache."""
+    """Compare a compiled kernel with its Python function, and find the kernel cache."""
     from srs_twin.pneumatics.flow import flow
 
     kernel: Any = flow
@@ -97,10 +97,9 @@ class Probe(NamedTuple):
     """Probe of Python packages.
 
     Attributes:
-        topic: group of the check; runs require those of `INSTALLATION` and
-            `SIMULATION`.
+        topic: topic of the check.
         run: function that is called in the child process.
-        remedy: remedy if it fails.
+        remedy: remedy if the probe fails.
     """
 
     topic: str
@@ -127,7 +126,7 @@ PROBES = {
         " container with NVIDIA_DRIVER_CAPABILITIES=all",
     ),
 }
-"""Name of a check → its probe."""
+"""Name of a check → probe."""
 
 NO_WINDOW = (
     "open report.html of a run in a browser, or serve the recording with `srs-twin view"
@@ -140,10 +139,7 @@ NO_VULKAN = (
 
 
 def probed_checks(*, time_limit_s: float = _TIME_LIMIT_S) -> Iterator[Check]:
-    """Yield the checks of all probes; no files are left behind.
-
-    Args:
-        time_limit_s: time limit of each probe, s.
+    """Yield the checks of all probes, and remove all temporary files.
 
     Raises:
         InputError: temporary files cannot be written.
@@ -165,10 +161,10 @@ def probed_checks(*, time_limit_s: float = _TIME_LIMIT_S) -> Iterator[Check]:
 
 
 def _run(name: str, folder: str, time_limit_s: float) -> Check:
-    """Run a probe in a child process with a working directory."""
     topic, _, remedy = PROBES[name]
     necessary = topic != VIEWING
-    # As in a run: with another value, MuJoCo loads an OpenGL library during its import.
+    # Runs also set this value. With other values, MuJoCo loads an OpenGL library when it
+    # is imported.
     environment = {"MUJOCO_GL": "disabled"} | os.environ | {"PYTHONSAFEPATH": "1"}
     try:
         done = subprocess.run(
@@ -201,7 +197,7 @@ def _undecided(
 
 
 def rerun_check(folder: Path, time_limit_s: float) -> Check:
-    """Let the Rerun viewer draw its window into an image in a folder, without a display."""
+    """Check that the Rerun viewer can draw its window without a display."""
     name = "Rerun viewer"
     try:
         program = rerun_executable()

@@ -124,7 +124,7 @@ class AnalyticalOptions:
                 check_positive(name, value, unit)
         if self.cells < 1:
             raise InputError(
-                f"cells {self.cells} is not allowed; a segment has 1 or more"
+                f"cells {self.cells} is not allowed; a segment needs 1 or more cells"
             )
 
     def law_on(self, spec: RobotSpec) -> str:

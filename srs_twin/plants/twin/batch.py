@@ -254,7 +254,7 @@ def check_one_per_run(name: str, given: Sized, runs: int) -> None:
     """
     if len(given) != runs:
         raise InputError(
-            f"{name}: {len(given)} were given for {runs} runs; give one per run"
+            f"{name}: {len(given)} values are given for {runs} runs; give one per run"
         )
 
 
@@ -312,7 +312,8 @@ def _twins(
         )
     if isinstance(settings.get("pneumatics"), Pneumatics):
         raise InputError(
-            "pneumatics: the twins of a batch cannot share one object; give its kind"
+            "pneumatics: the twins of a batch cannot share one object; give the name of"
+            " the pneumatic model instead, such as 'lag'"
         )
     keys = [
         repr(pair) if once else str(k)
@@ -337,7 +338,7 @@ def _one_per_run(
         return [values] * runs
     if len(values) != runs:
         raise InputError(
-            f"{name}: {len(values)} were given for {runs} runs; give one value, or one"
-            " per run"
+            f"{name}: {len(values)} values are given for {runs} runs; give one value,"
+            " or one per run"
         )
     return list(values)

@@ -433,9 +433,7 @@ class SnakePhysics(Stateful):
         """
         engine = np.asarray(state.get("engine"))
         if engine.shape != (mujoco.mj_stateSize(self.model, _SAVED_STATE),):
-            raise InputError(
-                "the saved state has no state of MuJoCo, or that of another model"
-            )
+            raise InputError("the saved value must be a state of MuJoCo for this model")
         super().load_state_dict(state)
         mujoco.mj_setState(self.model, self.data, engine, _SAVED_STATE)
         self.refresh()

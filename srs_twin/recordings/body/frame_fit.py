@@ -185,8 +185,8 @@ def marker_offsets(
         if len(group) > 2:
             listed = ", ".join(names[marker] for marker in group)
             raise InputError(
-                f"{len(group)} markers at one place of the body ({listed}); at most two"
-                " are used"
+                f"{len(group)} markers are at one position of the body ({listed}); at"
+                " most two are allowed"
             )
         a, b = group
         line = position[:, a] - position[:, b]
@@ -195,7 +195,8 @@ def marker_offsets(
         if any(sides):
             if sides[0] == sides[1]:
                 raise InputError(
-                    f"{names[a]} and {names[b]} are on the same side of one connector"
+                    f"{names[a]} and {names[b]} are on the same side of one connector;"
+                    " place the two markers on different sides"
                 )
             side_distance = abs(sides[0] - sides[1]) if all(sides) else 1
             offsets[group] = [distance * side / side_distance for side in sides]
@@ -210,8 +211,9 @@ def marker_offsets(
             quarter = np.pi / 2 * np.rint(angle / (np.pi / 2))
             if abs(angle - quarter) > _MAX_PAIR_ANGLE:
                 raise InputError(
-                    f"{names[a]} and {names[b]} are at {np.degrees(angle):.0f}° to the"
-                    " body; place a pair along the body or across it"
+                    f"the line from {names[a]} to {names[b]} is at"
+                    f" {np.degrees(angle):.0f}° to the body; place the two markers"
+                    " along the body or across it"
                 )
             angle = quarter
         offsets[group] = distance / 2 * np.exp(1j * angle) * np.array([1, -1])

@@ -227,7 +227,8 @@ def body_order(points: np.ndarray) -> np.ndarray:
     ends = np.flatnonzero(neighbours == 1)
     if len(ends) != 2:
         raise InputError(
-            f"the markers are not along one body: {len(ends)} of them are at an end"
+            "the markers do not lie along one body, because the line through them has"
+            f" {len(ends)} ends instead of 2"
         )
     return np.asarray(
         depth_first_order(tree, ends[0], directed=False, return_predecessors=False)
@@ -309,9 +310,9 @@ def check_scale(points: np.ndarray, spec: RobotSpec) -> None:
     )
     if nearest > _MAX_NEAREST_PITCH * pitch or farthest < _MIN_EXTENT * straight:
         raise InputError(
-            f"markers are {1e3 * nearest:.4g} to {1e3 * farthest:.4g} mm apart, the"
-            f" connectors of {spec.name} {1e3 * pitch:.4g}"
-            f" mm{unit_hint(float(farthest / straight))}"
+            f"the markers are {1e3 * nearest:.4g} to {1e3 * farthest:.4g} mm apart, but"
+            f" the connectors of {spec.name} are {1e3 * pitch:.4g} mm"
+            f" apart{unit_hint(float(farthest / straight))}"
         )
 
 

@@ -228,8 +228,8 @@ def _length_notes(shape: BodyShape, spec: RobotSpec, model: LengthModel) -> list
         ratio = float(np.median(median)) / geometry.pitch
         raise InputError(
             f"markers {k + 1} and {k + 2} from the head are {1e3 * median[k]:.4g} mm"
-            f" apart along the body, the connectors of {spec.name}"
-            f" {1e3 * geometry.pitch:.4g} mm{unit_hint(ratio)}"
+            f" apart along the body, but the connectors of {spec.name} are"
+            f" {1e3 * geometry.pitch:.4g} mm apart{unit_hint(ratio)}"
         )
     if (
         model is LengthModel.FIXED
@@ -366,7 +366,8 @@ def _named_places(markers: CapturedMarkers, spec: RobotSpec) -> Places:
     main = markers.main_columns
     if sorted(main) != list(range(len(places))):
         raise InputError(
-            "the markers change their columns too often to be identified by them"
+            "the markers change their columns so often that the columns cannot identify"
+            " them"
         )
     last = max(station for station, _ in places)
     if last > 2 * spec.segments:

@@ -82,7 +82,7 @@ def pack_slots(points: np.ndarray) -> Tracks:
     visible = ~np.isnan(points[..., 0])
     used = np.flatnonzero(visible.any(axis=0))
     if not used.size:
-        raise InputError("no marker is visible on any frame")
+        raise InputError("no marker is visible in any frame")
     first = visible[:, used].argmax(axis=0)
     last = len(visible) - 1 - visible[::-1, used].argmax(axis=0)
     # The heap contains (last frame, slot). The slot that has been free for the longest

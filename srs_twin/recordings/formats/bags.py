@@ -94,13 +94,13 @@ def stream_messages(data: memoryview) -> Iterator[Message]:
 def _mcap_records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
     while data and data != MCAP_MAGIC:
         if len(data) < _RECORD_HEAD.size:
-            raise CutError("the file ends in a record")
+            raise CutError("the file ends in the middle of a record")
         kind, length = _RECORD_HEAD.unpack_from(data)
         end = _RECORD_HEAD.size + length
         content = data[_RECORD_HEAD.size : end]
         data = data[end:]
         if len(content) < length:
-            raise CutError("the file ends in a record")
+            raise CutError("the file ends in the middle of a record")
         yield kind, content
 
 
@@ -201,7 +201,7 @@ def _blocks(data: memoryview) -> Iterator[memoryview]:
 def _block(data: memoryview) -> memoryview:
     end = 4 + _number(data[:4])
     if end > len(data):
-        raise CutError("the file ends in a record")
+        raise CutError("the file ends in the middle of a record")
     return data[4:end]
 
 

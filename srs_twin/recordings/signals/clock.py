@@ -87,12 +87,15 @@ def estimate_offset(
         step = sum(spans) / _MAX_SAMPLES
     min_count = int(MIN_OVERLAP * min(spans) / step)
     if min_count < 8:
-        raise InputError("too short to estimate its offset; give --offset")
+        raise InputError(
+            "the recording or the log is too short to estimate the clock offset; give"
+            " --offset"
+        )
     bends = _resampled(time, measured, step)
     model = _resampled(log_time, driven, step)
     if model.std(axis=0).max() < 1e-6 or bends.std(axis=0).max() < 1e-6:
         raise InputError(
-            "nothing moves, so its offset cannot be estimated; give --offset"
+            "nothing moves, so the clock offset cannot be estimated; give --offset"
         )
     loss, lags, count = _losses(bends, model, min_count)
     best = int(np.argmin(loss))
@@ -101,8 +104,8 @@ def estimate_offset(
     if explained < MIN_EXPLAINED:
         raise InputError(
             f"no offset explains the bends (the best one explains {100 * explained:.0f}"
-            f" % of their variance, {100 * MIN_EXPLAINED:.0f} % are needed); is it the"
-            " log of this run, and of this robot? Give --offset"
+            f" % of their variance, but {100 * MIN_EXPLAINED:.0f} % are needed); check"
+            " that the log belongs to this run and to this robot, or give --offset"
         )
     _check_unambiguous(loss, lags * step + start_difference, best)
     error = float("inf")
@@ -185,7 +188,7 @@ def _check_unambiguous(loss: np.ndarray, offsets: np.ndarray, best: int) -> None
         )[:5]
         listed = ", ".join(f"{offset:.4g}" for offset in sorted(nearest))
         raise InputError(
-            f"the offset of its clock is ambiguous: {len(rivals) + 1} offsets fit about"
+            f"the clock offset is ambiguous: {len(rivals) + 1} offsets fit about"
             f" equally well ({listed} s, …), because the gait is periodic and neither"
             " its start nor its end is recorded; give --offset, or a longer recording"
         )
@@ -338,7 +341,7 @@ def driven_bends(log: ValveLog, spec: RobotSpec) -> tuple[np.ndarray, np.ndarray
     known = clock >= settled
     if known.sum() < MIN_FRAMES:
         raise InputError(
-            f"{log.source}: {span:g} s are too short to estimate its offset; give"
+            f"{log.source}: {span:g} s are too short to estimate the clock offset; give"
             " --offset"
         )
     return log.time[0] + clock[known], trace.bend[known]

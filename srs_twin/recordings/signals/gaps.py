@@ -45,8 +45,9 @@ def check_times(time: np.ndarray) -> None:
     largest = float(np.abs(time).max())
     if largest > _MAX_TIME:
         raise InputError(
-            f"times up to {largest:.3g} s; is the unit right? State it in the name of"
-            " the column (time_ms) or in a map (time: {column: NAME, unit: ms})"
+            f"the times reach {largest:.3g} s, so their unit is probably not s; state"
+            " the unit in the name of the column (time_ms) or in a map (time: {column:"
+            " NAME, unit: ms})"
         )
 
 
@@ -86,7 +87,9 @@ def frame_grid(time: np.ndarray) -> FrameGrid:
     rows = order[kept]
     ordered = ordered[kept]
     if len(rows) < MIN_FRAMES:
-        raise InputError(f"{len(rows)} frames; a recording has {MIN_FRAMES} or more")
+        raise InputError(
+            f"the recording has {len(rows)} frames; {MIN_FRAMES} or more are needed"
+        )
     return FrameGrid(*_on_grid(ordered, rows, period, notes), period, tuple(notes))
 
 
@@ -105,7 +108,7 @@ def _on_grid(
         worst = int(np.argmax(steps))
         raise InputError(
             f"the recording has {len(rows)} of {count} frames, and none between"
-            f" {time[worst]:g} s and {time[worst + 1]:g} s; cut the recording"
+            f" {time[worst]:g} s and {time[worst + 1]:g} s; cut the recording there"
         )
     if missing := count - len(rows):
         notes.append(

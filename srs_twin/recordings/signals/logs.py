@@ -367,7 +367,7 @@ def _log(
                 " one is kept"
             )
         if kept.sum() < 2:
-            raise InputError("a log has 2 rows or more")
+            raise InputError("the log has fewer than 2 rows; 2 or more are needed")
         time = time[order][kept]
         values = values[order][kept].reshape(kept.sum(), -1, 2)
         if kind == "setpoint":
@@ -404,7 +404,7 @@ def _switched_valves(
         )
     if (time[-1] - time[0]) * carrier_hz > _MAX_PERIODS:
         raise InputError(
-            f"the log has more than {_MAX_PERIODS} carrier periods; cut it"
+            f"the log has more than {_MAX_PERIODS} carrier periods; shorten it"
         )
     starts = np.arange(time[0], time[-1], 1 / carrier_hz)
     duty = held_values(starts + 1e-9, time, duty)

@@ -43,12 +43,12 @@ def optimize(
 ) -> None:
     """Find the best robot or gait of a study file.
 
-    The search uses many runs of the analytical model `compliant` and corrects them by a
-    few runs of the twin. All reported results are from the twin. An interrupted search
-    resumes in the same folder.
+    The search uses many runs of the analytical model `compliant` and corrects them with
+    a few runs of the twin. All reported results are from the twin. An interrupted
+    search resumes if you start the command again with the same output folder.
 
     Options:
-        name: Shipped study or study file.
+        name: Name of a shipped study, or path of a study file.
         --out DIR: Output folder. [default: runs/studies/STUDY]
     """
     runner = options.make_engine()

@@ -125,7 +125,7 @@ class ConstraintFile(Section):
     @model_validator(mode="after")
     def _has_limit(self) -> ConstraintFile:
         if self.below is None and self.above is None:
-            raise ValueError("give below or above")
+            raise ValueError("a constraint needs a limit; give below or above, or both")
         return self
 
 

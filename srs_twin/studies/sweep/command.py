@@ -38,12 +38,12 @@ class StudyOptions:
     """Options of commands that run many points.
 
     Options:
-        --engine NAME: Engine for the runs: local, ray, or warp (twins on an
-            accelerator).
-        --address HOST:PORT: Address of a Ray cluster, or Warp device, e.g. cuda:0.
-        [default: local]
-        --changed: Resume in a folder of another version; keep the rows that still
-            apply.
+        --engine NAME: Engine that executes the runs: local (processes on this machine),
+            ray (cluster) or warp (twins on a GPU).
+        --address HOST:PORT: Address of the Ray cluster, or name of the Warp device, for
+            example cuda:0.
+        --changed: Resume in the folder of another version of the file, and keep the
+            rows that still apply.
     """
 
     engine: str = "local"
@@ -80,15 +80,17 @@ def sweep(
 ) -> None:
     """Run a scenario over grids, lists or samples of its fields.
 
-    An interrupted sweep resumes in the same folder.
+    An interrupted sweep resumes if you start the command again with the same output
+    folder.
 
     Options:
-        name: Shipped sweep or sweep file.
+        name: Name of a shipped sweep, or path of a sweep file.
         --out DIR: Output folder. [default: runs/sweeps/SWEEP]
-        --retry-failed: Run failed points again.
-        --without FIELD=VALUE: Leave out the points with this value (repeatable).
-        --plants LIST: Plants: analytical, twin or analytical,twin. [default: the
-            sweep's]
+        --retry-failed: Run the points that failed earlier once more.
+        --without FIELD=VALUE: Leave out all points in which the field has this value.
+            Can be repeated.
+        --plants LIST: Models to simulate: analytical, twin or analytical,twin.
+            [default: from the sweep]
     """
     runner = study.make_engine()
     from srs_twin.studies.sweep.execution import select_points, sweep as run_sweep

@@ -98,7 +98,8 @@ def on_ray(address: str | None = None, workers: int | None = None) -> Engine:
         ) from error
     if address is not None and workers is not None:
         raise InputError(
-            "--workers is only for a Ray instance started here; remove it or --address"
+            "--workers is only allowed if Ray is started on this machine; remove"
+            " --workers or --address"
         )
 
     def run(

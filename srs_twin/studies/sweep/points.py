@@ -119,12 +119,12 @@ class SamplingFile(Section):
                         f" {self.kind}"
                     )
         elif self.count is None:
-            raise ValueError(f"{self.kind} needs a count")
+            raise ValueError(f"{self.kind} needs the number of points; set count")
         elif self.kind == "sobol" and self.count & (self.count - 1):
             below = 1 << (self.count.bit_length() - 1)
             raise ValueError(
-                f"sobol points are balanced in powers of 2 only: {below} or"
-                f" {2 * below}, not {self.count}"
+                f"count {self.count} is not allowed for sobol; use a power of 2, such"
+                f" as {below} or {2 * below}"
             )
         return self
 
@@ -391,7 +391,8 @@ def _value_list(name: str, values: Sequence[Value] | RangeFile) -> list[Value]:
         return list(values)
     if values.count is None:
         raise InputError(
-            f"{name}: a range needs a count here, or sampling: latin_hypercube or sobol"
+            f"{name}: the range has no count; give count, or set sampling to"
+            " latin_hypercube or sobol"
         )
     spaced = np.geomspace if values.scale == "log" else np.linspace
     return [float(value) for value in spaced(values.start, values.stop, values.count)]

@@ -79,10 +79,13 @@ _OPENING = (
     "COMMIT",
 )
 _DISK_FULL = "cannot be written ({}); finished rows are kept, start again to resume"
-_NOT_A_STORE = "not the rows of a sweep ({}); give another --out"
+_NOT_A_STORE = (
+    "the file does not contain the rows of a sweep ({}); give another folder with --out"
+)
 _MESSAGES = {
     sqlite3.SQLITE_BUSY: (
-        "another sweep works in this folder; wait for it or give another --out"
+        "another sweep uses this folder; wait until it ends, or give another folder"
+        " with --out"
     ),
     **dict.fromkeys((sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR), _DISK_FULL),
     **dict.fromkeys(
@@ -232,8 +235,8 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
             return adapter.validate_json(content)
         except ValidationError as error:
             raise InputError(
-                f"{display_path(self._path)}: not the rows of a sweep; give another"
-                " --out"
+                f"{display_path(self._path)}: the file does not contain the rows of a"
+                " sweep; give another folder with --out"
             ) from error
 
     def _read(self, query: str, *arguments: Any) -> list[Any]:

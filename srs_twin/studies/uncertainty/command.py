@@ -48,21 +48,24 @@ def uncertainty(
 ) -> None:
     """Compute prediction intervals of a scenario's metrics.
 
-    The uncertain parameters of the robot file are propagated to every metric. The
-    output also ranks the causes and suggests what to measure next. An interrupted study
-    resumes in the same folder.
+    The command propagates the uncertain parameters of the robot file to every metric.
+    The output also ranks the parameters by their influence and suggests what to measure
+    next. An interrupted study resumes if you start the command again with the same
+    output folder.
 
     Options:
         --out DIR: Output folder. [default: runs/uncertainty/SCENARIO]
-        --plants LIST: Plants: analytical, twin or analytical,twin. [default: the
-            scenario's]
-        --samples N: Number of robots drawn from the distributions.
-        --twin N: Number of runs of the twin, if the model compliant runs all samples.
-        --without NAME: Parameter to keep at its value in the robot file, e.g.
-            friction.drag_n (repeatable).
-        --form FIELD=A,B: Equally likely values of a field, e.g.
-            pneumatics.kind=lag,orifice (repeatable).
-        --write: Write the intervals to calibration/intervals, for expectations.
+        --plants LIST: Models to simulate: analytical, twin or analytical,twin.
+            [default: from the scenario]
+        --samples N: Number of random robots drawn from the distributions of the
+            parameters.
+        --twin N: Number of runs of the twin if the compliant model runs all samples.
+        --without NAME: Parameter that keeps its value from the robot file, for example
+            friction.drag_n. Can be repeated.
+        --form FIELD=A,B: Scenario field with its possible values, which are equally
+            likely, for example pneumatics.kind=lag,orifice. Can be repeated.
+        --write: Also write the intervals to calibration/intervals, where expectations
+            of scenarios can use them.
     """
     runner = options.make_engine()
     from srs_twin.scenario.loading import load_scenario

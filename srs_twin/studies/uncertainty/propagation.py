@@ -141,7 +141,8 @@ def check_can_be_kept(scenario: Scenario) -> None:
             )
         )
         raise InputError(
-            f"--write keeps intervals of unmodified scenarios, but {fields} was changed"
+            f"--write stores only intervals of unmodified scenarios, but {fields} was"
+            " changed; remove the change or --write"
         )
     check_output_folder(INTERVALS, (f"{scenario.name}.json",), option="")
 
@@ -230,7 +231,7 @@ class Propagation:
         if not names:
             raise InputError(
                 f"{self.study.scenario.name}: no metric of the {plants[-1]} plant has a"
-                f" value in {100 * _MIN_KNOWN:.0f} % of the samples"
+                f" value in at least {100 * _MIN_KNOWN:.0f} % of the samples"
             )
         return plants[-1], (
             "com_speed_m_s" if "com_speed_m_s" in names else next(iter(names))

@@ -90,7 +90,7 @@ def test_results_do_not_depend_on_engine_or_number_of_workers(
         ),
         (
             ("small.yaml", "--engine", "ray", "--address", "x:1", "--workers", "2"),
-            "--workers is only for a Ray instance started here",
+            "--workers is only allowed if Ray is started on this machine",
         ),
         (("small.yaml", "--workers", "0"), "Invalid value for '--workers'"),
         (("small.yaml", "--out", "small.yaml"), "cannot write there"),
@@ -171,7 +171,7 @@ def test_a_second_sweep_in_the_folder_is_refused(srs_twin, tmp_path):
     run = srs_twin("sweep", "small.yaml", "--out", "out", cwd=tmp_path)
     process.kill()
     process.wait()
-    assert run.returncode == 2 and "another sweep works in this folder" in run.stderr
+    assert run.returncode == 2 and "another sweep uses this folder" in run.stderr
 
 
 @pytest.mark.slow

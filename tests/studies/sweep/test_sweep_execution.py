@@ -172,7 +172,7 @@ def test_stored_trajectories_equal_those_of_the_runs(tmp_path):
 def test_a_second_sweep_in_the_same_folder_is_refused(sweep, tmp_path):
     with (
         open_sweep(sweep, tmp_path / "out"),
-        pytest.raises(InputError, match="another sweep works in this folder"),
+        pytest.raises(InputError, match="another sweep uses this folder"),
         open_sweep(sweep, tmp_path / "out"),
     ):
         pass

@@ -154,8 +154,8 @@ def test_an_element_of_a_list_is_varied(tmp_path):
             ", count: 4",
             "",
             (
-                "5:3: vary: supply.pressure_kpa: a range needs a count here, or"
-                " sampling: latin"
+                "5:3: vary: supply.pressure_kpa: the range has no count; give count, or"
+                " set sampling to latin_hypercube or sobol"
             ),
         ),
         (
@@ -224,12 +224,12 @@ def test_an_element_of_a_list_is_varied(tmp_path):
         (
             "fixed:",
             "sampling: {kind: sobol, count: 100}\nfixed:",
-            "3:11: sampling: sobol points are balance",
+            "3:11: sampling: count 100 is not allowed for sobol",
         ),
         (
             "fixed:",
             "sampling: {kind: sobol}\nfixed:",
-            "3:11: sampling: sobol needs a count",
+            "3:11: sampling: sobol needs the number of points",
         ),
         (
             "fixed:",

@@ -67,7 +67,7 @@ def test_a_row_with_an_equal_key_is_replaced(tmp_path):
 def test_the_folder_is_locked(tmp_path):
     with RowStore(tmp_path) as first:
         first.add(ROWS[0])
-        with pytest.raises(InputError, match="another sweep works in this folder"):
+        with pytest.raises(InputError, match="another sweep uses this folder"):
             RowStore(tmp_path)
     with RowStore(tmp_path) as store:
         assert list(store.rows()) == ROWS[:1]
@@ -107,7 +107,8 @@ def test_junk_is_refused_and_not_changed(tmp_path, junk, table):
     with (
         RowStore(tmp_path) as store,
         pytest.raises(
-            InputError, match="rows.sqlite: not the rows of a sweep; give another --out"
+            InputError,
+            match="rows.sqlite: the file does not contain the rows of a sweep",
         ),
     ):
         store.identity() if table == "about" else list(store.rows())
@@ -235,7 +236,7 @@ with RowStore(Path(".")) as store:
 def test_other_files_are_refused_and_not_changed(tmp_path, content):
     (tmp_path / FILE).write_bytes(content)
     with pytest.raises(
-        InputError, match=f"{FILE}: (not the rows of a sweep|cannot be used)"
+        InputError, match=f"{FILE}: (the file does not contain the rows|cannot be used)"
     ):
         RowStore(tmp_path)
     assert (tmp_path / FILE).read_bytes() == content
@@ -272,7 +273,7 @@ def test_invalid_rows_are_refused(tmp_path):
     base.close()
     with (
         RowStore(tmp_path) as store,
-        pytest.raises(InputError, match="not the rows of a sweep"),
+        pytest.raises(InputError, match="does not contain the rows of a sweep"),
     ):
         list(store.rows())
 

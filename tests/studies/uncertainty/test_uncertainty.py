@@ -95,10 +95,10 @@ def test_samples_have_the_correlation_of_the_file():
 @pytest.mark.parametrize(
     ("spread", "message"),
     [
-        ({"kind": "normal", "factor": 2.0}, "normal takes sd, not factor"),
+        ({"kind": "normal", "factor": 2.0}, "normal needs sd, but factor is given"),
         (
             {"kind": "uniform", "low": 0.05, "high": 0.04},
-            "low 0.05 is not below high 0.04",
+            "low 0.05 must be below high 0.04",
         ),
         (
             {"kind": "uniform", "low": 0.05, "high": 0.06},
@@ -148,7 +148,7 @@ def test_no_shipped_robot_has_uncertain_drag(name):
 
 
 def test_a_robot_without_uncertain_parameters_is_refused():
-    with pytest.raises(InputError, match="no number is uncertain"):
+    with pytest.raises(InputError, match="the robot file has no uncertain numbers"):
         Priors.from_robot(robot())
 
 

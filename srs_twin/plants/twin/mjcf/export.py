@@ -121,8 +121,8 @@ def robot_files(
     """
     if spec.skin is not None:
         raise InputError(
-            f"{spec.name} has a skin: srs_twin computes its friction, which an MJCF"
-            " file cannot contain"
+            f"{spec.name} cannot be exported, because an MJCF file cannot contain the"
+            " friction law of a skin; export a robot with wheels"
         )
     if spec.actuator.onset_share > 0.0 and not linear:
         raise InputError(
