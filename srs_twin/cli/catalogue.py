@@ -157,7 +157,7 @@ def show(
 
     Options:
         name: Name of a shipped scenario or robot, path of a scenario or robot file, or
-            a page of the documentation such as docs/models.md.
+            a page of the documentation such as docs/planar-models.md.
     """
     page = name.partition("#")[0]
     if page.endswith(".md"):
