@@ -89,7 +89,6 @@ class Reference(ABC):
 class Constant(Reference):
     """Constant bend.
 
-
     Attributes:
         bend: value of the bend, rad.
     """

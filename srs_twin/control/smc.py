@@ -340,7 +340,7 @@ class IterativeSMC(SlidingMode):
         )
 
     def signals(self) -> dict[str, Any]:
-        """Return the signals of `SlidingMode`, μ, and the duties of the current period."""
+        """Return the signals of `SlidingMode`, μ, and the current duties."""
         plus, minus = self._pulses.duty.T
         return super().signals() | {
             "mu": self._mu,
