@@ -106,8 +106,7 @@ _SKIP_TO_FORCES = int(mujoco.mjtStage.mjSTAGE_VEL)
 """Stage after which the engine continues, with positions and velocities evaluated."""
 
 _SINKING_TIME = 0.05
-"""Simulated time in which a resting snake sinks into the floor, at a time unit of 1,
-s.
+"""Time in which a resting snake sinks into the floor, at a time unit of 1, s.
 """
 
 _MIN_DECAY = 1e-9

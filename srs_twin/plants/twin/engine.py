@@ -27,8 +27,9 @@ mj_integratePos = c_function("mj_integratePos", types.intp, types.float64)
 
 
 class EngineData(NamedTuple):
-    """Engine data that the friction solve reads and writes. Fields are named as in
-    MjData.
+    """Engine data that the friction solve reads and writes.
+
+    Fields are named as in MjData.
 
     Attributes:
         model: address of the MjModel, used by numba only.

@@ -25,8 +25,8 @@ $$ r(\delta) = (A + J_n^T R^{-1} J_n)\,\delta - h \sum_w J_w^T \bigl(f_w(u_w) - 
   across the heading.
 - J_n: Jacobian that maps generalised velocities to the normal velocities of the wheels
   that press on the floor.
-- R: MuJoCo's regularisation of the normal forces of these wheels, 1/kg. - r: residual
-  of the equation.
+- R: MuJoCo's regularisation of the normal forces of these wheels, 1/kg.
+- r: residual of the equation, kg·m/s or kg·m²/s.
 - u_w: velocity of contact w at which the friction law is evaluated,
   u_w = J_w (v₋ + θ (v − v₋)).
 - θ: fraction of the step at which friction is evaluated (`_evaluation_fraction`). It is
@@ -38,11 +38,11 @@ One part of a wheel's friction accelerates the spin of the wheel. This part
 
 **Newton's matrix** is A + J_nᵀ R⁻¹ J_n − h Σ θ J_wᵀ (∂f_w/∂u_w) J_w. A contact moves
 only with the ancestors of its connector. The matrix therefore has the sparsity pattern
-of M and is factored in the way in which MuJoCo factors M. The derivatives of the
-contact forces are summed as spatial 6 × 6 matrices from the ends of the chain to its
-root, and then projected on the joint axes. The composite-rigid-body algorithm treats
-inertias in this way (Featherstone 2008, Section 6.2). Spatial vectors have rotation
-first and refer to the centre of mass of the snake, as `cdof` does in MuJoCo.
+of M and can be factored without fill-in. The derivatives of the contact forces are
+summed as spatial 6 × 6 matrices from the ends of the chain to its root, and then
+projected on the joint axes. The composite-rigid-body algorithm treats inertias in this
+way (Featherstone 2008, Section 6.2). Spatial vectors have rotation first and refer to
+the centre of mass of the snake, as `cdof` does in MuJoCo.
 
 **Loads.** Friction depends on the normal forces, which themselves depend on δ. One
 Newton step uses the loads that belong to v̂. The equation is then solved to the
@@ -52,8 +52,7 @@ tolerance with the loads after this Newton step.
 
 Both numba and Warp compile these functions, so the functions use only records of
 arrays, numbers and loops. Literals of floating-point numbers have a decimal point, and
-a variable that a loop changes is created with `float`, because Warp infers types from
-them.
+a variable that a loop changes is created with `float`.
 """
 
 from __future__ import annotations
@@ -272,9 +271,7 @@ def workspace(contacts: int, nv: int, newton_matrix: np.ndarray) -> Workspace:
 
 @kernel_only
 def apply_stored_friction(engine, contacts, sparsity, state, work, h):  # type: ignore[no-untyped-def]
-    """Locate the wheels and write the friction of the previous step to
-    `qfrc_applied`.
-    """
+    """Locate the wheels and write the stored friction to `qfrc_applied`."""
     _locate_wheels(engine, contacts, work)
     _generalised_forces(
         engine.cdof, contacts, sparsity, state.force, work, engine.qfrc_applied

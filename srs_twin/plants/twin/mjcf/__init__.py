@@ -1,1 +1,1 @@
-"""RobotSpec and World as MJCF: the model and its export."""
+"""MJCF models of robots and their surroundings, and their export."""

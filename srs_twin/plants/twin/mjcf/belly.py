@@ -5,9 +5,10 @@ its segments, or a link between the hinges of a segment. A rod has the mass of i
 of the body. Its inertia is computed for a block with the width of the body and twice
 the height of the centre of mass.
 
-A rod touches the floor in the middles of equally long patches, at two points side by
-side. The contact geoms are frictionless spheres around the height of the centre of
-mass. Friction is a law on their contact forces (`contact_loaded`).
+A rod is divided into equally long patches. It touches the floor at two points side by
+side in the middle of each patch. The contact geoms are frictionless spheres centred at
+the height of the centre of mass. Friction is a law on their contact forces
+(`contact_loaded`).
 """
 
 from __future__ import annotations
@@ -21,15 +22,17 @@ from srs_twin.plants.twin.mjcf.numerics import ModelSettings, hinge_stations
 from srs_twin.robot.spec import RobotSpec
 
 _MIN_LENGTH = 1e-9
-"""Minimum length of a part of a rod over the pitch; less is a rounding error."""
+"""Ratio to the pitch below which the length of a rod's part is a rounding error."""
 
 
 class Rod(NamedTuple):
-    """Rigid part of the body. Places are distances behind the head when straight, m.
+    """Rigid part of the body.
+
+    Places are distances behind the head of the straight snake, m.
 
     Attributes:
         name: name of the rod's MuJoCo body.
-        origin: place of the frame of this body.
+        origin: place of this body's frame.
         front: place of the front end.
         back: place of the rear end.
     """
@@ -62,7 +65,7 @@ def rods(spec: RobotSpec, settings: ModelSettings) -> list[Rod]:
 
 
 class Patch(NamedTuple):
-    """Part of a rod that belongs to one segment and touches the floor in its middle.
+    """Part of a rod that belongs to one segment and touches the floor in the middle.
 
     Attributes:
         rod: rod to which the patch belongs.
@@ -143,9 +146,9 @@ def _set_inertia(mj: MjSpec, spec: RobotSpec, rod: Rod, parts: list[Patch]) -> N
 def root_connector(spec: RobotSpec) -> int:
     """Return the number of the connector with the free joint, which is the middle one.
 
-    No contact is then more than half of the chain away from the root, which makes a step a
-    third faster than with the head as root. The integrator evaluates inertia at the
-    beginning of a step. With the root in the middle, its error in the mean speed is a fifth
-    of the error with the head as root.
+    With the root in the middle, no contact is more than half of the chain away from the
+    root. A step then takes a third less time than with the head as root. The integrator
+    evaluates inertia at the beginning of a step. The resulting error of the mean speed
+    is a fifth of the error with the head as root.
     """
     return (spec.geometry.connectors + 1) // 2

@@ -1,4 +1,4 @@
-"""RobotSpec → MJCF files in the layout of MuJoCo Menagerie.
+"""Export of robots as MJCF files in the layout of MuJoCo Menagerie.
 
 ``<robot>.xml`` contains the robot. ``scene.xml`` includes it and adds floor, light,
 contact pairs and floor-force sensors. Numbers are written in full precision, so that
@@ -6,13 +6,14 @@ the files compile to a model that is bit-identical to the twin's model. ``scene_
 has the same robot and floor, but omits what MJX and MuJoCo Warp do not support.
 
 The controls are pressures. If the damping time c/k of the segments differs from the
-mode time constant τ₂, each chamber has two actuators. `plus_1` takes the pressure, and
-`plus_1_lag` takes its mean over the time step.
+time constant τ₂ of the bending mode, each chamber has two actuators. In segment 1, for
+example, the control of `plus_1` is the pressure, and the control of `plus_1_lag` is the
+mean pressure over the time step.
 
 MuJoCo's actuators are linear in the pressures, so a limit of the bends becomes a limit
-of the moments. A robot with a dead zone is refused unless its pressures are converted
+of the moments. A robot with a dead zone is refused, unless its pressures are converted
 before they become controls (`equivalent_linear_pressure` of `pneumatics.chambers`).
-`describe_departures` names what the files lack.
+`describe_departures` lists what the files omit or approximate.
 """
 
 from __future__ import annotations
@@ -65,11 +66,11 @@ _DEPARTURES = {
     "modules.sensor_gain_spread": _SENSORS,
     "modules.sensor_bias_spread_rad": _SENSORS,
 }
-"""Departure of the exported model from the twin, per number of a robot file."""
+"""Departure of the exported model from the twin, by key of a robot file."""
 
 
 def describe_departures(robot: RobotFile) -> Iterator[str]:
-    """Yield a line for each number of a robot that its export omits or approximates."""
+    """Yield a line for each number of a robot that the export omits or approximates."""
     on_bench = robot.geometry.connectors.value == 2
     for path, record in robot.records().items():
         departure = _DEPARTURES.get(path)
@@ -112,9 +113,9 @@ def robot_files(
     """Return a robot's MJCF files as a mapping from file name to text.
 
     Args:
-        spec: the robot.
-        supply_pa: upper limit of the controls, Pa; at least the limits of the robot are
-            used.
+        spec: robot to export.
+        supply_pa: upper limit of the controls, Pa. The limits of the robot are used if
+            they are higher.
         linear: whether to export a robot with a dead zone without its dead zone.
 
     Raises:
@@ -165,9 +166,10 @@ def robot_files(
 def _add_lags(mj: mujoco.MjSpec, spec: RobotSpec) -> None:
     """Add to each chamber a second actuator that lags behind the pressure.
 
-    The moment of a nominal segment is k x + c ẋ, where x lags behind the pressures with the
-    time constant τ₂. With T = c/k the moment equals (1 − T/τ₂) k x + (T/τ₂) k G (p⁺ − p⁻),
-    so no second actuator is needed if T = τ₂.
+    The air in a nominal segment exerts the moment k x + c ẋ, with the stiffness k and
+    the damping c. The free bend x follows G (p⁺ − p⁻) with the time constant τ₂, where
+    G is the gain and p⁺, p⁻ are the chamber pressures. With T = c/k the moment is (1 −
+    T/τ₂) k x + (T/τ₂) k G (p⁺ − p⁻). No second actuator is needed if T = τ₂.
     """
     share = spec.bending.damping_time / spec.actuator.tau_mode
     if math.isclose(share, 1.0, rel_tol=1e-9):
@@ -198,8 +200,8 @@ def _limit_moments(mj: mujoco.MjSpec, spec: RobotSpec) -> None:
 def _adapt_to_mjx(mj: mujoco.MjSpec) -> None:
     """Remove what MJX and MuJoCo Warp do not support.
 
-    This concerns the contact sensors, the integrator and a flag. The other integrator adds
-    no damping to the springs, so the dampers get their full values again.
+    The changes concern the contact sensors, the integrator and a flag. The replacing
+    integrator adds no damping to the springs, so the dampers get their full values.
     """
     for sensor in mj.sensors:
         mj.delete(sensor)
@@ -225,8 +227,7 @@ def _text(mj: mujoco.MjSpec) -> str:
 def _include_robot(name: str, robot: str, scene: str) -> str:
     """Replace the robot's elements in the XML of a scene by an `include` of its file.
 
-    MuJoCo does not write `include`, and it does not write contact pairs without their
-    geoms.
+    MuJoCo writes neither an `include` nor contact pairs without their geoms.
     """
     document = minidom.parseString(scene)
     top = document.documentElement
