@@ -292,7 +292,6 @@ class ILC(Controller):
             self._events += self.duties.summary(time, number, faults.working)
 
     def _record_amplitudes(self, time: float, measured: np.ndarray) -> None:
-        """Record amplitudes, and set the target amplitude after the recorded period."""
         number = self._periods.number
         working = self.faults.working
         recorded = measured & (

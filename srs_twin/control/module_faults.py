@@ -161,10 +161,6 @@ class ModuleFaults(Stateful):
     def _start_tests(
         self, time: float, chambers: np.ndarray, target: np.ndarray
     ) -> None:
-        """Vent the segments of suspected chambers.
-
-        Both arrays have the shape (segments, 2), and targets are in rad.
-        """
         for j in np.flatnonzero(chambers.any(axis=1) & self.working):
             self.tested[j] = True
             self._bent_above[j] = BENT_RATIO * float(target[j].min())

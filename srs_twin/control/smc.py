@@ -207,10 +207,6 @@ class SlidingMode(Controller):
         }
 
     def _read_sensors(self, state: SnakeState) -> float:
-        """Update readings and reference, and return the start of the tick, s.
-
-        The reference is evaluated at the end of the tick.
-        """
         time = float(state.time)
         self._events += self._readings.update(time, state.sensed)
         next_reference = float(self.reference.value(time + self._tick))

@@ -363,7 +363,6 @@ class GraspEpisode(ObservedEpisode):
         return bool((np.cos(turns) <= math.cos(_OPPOSITE_RAD)).any())
 
     def _is_held(self) -> bool:
-        """Return whether the object was gripped and at rest for `HELD_S`."""
         steps = round(HELD_S / self._task.step_s)
         return len(self._grips) >= steps and bool(
             (np.ptp(self._grips[-steps:], axis=0) <= _SLIP_M).all()

@@ -201,13 +201,6 @@ _OPTION_TYPES = {
 
 
 def _checked_options(options: object) -> dict[str, Any]:
-    """Return the options of a reset after validation, or {} for None.
-
-    Raises:
-        UnknownNameError: an option does not exist.
-        InputError: options is not a mapping, two options exclude each other, or a value
-            has the wrong type.
-    """
     if options is None:
         return {}
     if not isinstance(options, Mapping):
@@ -368,10 +361,6 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
         return tuple(image for image in images if image is not None) or None
 
     def _move_to_device(self) -> None:
-        """Move the twins of all episodes to the device.
-
-        If this is not possible, warn and stay on the CPU.
-        """
         twins = [env.episode.twin for env in self.envs if env.episode is not None]
         try:
             if not self.envs[0].task.has_identical_episodes:

@@ -65,7 +65,6 @@ class ObservedEpisode(Episode):
         self._air = float(self.state.air)
 
     def _observe(self) -> tuple[Pose, dict[str, Sequence[float]]]:
-        """Return the observed pose and the observations common to all tasks."""
         seen = self._frames.capture(self.state)
         assert seen is not None, "the camera has one frame per step"
         bends = self.state.sensed.T.ravel()  # to the left, then upwards

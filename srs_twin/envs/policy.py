@@ -217,10 +217,6 @@ class _Baseline(ABC):
         """Return the action in the units of its signals."""
 
     def _state(self, values: Mapping[str, float]) -> SnakeState:
-        """Return a snake state with time and observed pose only.
-
-        All other values are empty arrays.
-        """
         unknown = dict.fromkeys(
             (entry.name for entry in fields(SnakeState)), np.full(0, math.nan)
         )

@@ -74,10 +74,6 @@ class EpisodeRenderer:
 
 
 def _camera(episode: Episode) -> mujoco.MjvCamera:
-    """Return a camera that looks down on the snake and its goal.
-
-    The distance of the camera is chosen so that both are visible.
-    """
     camera = mujoco.MjvCamera()
     target = episode.twin.physics.center_of_mass()
     camera.elevation = _ELEVATION_DEG
@@ -94,10 +90,6 @@ def _camera(episode: Episode) -> mujoco.MjvCamera:
 
 
 def _add_goal(scene: mujoco.MjvScene, episode: Episode, distance: float) -> None:
-    """Draw the edge of the goal on the floor.
-
-    The width of the line suits a camera at `distance` (m).
-    """
     from srs_twin.viewing.mujoco.stage import add_line
     from srs_twin.viewing.plots.signals import goal_ring
     from srs_twin.viewing.plots.style import GOAL_COLOR

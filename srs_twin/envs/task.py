@@ -258,12 +258,6 @@ class Task(ABC):
             )
 
     def _set_observations(self, groups: Mapping[str, Signals]) -> None:
-        """Set the groups of observations and select the agent's groups.
-
-        Raises:
-            UnknownNameError: a group does not exist.
-            InputError: no group is selected.
-        """
         selected = self._requested_groups
         if selected is None:
             selected = tuple(groups)
@@ -337,11 +331,6 @@ class Task(ABC):
         world: World | None = None,
         **own: Any,
     ) -> TwinSnake:
-        """Return a twin for an episode.
-
-        The twin of a finished episode is reused if it has the given robot and no
-        obstacles.
-        """
         solid = world is not None and world.has_obstacles
         if (
             last is not None

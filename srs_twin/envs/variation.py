@@ -99,10 +99,6 @@ class Variation:
 def _draw_fitted_values(
     fit: FitFile, spec: RobotSpec, rng: np.random.Generator
 ) -> dict[str, float]:
-    """Draw fitted parameters from their joint normal distribution.
-
-    The fixed bend of the actuator is added.
-    """
     fitted = [parameter for parameter in fit.parameters if parameter.value is not None]
     values = np.array([parameter.value for parameter in fitted], dtype=float)
     errors = np.array([parameter.standard_error for parameter in fitted], dtype=float)

@@ -89,7 +89,6 @@ def refusals(
 def _features(
     option: str, spec: RobotSpec | None, world: World
 ) -> Iterator[tuple[str, str, str]]:
-    """Yield each feature, the parameter that causes it, and its description."""
     if spec is not None:
         kind = "spatial" if spec.is_spatial else "planar"
         hint = "with" if spec.is_spatial else "without"
@@ -423,7 +422,6 @@ class PneumaticPlant(Plant):
         layout: str,
         sensor: str | Sensor,
     ) -> float:
-        """Construct chambers and sensors, and return the supply pressure, Pa."""
         if supply_pa is None:
             supply = self.spec.supply.nominal
         else:

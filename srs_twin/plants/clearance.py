@@ -229,10 +229,6 @@ def _hull(plant: Plant, states: SnakeState) -> np.ndarray:
 
 
 def _in_frame(points: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """Return lines, shape (samples,), through points that are transformed to a frame.
-
-    `pose` gives x, y (m) and heading (rad) of the frame, shape (samples, 3).
-    """
     import shapely
 
     x, y = np.moveaxis(points - pose[:, None, :2], -1, 0)

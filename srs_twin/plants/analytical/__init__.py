@@ -345,10 +345,6 @@ class AnalyticalSnake(PneumaticPlant):
         return step
 
     def _connector_inertia(self, mass: np.ndarray) -> np.ndarray:
-        """Return the moments of inertia of points, shape (points,), kg·m².
-
-        A cell of a body with skin is a strip as wide as the body.
-        """
         inertia = np.zeros_like(mass)
         geometry = self.spec.geometry
         if self.options.inertia == "lumped":

@@ -479,7 +479,6 @@ class CompliantBends(Body):
 
     @property
     def _contact_loads(self) -> np.ndarray:
-        """Normal forces of the latest stage, a first guess for the next stage."""
         if self.obstacles is None:
             return np.empty(0)
         return np.stack([self.obstacles.normal, self.obstacles.load])

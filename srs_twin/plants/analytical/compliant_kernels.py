@@ -373,7 +373,6 @@ def _sum_behind(q, u, moment, model, work):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _add_connector(matrix, load, mass, weight, share, a, residual):  # type: ignore[no-untyped-def]
-    """Add a connector's B, multipliers and residual to Newton's matrix."""
     matrix[_X, _X] += load[MASS_XX]
     matrix[_X, _Y] += load[MASS_XY]
     matrix[_Y, _X] += load[MASS_YX]
@@ -394,7 +393,6 @@ def _add_connector(matrix, load, mass, weight, share, a, residual):  # type: ign
 
 @kernel_only
 def _by_bend(link, row):  # type: ignore[no-untyped-def]
-    """Return the derivative with respect to a bend rate, given derivatives in z."""
     return (
         link[_BEND_X] * row[_X]
         + link[_BEND_Y] * row[_Y]
@@ -524,10 +522,6 @@ def _substitute_bends(head, work):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _eliminate(matrix):  # type: ignore[no-untyped-def]
-    """Solve a linear system in place, with the right-hand side as last column.
-
-    The symmetric part is positive semidefinite, so no pivoting is needed.
-    """
     for j in range(_UNKNOWNS):
         for i in range(j + 1, _UNKNOWNS):
             factor = matrix[i, j] / matrix[j, j]

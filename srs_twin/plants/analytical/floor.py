@@ -172,7 +172,6 @@ def _two_loaded_contacts(law, along, across, spin, weight, floor):  # type: igno
 
 @compiled
 def _skin(law, along, across, spin, weight, floor):  # type: ignore[no-untyped-def]
-    """Evaluate `connector_friction` for two points of a skin, whose track may be 0."""
     v_a = along - spin * floor.track
     v_b = along + spin * floor.track
     mu_a = floor.mu_t if v_a >= 0.0 else floor.mu_back
@@ -585,7 +584,6 @@ def _deceleration(along, across, floor):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _stop_at_zero(speed, change):  # type: ignore[no-untyped-def]
-    """Return a velocity after a change, or 0 if the change would reverse it."""
     after = speed + change
     if after * speed > 0.0:
         return after

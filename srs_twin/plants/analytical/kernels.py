@@ -318,7 +318,6 @@ def _solve3(a, b, c, right):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _rotate(c, s, angle):  # type: ignore[no-untyped-def]
-    """Return cosine and sine of an angle plus an increment."""
     if abs(angle) > 0.1:  # rad; below this angle the neglected terms are below 1e-17
         dc = math.cos(angle)
         ds = math.sin(angle)
@@ -434,8 +433,6 @@ def _moved(u, share, step):  # type: ignore[no-untyped-def]
 
 
 class _Heading(NamedTuple):
-    """Cosine and sine of a reference heading, and a heading relative to it, rad."""
-
     cos: float
     sin: float
     ahead: float

@@ -209,8 +209,6 @@ def set_pose(obstacles, known, a, u):  # type: ignore[no-untyped-def]
 
 
 class _Line(NamedTuple):
-    """Axis of an obstacle in the mean-heading frame: one end and a vector, m."""
-
     x: float
     y: float
     to_x: float
@@ -234,8 +232,6 @@ def _axis(shape, pose):  # type: ignore[no-untyped-def]
 
 
 class _Stretch(NamedTuple):
-    """Straight stretch of the body around a point, in the mean-heading frame."""
-
     x: float
     y: float
     cos: float

@@ -283,7 +283,6 @@ class QuasistaticArcs(Body):
         return mean
 
     def _exchanged(self, states: np.ndarray) -> np.ndarray:
-        """Return the floor's impulses and the time, shape (samples, 3 · points + 1)."""
         return np.hstack(
             [states[:, self._impulses], states[:, kinematics.CLOCK :][:, :1]]
         )

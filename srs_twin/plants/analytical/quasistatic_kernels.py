@@ -93,7 +93,6 @@ def _fill_linear(velocity, work, out, with_matrix):  # type: ignore[no-untyped-d
 
 @compiled
 def _residual(velocity, body, work, h, slip, out, with_matrix):  # type: ignore[no-untyped-def]
-    """Fill the residual of a step of length h (s) and, on request, Newton's matrix."""
     count = body.share.shape[0]
     mu = body.friction
     matrix = work.matrix
@@ -183,7 +182,6 @@ def _product(a, b):  # type: ignore[no-untyped-def]
 
 @compiled
 def _minimise(velocity, body, work, h, slip, tolerance):  # type: ignore[no-untyped-def]
-    """Solve for the velocities under the loads `law_load`, and return success."""
     size = velocity.shape[0]
     g = work.residual
     d = work.direction

@@ -346,8 +346,6 @@ def _turn_slopes(slopes, frame, out, column):  # type: ignore[no-untyped-def]
 
 
 class _Place(NamedTuple):
-    """Work arrays of a position behind a connector (`_arc`)."""
-
     offset: np.ndarray
     turn: np.ndarray
     slopes: np.ndarray

@@ -234,8 +234,6 @@ class PrescribedState(NamedTuple):
 
 
 class _AdvanceArrays(NamedTuple):
-    """Work arrays of `advance`; `drift` holds the rates of the velocities."""
-
     step: StepArrays
     drift: np.ndarray
     stages: Bends

@@ -301,10 +301,6 @@ def _twins(
     *,
     once: bool = False,
 ) -> tuple[TwinSnake, ...]:
-    """Build a twin of each robot.
-
-    With `once`, runs with equal robots and supply pressures share one twin.
-    """
     supplies = _one_per_run("supply_pa", supply_pa, len(specs))
     counts = sorted({spec.geometry.connectors for spec in specs})
     if len(counts) != 1:

@@ -424,7 +424,6 @@ def _locate_wheels(engine, contacts, work):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _read_normal_forces(engine, contacts, work):  # type: ignore[no-untyped-def]
-    """Read the normal forces, and locate the contacts with faces of obstacles."""
     com = engine.subtree_com[1]
     sensors = engine.sensordata
     for w in range(contacts.body.shape[0]):
@@ -685,7 +684,6 @@ def _evaluate_friction(contacts, state, work, h):  # type: ignore[no-untyped-def
 
 @kernel_only
 def _sum_impulses(contacts, state, work, h):  # type: ignore[no-untyped-def]
-    """Fill the impulses of the contact forces minus the forces in the engine's step."""
     impulse = work.impulse
     jacobian = work.jacobian
     response = work.response

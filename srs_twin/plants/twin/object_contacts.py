@@ -210,7 +210,6 @@ def apply_object_friction(engine, sparsity, work, h):  # type: ignore[no-untyped
 
 @kernel_only
 def _locate(jacobian, x, y, z, c, s, sign):  # type: ignore[no-untyped-def]
-    """Fill the Jacobian of a contact times a sign, for the direction (c, s)."""
     c = sign * c
     s = sign * s
     point_jacobian(jacobian[_ALONG], x, y, z, c, s, 0.0)
@@ -362,10 +361,6 @@ def add_object_slopes(engine, sparsity, work, h):  # type: ignore[no-untyped-def
 
 @kernel_only
 def _eliminate(matrix, x):  # type: ignore[no-untyped-def]
-    """Solve a system whose matrix has its right-hand side as last column.
-
-    The matrix is changed in place. It must not need pivoting.
-    """
     count = matrix.shape[0]
     for i in range(count):
         for j in range(i + 1, count):

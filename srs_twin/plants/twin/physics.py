@@ -729,7 +729,6 @@ def _bend_matrices(
 def _compile_scene(
     spec: RobotSpec, settings: ModelSettings, supply_pa: float, world: World | None
 ) -> mujoco.MjModel:
-    """Return the compiled scene. The cache makes further twins ten times faster."""
     model = scene_mjcf(spec, settings, supply_pa=supply_pa, world=world).compile()
     # The controls contain the rates of the free bends, so they may exceed the limits of
     # the chamber pressures.

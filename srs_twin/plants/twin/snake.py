@@ -298,14 +298,6 @@ class TwinSnake(PneumaticPlant):
     def _simulate_chunk(
         self, schedule: Schedule, begun: float, samples: int, steps: int
     ) -> SnakeState:
-        """Follow a schedule in one call of the engine.
-
-        Args:
-            schedule: checked valve states.
-            begun: time at the beginning of the schedule, s.
-            samples: number of equally spaced samples.
-            steps: time steps per sample.
-        """
         ENGINE_WARNINGS.last.clear()
         before = np.concatenate([[0.0], self.physics.data.qpos, self.physics.data.qvel])
         # The check precedes the step, because the engine would normalise a quaternion
@@ -357,7 +349,6 @@ class TwinSnake(PneumaticPlant):
     def _chunk_history(
         self, times: np.ndarray, trace: Trace, batch: StepBatch, steps: int
     ) -> SnakeState:
-        """Return the history at `times`, which are ends of steps."""
         count = len(times)
         used = count * steps
         ends = np.arange(1, count + 1) * steps - 1
@@ -387,14 +378,6 @@ class TwinSnake(PneumaticPlant):
     def _observe(
         self, times: np.ndarray, states: np.ndarray, trace: Trace, loads: Loads
     ) -> SnakeState:
-        """Return the history of some states.
-
-        Args:
-            times: times of the samples, shape (samples,), s.
-            states: states as in `StepBatch`, shape (samples, 1 + nq + nv).
-            trace: trace of the chambers.
-            loads: forces and energies of the samples.
-        """
         kinematics = self.physics.kinematics(states)
         theta = self._unwrap(kinematics.headings)
         body_work = loads.body_work
@@ -450,10 +433,6 @@ class TwinSnake(PneumaticPlant):
         return theta[1:]
 
     def _force_on_connectors(self, force: np.ndarray) -> np.ndarray:
-        """Return the forces on the connectors, (samples, N, …).
-
-        `force` holds the forces on axles or contact points.
-        """
         if self.spec.skin is not None:
             places = np.array(
                 [patch.place for patch in patches(self.spec, self._settings)]
@@ -468,14 +447,12 @@ class TwinSnake(PneumaticPlant):
         return total
 
     def _potential_energy(self, com: np.ndarray) -> np.ndarray:
-        """Return the potential energy of centres of mass, shape (…, 3), J."""
         energy: np.ndarray = -self.spec.mass.total * (
             com @ self.physics.model.opt.gravity
         )
         return energy
 
     def _count_plausible_steps(self, states: np.ndarray) -> int:
-        """Return the number of initial steps whose states are finite and plausible."""
         clock = states[:, 0]
         # The engine's clock stops after a divergence.
         moved = np.append(True, clock[1:] > clock[:-1])
@@ -487,10 +464,6 @@ class TwinSnake(PneumaticPlant):
     def _divergence_error(
         self, time: float, before: np.ndarray, history: SnakeState | None
     ) -> DivergedError:
-        """Restore the last plausible state and return an error.
-
-        The error holds this state and MuJoCo's warnings.
-        """
         warned = " ".join(" ".join(dict.fromkeys(ENGINE_WARNINGS.last)).split())
         physics = self.physics
         count = physics.model.nq

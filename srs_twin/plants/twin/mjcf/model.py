@@ -316,14 +316,12 @@ class _Chain:
         body.add_geom(self.mj.find_default(kind), **attributes)
 
     def add_planar_actuators(self, j: int) -> None:
-        """Add the tendon ``bend_j`` and the actuators of its two chambers."""
         tendon = self._add_tendon("bend", "hinge", j)
         left, right = self.spec.modules.gain[j - 1]
         for name, gain in ((f"plus_{j}", left), (f"minus_{j}", -right)):
             self._add_muscle(name, tendon, mjtTrn.mjTRN_TENDON).gainprm[0] *= gain
 
     def add_spatial_actuators(self, j: int) -> None:
-        """Add the tendons ``bend_j`` and ``tilt_j``, and the actuators of a segment."""
         spec = self.spec
         bend = self._add_tendon("bend", "hinge", j)
         left = self._add_muscle(f"air_left_{j}", bend, mjtTrn.mjTRN_TENDON)
@@ -389,7 +387,6 @@ def _constrain_curvature(mj: MjSpec, j: int, settings: ModelSettings) -> None:
 
 
 def _add_home_keyframe(mj: MjSpec) -> None:
-    """Add the keyframe ``home`` of a straight snake at rest with empty chambers."""
     root = mj.worldbody.first_body()
     qpos = [0.0] * len(mj.joints)
     if any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in mj.joints):
