@@ -86,7 +86,7 @@ class Controller(Claimable, Stateful, ABC):
         self.load_state_dict(state.content)
 
     def identity(self) -> dict[str, object]:
-        """Return properties that a saved state must share, as JSON values."""
+        """Return the properties that must match a saved state, as JSON values."""
         return {"controller": self.kind, "class": type(self).__name__}
 
     def script(self, duration: float) -> Schedule | None:

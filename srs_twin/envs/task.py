@@ -439,7 +439,7 @@ class Episode(Stateful, ABC):
         """Reset the attributes that depend on the first state."""
 
     def identity(self) -> dict[str, Any]:
-        """Return properties that a saved state must share, as JSON values."""
+        """Return the properties that must match a saved state, as JSON values."""
         return {"task": self._task.name, **self.twin.identity()}
 
     def step(self, action: object) -> StepResult:

@@ -62,11 +62,12 @@ def refusals(
 
     Args:
         option: option that selects the kind of plant, "model" of the analytical plant
-            or "contact" of the twin. It is the parameter of violations by the robot.
+            or "contact" of the twin. Violations due to the robot name this option as
+            their parameter.
         value: value of the option.
         spec: robot, or None to check the features of the world alone.
-        world: world around the robot. Its sections are the parameters of violations by
-            the world.
+        world: world around the robot. Violations due to the world name its section as
+            their parameter.
     """
     plant = f"{option} '{value}'"
     used = list(_features(option, spec, world))
@@ -320,7 +321,7 @@ class Plant(Claimable, Stateful, ABC):
         raise InputError(f"plant '{self.name}' can only start straight and at rest")
 
     def identity(self) -> dict[str, Any]:
-        """Return settings that a saved state must share, as JSON values."""
+        """Return the settings that must match a saved state, as JSON values."""
         return {**self.describe(), "robot_digest": short_digest(self.spec)}
 
     def __init_subclass__(cls) -> None:

@@ -226,8 +226,8 @@ class AnalyticalSnake(PneumaticPlant):
     def _advance(self, schedule: Schedule, steps: Steps) -> tuple[int, Motion, Trace]:
         """Advance chambers and body.
 
-        Chambers whose pressures depend on compliant bends alternate with the body,
-        every step or two.
+        Chambers whose pressures depend on compliant bends are advanced alternately with
+        the body, one or two steps at a time.
 
         Returns:
             The number of completed steps, and motion and chamber trace at the reached

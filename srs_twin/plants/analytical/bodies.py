@@ -55,8 +55,8 @@ class Motion(NamedTuple):
 
     Attributes:
         states: states with the indices of `kernels`, shape (samples, STATES or more).
-            With obstacles, the last columns hold their mean forces on each point since
-            the previous sample.
+            With obstacles, the last columns hold the mean obstacle forces on each point
+            since the previous sample.
         velocities: velocity of the centre of mass in the mean-heading frame (m/s), yaw
             rate (rad/s) and, for compliant bends, bend rates (rad/s), shape (samples, 3
             or more).
@@ -286,7 +286,7 @@ class ClampedBends(Body):
 class _Chain(NamedTuple):
     """Connectors of a chain in the world frame, relative to the head connector.
 
-    `lever` is the velocity of all connectors behind a segment per bend rate, m.
+    `lever` is the velocity of all connectors behind a segment per unit bend rate, m.
     """
 
     position: np.ndarray

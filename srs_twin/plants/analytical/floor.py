@@ -57,7 +57,7 @@ class FloorFriction(NamedTuple):
         slip: slip speed ε, m/s.
         drag: axial drag on each connector, N.
         load_transfer: factor k, the load transferred between the wheels per lateral
-            force, dimensionless. It is 0 for static loads.
+            force, dimensionless. Static loads have k = 0.
         mu_back: friction coefficient along the heading for slip towards the tail,
             dimensionless.
         gravity: component of gravity normal to the floor, m/s².

@@ -18,11 +18,11 @@ $$ \tfrac12 k\,(q + h\dot q - \hat q)^2 + \tfrac h2 c\,\dot q^2
 
 divided by h. The first three terms are the elastic energy, the dissipation in the
 segments, and the weight. The floor has the stiffness κ_i = m_i g/δ, so that a resting
-point sinks by δ. D is the dissipation potential of a friction law. Its argument is the
-slip s_i, which is the velocity of the material vertically below the axis. The last term
-is the drag described below. The pose at rest therefore has the minimum potential
-energy, and the body moves along the floor with the minimum dissipated power. Friction
-also bends the segments.
+point sinks by δ. D(s_i) is the dissipation potential of a friction law, where the slip
+s_i is the velocity of the material vertically below the axis. The last term is the drag
+described below. The pose at rest therefore has the minimum potential energy, and the
+body moves along the floor with the minimum dissipated power. Friction also bends the
+segments.
 
 The loads N_i that multiply D must be the loads of the solution. A step is therefore
 solved up to four times, each time with the loads of the previous solution. A friction

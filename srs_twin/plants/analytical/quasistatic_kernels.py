@@ -43,7 +43,7 @@ _MAX_HALVINGS = 14
 _TOLERANCE = 1e-6
 """Tolerance of the residual power, relative to friction times slip speed."""
 _LOAD_TOLERANCE = 1e-4
-"""Change of a load, relative to the body's weight, below which the sweeps end."""
+"""Change of a load, relative to the body's weight, below which a step is solved."""
 _ellipse = compiled(friction.ellipse)
 
 

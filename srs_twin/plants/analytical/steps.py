@@ -1,10 +1,10 @@
 r"""Time steps of the analytical models, and adaptive substeps.
 
 Steps end on valve events (`Steps`). Where the slip of a connector changes its sign, its
-friction reverses while the slip passes a few times the slip speed ε. This mostly takes
-far less time than a step. A step that misses such a reversal has an error as large as a
-whole friction impulse. The models `complete` and `simplified` therefore divide steps
-where friction reverses.
+friction reverses while the slip passes a few times the slip speed ε. Such a reversal
+mostly takes far less time than a step. A step that misses such a reversal has an error
+as large as a whole friction impulse. The models `complete` and `simplified` therefore
+divide steps where friction reverses.
 
 **Error estimate.** Three rates of momentum are known in a step of length h: k₀ at its
 start, which is the last stage of the previous step, and k₁ and k₂ at its two stages.
@@ -14,9 +14,9 @@ change of the mass M over the step,
 
 $$ \eta = \frac{h}{M}\,\bigl|\,k_1 - (1-\gamma)\,k_0 - \gamma\,k_2\,\bigr|, $$
 
-is at least 0.7 times the error of a reversal anywhere in the step. It is of third order
-in h where friction is smooth. The rate of the angular momentum is divided by the radius
-of gyration of the straight body, so that it enters as a velocity.
+is at least 0.7 times the error of a reversal anywhere in the step. The estimate η is of
+third order in h where friction is smooth. The rate of the angular momentum is divided
+by the radius of gyration of the straight body, so that it enters as a velocity.
 
 A step with η above the tolerance is repeated in halves, which may be divided again.
 Substeps well below the tolerance are doubled. Within a step the bends are cubic Hermite

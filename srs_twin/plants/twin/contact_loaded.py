@@ -5,8 +5,8 @@ MuJoCo keeps the wheels on the floor with frictionless contacts (condim 1). A la
 module runs the time steps in a compiled loop around the engine's C functions.
 `friction_solve` solves for the friction of one step and lists the symbols.
 
-**Equation of a step.** The step has the length h, begins with the velocity v₋ and
-ends with v. MuJoCo first solves it with the friction forces f̂ of the previous step,
+**Equation of a step.** The step has the length h, begins with the velocity v₋ and ends
+with v. MuJoCo first solves the step with the friction forces f̂ of the previous step,
 which gives v̂:
 
 $$ (M + h D)(\hat v - v_-) = h\,\bigl(Q - c(v_-)\bigr) + h J_n^T \hat N + h \sum_w J_w^T \hat f_w . $$
@@ -30,8 +30,8 @@ $$ \bigl(A + J_n^T R^{-1} J_n\bigr)\,\delta = h \sum_w J_w^T (f_w - \hat f_w)
 
 J_n holds only the rows of wheels that press on the floor, and R is MuJoCo's
 regularisation. The term with J_n on the left side contains the change of the normal
-forces, N − N̂ = −J_n δ/(h R). It prevents friction from pushing wheels into the floor.
-The force c(v̄) is evaluated with v̂ in place of v.
+forces, N − N̂ = −J_n δ/(h R). This term prevents friction from pushing wheels into the
+floor. The force c(v̄) is evaluated with v̂ in place of v.
 
 **Obstacles** press on the hulls of the body, also without friction in the engine.
 Friction (`stick_slip`) acts on a hull at the point of application of the obstacle's
@@ -144,7 +144,7 @@ class StepOutputs(NamedTuple):
 
 
 class LoadedStepper(Stateful):
-    """Time steps of one twin with loaded contact.
+    """Integrator of one twin with loaded contact.
 
     Attributes:
         contact_state: friction, rim speeds and loads that the contacts keep from step to

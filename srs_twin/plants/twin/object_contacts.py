@@ -413,7 +413,7 @@ def store_object_friction(engine, sparsity, work, force):  # type: ignore[no-unt
 
     Args:
         engine: engine data, which include the contacts of objects.
-        sparsity: unused argument, which other functions of the solve also have.
+        sparsity: unused sparsity pattern.
         work: workspace after the friction solve.
         force: output for the friction on the hull of each pair in the world frame, shape
             (pairs, 3), N.

@@ -57,7 +57,7 @@ _CONTACT_KEYS = {
 
 
 class Loads(NamedTuple):
-    """Forces and energies of the samples of a history.
+    """Forces and energies at the samples of a history.
 
     Attributes:
         floor_force: mean force of the floor on each wheel since the previous sample,

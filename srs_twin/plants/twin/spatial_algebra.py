@@ -17,8 +17,8 @@ from srs_twin.compute.compiled import kernel_only
 class Sparsity(NamedTuple):
     """Lower triangle of M in compressed rows, and damping matrices with this pattern.
 
-    The entries of a row belong to the ancestors of its degree of freedom. The last entry is
-    the degree of freedom itself.
+    The entries of a row belong to the ancestors of the row's degree of freedom. The
+    last entry belongs to this degree of freedom itself.
 
     Attributes:
         row_length, row_start: number and first index of the entries of each row, shape

@@ -22,7 +22,10 @@ from srs_twin.plants.twin.mjcf.numerics import ModelSettings, hinge_stations
 from srs_twin.robot.spec import RobotSpec
 
 _MIN_LENGTH = 1e-9
-"""Ratio to the pitch below which the length of a rod's part is a rounding error."""
+"""Minimum ratio of a rod part's length to the pitch.
+
+Smaller ratios are rounding errors.
+"""
 
 
 class Rod(NamedTuple):
@@ -65,7 +68,7 @@ def rods(spec: RobotSpec, settings: ModelSettings) -> list[Rod]:
 
 
 class Patch(NamedTuple):
-    """Part of a rod that belongs to one segment and touches the floor in the middle.
+    """Part of a rod within one segment, which touches the floor in the middle.
 
     Attributes:
         rod: rod to which the patch belongs.
@@ -144,7 +147,7 @@ def _set_inertia(mj: MjSpec, spec: RobotSpec, rod: Rod, parts: list[Patch]) -> N
 
 
 def root_connector(spec: RobotSpec) -> int:
-    """Return the number of the connector with the free joint, which is the middle one.
+    """Return the number of the middle connector, which has the free joint.
 
     With the root in the middle, no contact is more than half of the chain away from the
     root. A step then takes a third less time than with the head as root. The integrator

@@ -200,8 +200,9 @@ def _limit_moments(mj: mujoco.MjSpec, spec: RobotSpec) -> None:
 def _adapt_to_mjx(mj: mujoco.MjSpec) -> None:
     """Remove what MJX and MuJoCo Warp do not support.
 
-    The changes concern the contact sensors, the integrator and a flag. The replacing
-    integrator adds no damping to the springs, so the dampers get their full values.
+    The changes concern the contact sensors, the integrator and a flag. The integrator
+    of the adapted model adds no damping to the springs, so the dampers get their full
+    values.
     """
     for sensor in mj.sensors:
         mj.delete(sensor)

@@ -177,8 +177,8 @@ class _Chain:
 
     Stations are distances along a straight segment from the connector at which the
     segment is attached. `ahead` is the direction of a segment along the x axis: −1
-    behind the root and 1 in front of the root. Names count from the head in both
-    directions.
+    behind the root and 1 in front of the root. Numbers in names count from the head in
+    both directions.
     """
 
     mj: MjSpec

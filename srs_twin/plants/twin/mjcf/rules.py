@@ -75,9 +75,9 @@ def violations(
 
 
 def coupling_violations(timestep: float, chambers: Pneumatics) -> Iterator[Violation]:
-    """Yield a time step (s) that is too long for the coupling to the chambers.
+    """Yield a violation if the time step (s) is too long for the chambers.
 
-    The coupling concerns chambers whose pressures depend on the bends.
+    Chambers whose pressures depend on the bends limit the time step.
     """
     longest = chambers.coupling_step_s
     if chambers.depends_on_bend and timestep > longest * ROUNDING:
