@@ -25,11 +25,14 @@ Range = tuple[float, float]
 """Minimum and maximum allowed value."""
 
 MAX_OFFSET = 0.4
-"""Maximum steering offset φ, dimensionless: generation 2 in Section 3.4.2."""
+"""Maximum steering offset φ, dimensionless (Section 3.4.2 for generation 2)."""
 FREQUENCY_RANGE_HZ = (1.0, 2.0)
-"""Range of gait frequencies, Hz: generation 2 in Section 3.4.2."""
+"""Minimum and maximum gait frequency, Hz (Section 3.4.2 for generation 2)."""
 RELATIVE_PRESSURE_RANGE = (0.85, 1.15)
-"""Range of supply pressure over nominal pressure: generation 2 in Section 3.4.2."""
+"""Minimum and maximum supply pressure relative to the nominal pressure.
+
+The values correspond to 41 and 55 kPa for generation 2 (Section 3.4.2).
+"""
 _TIME_ROUNDING_S = 1e-9
 """Tolerance for comparing times, s. Sums of ticks have rounding errors."""
 

@@ -6,9 +6,9 @@ The phases follow each other in open loop at given times, or depend on the sense
    rises from 0 to 1, because a fast curl would push the object away. The other segments
    vent and lie still.
 2. *Drag.* The holding segments stay filled, and the other segments perform the gait of
-   Eq. 13. In the sensed mode this phase begins when the readings have settled and the
-   object keeps the holding segments from their free bend. If they reach their free
-   bend, the grasp has missed, and the run ends.
+   Eq. 13. In the sensed mode this phase begins when the readings have settled, provided
+   that the holding segments bend less than they would without an object. Otherwise the
+   grasp has missed, and the run ends.
 3. *Release.* The holding segments vent after a given time, or after the centre of mass
    has moved a given distance.
 """

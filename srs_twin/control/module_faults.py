@@ -145,7 +145,7 @@ class ModuleFaults(Stateful):
     def check_amplitudes(self, time: float, peaks: np.ndarray) -> None:
         """Start tests of segments whose amplitude is far below the median.
 
-        This check serves before a target amplitude is known.
+        The check is used before a target amplitude is known.
 
         Args:
             time: time of the check, s.

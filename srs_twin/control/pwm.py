@@ -85,7 +85,7 @@ class PulseWidthModulator(Stateful):
     def due(self) -> bool:
         """Return whether a period begins in the next tick.
 
-        In that tick `step` uses new duties.
+        In a tick in which a period begins, `step` uses new duties.
         """
         return self._last_period() != self._period_number
 
@@ -93,9 +93,9 @@ class PulseWidthModulator(Stateful):
         """Return the valve states of the next tick.
 
         Args:
-            duty: duties of the + and − chambers, shape (segments, 2). They are used if
-                a period begins in this tick; otherwise the current period continues
-                with its own duties.
+            duty: duties of the + and − chambers, shape (segments, 2). The duties are
+                used if a period begins in this tick. Otherwise the current period
+                continues with its own duties.
 
         Returns:
             Valve states, +1 to fill and −1 to vent, shape (slots, segments, 2), int8.

@@ -11,15 +11,15 @@ to valve states.
 
 `VelocityFilter` estimates the rate of a noisy reading, because finite differences would
 amplify the noise. It is a second-order Butterworth low-pass filter with the input x and
-the cutoff frequency ω_c. Both its value and its rate are used:
+the cutoff frequency ω_c. The filter provides both a value and its rate:
 
 $$ \ddot{\hat x} = \omega_c^2 (x - \hat x) - \sqrt2\,\omega_c \dot{\hat x}, \qquad \hat v = \dot{\hat x}, $$
 
 The equation is solved exactly for a reading that is linear between ticks. Both outputs
 are delayed by √2/ω_c at frequencies far below the cutoff (9 ms at 25 Hz, 0.34 rad of a
 6 Hz sine). White noise of standard deviation s, sampled every T, gives a noise of about
-s √(ω_c³ T / √8) in the rate; finite differences would give s √2 / T. For 0.2° sampled
-every millisecond and 25 Hz these are 7°/s and 283°/s.
+s √(ω_c³ T / √8) in the rate; finite differences would give s √2 / T. For noise of 0.2°
+sampled every millisecond and a cutoff of 25 Hz, the two values are 7°/s and 283°/s.
 
 `DirectSMC` sets the states of separate inlet and outlet valves (Eq. 31):
 
@@ -37,9 +37,9 @@ carrier period T,
 
 $$ \mu \leftarrow \operatorname{clip}\bigl(\mu + K (\dot e + D e),\, -1,\, 1\bigr), $$
 
-and the chambers get the duties (1 + μ)/2 and (1 − μ)/2. This is the
-proportional-integral law μ = (K/T) e + (K D/T) ∫e dt, clipped without wind-up: μ leaves
-its bound at the first σ of the other sign.
+and the chambers get the duties (1 + μ)/2 and (1 − μ)/2. The controller is equivalent to
+the proportional-integral law μ = (K/T) e + (K D/T) ∫e dt with clipping. There is no
+wind-up, because μ leaves its bound as soon as σ changes sign.
 
 Both e and ė are means over the last period; the mean of ė is the difference of e
 between the ends of the period, divided by T. A mean over a whole period does not

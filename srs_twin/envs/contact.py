@@ -5,9 +5,10 @@ pegs. Almost every gait moves the snake among pegs, but only steering brings it 
 given place. The goal may therefore be in any direction.
 
 Grasp: the tail of a chain of modules has to curl around a cylinder and drag it. The
-object is gripped in a step if it presses on opposite sides of the tail. It is held if
-it was gripped and at rest in the tail for the last `HELD_S` seconds. The reward counts
-only motion of the object while it is gripped, so pushing the object away is no success.
+object is gripped in a step if it presses on opposite sides of the tail. The object is
+held if it was gripped and at rest in the tail for the last `HELD_S` seconds. The reward
+counts only motion of the object while it is gripped, so pushing the object away is no
+success.
 """
 
 from __future__ import annotations

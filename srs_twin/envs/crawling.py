@@ -7,8 +7,9 @@ circles could otherwise feel its way along a row.
 The reward of a step is the weighted sum of the terms in `CrawlTask.reward_terms`. By
 default it is the decrease of the distance to the goal in m, plus 1 at the goal, minus 1
 outside the room or in contact with an obstacle. The first term is potential-based
-shaping with the potential −distance and no discount. Its sum is the decrease of the
-distance, so the term does not change the ranking of policies that reach the goal.
+shaping with the potential −distance and no discount. The sum of this term is the
+decrease of the distance, so the term does not change the ranking of policies that reach
+the goal.
 
 In Crawl3D a spatial robot crawls on an open floor. The agent also commands the pitch
 wave of the gait (`control.gait`), so that the robot can undulate, sidewind to both
@@ -185,8 +186,8 @@ class CrawlEpisode(ObservedEpisode):
     def identity(self) -> dict[str, Any]:
         """See `Episode.identity`.
 
-        A reused twin was built with the goal of an earlier episode, so the goal is
-        added here.
+        The identity includes the world, because a reused twin was built with the goal
+        of an earlier episode.
         """
         return super().identity() | {"world": short_digest(self.world)}
 

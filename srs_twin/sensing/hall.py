@@ -21,9 +21,9 @@ the reading over ±90° would be neither linear nor monotonic (docs/sensor.md).
 
 **Chambers.** A rectangular chamber becomes round when it is filled and presses on the
 adjacent strip (Section 2.2.2, Fig. 14a, c). The filled chamber is on the outside of the
-bend, so it bows the strip against the bend. The effect saturates when the chamber is
-round. With the strength b and the bend q_c at which the chamber is nearly round, the
-bend of the strip is
+bend, so it bows the strip against the bend. The displacement of the strip stops growing
+when the chamber is round. With the strength b and the bend q_c at which the chamber is
+nearly round, the bend of the strip is
 
 $$ q_s = q - b\,q_c \tanh(q / q_c) . $$
 
@@ -74,9 +74,9 @@ The estimate 2 reverses the sign of the reading's derivative at q = 0.
 """
 
 ROUNDING_BEND_RAD = 0.15
-"""q_c, the bend at which a rectangular chamber has become nearly round, rad.
+"""Bend q_c at which a rectangular chamber has become nearly round, rad.
 
-Estimate (8.6°).
+The value of 8.6° is an estimate.
 """
 
 
@@ -137,8 +137,8 @@ class Strip:
 
     The dissertation states neither height, so both are estimates. The centre of the
     magnet is above the neutral axis by half the flexible board (0.05 mm) and half the
-    magnet. The element is above it by half the board and 0.65 mm inside a SOT-23
-    package.
+    magnet. The element is above the neutral axis by half the board and 0.65 mm inside a
+    SOT-23 package.
 
     Attributes:
         segment_length: length l that bends by q, m.

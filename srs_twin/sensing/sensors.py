@@ -37,8 +37,8 @@ class Sensor(ABC):
 
     Attributes:
         kind: short name of the sensor.
-        axes: number of readings per segment, 1 or 2. With 2, bends and readings have a
-            last axis with the components to the left and upwards.
+        axes: number of readings per segment, 1 or 2. With two readings, bends and
+            readings have a last axis with the components to the left and upwards.
     """
 
     kind: str = "own"
@@ -206,7 +206,7 @@ class TwoAxisSensor(_AlteredSensor):
     """Two equal sensors in each segment of a spatial robot, one per bending direction.
 
     The strips lie on the neutral axis at right angles, so each strip measures one
-    component of the bend. Their noise is independent, and their drift is equal. The
+    component of the bend. The two sensors have independent noise and equal drift. The
     first sensor has the noise of a planar robot's sensor with an equal seed.
     """
 

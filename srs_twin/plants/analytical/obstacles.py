@@ -129,14 +129,7 @@ class Obstacles(NamedTuple):
 def make_obstacles(
     world: World, spec: RobotSpec, cells: Undivided, slip: float
 ) -> Obstacles:
-    """Return the obstacles of a world.
-
-    Args:
-        world: world with circles, polygons and their friction coefficient.
-        spec: robot that touches the obstacles.
-        cells: division of the segments.
-        slip: slip speed ε, m/s.
-    """
+    """Return the obstacles of a world for a slip speed (m/s)."""
     shapes = np.array(list(_shapes(world)), dtype=float).reshape(-1, _SHAPE_COLUMNS)
     half = np.broadcast_to(
         (np.asarray(cells.length) + cells.gap) / 2, len(cells.mass) - 1

@@ -42,13 +42,7 @@ class InternalJoints:
     def __init__(
         self, model: mujoco.MjModel, spec: RobotSpec, settings: ModelSettings
     ) -> None:
-        """Look up the joints of a compiled twin.
-
-        Args:
-            model: compiled scene.
-            spec: robot of the scene.
-            settings: settings of the scene.
-        """
+        """Look up the joints of a compiled twin."""
         hinges = np.array(
             [
                 [

@@ -129,11 +129,8 @@ def object_contacts(
 ) -> ObjectContacts:
     """Return the contacts of the objects of a compiled scene, at rest.
 
-    Args:
-        model: compiled scene.
-        objects: movable objects of the scene.
-        slip: slip speed, m/s.
-        hull_admittance: inverse effective mass of each hull, shape (hulls,), 1/kg.
+    `slip` is the slip speed (m/s), and `hull_admittance` is the inverse effective mass
+    of each hull, shape (hulls,), 1/kg.
     """
     hulls = surroundings.hulls(model)
     names = object_names(model)

@@ -48,14 +48,7 @@ _DRAWN_CLEARANCE = (
 def add_classes(
     mj: mujoco.MjSpec, spec: RobotSpec, settings: ModelSettings, *, limit_pa: float
 ) -> None:
-    """Add the classes of a robot.
-
-    Args:
-        mj: model, changed in place.
-        spec: robot of the model.
-        settings: time step, discretisation and contact.
-        limit_pa: upper limit of the chamber pressures, Pa.
-    """
+    """Add the classes of a robot to a model."""
     root = mj.add_default(ROOT, mj.default)
     root.geom.contype = root.geom.conaffinity = 0
     root.geom.mass = 0

@@ -283,12 +283,7 @@ def add_contacts(
 
     The sensors measure the force of the floor on each wheel (world frame, N). Under a
     preloaded contact they also measure the velocity of each foot (world frame, m/s).
-
-    Args:
-        mj: model, changed in place.
-        spec: the robot.
-        settings: contact and time step.
-        levels: names of raised levels of the floor.
+    `levels` are the names of raised levels of the floor.
     """
     if settings.contact.rolling:
         name = "wheel_on_floor"
