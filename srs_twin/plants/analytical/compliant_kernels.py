@@ -153,7 +153,7 @@ _Y_RATE = 4
 _MULTIPLIER_X = 5
 _MULTIPLIER_Y = 6
 _UNKNOWNS = 7
-_RIGHT = 7  # column of the right side
+_RIGHT = 7  # column of the right-hand side
 
 
 class CompliantModel(NamedTuple):
@@ -210,6 +210,8 @@ def _fill_propagation(body, q, u, solid, links):  # type: ignore[no-untyped-def]
         c = body[COS, j] * chord.cos_half + body[SIN, j] * chord.sin_half
         s = body[SIN, j] * chord.cos_half - body[COS, j] * chord.sin_half
         chord_rate = slope * u[3 + j]
+        # The bend coefficients of the link change at the rates −forth along and −aside
+        # across the chord, whose direction is (c, s).
         forth = chord.curvature * u[3 + j] + 0.5 * span * spin
         aside = slope * spin - 0.5 * chord_rate
         link = links[j]
@@ -242,6 +244,7 @@ def _fill_loads(body, u, a, solid, floor, loads):  # type: ignore[no-untyped-def
         s = body[SIN, i]
         x = body[X, i]
         y = body[Y, i]
+        # (vx, vy) is the velocity relative to the centre of mass.
         vx = body[VX, i] - u[2] * y
         vy = body[VY, i] + u[2] * x
         spin = u[2] + body[SPIN, i]
@@ -340,6 +343,8 @@ def _sum_behind(q, u, moment, model, work):  # type: ignore[no-untyped-def]
     for j in range(n - 2, -1, -1):
         load = work.loads[j + 1]
         link = work.links[j]
+        # At a constant mean heading, a bend turns the head by this fraction of the
+        # bend.
         share = (n - 1 - j) / n
         mass_share = mass[j + 1] / model.solid.weight
         px = px + load[MOMENTUM_X]
@@ -454,6 +459,8 @@ def _eliminate_bend(j, a, model, work):  # type: ignore[no-untyped-def]
             + link[_BEND_Y_RATE] * matrix[_Y_RATE, k]
         )
     pivot[_RIGHT] += work.residual[3 + j]
+    # In the momentum equation of an implicit step, damping has the factor a and
+    # stiffness the factor a².
     bend_stiffness = a * model.damping[j] + a * a * model.stiffness[j]
     stiff = bend_stiffness + _by_bend(link, pivot)
     for k in range(_UNKNOWNS + 1):

@@ -508,7 +508,7 @@ def fill_forces(body, mass, u, floor, force):  # type: ignore[no-untyped-def]
 # for a friction ellipse with an axis ratio of 1:14.
 _SLIDING_RATIO = 1000.0
 
-_MIN_SLIP_SPEED = 1e-7  # on a slope at a time unit of 1, m/s
+_MIN_SLIP_SPEED = 1e-7  # minimum on a slope at a time unit of 1, m/s
 _COASTING_STEP = 5e-4  # maximum time step of `slide`, s
 _COASTING_SLIP_SPEED = (
     1e-9  # slip speed of `slide`, m/s; small, because it only avoids 0/0

@@ -163,6 +163,7 @@ def _fill_accelerations(trace, k, yaw, solid, work):  # type: ignore[no-untyped-
     chords = work.chords
     motion = work.load
     n = solid.mass.shape[0]
+    # alpha is the angular acceleration of the head relative to the mean heading.
     alpha = 0.0
     for j in range(n - 1):
         alpha += (n - 1 - j) / n * acceleration[j]
@@ -177,6 +178,8 @@ def _fill_accelerations(trace, k, yaw, solid, work):  # type: ignore[no-untyped-
         span = chord.span
         c = body[COS, j] * chord.cos_half + body[SIN, j] * chord.sin_half
         s = body[SIN, j] * chord.cos_half - body[COS, j] * chord.sin_half
+        # The chord has the direction (c, s) and turns at the rate chord_spin. The
+        # second derivative of the chord vector has the components `along` and `across`.
         chord_spin = yaw + body[SPIN, j] - rate[j] / 2
         along = (
             slope * acceleration[j]
@@ -219,6 +222,7 @@ def _balance_loads(inertia, model, work):  # type: ignore[no-untyped-def]
         s = body[SIN, i]
         x = body[X, i]
         y = body[Y, i]
+        # Friction is rotated from the frame of the connector to the mean-heading frame.
         floor_x = friction[i, 0] * c - friction[i, 1] * s
         floor_y = friction[i, 0] * s + friction[i, 1] * c
         load[i, 0] = mass[i] * load[i, 0] - floor_x
@@ -256,6 +260,8 @@ def _sum_moments(work, remainder, torque):  # type: ignore[no-untyped-def]
         fx = fx + load[j + 1, 0]
         fy = fy + load[j + 1, 1]
         moment = moment + load[j + 1, 2]
+        # With the symbols of the module docstring, arm is L e × F and lengthening is L'
+        # F · e.
         arm = chords[j, _SPAN_X] * fy - chords[j, _SPAN_Y] * fx
         lengthening = chords[j, _SLOPE_X] * fx + chords[j, _SLOPE_Y] * fy
         torque[j] = arm / 2 - lengthening - moment + (n - 1 - j) / n * remainder
@@ -393,6 +399,7 @@ class _StageEquation(NamedTuple):
 def _residual(equation, u, c, s, force):  # type: ignore[no-untyped-def]
     a = equation.a
     weight = equation.weight
+    # (bx, by) is the known velocity in the frame of the mean heading.
     bx = equation.known_x * c + equation.known_y * s
     by = equation.known_y * c - equation.known_x * s
     turning = equation.inertia * u.yaw + equation.moment
@@ -463,6 +470,7 @@ def _stage(stage, a, bends, heading, model, work):  # type: ignore[no-untyped-de
     slope_before = 0.0  # derivative of the potential at the start of that step
     converged = False
     power = 0.0
+    # The mean heading at the end of the stage depends on the unknown yaw rate.
     c, s = _rotate(heading.cos, heading.sin, heading.ahead + a * u.yaw)
     tolerance = _NEWTON_TOLERANCE * floor.unit
     arm = _NEWTON_ARM * floor.unit * floor.unit

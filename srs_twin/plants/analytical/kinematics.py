@@ -26,8 +26,8 @@ ROWS = 7
 
 # Columns of the load on a connector in the `compliant` model: momentum relative to the
 # centre of mass, force and moment, and Newton's matrix. Newton's matrix is the mass
-# minus γ h times the derivative of the force. The column XM is its entry for the force
-# x and the spin.
+# minus γ h times the derivative of the force. The column XM is the entry of this
+# matrix for the force x and the spin.
 MOMENTUM_X = 0
 MOMENTUM_Y = 1
 MOMENTUM_YAW = 2

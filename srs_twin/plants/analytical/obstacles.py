@@ -262,6 +262,8 @@ def _closest(stretch, line):  # type: ignore[no-untyped-def]
     The first result is a distance along the heading (m), the second a fraction of the
     line.
     """
+    # u is the unit vector along the stretch, b is the vector along the line, and d
+    # points from the stretch to the line.
     px = stretch.x
     py = stretch.y
     ux = stretch.cos

@@ -61,6 +61,8 @@ def _begin_step(state, body, work, h):  # type: ignore[no-untyped-def]
     for p in range(work.point.shape[0]):
         rows = work.rows[p]
         mass = body.mass[p]
+        # A point moves only with the head and with the segments up to its own segment.
+        # These are the first `used` velocities.
         used = 9 + 3 * (p // count)
         drag = mass / body.drag_time
         for i in range(used):
@@ -103,6 +105,8 @@ def _residual(velocity, body, work, h, slip, out, with_matrix):  # type: ignore[
         up = 0.0
         for i in range(used):
             up += rows[UP, i] * velocity[i]
+        # The floor is a spring, which is evaluated at the height at the end of the
+        # step.
         spring = body.free * body.mass[p] * GRAVITY / body.depth
         load = spring * max(0.0, body.radius - work.point[p, 2] - h * up)
         work.load[p] = load
@@ -115,6 +119,8 @@ def _residual(velocity, body, work, h, slip, out, with_matrix):  # type: ignore[
             along += rows[ALONG, i] * velocity[i]
             across += rows[ACROSS, i] * velocity[i]
         mu_t = mu.ahead if along >= 0.0 else mu.back
+        # f_t and f_n are the friction along and across the body. tt, tn and nn are the
+        # derivatives of this friction with respect to the velocities.
         f_t, f_n, tt, tn, _, nn = _ellipse(
             along, across, work.law_load[p], mu_t, mu.across, slip
         )
@@ -183,6 +189,7 @@ def _product(a, b):  # type: ignore[no-untyped-def]
 @compiled
 def _minimise(velocity, body, work, h, slip, tolerance):  # type: ignore[no-untyped-def]
     size = velocity.shape[0]
+    # g is the gradient of the minimised function, and d is the Newton step.
     g = work.residual
     d = work.direction
     for _ in range(_MAX_ITERATIONS):

@@ -231,6 +231,8 @@ def _arc(w, u, lengths, offset, turn, slopes):  # type: ignore[no-untyped-def]
     """
     front, length, rear = lengths
     x, y, z = w
+    # m is the tangent in the middle of the part of the arc ahead, and t is the tangent
+    # at the rear end of this part.
     half = (-u / 2 * x, -u / 2 * y, -u / 2 * z)
     rotate(half, turn)
     m_x = turn[0, 0]
@@ -255,6 +257,7 @@ def _arc(w, u, lengths, offset, turn, slopes):  # type: ignore[no-untyped-def]
     offset[1] = -chord * ratio * m_y - rear * t_y
     offset[2] = -chord * ratio * m_z - rear * t_z
     for i in range(3):
+        # h and e are the angular velocities of the tangents m and t per rate of w.
         s_x, s_y, s_z = _spin(half, i)
         h_x = -u / 2 * s_x
         h_y = -u / 2 * s_y

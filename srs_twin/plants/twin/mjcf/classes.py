@@ -37,9 +37,7 @@ _MAX_FREE_BEND = (
 )
 _FLANGE_RATIO = 1.08  # radius of a connector's disc over the radius of the body
 _RUNNER_RATIO = 0.25  # radius of a skid's runner over the radius of a wheel
-_PLATE_HALF_HEIGHT = (
-    0.003  # of a connector's disc at a length unit of 1 (`robot.scale`), m
-)
+_PLATE_HALF_HEIGHT = 0.003  # half height of a connector's disc at a length unit of 1, m
 _DRAWN_CLEARANCE = (
     0.001  # height of the drawn body above the floor at a length unit of 1, m
 )

@@ -55,8 +55,8 @@ _RUNNER_SLOPE = (
     0.6  # slope of a runner towards the front, far above any connector's pitch
 )
 
-# Lengths at a length unit of 1 (`robot.scale`), m. Initial depth of a runner in the
-# floor, so that the first step detects all runners.
+# The following lengths apply at a length unit of 1 (`robot.scale`), m. The initial
+# depth of a runner in the floor lets the first step detect all runners.
 _RUNNER_DEPTH = 1e-6
 _REFERENCE_DEPTH = (
     5e-5  # depth of all feet in the floor at which regularisations are evaluated
