@@ -137,11 +137,7 @@ class SensorReadings(Stateful):
     state_attributes = ("value", "lost")
 
     def __init__(self, segments: int) -> None:
-        """Initialise all readings to 0.
-
-        Args:
-            segments: number of segments.
-        """
+        """Initialise all readings to 0."""
         self.value: np.ndarray = np.zeros(segments)
         self.lost: np.ndarray = np.zeros(segments, dtype=bool)
 

@@ -129,11 +129,7 @@ def observation_groups(
 ) -> dict[str, Signals]:
     """Return the groups of observations of a task with a camera.
 
-    Args:
-        bounds: bounds of the centre of mass.
-        target: observation group of the goal or object, by name.
-        robot: robot of the task.
-        actions: components of an action.
+    `target` is the observation group of the goal or object, by name.
     """
     bends = _bend_signals("bend", "a bend", robot)
     if robot.is_spatial:

@@ -474,16 +474,7 @@ class PneumaticPlant(Plant):
 
     @abstractmethod
     def _simulate(self, schedule: Schedule, ticks: int, samples: int) -> SnakeState:
-        """Follow a schedule of checked valve states.
-
-        Args:
-            schedule: valve states over `ticks` ticks.
-            ticks: number of ticks.
-            samples: number of equally spaced samples.
-
-        Returns:
-            The history of the samples.
-        """
+        """Follow a schedule of checked valve states and return a history of its samples."""
 
 
 _PA_PER_UNIT = {"kPa": 1e3, "bar": 1e5, "psi": 6894.76}
@@ -558,12 +549,8 @@ _VALVE_STATE_RANGE = np.iinfo(np.int8)
 def check_plausible(plant: str, state: SnakeState) -> SnakeState:
     """Return a state or a history after a check that it is plausible.
 
-    Args:
-        plant: name of the plant.
-        state: state or history.
-
     Raises:
-        DivergedError: the state is not plausible; the error's `history` holds the
+        DivergedError: the state is not plausible. The error's `history` holds the
             earlier samples.
     """
     # All other fields of the state follow from the checked fields. Scalars are compared

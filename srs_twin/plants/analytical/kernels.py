@@ -354,16 +354,8 @@ def is_slow(state):  # type: ignore[no-untyped-def]
 def record(state, velocity, marks, done, mark, samples):  # type: ignore[no-untyped-def]
     """Copy state and velocity after `done` steps to all samples at this step.
 
-    Args:
-        state: state after `done` steps.
-        velocity: velocity after `done` steps.
-        marks: number of steps before each sample, ascending.
-        done: number of completed steps.
-        mark: index of the next sample.
-        samples: output, a `Samples`.
-
-    Returns:
-        The index of the next sample after the copy.
+    `marks` holds the number of steps before each sample, ascending. `mark` is the index
+    of the next sample, and the result is this index after the copy.
     """
     while mark < marks.shape[0] and marks[mark] == done:
         copy(state, samples.states[mark])

@@ -113,12 +113,8 @@ def add_obstacles(mj: mujoco.MjSpec, spec: RobotSpec, world: World) -> None:
 def add_steps(mj: mujoco.MjSpec, steps: tuple[Step, ...], spec: RobotSpec) -> list[str]:
     """Lower the floor, add boxes for raised levels, and return the names of the boxes.
 
-    The floor before the first step, at the smallest x, has the height 0.
-
-    Args:
-        mj: model, changed in place.
-        steps: steps of the floor.
-        spec: robot, whose length the cameras use instead of the extent of the boxes.
+    The floor before the first step, at the smallest x, has the height 0. Cameras use
+    the length of the robot instead of the extent of the boxes.
     """
     if not steps:
         return []
