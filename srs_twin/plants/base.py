@@ -474,7 +474,7 @@ class PneumaticPlant(Plant):
 
     @abstractmethod
     def _simulate(self, schedule: Schedule, ticks: int, samples: int) -> SnakeState:
-        """Follow a schedule of checked valve states and return a history of its samples."""
+        """Follow a schedule of checked valve states and return the samples' history."""
 
 
 _PA_PER_UNIT = {"kPa": 1e3, "bar": 1e5, "psi": 6894.76}

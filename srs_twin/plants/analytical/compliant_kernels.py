@@ -184,7 +184,7 @@ class CompliantModel(NamedTuple):
         floor: FloorFriction,
         obstacles: Obstacles | None = None,
     ) -> CompliantModel:
-        """Return the model. Springs are numbers or arrays of shape (segments, cells)."""
+        """Return the model, where springs are numbers or (segments, cells) arrays."""
         cells = len(solid.mass) - 1
         if np.ndim(stiffness) == 0:
             segments = cells

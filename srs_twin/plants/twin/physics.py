@@ -595,7 +595,7 @@ class SnakePhysics(Stateful):
         self._update_kinematics(self.data)
 
     def kinematics(self, states: np.ndarray) -> Kinematics:
-        """Return positions and velocities in states that are laid out as in `StepBatch`."""
+        """Return positions and velocities in states laid out as in `StepBatch`."""
         count = len(states)
         n = len(self._connectors)
         nq = self.model.nq
