@@ -461,13 +461,14 @@ def update_loads(obstacles, scale):  # type: ignore[no-untyped-def]
 def fill_rates(obstacles, model, free, free_rates, rates, work):  # type: ignore[no-untyped-def]
     """Fill the rates of the impulses, of the time and of the energy column.
 
-    The energy column is the work of the torques. Without obstacles it would be the
-    energy of the body plus the integral of the losses. The implicit method, however,
-    evaluates the stiff normal forces at the end of a stage, when an impact has almost
-    stopped the body. The integral of the losses therefore misses the energy that is
-    dissipated in impacts. The torques are smooth, so the power of the air, Σ T_j
-    q̇_f,j, is integrated instead. T = k (q_f − q) + c (q̇_f − q̇) is the torque of a
-    whole segment with the bend q, the free bend q_f, the stiffness k and the damping c.
+    Without obstacles the energy column (`ENERGY_LOSS`) holds the losses, and the work
+    of the torques is the energy of the body plus these losses. The implicit method,
+    however, evaluates the stiff normal forces at the end of a stage, when an impact has
+    almost stopped the body. The integral of the losses would therefore miss the energy
+    that is dissipated in impacts. Among obstacles the column holds the work instead, as
+    the integral of the power of the air, Σ T_j q̇_f,j, which is smooth. T = k (q_f − q)
+    + c (q̇_f − q̇) is the torque of a whole segment with the bend q, the free bend q_f,
+    the stiffness k and the damping c.
 
     Args:
         obstacles: obstacles with the forces of the stage.
