@@ -1,1 +1,1 @@
-"""Controllers: functions of sensor readings and poses that return valve commands for any plant."""
+"""Controllers: functions of sensor readings and poses that return valve commands."""

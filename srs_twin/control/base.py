@@ -1,4 +1,4 @@
-"""Base class of the controllers, and the sensor readings that closed-loop controllers share."""
+"""Base class of the controllers, and filtering of lost sensor readings."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ if TYPE_CHECKING:
 
 
 class Controller(Claimable, Stateful, ABC):
-    """Function of sensor readings and poses that returns the valve commands of one control tick.
+    """Controller that computes the valve commands of one control tick.
 
-    Controllers read `SnakeState.sensed` and poses from a camera, never the true `bend`.
-    They do not know which plant they control.
+    A controller reads the sensed bends in `SnakeState.sensed` and poses from a camera.
+    It never reads the true `bend`, and it does not know which plant it controls.
 
     Attributes:
         kind: name of the controller in scenario files.
-        frequency: gait frequency, Hz; None if the controller is not periodic.
-        layouts: supported valve layouts, names in `LAYOUTS`.
-        spatial: whether it commands the chambers of a spatial robot.
-        finished: whether the controller has ended its task; the rollout ends after the
+        frequency: gait frequency, Hz, or None if the controller is not periodic.
+        layouts: names of the supported valve layouts, a subset of `LAYOUTS`.
+        spatial: whether the controller commands the chambers of a spatial robot.
+        finished: whether the controller has ended its task. The rollout ends after the
             tick in which it becomes True.
     """
 
@@ -46,10 +46,10 @@ class Controller(Claimable, Stateful, ABC):
 
     @abstractmethod
     def reset(self, spec: RobotSpec, tick: float, *, seed: int = 0) -> None:
-        """Prepare for a run and initialise the state of the controller.
+        """Initialise the controller for a run.
 
         Args:
-            spec: the robot.
+            spec: robot to control.
             tick: control tick, s.
             seed: random seed of the controller.
 
@@ -59,10 +59,14 @@ class Controller(Claimable, Stateful, ABC):
 
     @abstractmethod
     def step(self, state: SnakeState) -> np.ndarray:
-        """Return the valve states of the next tick, shape (segments, 2) or (slots, segments, 2), int8."""
+        """Return the valve states of the next tick, int8.
+
+        The shape is (segments, 2), or (slots, segments, 2) if the states change within
+        the tick.
+        """
 
     def save(self) -> SavedState:
-        """Return the state of the controller, for `restore` in this or another process.
+        """Return the controller's state, which `restore` accepts in any process.
 
         Raises:
             InputError: the class does not list its `state_attributes`.
@@ -71,7 +75,7 @@ class Controller(Claimable, Stateful, ABC):
         return SavedState(self.identity(), self.state_dict())
 
     def restore(self, state: SavedState) -> None:
-        """Continue from a saved state; call `reset` with the same robot and tick first.
+        """Continue from a saved state after `reset` with an equal robot and tick.
 
         Raises:
             InputError: the state belongs to another controller, or `reset` has not been
@@ -82,22 +86,25 @@ class Controller(Claimable, Stateful, ABC):
         self.load_state_dict(state.content)
 
     def identity(self) -> dict[str, object]:
-        """Return the properties that a saved state must share with this controller, as JSON values."""
+        """Return the properties that must match a saved state, as JSON values."""
         return {"controller": self.kind, "class": type(self).__name__}
 
     def script(self, duration: float) -> Schedule | None:
-        """Return the valve states of the whole run if they do not depend on measurements, else None.
+        """Return the valve states of a whole run that does not depend on measurements.
 
-        It is called after `reset`. A controller with a script has constant signals and
-        no events.
+        The rollout calls this method after `reset`. The result is None for a controller
+        in closed loop. A controller with a script has constant signals and no events.
 
         Args:
-            duration: s, a whole number of ticks.
+            duration: duration of the run, s, which is a whole number of ticks.
         """
         return None
 
     def signals(self) -> dict[str, Any]:
-        """Return the signals to record: name → number, or array whose elements are numbered from 1."""
+        """Return the signals to record, by name.
+
+        A value is a number, or an array whose elements are numbered from 1.
+        """
         return {}
 
     def events(self) -> list[Event]:
@@ -107,7 +114,7 @@ class Controller(Claimable, Stateful, ABC):
         return events
 
     def describe(self) -> dict[str, object]:
-        """Return the settings and results to record, as JSON values."""
+        """Return the settings and results that are recorded, as JSON values."""
         return {}
 
 
@@ -119,8 +126,8 @@ MAX_READING_RAD = 2 * math.pi
 class SensorReadings(Stateful):
     """Latest valid bend readings of all segments.
 
-    A reading is lost if it is not finite or larger than a full turn. The previous valid
-    reading (0 before the first) is used in its place, and an event records the loss.
+    A reading is lost if it is not finite or exceeds a full turn. The previous valid
+    reading, 0 at first, then replaces it, and an event records the loss.
 
     Attributes:
         value: latest valid readings, shape (segments,), rad.
@@ -130,19 +137,15 @@ class SensorReadings(Stateful):
     state_attributes = ("value", "lost")
 
     def __init__(self, segments: int) -> None:
-        """Initialise all readings to 0.
-
-        Args:
-            segments: number of segments.
-        """
+        """Initialise all readings to 0."""
         self.value: np.ndarray = np.zeros(segments)
         self.lost: np.ndarray = np.zeros(segments, dtype=bool)
 
     def update(self, time: float, sensed: np.ndarray) -> list[Event]:
-        """Store the readings of one tick and return the events of lost and recovered readings.
+        """Store the readings of one tick, and return loss and recovery events.
 
         Args:
-            time: s.
+            time: time of the readings, s.
             sensed: bends reported by the sensors, shape (segments,), rad.
         """
         sensed = np.asarray(sensed, dtype=float)

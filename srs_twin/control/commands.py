@@ -1,4 +1,4 @@
-"""Gaits that follow external commands, and controllers whose offset follows a schedule."""
+"""Gaits that follow external commands, and controllers with a scheduled offset."""
 
 from __future__ import annotations
 
@@ -22,16 +22,19 @@ if TYPE_CHECKING:
 
 
 Range = tuple[float, float]
-"""Smallest and largest allowed value."""
+"""Minimum and maximum allowed value."""
 
 MAX_OFFSET = 0.4
-"""Largest steering offset φ, 1: that of generation 2 in Section 3.4.2; other robots use smaller ones."""
+"""Maximum steering offset φ, dimensionless (Section 3.4.2 for generation 2)."""
 FREQUENCY_RANGE_HZ = (1.0, 2.0)
-"""Gait frequencies of generation 2 in Section 3.4.2; those of the other generations are similar."""
+"""Minimum and maximum gait frequency, Hz (Section 3.4.2 for generation 2)."""
 RELATIVE_PRESSURE_RANGE = (0.85, 1.15)
-"""Supply pressures divided by the nominal one, 1: 41 to 55 kPa for generation 2 (Section 3.4.2)."""
+"""Minimum and maximum supply pressure relative to the nominal pressure.
+
+The values correspond to 41 and 55 kPa for generation 2 (Section 3.4.2).
+"""
 _TIME_ROUNDING_S = 1e-9
-"""Tolerance for comparing times, s: ticks are summed with rounding errors."""
+"""Tolerance for comparing times, s. Sums of ticks have rounding errors."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +42,7 @@ class GaitCommand:
     """Gait parameters for the following ticks.
 
     Attributes:
-        offset: φ, positive to the left.
+        offset: steering offset φ, positive to the left, dimensionless.
         frequency: gait frequency, Hz.
         pressure: supply pressure, Pa.
     """
@@ -54,7 +57,7 @@ class GaitLimits:
     """Allowed ranges of the gait parameters.
 
     Attributes:
-        offset: φ.
+        offset: steering offset φ, dimensionless.
         frequency: gait frequency, Hz.
         pressure: supply pressure, Pa.
     """
@@ -65,7 +68,7 @@ class GaitLimits:
 
     @classmethod
     def for_robot(cls, spec: RobotSpec) -> GaitLimits:
-        """Return the limits of a robot; no pressure exceeds its limit for pulsed operation."""
+        """Return the limits of a robot, up to its pressure limit when pulsed."""
         low, high = (ratio * spec.supply.nominal for ratio in RELATIVE_PRESSURE_RANGE)
         return cls(
             (-MAX_OFFSET, MAX_OFFSET),
@@ -97,11 +100,11 @@ class CommandedGait(Stateful):
         """Start the gait at time 0.
 
         Args:
-            spec: the robot.
+            spec: robot that performs the gait.
             tick: control tick of the plant, s.
-            pneumatics: pneumatics of the plant, made for the largest pressure that will
-                be commanded.
-            command: the first command.
+            pneumatics: pneumatics of the plant, built for the maximum pressure that
+                will be commanded.
+            command: first command.
 
         Raises:
             InputError: the gait or the supply cannot follow the command.
@@ -115,10 +118,10 @@ class CommandedGait(Stateful):
     def valves(
         self, time: float, command: GaitCommand, pitch: PitchWave | None = None
     ) -> np.ndarray:
-        """Apply a command and return the valve states of the tick that begins at `time` (s).
+        """Apply a command and return the valve states of a tick.
 
-        The phase of the wave is continuous. The new supply pressure acts immediately. A
-        spatial robot also has a pitch wave.
+        The tick begins at `time` (s). The phase of the wave is continuous, and the new
+        supply pressure acts immediately. A spatial robot also needs a pitch wave.
 
         Raises:
             InputError: the gait or the supply cannot follow the command.
@@ -136,7 +139,7 @@ class ScheduledOffset(Controller):
     """Controller whose steering offset changes at given times.
 
     Attributes:
-        changes: (time in s, new offset), in order of time.
+        changes: pairs of time (s) and new offset, in order of time.
     """
 
     state_attributes = ("_inner", "_applied", "_events")
@@ -147,13 +150,13 @@ class ScheduledOffset(Controller):
         """Wrap a controller.
 
         Args:
-            controller: controller to steer; its current offset is used until the first
-                change.
-            changes: (time in s, new offset). A change takes effect at the first tick
-                that begins at or after its time.
+            controller: controller to steer, whose current offset is used until the
+                first change.
+            changes: pairs of time (s) and new offset. A change takes effect at the
+                first tick that begins at or after its time.
 
         Raises:
-            InputError: the times are not above 0 and increasing.
+            InputError: the times are not positive and strictly increasing.
         """
         times = [0.0, *(time for time, _ in changes)]
         if not all(b > a for a, b in zip(times, times[1:], strict=False)):
@@ -203,7 +206,7 @@ class ScheduledOffset(Controller):
         return self._inner.signals()
 
     def events(self) -> list[Event]:
-        """Return the offset changes and the events of the inner controller since the last call."""
+        """Return the new offset changes and the new events of the inner controller."""
         return super().events() + self._inner.events()
 
     def describe(self) -> dict[str, object]:

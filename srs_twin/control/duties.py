@@ -1,28 +1,27 @@
-r"""Duty, target and period of each chamber in iterative learning control (Section 5.1, Eq. 32).
+r"""Duties, target amplitudes and periods in iterative learning control (Section 5.1).
 
-**Targets.** The chambers on the side towards which the snake turns have the target amplitude A (0.7 rad in
-the dissertation). The target of the other side decreases linearly with the offset φ, to 4 A / 7 (0.4 rad) at
-|φ| = 0.3:
+**Targets.** The chambers on the side towards which the snake turns have the target
+amplitude A, 0.7 rad in the dissertation. The target amplitude on the other side
+decreases linearly with the offset φ, to 4 A / 7 (0.4 rad) at |φ| = 0.3:
 
 $$ A_{\text{larger}} = A, \qquad
 A_{\text{smaller}} = A \Bigl(1 - \tfrac{3}{7} \tfrac{|\varphi|}{0.3}\Bigr). $$
 
 **Periods.** Each chamber has its own period, in which the bend of its segment is
-measured. Period n of a chamber runs from the start of its n-th fill to the start of the
-next one. Air flow and inertia delay the bend that a fill causes, but by less than the
-vent that follows. The peak of a fill is therefore inside one period, and the duty is
-updated before the next fill begins. With one common period for all chambers, as in
-Section 5.1, the periods of some chambers would end during a peak, and their duties
-would change during a fill.
+measured. Period n of a chamber begins with its n-th fill and ends with the next fill.
+Air flow and inertia delay the peak of the bend, but by less than the following vent
+lasts. The peak is therefore inside one period, and the duty is updated before the next
+fill. With one common period for all chambers, as in Section 5.1, some chambers' periods
+would end during a peak, and their duties would change during a fill.
 
 **Duties.** The learning law updates one duty per chamber (Eq. 32),
 
 $$ u_n = \operatorname{clip}\bigl(u_{n-1} + k\,e_{n-1},\, 0,\, 1\bigr), \qquad
 e_{n-1} = \text{target} - \text{amplitude}. $$
 
-If the amplitude is c u, each update multiplies the error by 1 − k c. The clipped
-quantity is the duty itself, not an error integral, so there is no wind-up: the duty
-leaves its bound at the first error of the other sign.
+If the amplitude is c u, each update multiplies the error by 1 − k c. The duty itself is
+clipped, not an integral of the error, so there is no wind-up. A duty at its bound
+leaves the bound as soon as the error changes sign.
 """
 
 from __future__ import annotations
@@ -36,24 +35,24 @@ from srs_twin.io.saved_state import Stateful
 from srs_twin.trajectory import Event
 
 MAX_OFFSET = 0.3
-"""Largest |φ| for which Section 5.1 gives targets, 1."""
+"""Maximum |φ| for which Section 5.1 gives targets, dimensionless."""
 MIN_AMPLITUDE_RATIO = 4 / 7
-"""Ratio of the smaller to the larger target at the largest offset, 1: 0.4 rad to 0.7 rad."""
+"""Ratio of the two target amplitudes at the maximum offset: 0.4 rad to 0.7 rad."""
 MIN_READINGS_PER_PERIOD = 8
-"""Readings per gait period that are needed to measure an amplitude."""
+"""Number of readings per gait period that an amplitude measurement needs."""
 SIDES = ("+", "−")
 """Chambers of a segment, in the order of the last axis of arrays."""
 CONVERGENCE_TOLERANCE = 0.05
-"""Relative amplitude error at which learning has converged, 1."""
+"""Relative amplitude error below which learning has converged, dimensionless."""
 
 _PERIOD_ROUNDING = 1e-9
 """Tolerance for comparing times, as a fraction of a period."""
 _DUTY_ROUNDING = 1e-12
-"""Tolerance for comparing duties with their bounds, 1."""
+"""Tolerance for comparing duties with their bounds, dimensionless."""
 
 
 def validated_offset(offset: float) -> float:
-    """Return an offset that has targets.
+    """Return the offset if it has target amplitudes.
 
     Raises:
         InputError: the offset is outside ±0.3.
@@ -70,8 +69,8 @@ def targets(amplitude: float, offset: float) -> np.ndarray:
     """Return the target amplitudes to the left and to the right, shape (2,), rad.
 
     Args:
-        amplitude: A, rad.
-        offset: φ, positive to the left.
+        amplitude: target amplitude A of a straight gait, rad.
+        offset: steering offset φ, positive to the left.
     """
     smaller = amplitude * (1 - (1 - MIN_AMPLITUDE_RATIO) * abs(offset) / MAX_OFFSET)
     left_and_right = np.array([amplitude, smaller])
@@ -79,20 +78,20 @@ def targets(amplitude: float, offset: float) -> np.ndarray:
 
 
 class ChamberPeriods(Stateful):
-    """Periods of all chambers in a travelling wave, and the peak bend in each of them.
+    """Periods of all chambers in a travelling wave, and the peak bend in each period.
 
     All arrays have the shape (segments, 2).
 
     Attributes:
-        period: T, s.
-        fill_starts: start of the first fill, s, from −T/2 to T/2; negative for a
+        period: duration T of a period, s.
+        fill_starts: start of the first fill, s, from −T/2 to T/2. It is negative for a
             chamber that is already filling at time 0.
         number: number of the current period, 0 before the first.
-        peak: largest bend to the side of the chamber (+: left) in the last completed
+        peak: maximum bend to the side of the chamber (+: left) in the last completed
             period, rad.
-        span: range of the readings in that period, rad.
-        lost: fraction of the readings in that period that were lost.
-        started: start of that period, s.
+        span: range of the readings in the last completed period, rad.
+        lost: fraction of the readings in the last completed period that were lost.
+        started: start of the last completed period, s.
     """
 
     state_attributes = (
@@ -113,8 +112,8 @@ class ChamberPeriods(Stateful):
         Args:
             phase_lag: phase lag of the wave sin(2πft − phase_lag) of each segment,
                 shape (segments,), rad. The + chamber fills where the wave is positive,
-                the − chamber where it is negative.
-            frequency: f, Hz.
+                the − chamber where the wave is negative.
+            frequency: gait frequency f, Hz.
             tick: time between readings, s.
             common: whether all chambers share periods that begin at time 0, as in
                 Section 5.1.
@@ -152,11 +151,11 @@ class ChamberPeriods(Stateful):
         self._set_next()
 
     def steer(self, shift: float) -> None:
-        """Shift the fill starts to those of a wave with an offset φ (Eq. 13).
+        """Shift the fill starts to the fill starts of a wave with an offset φ (Eq. 13).
 
         Args:
-            shift: asin φ, rad: phase lead of the fills of + chambers, and phase lag of
-                those of − chambers.
+            shift: phase asin φ, rad, by which fills of + chambers lead and fills of −
+                chambers lag.
         """
         if not self._common:
             lead = shift / (2 * math.pi) * self.period
@@ -167,7 +166,7 @@ class ChamberPeriods(Stateful):
         """Add the readings of one tick.
 
         Args:
-            reading: shape (segments,), rad.
+            reading: sensed bends, shape (segments,), rad.
             lost: whether each reading was lost, shape (segments,).
         """
         bends = self._bends
@@ -179,11 +178,14 @@ class ChamberPeriods(Stateful):
         self._lost_readings += lost[:, None]
 
     def due(self, time: float) -> bool:
-        """Return whether the period of any chamber begins in the tick that begins at `time` (s)."""
+        """Return whether a chamber's period begins in the tick from `time` (s) on."""
         return time + self._tick > self._next
 
     def advance(self, time: float) -> np.ndarray:
-        """Begin the periods that are due; return the chambers that completed one, shape (segments, 2)."""
+        """Begin the periods that are due and return a mask of the completed ones.
+
+        The mask has the shape (segments, 2).
+        """
         latest = time + self._tick - _PERIOD_ROUNDING * self.period
         begun = self.fill_starts + self.number * self.period < latest
         ended = begun & (self.number >= 1)
@@ -209,8 +211,9 @@ class Duties(Stateful):
     """Learnt duty of each chamber, with its saturation and convergence.
 
     Attributes:
-        value: u, shape (segments, 2), from 0 to 1.
-        error: e in the last update, same shape, rad; NaN before the first.
+        value: duties u, shape (segments, 2), from 0 to 1.
+        error: errors e in the last update, shape (segments, 2), rad, or NaN before the
+            first update.
     """
 
     state_attributes = (
@@ -226,7 +229,7 @@ class Duties(Stateful):
 
         Args:
             segments: number of segments.
-            gain: k, 1/rad.
+            gain: learning gain k, 1/rad.
         """
         self.value: np.ndarray = np.ones((segments, 2))
         self.error: np.ndarray = np.full((segments, 2), math.nan)
@@ -238,14 +241,14 @@ class Duties(Stateful):
     def learn(
         self, time: float, chambers: np.ndarray, peak: np.ndarray, target: np.ndarray
     ) -> list[Event]:
-        """Update the duties of some chambers and return the changes of their saturation.
+        """Update the duties of some chambers and return events of changed saturation.
 
         All arrays have the shape (segments, 2).
 
         Args:
-            time: s.
-            chambers: chambers that have completed a period.
-            peak: amplitudes measured in it, rad.
+            time: time of the update, s.
+            chambers: mask of the chambers that have completed a period.
+            peak: amplitudes measured in the completed period, rad.
             target: target amplitudes, rad.
         """
         self.error = np.where(chambers, target - peak, self.error)
@@ -265,16 +268,16 @@ class Duties(Stateful):
         return events
 
     def restart_convergence(self) -> None:
-        """Treat all amplitudes as not converged, because their targets have changed."""
+        """Mark all amplitudes as not converged after a change of their targets."""
         self._relative_error = np.full_like(self._relative_error, math.inf)
         self._converged = False
 
     def converged(self, time: float, working: np.ndarray) -> list[Event]:
-        """Return an event if the amplitudes of all working segments have just reached their targets.
+        """Return an event if all working segments have just reached their targets.
 
         Args:
-            time: s.
-            working: segments without a fault, shape (segments,).
+            time: time of the check, s.
+            working: mask of the segments without a fault, shape (segments,).
         """
         errors = self._relative_error[working]
         reached = errors.size and (errors <= CONVERGENCE_TOLERANCE).all()
@@ -288,12 +291,12 @@ class Duties(Stateful):
         return [Event(time, "converged", text)]
 
     def summary(self, time: float, period: int, working: np.ndarray) -> list[Event]:
-        """Return an event with the largest amplitude error; none if no segment works.
+        """Return an event with the maximum amplitude error of the working segments.
 
         Args:
-            time: s.
+            time: time of the event, s.
             period: number of the completed period.
-            working: segments without a fault, shape (segments,).
+            working: mask of the segments without a fault, shape (segments,).
         """
         if not working.any() or np.isnan(self.error[working]).all():
             return []

@@ -1,31 +1,34 @@
-r"""Lateral undulation: a square wave of valve states that travels from head to tail (Eq. 13).
+r"""Lateral undulation: a square wave of valve states from head to tail (Eq. 13).
 
 $$ S_j = \operatorname{sign}\bigl(\sin(2\pi f t - \beta (j-1) + \psi) + \varphi\bigr) $$
 
-S_j = +1 fills the + chamber of segment j and vents the − chamber, −1 does the reverse;
-sign(0) = +1. The wave travels from head to tail and propels the snake forward (E12: as
-printed, Eq. 13 travels in the opposite direction). φ > 0 turns left. The mirror image
-of a gait has the offset −φ and its phase ψ shifted by π.
+Here f is the gait frequency, β the phase lag per segment, ψ the phase and φ the
+steering offset. S_j = +1 fills the + chamber of segment j and vents the − chamber, −1
+does the reverse, and sign(0) = +1. The wave travels from head to tail and propels the
+snake forward. Eq. 13 as printed travels in the opposite direction (E12). A positive φ
+turns the snake to the left. The mirror image of a gait has the offset −φ and its phase
+ψ shifted by π.
 
-Two extensions are not part of the dissertation: each segment may have an additional
+Two extensions are not part of the dissertation. Each segment may have an additional
 phase lag α_j, and both chambers may vent for a fraction r of the period, centred at the
-sign changes of the wave,
+sign changes of the wave:
 
 $$ S_j = 0 \quad \text{where} \quad
    |\sin(2\pi f t - \beta (j-1) + \psi - \alpha_j) + \varphi| < \sin(\pi r/2). $$
 
-**Spatial robots** have a second wave, which bends the segments upwards and downwards.
-With the ratio ρ of its frequency to that of the first wave and its lag λ,
+**Spatial robots** have a second wave, the pitch wave, which bends the segments upwards
+and downwards. Its frequency is ρ times the frequency of the first wave, and its phase
+lag is λ:
 
 $$ P_j = \operatorname{sign}
    \sin\bigl(\rho\,(2\pi f t - \beta (j-1) + \psi - \alpha_j) - \lambda\bigr) . $$
 
-Valves only open and close, so the smaller wave rests, that is, it is 0 for a fraction r
-of its period. The fundamental of this square wave has the amplitude cos(π r/2). The
-pitch share s, from 0 to 1, is the amplitude of the pitch wave over the sum of both
-amplitudes. With s < 1/2 the pitch wave rests so that its amplitude is s/(1 − s); with s
-> 1/2 the other wave rests. Chamber c with the direction d_c fills where d_c · (S_j,
-P_j) > 0.
+Valves only open and close, so an amplitude is reduced by letting the wave rest at 0 for
+a fraction r of its period. The fundamental of such a square wave has the amplitude
+cos(π r/2). The pitch fraction s, from 0 to 1, is the amplitude of the pitch wave
+divided by the sum of both amplitudes. With s < 1/2 the pitch wave rests so that its
+amplitude is s/(1 − s). With s > 1/2 the other wave rests. Chamber c with the direction
+d_c fills where d_c · (S_j, P_j) > 0.
 
 | gait | pitch wave |
 |---|---|
@@ -33,7 +36,7 @@ P_j) > 0.
 | rectilinear crawling | s = 1: the wave is vertical |
 | sinus-lifting | ρ = 2: the body lifts where its curvature is largest |
 | rolling | β = 0, s = 1/2, λ = ± π/2: the whole body turns about its axis |
-| lifted head | any, with a number of lifted segments, which take no part in both waves: they bend upwards |
+| lifted head | any pitch wave; the lifted segments bend upwards and follow neither wave |
 """
 
 from __future__ import annotations
@@ -54,19 +57,21 @@ from srs_twin.pneumatics.valves import Schedule, count_slots
 from srs_twin.robot.spec import RobotSpec
 
 _BLOCK = 20_000
-"""Slots whose wave is evaluated at once, against large arrays."""
+"""Number of slots whose wave is evaluated at once, which bounds the memory used."""
 
 
 @dataclass(frozen=True)
 class PitchWave:
-    """Wave that bends a spatial robot upwards and downwards (module docstring).
+    """Wave that bends a spatial robot upwards and downwards; see the module docstring.
 
     Attributes:
-        share: s, share of the pitch wave in the sum of the amplitudes, 0 to 1.
-        lag_rad: λ, lag behind the wave to the left and right, rad.
-        frequency_ratio: ρ, frequency over that of the other wave, above 0.
-        lifted_segments: number of segments from the head that bend upwards all the
-            time.
+        share: pitch fraction s, the amplitude of the pitch wave divided by the sum of
+            both amplitudes, 0 to 1.
+        lag_rad: phase lag λ behind the wave to the left and right, rad.
+        frequency_ratio: ratio ρ of the pitch wave's frequency to the gait frequency,
+            above 0.
+        lifted_segments: number of segments, counted from the head, that always bend
+            upwards.
     """
 
     share: float = 0.5
@@ -90,7 +95,7 @@ class PitchWave:
             )
 
     def check(self, spec: RobotSpec) -> None:
-        """Check that a robot can have this wave.
+        """Check that a robot can perform this wave.
 
         Raises:
             InputError: the robot bends in one plane, or has too few segments to lift.
@@ -108,7 +113,7 @@ class PitchWave:
 
     @property
     def rest_levels(self) -> tuple[float, float]:
-        """Levels sin(π r/2) below which the wave to the left and right, and the pitch wave, rest."""
+        """Levels sin(π r/2) below which the lateral wave and the pitch wave rest."""
         ratio = self.share / (1 - self.share) if self.share < 1 else math.inf
         left = 1 / max(ratio, 1.0)
         up = min(ratio, 1.0)
@@ -123,11 +128,11 @@ class Gait(Controller):
     """Open-loop gait of Eq. 13.
 
     Attributes:
-        frequency: f, Hz; use `change_frequency` to change it during a run.
-        offset: φ, between −1 and 1; may be changed during a run.
-        phase: ψ, rad.
-        phase_lag: β (j − 1) − ψ of each segment, shape (segments,), rad; available
-            after `reset`.
+        frequency: gait frequency f, Hz; `change_frequency` changes it during a run.
+        offset: steering offset φ, between −1 and 1, which may change during a run.
+        phase: phase ψ, rad.
+        phase_lag: phase lag β (j − 1) − ψ of each segment, shape (segments,), rad;
+            available after `reset`.
     """
 
     kind = "gait"
@@ -152,18 +157,21 @@ class Gait(Controller):
         """Create the gait.
 
         Args:
-            frequency: f, Hz.
-            offset: φ, between −1 and 1, positive to the left.
-            phase: ψ at time 0, rad.
-            phase_step: β, rad; None uses that of the robot.
-            phases: α, rad, one value per segment; None means zeros.
-            rest_share: r, at least 0 and below 1; None means 0.
-            pitch: second wave of a spatial robot; None means none.
+            frequency: gait frequency f, Hz.
+            offset: steering offset φ, between −1 and 1, positive to the left.
+            phase: phase ψ at time 0, rad.
+            phase_step: phase lag β per segment, rad; None uses the phase lag of the
+                robot.
+            phases: additional phase lags α, rad, one value per segment; None means
+                zeros.
+            rest_share: fraction r of the period at rest, at least 0 and below 1; None
+                means 0.
+            pitch: pitch wave of a spatial robot, or None.
 
         Raises:
-            InputError: a rest share is given together with a pitch wave, the frequency
-                is not above 0, or the offset or the rest share is out of range. Setting
-                `offset` later raises it as well.
+            InputError: a rest fraction is given together with a pitch wave, the
+                frequency is not above 0, or the offset or the rest fraction is out of
+                range. Setting `offset` later raises this error as well.
         """
         rest_share = rest_share or 0.0
         if not 0 <= rest_share < 1:
@@ -198,10 +206,10 @@ class Gait(Controller):
         self._offset = float(value)
 
     def change_frequency(self, frequency: float, time: float) -> None:
-        """Change the frequency so that the phase of the wave is continuous.
+        """Change the frequency without a jump in the phase of the wave.
 
         Args:
-            frequency: f, Hz.
+            frequency: new gait frequency f, Hz.
             time: time of the change, s.
 
         Raises:
@@ -238,7 +246,10 @@ class Gait(Controller):
         self._tick = tick
 
     def step(self, state: SnakeState) -> np.ndarray:
-        """Return the valve states of the next tick; without the slot axis if no state changes in it."""
+        """Return the valve states of the next tick.
+
+        The array has no slot axis if no state changes within the tick.
+        """
         return self.valves_at(float(state.time))
 
     def valves_at(self, time: float) -> np.ndarray:
@@ -247,7 +258,7 @@ class Gait(Controller):
             return self._spatial_valves(time + self._tick * self._slot_centres)
         first, last = self._wave(time + self._tick * self._slot_centres[[0, -1]])
         # A tick that is shorter than every level of the wave contains at most one
-        # change; equal states at its ends mean none.
+        # change, so equal states at the two ends of the tick exclude a change.
         if self._tick < self._shortest_level() and (first == last).all():
             return _antagonistic(first)
         wave = self._wave(time + self._tick * self._slot_centres)
@@ -289,7 +300,6 @@ class Gait(Controller):
         return Schedule(duration, slot * begins[keep], _antagonistic(wave[keep]))
 
     def _spatial_valves(self, time: np.ndarray) -> np.ndarray:
-        """Return the valve states of a spatial robot at some times (s), shape (times, segments, chambers)."""
         assert self._axes is not None
         angle = 2 * math.pi * self.frequency * time[:, None] - self.phase_lag
         if self.pitch is None:
@@ -313,14 +323,13 @@ class Gait(Controller):
         return {"offset": self._offset}
 
     def _shortest_level(self) -> float:
-        """Return the shortest time between two changes of S, s."""
         up, down = self._crossings()
         angles = [math.pi + 2 * up, math.pi - 2 * down, down - up]
         shortest = min(angle for angle in angles if angle > 0)
         return shortest / (2 * math.pi * self.frequency)
 
     def _crossings(self) -> tuple[float, float]:
-        """Return the negated phase angles at which S changes to 1 and to −1, rad."""
+        """Return the negated phase angles at which S becomes 1 and −1, rad."""
         up = math.asin(max(self._offset - self.rest_level, -1.0))
         down = math.asin(min(self._offset + self.rest_level, 1.0))
         return up, down
@@ -334,7 +343,10 @@ class Gait(Controller):
 
 
 def _three_levels(value: np.ndarray, rest: float) -> np.ndarray:
-    """Return 1, 0 or −1 for values above, within and below the rest level; sign(0) = +1 without rest."""
+    """Return 1, 0 or −1 for values above, within and below the rest level.
+
+    A value of 0 gives +1 if the wave does not rest.
+    """
     # The tolerance makes the sign of an exact zero independent of rounding.
     low = -rest - 1e-12
     high = rest - 1e-12
@@ -350,5 +362,4 @@ def _checked_frequency(frequency: float) -> float:
 
 
 def _antagonistic(wave: np.ndarray) -> np.ndarray:
-    """Return valve states (…, segments, 2) for the signs S (…, segments); both chambers vent where S is 0."""
     return np.stack([2 * (wave > 0) - 1, 2 * (wave < 0) - 1], axis=-1).astype(np.int8)

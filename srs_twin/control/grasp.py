@@ -1,16 +1,16 @@
-"""Whole-body grasp: the tail curls around an object, the rest of the body drags it, the tail releases it.
+"""Whole-body grasp: the tail curls around an object while the front drags it.
 
-The phases follow each other in open loop at given times, or on the sensed bends:
+The phases follow each other in open loop at given times, or depend on the sensed bends:
 
-1. *Curl.* The valves of the holding segments, at the tail, fill one side with a duty
-   that rises from 0 to 1. A fast curl would push the object away. The other segments
+1. *Curl.* The valves of the holding segments at the tail fill one side with a duty that
+   rises from 0 to 1, because a fast curl would push the object away. The other segments
    vent and lie still.
-2. *Drag.* The holding segments stay filled; the others use the gait of Eq. 13. In the
-   sensed mode the phase begins when the readings have settled, and only if the holding
-   segments bend less than they would without an object; otherwise the grasp has missed,
-   and the run ends.
-3. *Release.* The holding segments vent, after a time or a distance of the centre of
-   mass.
+2. *Drag.* The holding segments stay filled, and the other segments perform the gait of
+   Eq. 13. In the sensed mode this phase begins when the readings have settled, provided
+   that the holding segments bend less than they would without an object. Otherwise the
+   grasp has missed, and the run ends.
+3. *Release.* The holding segments vent after a given time, or after the centre of mass
+   has moved a given distance.
 """
 
 from __future__ import annotations
@@ -32,12 +32,10 @@ if TYPE_CHECKING:
 
 MODES = ("open_loop", "sensed")
 SIDES = ("left", "right")
-_SLOTS = 20  # slots of a tick in which the duty of the curl is resolved
+_SLOTS = 20  # slots per tick, which resolve the duty of the curl
 _SETTLED_RAD_PER_S = 0.3  # bend rate below which the curl has ended
 _SETTLING_S = 0.3  # time over which this rate is measured
-_GRIP_RAD = (
-    0.1  # smallest decrease of the bend by an object, mean over the holding segments
-)
+_GRIP_RAD = 0.1  # minimum decrease of the mean bend due to an object
 
 
 class Phase(IntEnum):
@@ -53,7 +51,7 @@ def _reached(value: float, limit: float | None) -> bool:
 
 
 def check_hold(hold: int, spec: RobotSpec) -> None:
-    """Check that enough segments remain to crawl if some hold.
+    """Check that enough segments remain for crawling.
 
     Raises:
         InputError: the robot has too few segments to hold and to crawl.
@@ -66,7 +64,7 @@ def check_hold(hold: int, spec: RobotSpec) -> None:
 
 
 def check_release(mode: str, drag_m: float | None) -> None:
-    """Check that the mode can measure the distance of a drag.
+    """Check that a drag distance is given only in the sensed mode.
 
     Raises:
         InputError: a distance is given in open loop.
@@ -79,13 +77,13 @@ def check_release(mode: str, drag_m: float | None) -> None:
 
 
 def hold_with(valves: np.ndarray, hold: int, duty: float, pulses: int = 1) -> None:
-    """Set the valves of the holding segments, at the tail, to a duty.
+    """Set the valves of the holding segments at the tail to a duty.
 
     Args:
-        valves: valve states of a tick, shape (slots, segments, 2); changed in place.
+        valves: valve states of a tick, shape (slots, segments, 2), changed in place.
         hold: number of holding segments.
-        duty: fraction of the slots in which a chamber fills, from -1 (right chambers)
-            to 1 (left ones).
+        duty: fraction of the slots in which a chamber fills. It ranges from −1 (right
+            chambers) to 1 (left chambers).
         pulses: number of equal pulses in the tick.
     """
     slots = len(valves) // pulses
@@ -97,13 +95,13 @@ def hold_with(valves: np.ndarray, hold: int, duty: float, pulses: int = 1) -> No
 
 
 class Grasp(Controller):
-    """Grasp and drag of an object next to the tail (module docstring).
+    """Grasp and drag of an object next to the tail; see the module docstring.
 
     Attributes:
         frequency: gait frequency of the dragging segments, Hz.
         phase: current phase.
-        grip: free bend of the holding segments minus their sensed bend, mean, rad.
-        duty: present duty of the holding segments, -1 to 1, positive on the left.
+        grip: mean of the free bend minus the sensed bend of the holding segments, rad.
+        duty: current duty of the holding segments, −1 to 1, positive on the left.
     """
 
     kind = "grasp"
@@ -140,16 +138,16 @@ class Grasp(Controller):
             frequency: gait frequency of the dragging segments, Hz.
             mode: one of `MODES`.
             side: side of the object, one of `SIDES`.
-            hold: number of holding segments, at the tail.
+            hold: number of holding segments at the tail.
             curl_s: time in which the duty of the curl rises to 1, s.
-            drag_after_s: start of the drag in open loop, s; in the sensed mode the
-                latest start.
-            release_after_s: time of the release after the start of the drag, s; None:
-                never.
+            drag_after_s: start of the drag in open loop, or its latest start in the
+                sensed mode, s.
+            release_after_s: time from the start of the drag to the release, s; None
+                means that the object is never released.
             drag_m: distance of the drag after which the object is released, m; sensed
                 mode only.
-            phase_step: phase lag of the gait per segment, rad; None uses that of the
-                robot.
+            phase_step: phase lag of the gait per segment, rad; None uses the phase lag
+                of the robot.
 
         Raises:
             InputError: a name is unknown, or an option does not belong to the mode.
@@ -245,5 +243,5 @@ class Grasp(Controller):
         self._events.append(Event(time, "grasp", text))
 
     def signals(self) -> dict[str, float]:
-        """Return phase and grip."""
+        """Return the phase and the grip."""
         return {"grasp_phase": float(self.phase), "grip": self.grip}

@@ -1,19 +1,19 @@
-r"""Iterative learning control of a gait (Section 5.1), with one update per chamber and gait period.
+"""Iterative learning control of a gait, with one update per chamber and gait period.
 
-The wave is that of the open-loop gait without offset (Eq. 13). Where the wave fills a
-chamber, its valve is pulse-width modulated with the duty of that chamber. With all
-duties at 1 the valve states are those of the open-loop gait.
+The controller follows Section 5.1. Its wave is the wave of the open-loop gait without
+offset (Eq. 13). Where the wave fills a chamber, the valve is pulse-width modulated with
+the duty of the chamber. With all duties at 1 the valve states equal the open-loop gait.
 
-Each chamber has its own period (`ChamberPeriods`), at the end of which its duty is
-corrected by the measured amplitude (`Duties`, Eq. 32). The amplitude of a + chamber is
-the largest sensed bend in its period, that of a − chamber the negated smallest one. The
-snake is steered by different target amplitudes of the two sides (`targets`). With
+At the end of its own period (`ChamberPeriods`), each chamber's duty is corrected
+according to the measured amplitude (`Duties`, Eq. 32). The amplitude of a + chamber is
+the maximum sensed bend in the period. The amplitude of a − chamber is the negated
+minimum. Different target amplitudes of the two sides steer the snake (`targets`). With
 `steering="targets_and_wave"`, φ also acts on the wave as in Eq. 13, which lengthens the
 fills on the side towards which the snake turns.
 
-In the first periods, the free ones, the duties stay at 1. The amplitudes of the period
-after them are recorded. The target amplitude A is the smallest recorded amplitude,
-which every chamber can reach, or a given value.
+During the first periods, called free periods, all duties stay at 1. The amplitudes of
+the following period are recorded. The target amplitude A is either given or the minimum
+recorded amplitude, which every chamber can reach.
 """
 
 from __future__ import annotations
@@ -39,35 +39,35 @@ if TYPE_CHECKING:
 K_PER_RAD = 0.3
 """Learning gain k, 1/rad (Section 5.1, read as duty per rad)."""
 FREE_PERIODS = 2
-"""Gait periods with all duties at 1 before the recorded one."""
+"""Number of gait periods with all duties at 1 before the recorded period."""
 CARRIER_HZ = 60.0
-"""Carrier frequency of the pulse-width modulation, Hz: Section 5.3 runs the local control at about 60 Hz."""
+"""Carrier frequency of the pulse-width modulation, Hz (about 60 Hz in Section 5.3)."""
 MIN_PULSES = 4
-"""Smallest number of carrier periods in a fill."""
+"""Minimum number of carrier periods in a fill."""
 
 SMALLEST = "smallest"
-"""Value of `target` that selects the smallest recorded amplitude."""
+"""Value of `target` that selects the minimum recorded amplitude."""
 ON_FAULT = ("go_on", "stop")
 CLOCKS = ("chamber", "common")
 TARGETS = "targets"
-"""Value of `steering` with which φ acts on the targets only."""
+"""Value of `steering` for which φ acts on the target amplitudes only."""
 STEERINGS = (TARGETS, "targets_and_wave")
 _CHOICES = {"on_fault": ON_FAULT, "clock": CLOCKS, "steering": STEERINGS}
 
 _MAX_LOST = 0.5
-"""Fraction of lost readings, 1, above which the peak of a period is not used."""
+"""Fraction of lost readings above which the peak of a period is not used."""
 
 
 class ILC(Controller):
-    """Iterative learning control of a gait (module docstring).
+    """Iterative learning control of a gait; see the module docstring.
 
     Attributes:
         frequency: gait frequency f, Hz.
-        offset: φ, positive to the left, between −0.3 and 0.3; may be changed during a
-            run.
-        amplitude: A, rad; None until it is known.
-        duties: learnt duties; the chambers of segments with a fault vent regardless of
-            them.
+        offset: steering offset φ, between −0.3 and 0.3, positive to the left; it may
+            change during a run.
+        amplitude: target amplitude A, rad, or None until it is known.
+        duties: learnt duties; chambers of segments with a fault vent regardless of
+            their duties.
         faults: fault detection of the modules.
     """
 
@@ -97,11 +97,12 @@ class ILC(Controller):
         """Create the controller.
 
         Args:
-            frequency: f, Hz.
-            offset: φ.
-            target: A, rad, or "smallest".
+            frequency: gait frequency f, Hz.
+            offset: steering offset φ, positive to the left.
+            target: target amplitude A, rad, or "smallest" for the minimum recorded
+                amplitude.
             k: learning gain, 1/rad.
-            free_periods: number of periods before the recorded one.
+            free_periods: number of periods before the recorded period.
             carrier_hz: carrier frequency of the pulse-width modulation, Hz.
             on_fault: "go_on" to continue without a faulty module, or "stop" to end the
                 run.
@@ -109,8 +110,9 @@ class ILC(Controller):
                 interrupt per gait period of the dissertation.
             steering: "targets", or "targets_and_wave", where φ also acts on the wave as
                 in Eq. 13.
-            phase: ψ of the wave, rad.
-            phase_step: β, rad; None uses that of the robot.
+            phase: phase ψ of the wave, rad.
+            phase_step: phase lag β per segment, rad; None uses the phase lag of the
+                robot.
 
         Raises:
             InputError: a number is out of range, or a fill has too few pulses.
@@ -152,7 +154,7 @@ class ILC(Controller):
 
     @property
     def offset(self) -> float:
-        """Steering offset φ; it changes the targets and, depending on `steering`, the wave."""
+        """Steering offset φ of the targets and, if selected, of the wave."""
         return self._offset
 
     @offset.setter
@@ -202,7 +204,7 @@ class ILC(Controller):
         return valves
 
     def signals(self) -> dict[str, Any]:
-        """Return duties, targets, latest amplitudes and offset; unknown values are NaN."""
+        """Return duties, targets, latest amplitudes (NaN if unknown) and offset."""
         return {
             "duty_plus": self._command[:, 0],
             "duty_minus": self._command[:, 1],
@@ -214,11 +216,11 @@ class ILC(Controller):
         }
 
     def events(self) -> list[Event]:
-        """Return the events since the last call: updates, targets, saturated duties, faults."""
+        """Return new events: updates, targets, saturated duties and faults."""
         return super().events() + self.faults.events()
 
     def describe(self) -> dict[str, object]:
-        """Return the settings, the first fill of each chamber, A, and the detected faults."""
+        """Return settings, fill starts, target amplitude and detected faults."""
         return {
             "k_per_rad": self._k,
             "carrier_hz": self._carrier_hz,
@@ -233,7 +235,6 @@ class ILC(Controller):
         }
 
     def _steer_wave(self) -> None:
-        """Apply the offset to the wave and to the fill starts, if `steering` includes the wave."""
         if self._steering != TARGETS and self._gait.offset != self._offset:
             self._gait.offset = self._offset
             self._periods.steer(math.asin(self._offset))
@@ -249,10 +250,9 @@ class ILC(Controller):
         self._set_commands()
 
     def _set_commands(self) -> None:
-        """Set the commanded duties and the targets; idle segments get duty 0 and target NaN.
+        """Set duties and targets; idle segments get duty 0 and target NaN.
 
-        It is called after every change of its inputs rather than in every tick, which
-        saves time.
+        To save time, this method is called only after a change of its inputs.
         """
         working = self.faults.working[:, None]
         amplitude = math.nan if self.amplitude is None else self.amplitude
@@ -262,7 +262,6 @@ class ILC(Controller):
         self.finished = self._on_fault == "stop" and bool(self.faults.detected)
 
     def _learn(self, time: float) -> None:
-        """Check the modules and update the duties of the chambers that have completed a period."""
         periods = self._periods
         faults = self.faults
         ended = periods.advance(time)
@@ -286,13 +285,13 @@ class ILC(Controller):
         updated = measured & ~free & faults.working[:, None]
         self._events += self.duties.learn(time, updated, peak, self._targets)
         self._events += self.duties.converged(time, faults.working)
-        # Report once per gait period, after the chamber that fills last.
+        # Report once per gait period, when the chamber that fills last has ended its
+        # period.
         if ended[self._last_chamber]:
             number = int(periods.number[self._last_chamber]) - 1
             self._events += self.duties.summary(time, number, faults.working)
 
     def _record_amplitudes(self, time: float, measured: np.ndarray) -> None:
-        """Record amplitudes up to the period after the free ones; then set the target amplitude."""
         number = self._periods.number
         working = self.faults.working
         recorded = measured & (

@@ -10,10 +10,9 @@ swings between straight and left. Both chambers are therefore vented in a test. 
 segment then rests bent, the chamber on that side is stuck open. If it rests straight,
 the chamber that was too weak is stuck shut. A chamber that was too strong although its
 segment rests straight has another cause (a load or a biased sensor), and the segment
-works again.
-
-The bend at rest is the mean over a whole period, so that the gait of the other segments
-cancels. The mean begins half a period after venting, when the chambers are empty.
+works again. The bend at rest is the mean over a whole period, so that the gait of the
+other segments cancels. The mean begins half a period after venting, when the chambers
+are empty.
 """
 
 from __future__ import annotations
@@ -29,17 +28,17 @@ from srs_twin.trajectory import Event
 STILL_RAD = 0.02
 """Range of the readings in a period up to which they count as unchanged, rad."""
 MIN_DRIVING_DUTY = 0.1
-"""Smallest duty that must move a segment, 1."""
+"""Minimum duty that must move a segment, dimensionless."""
 WEAK_RATIO = 0.1
-"""Amplitude divided by its target below which a chamber at full duty is too weak, 1."""
+"""Ratio of amplitude to target below which a chamber at full duty is too weak."""
 STRONG_RATIO = 1.05
-"""Amplitude divided by its target above which a chamber at duty 0 is too strong, 1."""
+"""Ratio of amplitude to target above which a chamber at duty 0 is too strong."""
 SUSPICIOUS_PERIODS = 2
-"""Successive periods in which a chamber must be too weak or too strong before it is tested."""
+"""Number of successive periods with too weak or too strong a chamber before a test."""
 VENTING_PERIODS = 0.5
-"""Time for which chambers vent before the bend at rest is measured, periods."""
+"""Venting time before the bend at rest is measured, in periods."""
 BENT_RATIO = 0.5
-"""Bend at rest divided by the target above which a vented segment counts as bent, 1."""
+"""Ratio of bend at rest to target above which a vented segment counts as bent."""
 
 
 class ModuleFaults(Stateful):
@@ -58,7 +57,7 @@ class ModuleFaults(Stateful):
     )
 
     def __init__(self, segments: int, period: float) -> None:
-        """Initialise without faults.
+        """Initialise the detection without faults.
 
         Args:
             segments: number of segments.
@@ -69,7 +68,8 @@ class ModuleFaults(Stateful):
         self.tested = np.zeros(segments, dtype=bool)
         self.resumed = np.full(segments, -math.inf)
         self._period = period
-        # Successive periods in which each chamber was too weak, or too strong.
+        # The two arrays count successive periods in which a chamber was too weak or too
+        # strong.
         self._weak = np.zeros((segments, 2), dtype=int)
         self._strong = np.zeros((segments, 2), dtype=int)
         self._cleared = np.zeros((segments, 2), dtype=bool)
@@ -96,10 +96,11 @@ class ModuleFaults(Stateful):
         """Detect dead sensors.
 
         Args:
-            time: s.
-            ended: chambers that have completed a period, shape (segments, 2).
-            duty: their duties in that period, same shape.
-            periods: readings of that period.
+            time: time of the check, s.
+            ended: mask of the chambers that have completed a period, shape (segments,
+                2).
+            duty: duties in the completed period, shape (segments, 2).
+            periods: periods of all chambers, with the readings of the completed period.
         """
         # The first period of a chamber may be incomplete: some chambers already fill at
         # time 0.
@@ -127,10 +128,10 @@ class ModuleFaults(Stateful):
         All arrays have the shape (segments, 2).
 
         Args:
-            time: s.
-            ended: chambers that have completed a period.
-            duty: duties in that period.
-            peak: amplitudes in that period, rad; NaN where they are unknown.
+            time: time of the check, s.
+            ended: mask of the chambers that have completed a period.
+            duty: duties in the completed period.
+            peak: amplitudes in the completed period, rad, or NaN if unknown.
             target: target amplitudes, rad.
         """
         ended = ended & self.working[:, None] & ~np.isnan(peak)
@@ -142,10 +143,12 @@ class ModuleFaults(Stateful):
         self._start_tests(time, suspected, target)
 
     def check_amplitudes(self, time: float, peaks: np.ndarray) -> None:
-        """Start tests of the segments whose amplitude is far below the median, before a target is known.
+        """Start tests of segments whose amplitude is far below the median.
+
+        The check is used before a target amplitude is known.
 
         Args:
-            time: s.
+            time: time of the check, s.
             peaks: amplitudes in the recorded free periods, shape (periods, segments,
                 2), rad.
         """
@@ -158,7 +161,6 @@ class ModuleFaults(Stateful):
     def _start_tests(
         self, time: float, chambers: np.ndarray, target: np.ndarray
     ) -> None:
-        """Vent the segments of suspected chambers; arrays have the shape (segments, 2), targets in rad."""
         for j in np.flatnonzero(chambers.any(axis=1) & self.working):
             self.tested[j] = True
             self._bent_above[j] = BENT_RATIO * float(target[j].min())
@@ -168,11 +170,11 @@ class ModuleFaults(Stateful):
             self._events.append(Event(time, "fault_suspected", text))
 
     def update_tests(self, time: float, reading: np.ndarray) -> None:
-        """Add the readings of one tick to the running tests, and end the tests that are complete.
+        """Add the readings of one tick to the running tests and end the complete tests.
 
         Args:
-            time: s.
-            reading: shape (segments,), rad.
+            time: time of the readings, s.
+            reading: sensed bends, shape (segments,), rad.
         """
         elapsed = (time - self._test_started) / self._period
         resting = self.tested & (elapsed >= VENTING_PERIODS)
@@ -185,7 +187,6 @@ class ModuleFaults(Stateful):
             self._end_test(time, int(j), rest)
 
     def _end_test(self, time: float, j: int, rest: float) -> None:
-        """Report the fault of segment j from its bend at rest (rad), or clear the segment."""
         weak = self._weak[j] >= SUSPICIOUS_PERIODS
         if abs(rest) > self._bent_above[j]:
             side = SIDES[int(rest < 0)]

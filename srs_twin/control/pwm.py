@@ -1,4 +1,4 @@
-"""Pulse-width modulation of valves in slots that are shorter than a control tick."""
+"""Pulse-width modulation of valves in slots shorter than a control tick."""
 
 from __future__ import annotations
 
@@ -16,19 +16,20 @@ from srs_twin.robot.scale import SHIPPED, Scale
 class PulseWidthModulator(Stateful):
     """Pulse-width modulation of 3/2 valves.
 
-    In each carrier period a chamber fills for the fraction given by its duty, and vents
-    for the rest. By default the pulse of the + chamber begins at the start of the
-    period and that of the − chamber ends at its end. If the two duties add up to 1, the
-    two valves are then always in opposite states, as in Fig. 45c. With `aligned`, both
-    pulses begin at the start of the period, so that both chambers are treated alike.
+    In each carrier period a chamber fills for the fraction of time given by its duty,
+    and vents for the rest. By default the pulse of the + chamber begins at the start of
+    the period, and the pulse of the − chamber ends at the end of the period. If the two
+    duties add up to 1, the two valves are then always in opposite states, as in Fig.
+    45c. With `aligned`, both pulses begin at the start of the period, so that both
+    chambers are treated alike.
 
-    A period may be a fractional number of ticks or slots: a slot belongs to the period,
-    and to the pulse, that contains its centre. The length of a pulse is therefore wrong
-    by at most one slot, and the mean over many periods is exact. A valve opens at most
-    once per period, and does not switch at duties of 0 and 1.
+    A period may last a fractional number of ticks or slots. A slot belongs to the
+    period and to the pulse that contain its centre. The length of a pulse is therefore
+    wrong by at most one slot, and the mean over many periods is exact. A valve opens at
+    most once per period and does not switch at duties of 0 and 1.
 
-    The switching time of 3 ms is part of τ₂ (`LagPneumatics`), which smooths shorter
-    pulses. They are not suppressed here.
+    The modulator does not suppress pulses shorter than the switching time of 3 ms.
+    `LagPneumatics` smooths them, because its τ₂ includes the switching time.
 
     Attributes:
         period: carrier period, s.
@@ -52,14 +53,14 @@ class PulseWidthModulator(Stateful):
 
         Args:
             carrier_hz: carrier frequency, Hz.
-            tick: s.
+            tick: control tick, s.
             segments: number of segments.
             aligned: whether the pulses of both chambers begin at the start of the
                 period.
             allow_long_ticks: whether a tick may be longer than a period, for
                 controllers that do not update the duties in every period.
-            scale: units of the robot, for the length of the slots.
-            chambers: number of chambers per segment; other numbers than 2 need
+            scale: scale of the robot, which sets the length of the slots.
+            chambers: number of chambers per segment. Numbers other than 2 need
                 `aligned`.
 
         Raises:
@@ -82,19 +83,22 @@ class PulseWidthModulator(Stateful):
         self.duty = np.zeros((segments, chambers))
 
     def due(self) -> bool:
-        """Return whether a period begins in the next tick, so that `step` uses new duties."""
+        """Return whether a period begins in the next tick.
+
+        In a tick in which a period begins, `step` uses new duties.
+        """
         return self._last_period() != self._period_number
 
     def step(self, duty: np.ndarray) -> np.ndarray:
         """Return the valve states of the next tick.
 
         Args:
-            duty: duties of the + and − chambers, shape (segments, 2). They are used if
-                a period begins in this tick; otherwise the current period continues
-                with its own duties.
+            duty: duties of the + and − chambers, shape (segments, 2). The duties are
+                used if a period begins in this tick. Otherwise the current period
+                continues with its own duties.
 
         Returns:
-            +1 fill, −1 vent, shape (slots, segments, 2), int8.
+            Valve states, +1 to fill and −1 to vent, shape (slots, segments, 2), int8.
 
         Raises:
             InputError: a duty is outside 0 to 1, or the shape is wrong.

@@ -1,4 +1,4 @@
-"""Reference signals: bend over time that a controller follows."""
+"""Reference signals: bends over time that a controller tracks."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ POLICIES: tuple[Policy, ...] = ("refuse", "saturate")
 """Treatment of a reference that exceeds the range of the module."""
 
 _ROUNDING = 1e-9
-"""Tolerance for comparing times, s or a fraction of a period: ticks are summed with rounding errors."""
+"""Tolerance for comparing times, s, or phases, as a fraction of a period."""
 
 
 @dataclass(frozen=True)
 class Reference(ABC):
     """Bend over time, rad.
 
-    Times are numbers or arrays, and the results have their shape.
+    Methods accept a time or an array of times and return an array of equal shape.
     """
 
     @property
     @abstractmethod
     def peak(self) -> float:
-        """Largest magnitude of the reference, rad."""
+        """Maximum magnitude of the reference, rad."""
 
     @abstractmethod
     def value(self, time: ArrayLike) -> Array:
@@ -42,15 +42,17 @@ class Reference(ABC):
         return np.zeros_like(np.asarray(time, dtype=float))[()]
 
     def is_clipped(self, time: ArrayLike) -> np.ndarray:
-        """Return whether the reference is clipped to the range of the module at a time (s)."""
+        """Return whether the reference is clipped at a time (s)."""
         return np.zeros(np.shape(time), dtype=bool)[()]
 
     def limited(self, limit: float, policy: Policy = "refuse") -> Reference:
         """Return a reference that stays within the range of the module.
 
         Args:
-            limit: largest bend of the module, rad: its gain times the supply pressure.
-            policy: "refuse" a reference that exceeds the limit, or "saturate" it.
+            limit: maximum bend of the module, rad, which is its gain times the supply
+                pressure.
+            policy: "refuse" to reject a reference beyond the limit, or "saturate" to
+                clip it.
 
         Raises:
             InputError: the reference exceeds the limit and the policy is "refuse", or
@@ -88,7 +90,7 @@ class Constant(Reference):
     """Constant bend.
 
     Attributes:
-        bend: rad.
+        bend: value of the bend, rad.
     """
 
     bend: float
@@ -105,10 +107,10 @@ class Constant(Reference):
 
 @dataclass(frozen=True)
 class Staircase(Reference):
-    """Sequence of bends of equal duration; the last one continues.
+    """Sequence of bends of equal duration, the last of which continues for ever.
 
     Attributes:
-        bends: rad, one or more.
+        bends: one or more bends, rad.
         hold: duration of each bend, s.
     """
 
@@ -185,13 +187,13 @@ class _Periodic(Reference):
 
 @dataclass(frozen=True)
 class Sine(_Periodic):
-    """offset + amplitude · sin(2π · frequency · t + phase).
+    """Sine wave, offset + amplitude · sin(2π · frequency · t + phase).
 
     Attributes:
-        amplitude: rad, above 0.
-        frequency: Hz, above 0.
-        phase: rad.
-        offset: rad.
+        amplitude: amplitude, rad, above 0.
+        frequency: frequency, Hz, above 0.
+        phase: phase at time 0, rad.
+        offset: mean value, rad.
     """
 
     def value(self, time: ArrayLike) -> Array:
@@ -205,13 +207,15 @@ class Sine(_Periodic):
 
 @dataclass(frozen=True)
 class Square(_Periodic):
-    """offset ± amplitude with the sign of the corresponding sine, + where the sine is 0.
+    """Square wave, offset ± amplitude, with the sign of the corresponding sine.
+
+    The sign is positive where the sine is 0.
 
     Attributes:
-        amplitude: rad, above 0.
-        frequency: Hz, above 0.
-        phase: rad.
-        offset: rad.
+        amplitude: amplitude, rad, above 0.
+        frequency: frequency, Hz, above 0.
+        phase: phase at time 0, rad.
+        offset: mean value, rad.
     """
 
     def value(self, time: ArrayLike) -> Array:
@@ -228,7 +232,7 @@ class ClippedReference(Reference):
 
     Attributes:
         unclipped: original reference.
-        limit: largest bend to either side, rad.
+        limit: maximum bend to either side, rad.
     """
 
     unclipped: Reference

@@ -1,4 +1,4 @@
-"""Open-loop controllers: recorded valve states (`Replay`) and constant ones (`HoldValves`, Fig. 41)."""
+"""Open-loop replay of recorded valve states, and constant valve states (Fig. 41)."""
 
 from __future__ import annotations
 
@@ -13,13 +13,15 @@ from srs_twin.robot.spec import RobotSpec
 
 
 class Replay(Controller):
-    """Open-loop replay of a valve schedule from time 0; its last state is held after its end.
+    """Open-loop replay of a valve schedule from time 0.
+
+    The last valve states are held after the end of the schedule.
 
     Attributes:
         schedule: recorded valve states.
-        frequency: gait frequency of the recording, Hz; None if it was not periodic.
-        layouts: valve layouts that have all recorded states; only separate valves can
-            hold.
+        frequency: gait frequency of the recording, Hz, or None if it was not periodic.
+        layouts: names of the valve layouts that have all recorded states. Only separate
+            inlet and outlet valves can hold.
     """
 
     kind = "replay"
@@ -46,7 +48,10 @@ class Replay(Controller):
         self._slot_centres = tick * (np.arange(slots) + 0.5) / slots
 
     def step(self, state: SnakeState) -> np.ndarray:
-        """Return the valve states of the next tick; without the slot axis if no state changes in it."""
+        """Return the valve states of the next tick.
+
+        The array has no slot axis if no state changes within the tick.
+        """
         schedule = self.schedule
         time = float(state.time) + self._slot_centres
         runs = np.searchsorted(schedule.starts, time, side="right") - 1
@@ -72,10 +77,11 @@ def layouts_for(states: ArrayLike) -> tuple[str, ...]:
 
 
 class HoldValves(Controller):
-    """Open-loop controller with the same constant valve states in all segments.
+    """Open-loop controller with constant valve states, equal in all segments.
 
     Attributes:
-        layouts: valve layouts that have both states; only separate valves can hold.
+        layouts: names of the valve layouts that have both states. Only separate inlet
+            and outlet valves can hold.
     """
 
     kind = "hold_valves"

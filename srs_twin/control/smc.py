@@ -5,49 +5,50 @@ the sliding variable
 
 $$ \sigma = \dot e + D e, \qquad e = r - q \qquad (\text{Eq. 24, 31}). $$
 
-On σ = 0 the error decays as e^{−Dt}. The controllers differ in how they estimate ė from
-noisy readings, and in how they convert σ to valve states.
+The gain D is the rate of convergence: on σ = 0 the error decays as e^{−Dt}. The
+controllers differ in how they estimate ė from noisy readings, and in how they convert σ
+to valve states.
 
 `VelocityFilter` estimates the rate of a noisy reading, because finite differences would
-amplify the noise. It is a second-order low-pass (Butterworth) filter whose rate is used
-as well as its value,
+amplify the noise. It is a second-order Butterworth low-pass filter with the input x and
+the cutoff frequency ω_c. The filter provides both a value and its rate:
 
 $$ \ddot{\hat x} = \omega_c^2 (x - \hat x) - \sqrt2\,\omega_c \dot{\hat x}, \qquad \hat v = \dot{\hat x}, $$
 
-solved exactly for a reading that is linear between ticks. Both outputs are delayed by
-√2/ω_c at frequencies far below the cutoff (9 ms at 25 Hz, 0.34 rad of a 6 Hz sine).
-White noise of standard deviation s, sampled every T, gives a noise of about s √(ω_c³ T
-/ √8) in the rate; finite differences would give s √2 / T. For 0.2° sampled every
-millisecond and 25 Hz these are 7°/s and 283°/s.
+The equation is solved exactly for a reading that is linear between ticks. Both outputs
+are delayed by √2/ω_c at frequencies far below the cutoff (9 ms at 25 Hz, 0.34 rad of a
+6 Hz sine). White noise of standard deviation s, sampled every T, gives a noise of about
+s √(ω_c³ T / √8) in the rate; finite differences would give s √2 / T. For noise of 0.2°
+sampled every millisecond and a cutoff of 25 Hz, the two values are 7°/s and 283°/s.
 
 `DirectSMC` sets the states of separate inlet and outlet valves (Eq. 31):
 
 $$ \sigma > \varepsilon: \text{fill +, vent −}; \qquad \sigma < -\varepsilon: \text{vent +, fill −};
 \qquad |\sigma| \le \varepsilon: \text{hold both}. $$
 
-At rest σ = D e, so errors up to ε/D persist. The bend and its rate come from the same
-`VelocityFilter`: with an equal delay of both, σ is the delayed true one, and the noise
-of D e is filtered as well. The printed D = 0.5 1/s would give a time constant of 2 s,
-and the printed ε = 2°/s is below the noise of any rate estimate that is fast enough
-(E6).
+At rest σ = D e, so errors up to ε/D persist. One `VelocityFilter` estimates both the
+bend and its rate. The delays of e and ė are therefore equal, so that σ is the delayed
+true value, and the noise of D e is filtered as well. The printed D = 0.5 1/s would give
+a time constant of 2 s. The printed ε = 2°/s is below the noise of any rate estimate
+that is fast enough (E6).
 
 `IterativeSMC` sets the duties of pulse-width modulated 3/2 valves (Eq. 30). Once per
 carrier period T,
 
 $$ \mu \leftarrow \operatorname{clip}\bigl(\mu + K (\dot e + D e),\, -1,\, 1\bigr), $$
 
-and the chambers get the duties (1 + μ)/2 and (1 − μ)/2. This is the
-proportional-integral law μ = (K/T) e + (K D/T) ∫e dt, clipped without wind-up: μ leaves
-its bound at the first σ of the other sign.
+and the chambers get the duties (1 + μ)/2 and (1 − μ)/2. The controller is equivalent to
+the proportional-integral law μ = (K/T) e + (K D/T) ∫e dt with clipping. There is no
+wind-up, because μ leaves its bound as soon as σ changes sign.
 
 Both e and ė are means over the last period; the mean of ė is the difference of e
 between the ends of the period, divided by T. A mean over a whole period does not
-contain the ripple that the valves cause. A single reading per period would always be
-taken at the same phase of the ripple, which gives an offset of several degrees. A step
-of the reference contributes to ė.
+contain the ripple due to the valves. A single reading per period would always sample
+one phase of the ripple, which would cause an offset of several degrees. A step of the
+reference contributes to ė.
 
-Eq. 29 and Eq. 30 disagree on whether K multiplies D e (E6). Here it does; D of the
-other form is D K.
+Eq. 29 and Eq. 30 disagree on whether K multiplies D e (E6). Here K multiplies D e. In
+the other form, D K takes the place of D.
 """
 
 from __future__ import annotations
@@ -72,22 +73,23 @@ if TYPE_CHECKING:
 
 
 class VelocityFilter(Stateful):
-    """Second-order low-pass filter for a value and its rate (module docstring).
+    """Second-order low-pass filter for a value and its rate; see the module docstring.
 
     Attributes:
-        value: x̂, shape (segments,), unit of the readings.
-        rate: v̂, shape (segments,), unit of the readings per second.
+        value: filtered readings x̂, shape (segments,), unit of the readings.
+        rate: estimated rates v̂, shape (segments,), unit of the readings per second.
         lag: delay √2/ω_c of both outputs, s.
     """
 
     state_attributes = ("_last", "value", "rate")
 
     def __init__(self, cutoff_hz: float | np.ndarray, tick: float) -> None:
-        """Create a filter; its first reading is treated as a state of rest.
+        """Create a filter, which treats its first reading as a state of rest.
 
         Args:
-            cutoff_hz: ω_c/2π, one value for all segments or one per segment, Hz.
-            tick: T, s.
+            cutoff_hz: cutoff frequency ω_c/2π, Hz, one value for all segments or one
+                per segment.
+            tick: control tick T, s.
 
         Raises:
             InputError: a cutoff is not finite and above 0.
@@ -111,14 +113,14 @@ class VelocityFilter(Stateful):
         """Update the filter with the reading of one tick.
 
         Args:
-            reading: shape (segments,).
+            reading: sensed values, shape (segments,).
         """
         if self._last is None:
             self.value = np.array(reading, dtype=float)
             self.rate = np.zeros(np.shape(reading))
         else:
-            # The particular solution for a linear reading is that line, delayed by the
-            # lag; the deviation from it is a homogeneous solution and decays.
+            # For a linear reading, the particular solution is the reading delayed by
+            # the lag. The deviation from it is a homogeneous solution and decays.
             slope = (reading - self._last) / self._tick
             deviation = self.value - (self._last - slope * self.lag)
             rate_deviation = self.rate - slope
@@ -141,9 +143,10 @@ Gain = float | np.ndarray
 
 @dataclass(eq=False)
 class SlidingMode(Controller):
-    """Base class of the sliding mode controllers; each segment follows the reference independently.
+    """Base class of the sliding mode controllers.
 
-    They use the sensed bends only, and `SensorReadings` replaces lost ones.
+    Each segment follows the reference independently. The controllers use sensed bends
+    only, and `SensorReadings` replaces lost readings.
 
     Attributes:
         gains: names of the attributes that may differ between segments.
@@ -173,7 +176,7 @@ class SlidingMode(Controller):
         """See `Controller.reset`.
 
         Raises:
-            InputError: the shape of a gain is neither that of one number nor
+            InputError: a gain is neither a single number nor an array of shape
                 (segments,).
         """
         for name in self.gains:
@@ -194,8 +197,8 @@ class SlidingMode(Controller):
     def signals(self) -> dict[str, Any]:
         """Return the reference, e and σ.
 
-        The reference belongs to the end of the tick, where signals are sampled; e and σ
-        belong to its start.
+        Signals are sampled at the end of the tick. The reference is its value at the
+        end of the tick, while e and σ are values at the start.
         """
         return {
             "reference": self._next_reference,
@@ -204,7 +207,6 @@ class SlidingMode(Controller):
         }
 
     def _read_sensors(self, state: SnakeState) -> float:
-        """Update the readings and the reference at the end of the tick; return the start of the tick, s."""
         time = float(state.time)
         self._events += self._readings.update(time, state.sensed)
         next_reference = float(self.reference.value(time + self._tick))
@@ -232,7 +234,7 @@ CUTOFF_HZ = 16.0
 
 @dataclass(eq=False)
 class DirectSMC(SlidingMode):
-    """Sliding mode controller that sets the valve states in every tick (module docstring).
+    """Sliding mode controller that sets the valve states in every tick.
 
     Attributes:
         D: slope of the sliding manifold, 1/s.
@@ -286,7 +288,7 @@ CARRIER_HZ = 60.0
 
 @dataclass(eq=False)
 class IterativeSMC(SlidingMode):
-    """Sliding mode controller that updates the duties once per carrier period (module docstring).
+    """Sliding mode controller that updates the duties once per carrier period.
 
     Attributes:
         K: gain, s/rad.
@@ -334,7 +336,7 @@ class IterativeSMC(SlidingMode):
         )
 
     def signals(self) -> dict[str, Any]:
-        """Return the signals of `SlidingMode`, μ, and the duties of the current period."""
+        """Return the signals of `SlidingMode`, μ, and the current duties."""
         plus, minus = self._pulses.duty.T
         return super().signals() | {
             "mu": self._mu,
@@ -343,7 +345,10 @@ class IterativeSMC(SlidingMode):
         }
 
     def _update(self) -> None:
-        """Update μ from the mean errors since the last update; before the first one the error was 0."""
+        """Update μ from the mean errors since the last update.
+
+        The error before the first update counts as 0.
+        """
         elapsed = self._count * self._tick or self._pulses.period
         mean = self._error_sum / max(self._count, 1)
         self._sigma = (self._error - self._last_error) / elapsed + self.D * mean

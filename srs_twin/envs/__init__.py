@@ -1,9 +1,10 @@
-"""Reinforcement-learning environments on the twin for Gymnasium and dm_env (docs/environments.md).
+"""Reinforcement-learning environments for Gymnasium and dm_env.
 
-Importing this package registers the tasks of `TASKS`, as ``SRSTwin/GoTo-v0`` and so on.
-`gymnasium.make("srs_twin.envs:SRSTwin/GoTo-v0")` imports it: since version 1.0
-Gymnasium does not search entry points. `srs_twin.envs.dm.load("GoTo")` returns the same
-task for dm_env, without Gymnasium.
+Importing this package registers the tasks of `TASKS` as ``SRSTwin/GoTo-v0`` and so on.
+The id ``srs_twin.envs:SRSTwin/GoTo-v0`` imports the package first, because Gymnasium
+since version 1.0 does not search entry points. `srs_twin.envs.dm.load("GoTo")` returns
+the corresponding task for dm_env and does not need Gymnasium. docs/environments.md
+describes the tasks.
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ def _register() -> None:
             entry_point="srs_twin.envs.gymnasium:SnakeEnv",
             vector_entry_point="srs_twin.envs.gymnasium:SnakeVectorEnv",
             kwargs={"task": task},
-            # No wrappers: SnakeEnv checks order and types itself, and `copy.copy` of a
-            # wrapper would share the environment.
+            # Wrappers are disabled, because SnakeEnv checks order and types itself and
+            # `copy.copy` of a wrapper would share the environment.
             order_enforce=False,
             disable_env_checker=True,
         )

@@ -1,13 +1,14 @@
-"""Pegs and Grasp: crawl to a goal among posts, and drag an object with the tail.
+"""Tasks Pegs and Grasp: crawl to a goal among pegs, and drag an object with the tail.
 
-Pegs: the skin of the snake has the same friction in every direction, so that it hardly
-moves without posts. Its goal may be in any direction, because almost every gait moves
-the snake among posts, but only steering brings it to a given place.
+Pegs: the skin of the snake has isotropic friction, so the snake hardly moves without
+pegs. Almost every gait moves the snake among pegs, but only steering brings it to a
+given place. The goal may therefore be in any direction.
 
 Grasp: the tail of a chain of modules has to curl around a cylinder and drag it. The
-object is gripped in a step if it presses on opposite sides of the tail, and held if it
-was gripped and at rest in the tail for the last `HELD_S`. Only the way that the object
-moves while it is gripped is rewarded, so that pushing it away is no success.
+object is gripped in a step if it presses on opposite sides of the tail. The object is
+held if it was gripped and at rest in the tail for the last `HELD_S` seconds. The reward
+counts only motion of the object while it is gripped, so pushing the object away is no
+success.
 """
 
 from __future__ import annotations
@@ -48,38 +49,38 @@ ISOTROPIC_SKIN = {"base": "skin_example", "contact": _SKIN}
 """Robot of the scenario pegs_skin."""
 
 _GOAL_DISTANCES_M = (0.8, 1.0)
-"""Smallest and largest distance of the goal, m."""
+"""Minimum and maximum distance of the goal, m."""
 
 _PITCH_M = 0.13
-"""Distance between posts of a row and between rows, m, as in pegs_skin."""
+"""Distance between adjacent pegs in a row and between rows, m, as in pegs_skin."""
 
 _RADIUS_M = 0.02
-"""Radius of a post, m, as in pegs_skin."""
+"""Radius of a peg, m, as in pegs_skin."""
 
 _JITTER_M = 0.005
-"""Largest random displacement of a post, m, as in pegs_skin."""
+"""Maximum random displacement of a peg, m, as in pegs_skin."""
 
 _FRICTION = 0.2
-"""Friction coefficient of the posts, 1, as in pegs_skin."""
+"""Friction coefficient of the pegs, dimensionless, as in pegs_skin."""
 
 _ROWS = 18
-"""Number of rows; even, so that the snake is in the middle between two rows."""
+"""Number of rows, which is even so that the snake starts midway between two rows."""
 
 _COLUMNS = 18
-"""Number of posts in a row."""
+"""Number of pegs in a row."""
 
 _SEEN_PEGS = 4
-"""Number of posts in an observation."""
+"""Number of pegs in an observation."""
 
 _FAR_M = 3.0
-"""Largest observed distance, m."""
+"""Maximum observed distance, m."""
 
 _ROOM = Bounds((-1.5, 1.5), (-1.5, 1.5))
-"""Bounds of both tasks, m."""
+"""Bounds of the room in both tasks, m."""
 
 
 class PegsEpisode(CrawlEpisode):
-    """Episode of crawling to a goal among posts, which carry the snake."""
+    """Episode of crawling to a goal among pegs."""
 
     collisions_end = False
 
@@ -93,14 +94,17 @@ class PegsEpisode(CrawlEpisode):
 
 
 class PegsTask(CrawlTask):
-    """Task of crawling to a goal among posts (module docstring)."""
+    """Task of crawling to a goal among pegs; see the module docstring."""
 
     episode_class = PegsEpisode
 
     def __init__(
         self, *, robot: Robot = ISOTROPIC_SKIN, limit_s: float = 12.0, **settings: Any
     ) -> None:
-        """Create the task; arguments and errors as in `CrawlTask`, with 3 hinges per segment."""
+        """Create the task with 3 hinges per segment.
+
+        See `CrawlTask` for arguments and errors.
+        """
         arena = Arena(
             _ROOM,
             (0.0, 0.0),
@@ -133,10 +137,10 @@ CHAIN = {
     "geometry": {"connectors": 13},
     "gait": {"phase_step_rad": math.pi / 4},
 }
-"""Robot of the scenario grasp_cylinder: twelve modules, of which eight crawl with one wave."""
+"""Robot of scenario grasp_cylinder: twelve modules, of which eight crawl."""
 
 HOLD = 4
-"""Number of holding modules, at the tail."""
+"""Number of holding modules at the tail."""
 
 DRAG_M = 0.3
 """Distance by which the object must move, m."""
@@ -145,13 +149,13 @@ HELD_S = 2.0
 """Time for which the object must be held at the end, s."""
 
 _OPPOSITE_RAD = 2 * math.pi / 3
-"""Angle between two forces on opposite sides, rad; of forces in balance, two differ by at least as much."""
+"""Minimum angle between two forces on opposite sides, rad."""
 
 _TOUCH_N = 0.02
-"""Smallest force of a contact, mean of a step, N."""
+"""Minimum mean force of a contact during a step, N."""
 
 _SLIP_M = 0.02
-"""Largest change of a distance between a held object and a connector, m, as in docs/objects.md."""
+"""Maximum change of distance between a held object and a connector, m."""
 
 GRASP_FREQUENCY_HZ = 2.0
 """Gait frequency of the crawling modules, Hz."""
@@ -160,33 +164,38 @@ TIMESTEP_S = 0.002
 """Time step of the twin, s, as in docs/objects.md."""
 
 _LOST_M = 0.25
-"""Distance of the object from the middle of the holding modules beyond which it is lost, m. It begins within
-0.1 m, and a tail that curls to the wrong side stays within this distance."""
+"""Distance from object to the middle of the holding modules in a lost grasp, m.
+
+The object starts within 0.1 m. A tail that curls to the wrong side stays closer than
+this limit.
+"""
 
 _PULSES = 5
-"""Pulses of the holding modules in a step; a slower carrier would push the object away.
+"""Number of pulses per step of the holding modules.
+
+A slower carrier would push the object away.
 """
 _SLOTS = 100
-"""Slots of a step with constant valves."""
+"""Number of slots per step, each with constant valve states."""
 
 _OBJECT_RADII_M = (0.020, 0.030)
-"""Radii of the objects, m, as in docs/objects.md."""
+"""Minimum and maximum radius of an object, m, as in docs/objects.md."""
 
 _MASSES_KG = (0.02, 0.10)
-"""Masses of the objects, kg, as in docs/objects.md."""
+"""Minimum and maximum mass of an object, kg, as in docs/objects.md."""
 
 _LOADS_N = (0.05, 0.25)
-"""Friction forces of the objects on the floor, N, as in docs/objects.md."""
+"""Minimum and maximum friction of an object on the floor, N, as in docs/objects.md."""
 
 _BEHIND_M = (0.12, 0.16)
-"""Distances of the objects behind the front of the holding modules, m."""
+"""Minimum and maximum distance of an object behind the first holding module, m."""
 
 _GAPS_M = (0.002, 0.015)
-"""Gaps between object and body, m."""
+"""Minimum and maximum gap between object and body, m."""
 
 
 class GraspTask(CameraTask):
-    """Task of dragging a cylinder with the tail (module docstring)."""
+    """Task of dragging a cylinder with the tail; see the module docstring."""
 
     name = "Grasp"
     has_obstacles = True
@@ -347,7 +356,6 @@ class GraspEpisode(ObservedEpisode):
         }
 
     def _is_gripped(self) -> bool:
-        """Return whether the object pressed on opposite sides of the holding modules in the last step."""
         forces = np.asarray(self.state.obstacle_force)[-HOLD - 1 :]
         directions = [
             np.arctan2(y, x) for x, y in forces if math.hypot(x, y) > _TOUCH_N
@@ -356,7 +364,6 @@ class GraspEpisode(ObservedEpisode):
         return bool((np.cos(turns) <= math.cos(_OPPOSITE_RAD)).any())
 
     def _is_held(self) -> bool:
-        """Return whether the object was gripped and at rest in the tail for `HELD_S`."""
         steps = round(HELD_S / self._task.step_s)
         return len(self._grips) >= steps and bool(
             (np.ptp(self._grips[-steps:], axis=0) <= _SLIP_M).all()

@@ -1,19 +1,19 @@
-"""GoTo, Obstacles and Crawl3D: crawl to a goal, on an open floor or through gates between circles.
+"""Tasks GoTo, Obstacles and Crawl3D: crawl to a goal on a floor or through gates.
 
-In Obstacles two rows of circles close the room, and each has a gate at a random place.
-A snake that does not see the circles could feel its way along a row, so contact ends
-the episode.
+In Obstacles, two rows of circles close the room, and each row has a gate at a random
+place. Contact with a circle ends the episode, because a snake that does not see the
+circles could otherwise feel its way along a row.
 
-The reward of a step is the sum of the terms `CrawlTask.reward_terms`, each with its
-weight. By default it is the decrease of the distance to the goal in m, plus 1 at the
-goal, minus 1 outside the room or in contact with an obstacle. The first term is
-potential-based shaping with the potential −distance and no discount: its sum is the
-distance gained, so it does not change the ranking of policies that reach the goal.
+The reward of a step is the weighted sum of the terms in `CrawlTask.reward_terms`. By
+default it is the decrease of the distance to the goal in m, plus 1 at the goal, minus 1
+outside the room or in contact with an obstacle. The first term is potential-based
+shaping with the potential −distance and no discount. The sum of this term is the
+decrease of the distance, so the term does not change the ranking of policies that reach
+the goal.
 
 In Crawl3D a spatial robot crawls on an open floor. The agent also commands the pitch
-wave of the gait, so that the robot can undulate, sidewind to both sides or crawl
-rectilinearly (`control.gait`). With a share of 0 the wave to the left and right
-remains.
+wave of the gait (`control.gait`), so that the robot can undulate, sidewind to both
+sides or crawl rectilinearly. With a pitch fraction of 0 only the lateral wave remains.
 """
 
 from __future__ import annotations
@@ -60,35 +60,41 @@ GOAL_RADIUS_M = 0.1
 _PA_PER_KPA = 1e3
 
 _RADII_M = (0.12, 0.14)
-"""Smallest and largest radius of an obstacle, m."""
+"""Minimum and maximum radius of an obstacle, m."""
 
 _SITES = 6
-"""Number of sites in a row of obstacles; one of the inner sites is free."""
+"""Number of sites in a row of obstacles, including the free site of the gate."""
 
 _SPACING_M = 0.30
 """Distance between neighbouring sites, m.
 
-A free site leaves a gate of 0.32 to 0.36 m, and other gaps are at most 0.06 m;
-generation 2 sweeps 0.1 m when straight, 0.17 m in tight turns."""
+A free site leaves a gate of 0.32 to 0.36 m, and other gaps are at most 0.06 m.
+Generation 2 sweeps a width of 0.1 m on a straight path and 0.17 m in tight turns.
+"""
 
 _SHIFT_M = 0.05
-"""Largest random displacement of a row along itself, m."""
+"""Maximum random displacement of a row along its own direction, m."""
 
 _MARGIN_M = 0.5
-"""Distance of observed positions beyond the room, m: a step may end outside, and the camera has noise."""
+"""Margin around the room within which positions can be observed, m.
+
+A step may end outside the room, and the camera has noise.
+"""
 
 
 @dataclass(frozen=True)
 class Arena:
-    """Floor of an episode and the distributions of start and goal; the snake starts at the origin.
+    """Floor of an episode, and distributions of start and goal.
+
+    The snake starts at the origin.
 
     Attributes:
         room: bounds that the centre of mass must not leave.
-        headings: smallest and largest initial heading, rad.
-        distances: smallest and largest distance of the goal, m.
-        bearings: smallest and largest bearing of the goal relative to the heading, rad.
+        headings: minimum and maximum initial heading, rad.
+        distances: minimum and maximum distance of the goal, m.
+        bearings: minimum and maximum bearing of the goal relative to the heading, rad.
         obstacles: number of circles.
-        rows: x of the rows of obstacles, m.
+        rows: x coordinates of the rows of obstacles, m.
         friction: friction coefficient between obstacles and body.
     """
 
@@ -119,7 +125,7 @@ CIRCLES = Arena(
     obstacles=len(_ROWS_M) * (_SITES - 1),
     rows=_ROWS_M,
 )
-"""Floor of task Obstacles: two rows of circles, each with a gate at a random site, close the room."""
+"""Floor of task Obstacles, which two rows of circles with one gate each close."""
 
 FLOOR = Arena(
     room=Bounds((-2.0, 2.0), (-2.0, 2.0)),
@@ -127,16 +133,24 @@ FLOOR = Arena(
     distances=(0.4, 1.0),
     bearings=(-math.pi, math.pi),
 )
-"""Open floor of task Crawl3D; the goal may be in any direction, because a sidewinder does not travel along
-its heading."""
+"""Open floor of task Crawl3D.
+
+The goal may be in any direction, because a sidewinding robot does not travel along its
+heading.
+"""
 
 SPATIAL_FREQUENCIES_HZ = (0.25, 1.0)
-"""Gait frequencies of spatial robots, Hz; at 1 Hz the inertia of the lifted parts is no longer small
-(docs/spatial.md)."""
+"""Minimum and maximum gait frequency of spatial robots, Hz.
+
+At 1 Hz the inertia of the lifted parts is no longer small (docs/spatial.md).
+"""
 
 SPATIAL_RELATIVE_PRESSURES = (0.25, 0.6)
-"""Supply pressures of spatial robots divided by the nominal one, 1: 12 to 29 kPa for `spatial_example`, bends
-of 0.4 to 0.9 rad per segment."""
+"""Minimum and maximum supply pressure of spatial robots over the nominal pressure.
+
+For `spatial_example` they are 12 and 29 kPa, with bends of 0.4 and 0.9 rad per
+segment.
+"""
 
 
 class CrawlEpisode(ObservedEpisode):
@@ -170,7 +184,11 @@ class CrawlEpisode(ObservedEpisode):
         super().__init__(task, twin, state, seed)
 
     def identity(self) -> dict[str, Any]:
-        """See `Episode.identity`; a twin that is reused was built with the goal of an earlier episode."""
+        """See `Episode.identity`.
+
+        The identity includes the world, because a reused twin was built with the goal
+        of an earlier episode.
+        """
         return super().identity() | {"world": short_digest(self.world)}
 
     def set_goal(self, place: object) -> None:
@@ -274,7 +292,7 @@ class SpatialCrawlEpisode(CrawlEpisode):
     state_attributes = ("_pitch",)
 
     _pitch = (0.0, 0.0)
-    """Share and lag (rad) of the last pitch wave."""
+    """Pitch fraction (dimensionless) and lag (rad) of the last pitch wave."""
 
     def _command(self, action: list[float]) -> tuple[GaitCommand, PitchWave | None]:
         share, lag = self._pitch = action[3], action[4]
@@ -285,12 +303,12 @@ class SpatialCrawlEpisode(CrawlEpisode):
 
 
 class CrawlTask(CameraTask):
-    """Task of crawling to a goal (module docstring).
+    """Task of crawling to a goal; see the module docstring.
 
     Attributes:
         arena: floor, and distributions of start and goal.
         limits: bounds of the gait commands.
-        episode_class: class of the episodes.
+        episode_class: class from which episodes are created.
     """
 
     episode_class: ClassVar[type[CrawlEpisode]] = CrawlEpisode
@@ -323,13 +341,14 @@ class CrawlTask(CameraTask):
         """Create the task.
 
         Args:
-            name: name of the task, as registered.
+            name: registered name of the task.
             arena: floor, and distributions of start and goal.
             robot: name, path or keys of the robot.
             limit_s: time limit, s.
-            camera: frame rate and noise of the camera; at least one frame per step.
-            **settings: `fit`, `ranges`, `rewards`, `observations` and settings of the
-                twin, see `Task`.
+            camera: frame rate and noise of the camera, with at least one frame per
+                step.
+            **settings: further arguments of `Task`: `fit`, `ranges`, `rewards`,
+                `observations` and settings of the twin.
 
         Raises:
             UnknownNameError: the twin does not have a setting of that name.
@@ -429,16 +448,16 @@ class CrawlTask(CameraTask):
 
 
 class SpatialCrawlTask(CrawlTask):
-    """Task of crawling to a goal with a spatial robot (module docstring)."""
+    """Task of crawling to a goal with a spatial robot; see the module docstring."""
 
     spatial = True
     episode_class = SpatialCrawlEpisode
 
     def __init__(self, *, robot: str = "spatial_example", **settings: Any) -> None:
-        """Create the task; arguments and errors as in `CrawlTask`.
+        """Create the task with the arguments of `CrawlTask`.
 
         Raises:
-            InputError: the robot is planar, or as in `CrawlTask`.
+            InputError: the robot is planar, or `CrawlTask` refuses an argument.
         """
         super().__init__("Crawl3D", FLOOR, robot=robot, **settings)
 

@@ -35,10 +35,12 @@ except ImportError as error:
 
 
 class EpisodePhysics(Claimable, control.Physics):  # type: ignore[misc]  # dm_control has no types
-    """Episodes of a task as a dm_control physics; one physics step is one step of the task.
+    """Episodes of a task in the form of a dm_control physics.
+
+    One step of the physics is one step of the task.
 
     Attributes:
-        episode: current episode; None before the first reset.
+        episode: current episode, or None before the first reset.
         result: result of the last step.
     """
 
@@ -112,7 +114,10 @@ class DmTask(control.Task):  # type: ignore[misc]  # dm_control has no types
         physics.set_control(action)
 
     def action_spec(self, physics: EpisodePhysics) -> specs.BoundedArray:
-        """Return shape and bounds of the actions; the name lists the signals, separated by tabs."""
+        """Return shape and bounds of the actions.
+
+        The name of the specification lists the signals, separated by tabs.
+        """
         actions = self.task.commands
         names = "\t".join(signal.name for signal in actions)
         return specs.BoundedArray(
@@ -132,7 +137,7 @@ class DmTask(control.Task):  # type: ignore[misc]  # dm_control has no types
         )
 
     def get_observation(self, physics: EpisodePhysics) -> OrderedDict[str, np.ndarray]:
-        """Return the observations by signal name, shape (1,) each."""
+        """Return the observations by signal name, each with the shape (1,)."""
         names = [signal.name for signal in self.task.observations]
         return OrderedDict(zip(names, physics.result.observation[:, None], strict=True))
 
@@ -141,7 +146,10 @@ class DmTask(control.Task):  # type: ignore[misc]  # dm_control has no types
         return physics.result.reward
 
     def get_termination(self, physics: EpisodePhysics) -> float | None:
-        """Return the final discount: 0 if terminated, 1 if truncated; None while the episode runs."""
+        """Return the final discount, or None while the episode runs.
+
+        The discount is 0 if the episode terminated and 1 if it was truncated.
+        """
         if physics.result.terminated:
             return 0.0
         if physics.result.truncated:
@@ -158,8 +166,8 @@ def load(task: str, *, seed: int | None = None, **settings: Any) -> SnakeEnviron
 
     Args:
         task: name of a task, one of `TASKS`.
-        seed: random seed of the episodes; None: a different one each time.
-        **settings: settings of the task, see `make_task`.
+        seed: random seed of the episodes, or None for a different seed each time.
+        **settings: settings of the task (`make_task`).
 
     Raises:
         UnknownNameError: the task does not exist.

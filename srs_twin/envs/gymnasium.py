@@ -1,8 +1,9 @@
-"""Gymnasium environments: one task, or several of one kind stepped in parallel threads.
+"""Gymnasium environments of a task: a single one, or several in parallel threads.
 
-Each environment of a `SnakeVectorEnv` is a `SnakeEnv` and gives exactly the same values
-as it does alone. As in `TwinBatch`, each thread steps whole environments: nearly all of
-a step is one engine call, which releases Python's global interpreter lock.
+Each environment of a `SnakeVectorEnv` is a `SnakeEnv` and gives the results that it
+would give alone. As in `TwinBatch`, each thread steps whole environments. Nearly all
+time of a step is spent in one engine call, which releases Python's global interpreter
+lock.
 """
 
 from __future__ import annotations
@@ -41,19 +42,20 @@ from srs_twin.plants.twin.batch import ENGINES, warp_batch
 
 RENDER_MODES = ("rgb_array",)
 FPS = 10
-"""Frame rate of the class metadata, 1/s; an instance has one frame per step."""
+"""Frame rate of the class metadata, 1/s. Instances have one frame per step."""
 
 
 class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
-    """Gymnasium environment of a task, as made by `gymnasium.make("srs_twin.envs:SRSTwin/GoTo-v0")`.
+    """Gymnasium environment of a task.
 
-    Actions and observations are float32 boxes with one number per signal of the task.
-    The environment itself sets `truncated` at the time limit of the task, so that no
-    wrapper is needed.
+    The call `gymnasium.make("srs_twin.envs:SRSTwin/GoTo-v0")` creates such an
+    environment. Actions and observations are float32 boxes with one number per signal
+    of the task. The environment itself sets `truncated` at the time limit of the task,
+    so no wrapper is needed.
 
     Attributes:
         task: definition of the task, with its signals.
-        episode: current episode; None before the first `reset`.
+        episode: current episode, or None before the first `reset`.
     """
 
     metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]
@@ -74,10 +76,11 @@ class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
 
         Args:
             task: name of a task, one of `TASKS`.
-            render_mode: "rgb_array" for images, which need no display; None: no images.
+            render_mode: "rgb_array" for images, which need no display, or None for no
+                images.
             width: image width, pixels.
             height: image height, pixels.
-            **settings: settings of the task, see `make_task`.
+            **settings: settings of the task (`make_task`).
 
         Raises:
             UnknownNameError: the task or render mode does not exist.
@@ -96,29 +99,33 @@ class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start an episode; all random draws use `np_random`, which `seed` sets.
+        """Start an episode whose random draws use `np_random`.
 
         Args:
-            seed: random seed; None: continue with the current generator.
-            options: `state`: a saved state, from `episode.save()` in an episode of the
-                same seed, to continue from; or `snake`: a physical state to start from,
-                with `yaw_rate` (rad/s). `goal`: x and y of the goal, m.
+            seed: random seed of `np_random`, or None to continue with the current
+                generator.
+            options: optional start and goal. `state` is a saved state from
+                `episode.save()` in an episode of equal seed. Alternatively, `snake` is
+                a physical state to start from, with its `yaw_rate` (rad/s). `goal`
+                holds x and y of the goal, m.
 
         Raises:
             UnknownNameError: an option does not exist.
             InputError: the state does not belong to this episode, or a value is not
-                allowed; the environment is left unchanged.
+                allowed. The environment is then unchanged.
         """
         return self.start_episode(seed, self.draw_episode(seed, options))
 
     def draw_episode(
         self, seed: int | None, options: dict[str, Any] | None
     ) -> tuple[np.random.Generator, Episode]:
-        """Return a new episode and the generator after its draws, without changing the environment.
+        """Return a new episode, and the generator after the episode's draws.
+
+        The environment is not changed.
 
         Raises:
-            UnknownNameError: see `reset`.
-            InputError: see `reset`.
+            UnknownNameError: an option does not exist.
+            InputError: `reset` would refuse an option.
         """
         check_seed(seed)
         checked = _checked_options(options)
@@ -140,7 +147,10 @@ class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
     def start_episode(
         self, seed: int | None, drawn: tuple[np.random.Generator, Episode]
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start an episode that `draw_episode` returned for this seed; return its observation and info."""
+        """Start a drawn episode and return its first observation and info.
+
+        `draw_episode` must have returned the episode for the seed `seed`.
+        """
         super().reset(seed=seed)
         rng, self.episode = drawn
         self.np_random.bit_generator.state = rng.bit_generator.state
@@ -155,7 +165,9 @@ class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
         return self.current_episode().step(action)
 
     def render(self) -> np.ndarray | None:
-        """Return an image, shape (height, width, 3), uint8; None without a render mode.
+        """Return an image, or None without a render mode.
+
+        The image has the shape (height, width, 3) and the type uint8.
 
         Raises:
             InputError: no episode has started, or OpenGL cannot render without a
@@ -185,17 +197,10 @@ _OPTION_TYPES = {
     "state": (SavedState, "a SavedState, which episode.save() returns"),
     "snake": (SnakeState, "a SnakeState, such as plant.state"),
 }
-"""Option of a reset → type, and its description in messages."""
+"""Type of each option of a reset, and its description in error messages."""
 
 
 def _checked_options(options: object) -> dict[str, Any]:
-    """Return the options of a reset after validation, {} for None.
-
-    Raises:
-        UnknownNameError: an option does not exist.
-        InputError: options is not a mapping, two options exclude each other, or a value
-            has the wrong type.
-    """
     if options is None:
         return {}
     if not isinstance(options, Mapping):
@@ -226,14 +231,14 @@ def space_of(signals: Signals) -> spaces.Box:
 
 
 class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
-    """Several environments of one task: `gymnasium.make_vec("srs_twin.envs:SRSTwin/GoTo-v0", num_envs=64)`.
+    """Vector of environments of one task, stepped in parallel.
 
-    An environment whose episode has ended starts the next one at the next step and
-    ignores the action (`AutoresetMode.NEXT_STEP`, the default of Gymnasium's vector
-    environments).
+    The call `gymnasium.make_vec("srs_twin.envs:SRSTwin/GoTo-v0", num_envs=64)` creates
+    one. An environment whose episode has ended ignores its next action and starts a new
+    episode instead. This is `AutoresetMode.NEXT_STEP`, Gymnasium's default.
 
     Attributes:
-        envs: the single environments.
+        envs: single environments.
     """
 
     envs: list[SnakeEnv]  # type: ignore[assignment]
@@ -253,15 +258,15 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
         Args:
             task: name of a task, one of `TASKS`.
             num_envs: number of environments.
-            threads: number of threads; default: one per processor.
+            threads: number of threads; the default is one per processor.
             engine: "cpu", or "warp" to step all twins on a device. Warp requires that
-                all episodes have the same robot and no obstacles; otherwise the
-                environments run on the CPU, with a warning.
-            device: Warp device; None: its preferred one.
+                all episodes have one robot and no obstacles. Otherwise the environments
+                run on the CPU, with a warning.
+            device: device of Warp, or None for its preferred device.
             **settings: settings of `SnakeEnv`, including render mode and image size.
 
         Raises:
-            InputError: `num_envs` is less than 1, or see `SnakeEnv`.
+            InputError: `num_envs` is less than 1, or `SnakeEnv` refuses a setting.
         """
         if num_envs < 1:
             raise InputError(
@@ -284,12 +289,13 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
         """Start an episode in every environment.
 
         Args:
-            seed: one seed per environment; a single number s means s, s + 1, …
-            options: options for all environments, see `SnakeEnv.reset`.
+            seed: one seed per environment, or a single number s for the seeds s, s + 1,
+                …
+            options: options for all environments (`SnakeEnv.reset`).
 
         Raises:
-            InputError: the number of seeds is wrong, or see `SnakeEnv.reset`; all
-                environments are left unchanged.
+            InputError: the number of seeds is wrong, or `SnakeEnv.reset` refuses an
+                option. All environments are then unchanged.
         """
         if np.iterable(seed):
             seeds = list(seed)
@@ -321,11 +327,13 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
     def step(
         self, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Apply one action per environment for a step of the task, shape (environments, actions).
+        """Apply one action per environment for a step of the task.
+
+        The actions have the shape (environments, actions).
 
         Raises:
-            InputError: the shape is wrong, or a value is not finite; no environment is
-                stepped.
+            InputError: the shape is wrong, or a value is not finite. No environment is
+                then stepped.
         """
         shape = self.action_space.shape
         assert shape is not None, "a box has a shape"
@@ -348,12 +356,11 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
         return observations, rewards, terminated, truncated, self._merge_infos(infos)
 
     def render(self) -> tuple[np.ndarray, ...] | None:  # type: ignore[override]
-        """Return an image of each environment; None without a render mode."""
+        """Return an image of each environment, or None without a render mode."""
         images = (env.render() for env in self.envs)
         return tuple(image for image in images if image is not None) or None
 
     def _move_to_device(self) -> None:
-        """Move the twins of all episodes to the device; warn and stay on the CPU if that is not possible."""
         twins = [env.episode.twin for env in self.envs if env.episode is not None]
         try:
             if not self.envs[0].task.has_identical_episodes:
@@ -381,7 +388,6 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
         )
 
     def _step_on_device(self, actions: np.ndarray) -> list[StepResult]:
-        """Step all running episodes as one batch and reset the ended ones."""
         batch = self._batch
         ended = np.flatnonzero(self._ended).tolist()
         results = {k: self._begin_next(k) for k in ended}
@@ -392,8 +398,8 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
         valves = [vented] * self.num_envs
         for k in running:
             valves[k] = self.envs[k].current_episode().command(actions[k])
-        # Arrays with several valve states per step have three dimensions; repeat a
-        # single state.
+        # Arrays with several valve states per step have three dimensions. A single
+        # state is repeated to match them.
         substeps = max(states.shape[0] if states.ndim == 3 else 1 for states in valves)
         shape = (substeps, *vented.shape)
         batch.update_supply_pressure()

@@ -1,13 +1,13 @@
-r"""Module: track a reference bend with one clamped module, by the duties of its two chambers.
+r"""Task Module: track a reference bend with one module via the duties of its chambers.
 
-The reference is constant for one second, then jumps to the next angle, drawn within the
-reach of the supply pressure. The reward of a step is the negative absolute error at its
-end, integrated over the step:
+The module is clamped at its head. Every second the reference bend q_ref jumps to a
+random angle within the reach of the supply pressure. The reward of a step of length Δt
+is the negative absolute error at the end of the step, multiplied by its length:
 
 $$ r = -\frac{|q_{ref} - q|}{1\,\text{rad}}\,\frac{\Delta t}{1\,\text{s}}. $$
 
-The cost measures tracking over the whole episode, so no potential term is used. q is
-the true bend, not the sensor reading.
+Here q is the true bend, not the sensor reading. The cost measures tracking over the
+whole episode, so no potential term is used.
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.pneumatics.chambers import largest_bend
 
 STEP_S = 0.05
-"""Duration of a step, s: three periods of the carrier."""
+"""Duration of a step, s, which is three carrier periods."""
 
 HOLD_S = 1.0
 """Time for which the reference is constant, s."""
 
 REACH_SHARE = 0.8
-"""Largest reference as a fraction of the free bend at the nominal supply pressure."""
+"""Maximum reference as a fraction of the free bend at the nominal supply pressure."""
 
 TIMESTEP_S = 0.00025
-"""Time step of the twin, s; it resolves the ripple of the carrier, as in the scenarios module_…"""
+"""Time step of the twin, s, which resolves the ripple of the carrier."""
 
 
 class ModuleTask(Task):
-    """Task of tracking a reference bend (module docstring).
+    """Task of tracking a reference bend; see the module docstring.
 
     Attributes:
-        reach: largest reference bend, rad.
+        reach: maximum reference bend, rad.
     """
 
     name = "Module"
@@ -63,11 +63,11 @@ class ModuleTask(Task):
         Args:
             robot: name or path of a robot with one segment.
             limit_s: time limit, s.
-            **settings: see `Task`; the sensor is "hall" by default.
+            **settings: further arguments of `Task`. The sensor is "hall" by default.
 
         Raises:
             UnknownNameError: the twin does not have a setting of that name.
-            InputError: the robot has several segments, or it, the fit, range or time
+            InputError: the robot has several segments, or the robot, fit, range or time
                 limit is invalid.
         """
         super().__init__(
@@ -145,7 +145,6 @@ class ModuleEpisode(Episode):
         return self._carrier.step(np.array([action]))
 
     def _reference(self) -> float:
-        """Return the reference bend of the step that starts now, rad."""
         number = int(float(self.state.time) / HOLD_S + 1e-9)
         return float(self._levels[min(number, len(self._levels) - 1)])
 

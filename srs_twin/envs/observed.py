@@ -20,14 +20,14 @@ STEP_S = 0.1
 """Duration of a step, s."""
 
 CAMERA = Camera(1 / STEP_S, 0.001, 0.005)
-"""Camera with one frame per step and the noise of scenario follow_fig57 (1 mm, 5 mrad).
+"""Camera with one frame per step and a noise of 1 mm and 5 mrad.
 """
 
 COSTS = (
     RewardTerm("time_s", 0.0, "duration of the step"),
     RewardTerm("air_j", 0.0, "energy of the air taken from the supply"),
 )
-"""Terms of all tasks with a camera."""
+"""Reward terms of all tasks with a camera."""
 
 
 class CameraTask(Task):
@@ -65,7 +65,6 @@ class ObservedEpisode(Episode):
         self._air = float(self.state.air)
 
     def _observe(self) -> tuple[Pose, dict[str, Sequence[float]]]:
-        """Return the observed pose of the snake, and the groups of observations that all tasks have."""
         seen = self._frames.capture(self.state)
         assert seen is not None, "the camera has one frame per step"
         bends = self.state.sensed.T.ravel()  # to the left, then upwards
@@ -97,7 +96,7 @@ class ObservedEpisode(Episode):
 
 
 def ahead_and_left(seen: Pose, x: float, y: float) -> tuple[float, float]:
-    """Return the position of a point relative to an observed pose, ahead and to the left, m."""
+    """Return a point's coordinates ahead and to the left of an observed pose, m."""
     c = math.cos(seen.heading)
     s = math.sin(seen.heading)
     dx = x - seen.x
@@ -106,7 +105,10 @@ def ahead_and_left(seen: Pose, x: float, y: float) -> tuple[float, float]:
 
 
 def place_signals(name: str, far: float, description: str) -> Signals:
-    """Return the signals of a position relative to the observed pose, up to a distance in m."""
+    """Return the signals of a position relative to the observed pose.
+
+    The coordinates are limited to the distance `far` (m).
+    """
     return (
         Signal(f"{name}_ahead_m", "m", -far, far, f"{description} along the heading"),
         Signal(
@@ -127,11 +129,7 @@ def observation_groups(
 ) -> dict[str, Signals]:
     """Return the groups of observations of a task with a camera.
 
-    Args:
-        bounds: bounds of the centre of mass.
-        target: group of the goal or object.
-        robot: robot.
-        actions: components of an action.
+    `target` is the observation group of the goal or object, by name.
     """
     bends = _bend_signals("bend", "a bend", robot)
     if robot.is_spatial:

@@ -1,11 +1,11 @@
-"""Policies: small networks stored as files, and the package's controllers as baselines.
+"""Policies: small networks stored in files, and the package's controllers as baselines.
 
 Baselines get only the observations of an agent. `PathFollowing` plans a path at the
-start of an episode and steers with an unmodified `planning.follower.Follower` from the
-observed pose. The gait has the frequency and pressure at which its footprint was
-measured. `ProportionalIntegral` sets the difference between the two duties of a module
-by a PI law, to which Eq. 30 reduces at a constant reference. `PegSteering` steers among
-posts, and `SensedGrasp` is the controller of scenario grasp_cylinder.
+start of an episode. It steers with an unmodified `planning.follower.Follower` that
+reads the observed pose, at the gait frequency and pressure of the measured footprint.
+`ProportionalIntegral` sets the difference between the two duties of a module by a PI
+law, to which Eq. 30 reduces at a constant reference. `PegSteering` steers among pegs,
+and `SensedGrasp` uses the controller of scenario grasp_cylinder.
 """
 
 from __future__ import annotations
@@ -47,11 +47,11 @@ SHIPPED = "calibration/policies"
 
 @dataclass(frozen=True)
 class NetworkPolicy:
-    """Fully connected network with tanh between its layers; its output is clipped to −1 and 1.
+    """Fully connected network with tanh between layers and outputs clipped to −1 to 1.
 
     Attributes:
         task: name of the task.
-        observations: names of the observations that are its input, in order.
+        observations: names of the observations that form the input, in order.
         layers: weights, shape (outputs, inputs), and biases, shape (outputs,), of each
             layer.
     """
@@ -61,7 +61,7 @@ class NetworkPolicy:
     layers: tuple[tuple[np.ndarray, np.ndarray], ...]
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
-        """Return the action, float32 from −1 to 1, for the observations of the policy, in order."""
+        """Return the action, float32 from −1 to 1, for ordered observations."""
         values = np.asarray(observation, dtype=float)
         for weights, biases in self.layers[:-1]:
             values = np.tanh(weights @ values + biases)
@@ -75,7 +75,8 @@ class NetworkPolicy:
         """Return a function from the observations of a task to actions.
 
         Raises:
-            InputError: the task is another one, or lacks observations of the policy.
+            InputError: the policy was trained for another task, or the task lacks
+                observations of the policy.
         """
         names = [signal.name for signal in task.observations]
         missing = [name for name in self.observations if name not in names]
@@ -154,24 +155,24 @@ def load_policy(name_or_path: StrPath) -> NetworkPolicy:
 
 
 FOOTPRINT = "gen2_gait"
-"""Footprint used for planning."""
+"""Name of the footprint used for planning."""
 
 FREQUENCY_HZ = 2.0
-"""Gait frequency at which that footprint was measured, Hz."""
+"""Gait frequency at which the footprint was measured, Hz."""
 
 PRESSURE_KPA = 48.3
-"""Supply pressure at which that footprint was measured, and that of scenario pegs_skin, kPa."""
+"""Supply pressure of the footprint measurement and of scenario pegs_skin, kPa."""
 
 PEGS_FREQUENCY_HZ = 1.0
 """Gait frequency of scenario pegs_skin, Hz."""
 
-# The next four are those of scenario follow_fig57; docs/following.md describes how they
-# were chosen.
+# The next four values are taken from scenario follow_fig57. docs/following.md describes
+# how they were chosen.
 TURN_SHARE = 0.7
-"""Fraction of the measured curvature range that the planner may use; the steering law needs the rest."""
+"""Fraction of the curvature range for planning; the steering law needs the rest."""
 
 SETTLE_M = 0.035
-"""Response length, m."""
+"""Response length of the steering, m."""
 
 LOOKAHEAD_M = 0.15
 """Lookahead distance of the steering law, m."""
@@ -180,16 +181,16 @@ STRAY_M = 0.1
 """Cross-track error above which the follower plans again, m."""
 
 AIM_M = 0.05
-"""Goal radius of the follower, m; smaller than that of the tasks."""
+"""Goal radius of the follower, m, which is below the goal radius of the tasks."""
 
 MARGIN_M = 0.03
-"""Margin between plan and obstacles, m; without it 3 of 12 snakes touch a circle of Obstacles."""
+"""Margin between plan and obstacles, m. Without it 3 of 12 snakes touch a circle."""
 
 _PLANNER_SETTINGS = Settings(nodes=50_000)
 
 
 class Policy(Protocol):
-    """Function from observations to actions; one object per episode."""
+    """Function from observations to actions, with one object per episode."""
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
         """Return the action for an observation."""
@@ -216,7 +217,6 @@ class _Baseline(ABC):
         """Return the action in the units of its signals."""
 
     def _state(self, values: Mapping[str, float]) -> SnakeState:
-        """Return a snake state with time and observed pose only; all other values are empty arrays."""
         unknown = dict.fromkeys(
             (entry.name for entry in fields(SnakeState)), np.full(0, math.nan)
         )
@@ -229,7 +229,7 @@ class _Baseline(ABC):
 
 
 class PathFollowing(_Baseline):
-    """Policy that plans to the goal of GoTo or Obstacles and follows the path (module docstring)."""
+    """Policy that plans a path to the goal of GoTo or Obstacles and follows it."""
 
     def __init__(self, task: CrawlTask) -> None:
         """Initialise for an episode."""
@@ -265,7 +265,7 @@ class PathFollowing(_Baseline):
 
 
 class ProportionalIntegral(_Baseline):
-    """PI control of a module's duties (module docstring)."""
+    """Policy that controls a module's duties by a PI law."""
 
     gain_per_rad = 1.0
     """Proportional gain of the duty difference, 1/rad."""
@@ -287,10 +287,10 @@ class ProportionalIntegral(_Baseline):
 
 
 class PegSteering(_Baseline):
-    """The wave of scenario pegs_skin, steered in proportion to the bearing of the goal."""
+    """Policy that steers the wave of scenario pegs_skin towards the goal."""
 
     gain_per_rad = 0.3
-    """Offset per bearing, 1/rad."""
+    """Steering offset per bearing of the goal, 1/rad."""
 
     def _action(self, values: Mapping[str, float]) -> Sequence[float]:
         bearing = math.atan2(values["goal_left_m"], values["goal_ahead_m"])
@@ -298,7 +298,7 @@ class PegSteering(_Baseline):
 
 
 class SensedGrasp(_Baseline):
-    """The unmodified controller `control.grasp.Grasp` in its sensed mode."""
+    """Policy that uses the controller `control.grasp.Grasp` in sensed mode."""
 
     _grasp: Grasp | None = None
 
@@ -315,7 +315,7 @@ class SensedGrasp(_Baseline):
 
 
 def baseline(task: Task) -> Policy:
-    """Return the project's controller of a task as a policy for one episode."""
+    """Return the package's controller for a task as a policy for one episode."""
     if isinstance(task, GraspTask):
         return SensedGrasp(task)
     if isinstance(task, PegsTask):
@@ -331,9 +331,9 @@ class Score:
     """Outcome of an episode.
 
     Attributes:
-        ending: reason why it ended.
+        ending: reason why the episode ended.
         reward: sum of all rewards.
-        time: duration, s.
+        time: duration of the episode, s.
     """
 
     ending: str

@@ -1,6 +1,6 @@
 """Images of episodes, as `srs-twin render` draws them; no display is needed.
 
-They show the twin coloured by pressure, its obstacles, and its goal as a ring.
+The images show the twin coloured by pressure, its obstacles, and its goal as a ring.
 """
 
 from __future__ import annotations
@@ -13,20 +13,20 @@ import numpy as np
 from srs_twin.envs.task import Episode
 
 _GOAL_LINE = 0.003
-"""Half width of the goal's ring divided by the camera distance."""
+"""Ratio of the goal ring's half width to the camera distance."""
 
 _ELEVATION_DEG = -65.0
-"""Elevation of the camera."""
+"""Elevation angle of the camera, degrees."""
 
 _BODY_LENGTHS = 4.0
-"""Smallest camera distance in body lengths."""
+"""Minimum camera distance, in body lengths."""
 
 _GOAL_DISTANCES = 1.7
-"""Smallest camera distance as a multiple of the distance from snake to goal, so that both are visible."""
+"""Minimum ratio of the camera distance to the distance from snake to goal."""
 
 
 class EpisodeRenderer:
-    """Renderer of episodes; OpenGL is initialised with the first image.
+    """Renderer of episodes, which initialises OpenGL at its first image.
 
     Attributes:
         size: width and height of the images, pixels.
@@ -74,7 +74,6 @@ class EpisodeRenderer:
 
 
 def _camera(episode: Episode) -> mujoco.MjvCamera:
-    """Return a camera that looks down on the snake and its goal from a distance at which both are visible."""
     camera = mujoco.MjvCamera()
     target = episode.twin.physics.center_of_mass()
     camera.elevation = _ELEVATION_DEG
@@ -91,7 +90,6 @@ def _camera(episode: Episode) -> mujoco.MjvCamera:
 
 
 def _add_goal(scene: mujoco.MjvScene, episode: Episode, distance: float) -> None:
-    """Draw the edge of the goal on the floor, with a width for a camera distance in m."""
     from srs_twin.viewing.mujoco.stage import add_line
     from srs_twin.viewing.plots.signals import goal_ring
     from srs_twin.viewing.plots.style import GOAL_COLOR

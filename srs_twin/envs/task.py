@@ -1,9 +1,9 @@
 """Reinforcement-learning tasks, common to Gymnasium and dm_env.
 
-An agent gives an action and receives an observation every `step_s`. Observations
-contain only sensor and camera measurements, with their noise; the reward and `info` may
-use the true state. An episode terminates at its goal or on failure (`terminated`), or
-is cut off at the time limit (`truncated`).
+In every step of length `step_s`, an agent gives an action and receives an observation.
+Observations contain only sensor and camera measurements with their noise, while the
+reward and `info` may use the true state. An episode terminates at its goal or on
+failure (`terminated`), or is cut off at the time limit (`truncated`).
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ class Signal:
     """Component of an action or an observation.
 
     Attributes:
-        name: name ending in the unit, as file keys do.
-        unit: unit; "1" if dimensionless.
+        name: name ending in the unit, as in file keys.
+        unit: unit, or "1" if dimensionless.
         low: lower bound.
         high: upper bound.
-        description: meaning, one line.
+        description: meaning of the signal in one line.
     """
 
     name: str
@@ -57,9 +57,10 @@ class RewardTerm:
     """Quantity of a step whose weighted value is part of the reward.
 
     Attributes:
-        name: name ending in the unit, as file keys do.
-        weight: default weight, in reward per unit; 0: not part of the reward.
-        description: meaning, one line.
+        name: name ending in the unit, as in file keys.
+        weight: default weight, in reward per unit. A weight of 0 excludes the term from
+            the reward.
+        description: meaning of the term in one line.
     """
 
     name: str
@@ -81,7 +82,10 @@ def upper_bounds(signals: Signals) -> np.ndarray:
 
 
 def as_finite_array(numbers: object, shape: tuple[int, ...]) -> np.ndarray | None:
-    """Return numbers as a float64 array, or None if the shape differs or a value is not finite."""
+    """Return numbers as a float64 array of the given shape.
+
+    The result is None if the shape differs or a value is not finite.
+    """
     try:
         values = np.asarray(numbers)
     except (TypeError, ValueError):  # ragged lists, or tensors on a device
@@ -95,7 +99,10 @@ def as_finite_array(numbers: object, shape: tuple[int, ...]) -> np.ndarray | Non
 
 
 def abbreviate(value: object) -> str:
-    """Return a short text of a value for messages; a large array is described by its shape."""
+    """Return a short text of a value for messages.
+
+    A large array is described by its shape.
+    """
     if isinstance(value, np.ndarray):
         if value.size > _MAX_PRINTED_VALUES:
             return f"of shape {value.shape}"
@@ -104,11 +111,11 @@ def abbreviate(value: object) -> str:
 
 
 def check_names(kind: str, names: Iterable[object], known: Collection[str]) -> None:
-    """Check that names are known.
+    """Check that all names are known.
 
     Raises:
-        UnknownNameError: a name is not; the message calls it `kind` and lists all known
-            names.
+        UnknownNameError: a name is unknown. The message calls it `kind` and lists all
+            known names.
     """
     for name in names:
         if name not in known:
@@ -116,13 +123,13 @@ def check_names(kind: str, names: Iterable[object], known: Collection[str]) -> N
 
 
 def keywords(function: Callable[..., object]) -> set[str]:
-    """Return the names of the arguments of a function that are given by keyword only."""
+    """Return the names of a function's keyword-only arguments."""
     parameters = signature(function).parameters.values()
     return {entry.name for entry in parameters if entry.kind is entry.KEYWORD_ONLY}
 
 
 def check_seed(seed: object) -> None:
-    """Check that a seed is None or an integer of 0 or more.
+    """Check that a seed is None or a non-negative integer.
 
     Raises:
         InputError: the seed is neither.
@@ -136,7 +143,7 @@ def check_seed(seed: object) -> None:
 
 
 _MAX_PRINTED_VALUES = 6
-"""Largest number of array elements that a message prints."""
+"""Maximum number of array elements that a message prints."""
 
 _RESERVED_TWIN_ARGUMENTS = {"tick", "supply_pa", "base", "world"}
 """Arguments of `TwinSnake` that a task sets itself."""
@@ -149,11 +156,12 @@ class StepResult(NamedTuple):
     """Result of one step, as Gymnasium returns it.
 
     Attributes:
-        observation: float32, within the bounds of the task's observations.
-        reward: reward of this step; 0 at the start of an episode.
+        observation: observation, float32, within the bounds of the task's observations.
+        reward: reward of this step, 0 at the start of an episode.
         terminated: whether the episode has reached a terminal state.
         truncated: whether the time limit is reached.
-        info: true state and diagnostics, not for the agent; units in the keys.
+        info: true state and diagnostics, which the agent must not use. Keys end in the
+            unit.
     """
 
     observation: np.ndarray
@@ -167,12 +175,12 @@ class Task(ABC):
     """Definition of a task: signals, time limit and distribution of robots.
 
     Attributes:
-        name: short name, as registered.
+        name: registered short name.
         actions: components of an action, with their physical bounds.
         groups: all components of an observation by group, in order.
         observations: components of the selected groups.
         reward_terms: terms of the reward with their default weights.
-        weights: weight of each term, by name.
+        weights: weight of each reward term, by name.
         step_s: duration of one step, s.
         limit_s: time limit of an episode, s.
         robot: nominal robot, without random variation.
@@ -200,18 +208,19 @@ class Task(ABC):
         observations: Sequence[str] | None = None,
         **twin_settings: Any,
     ) -> None:
-        """Initialise the robot distribution, the time limit, the reward and the settings of the twin.
+        """Initialise the task's robots, time limit, reward and twin settings.
 
         Args:
-            robot: name or path of a robot file, or its keys with `base`, as in a
-                scenario; the tolerances of its modules are drawn for each episode.
+            robot: name or path of a robot file, or its keys with `base` as in a
+                scenario. Each episode draws the tolerances of the modules.
             limit_s: time limit, s.
-            fit: path of a fit file, from whose intervals robots are drawn
+            fit: path of a fit file whose intervals define the distribution of robots
                 (`Variation`).
-            ranges: parameter name → lower and upper limit of a uniform distribution.
-            rewards: name of a reward term → weight that replaces its default.
-            observations: groups of observations that the agent gets; None: all.
-            **twin_settings: arguments of `TwinSnake`, except those that the task sets.
+            ranges: lower and upper limit of a uniform distribution, by parameter name.
+            rewards: weights that replace the defaults, by name of the reward term.
+            observations: groups of observations that the agent gets, or None for all
+                groups.
+            **twin_settings: arguments of `TwinSnake` that the task does not set itself.
 
         Raises:
             UnknownNameError: a reward term, a group of observations or a setting of the
@@ -249,12 +258,6 @@ class Task(ABC):
             )
 
     def _set_observations(self, groups: Mapping[str, Signals]) -> None:
-        """Set the groups of observations, and select those that the agent gets.
-
-        Raises:
-            UnknownNameError: a group does not exist.
-            InputError: no group is selected.
-        """
         selected = self._requested_groups
         if selected is None:
             selected = tuple(groups)
@@ -270,13 +273,13 @@ class Task(ABC):
         )
 
     def select(self, measured: Mapping[str, Sequence[float]]) -> np.ndarray:
-        """Return the values of the selected groups in order, float32."""
+        """Return the values of the selected groups, in order, float32."""
         values = [value for name in self._selected_groups for value in measured[name]]
         return np.array(values, dtype=np.float32)
 
     @cached_property
     def commands(self) -> Signals:
-        """Components of an action with the bounds that the agent has: −1 to 1."""
+        """Components of an action, with the agent's bounds of −1 and 1."""
         return tuple(
             replace(signal, unit="1", low=-1.0, high=1.0) for signal in self.actions
         )
@@ -301,7 +304,10 @@ class Task(ABC):
         ]
 
     def from_physical(self, values: Sequence[float]) -> np.ndarray:
-        """Return the action, float32, of values in the units of the signals; the inverse of `to_physical`."""
+        """Return the action, float32, for values in the units of the signals.
+
+        This method is the inverse of `to_physical`.
+        """
         low = lower_bounds(self.actions).astype(float)
         high = upper_bounds(self.actions).astype(float)
         scaled = 2 * (np.asarray(values, dtype=float) - low) / (high - low) - 1
@@ -309,7 +315,10 @@ class Task(ABC):
 
     @property
     def has_identical_episodes(self) -> bool:
-        """Whether all episodes have the same robot and no obstacles, as a device batch requires."""
+        """Whether all episodes have one robot and no obstacles.
+
+        A device batch requires such episodes.
+        """
         first, second = (
             self._variation.draw(np.random.default_rng(seed)) for seed in range(2)
         )
@@ -322,7 +331,6 @@ class Task(ABC):
         world: World | None = None,
         **own: Any,
     ) -> TwinSnake:
-        """Return a twin; that of a finished episode is reused if it has the same robot and no obstacles."""
         solid = world is not None and world.has_obstacles
         if (
             last is not None
@@ -339,7 +347,7 @@ class Task(ABC):
         """Start an episode.
 
         Args:
-            rng: source of all random draws of the episode.
+            rng: generator for all random draws of the episode.
             last: finished episode whose twin may be reused.
 
         Raises:
@@ -348,13 +356,13 @@ class Task(ABC):
 
 
 class Episode(Stateful, ABC):
-    """One episode of a task; `save` and `restore` branch it.
+    """One episode of a task, which `save` and `restore` can branch.
 
     Attributes:
         twin: simulated robot.
         state: current state of the twin.
-        goal: goal of the episode; None if the task has none.
-        ending: reason why the episode ended; empty while it runs.
+        goal: goal of the episode, or None if the task has no goal.
+        ending: reason why the episode ended, or an empty string while it runs.
         first: initial observation and info, before the first action.
     """
 
@@ -370,7 +378,10 @@ class Episode(Stateful, ABC):
     goal: Goal | None = None
 
     def __init__(self, task: Task, twin: TwinSnake, state: SnakeState) -> None:
-        """Initialise; a subclass sets its attributes before, because this makes the first observation."""
+        """Initialise the episode and make its first observation.
+
+        A subclass must set its own attributes before this call.
+        """
         self.twin = twin
         self.state = state
         self._task = task
@@ -384,11 +395,13 @@ class Episode(Stateful, ABC):
         self.first = StepResult(observation, 0.0, False, False, self._info())
 
     def save(self) -> SavedState:
-        """Return the saved state of the episode, without the agent, for `restore`."""
+        """Return a saved state of the episode, without the agent, for `restore`."""
         return SavedState(self.identity(), self.state_dict())
 
     def restore(self, state: SavedState) -> None:
-        """Continue from a saved state of an episode with the same draw; it becomes the first state.
+        """Continue from a saved state, which becomes the first state.
+
+        The state must come from an episode with equal random draws.
 
         Raises:
             InputError: the state belongs to another task, robot or world.
@@ -398,7 +411,7 @@ class Episode(Stateful, ABC):
         self._set_first(self._last_observation.copy())
 
     def place(self, snake: SnakeState, yaw_rate: float = 0.0) -> None:
-        """Start from a physical state instead, as `Plant.place` does.
+        """Start from a given physical state, as `Plant.place` does.
 
         Raises:
             InputError: the twin cannot be in this state.
@@ -411,10 +424,10 @@ class Episode(Stateful, ABC):
         """Move the goal before the first action.
 
         Args:
-            place: x and y, m.
+            place: coordinates x and y of the goal, m.
 
         Raises:
-            InputError: the task has no goal, or the snake cannot reach one at this
+            InputError: the task has no goal, or the snake cannot reach a goal at this
                 place.
         """
         raise InputError(
@@ -426,11 +439,11 @@ class Episode(Stateful, ABC):
         """Reset the attributes that depend on the first state."""
 
     def identity(self) -> dict[str, Any]:
-        """Return the properties that a saved state must share with the episode, as JSON values."""
+        """Return the properties that must match a saved state, as JSON values."""
         return {"task": self._task.name, **self.twin.identity()}
 
     def step(self, action: object) -> StepResult:
-        """Apply an action for one step; values outside their bounds are clipped.
+        """Apply an action for one step, clipped to its bounds.
 
         Args:
             action: one number per action signal of the task, within the bounds of
@@ -448,7 +461,10 @@ class Episode(Stateful, ABC):
         return self.finish_step(state)
 
     def command(self, action: object) -> np.ndarray:
-        """Return the valve states of the next step, which `finish_step` or `diverged` completes."""
+        """Return the valve states of the next step.
+
+        `finish_step` or `diverged` then completes the step.
+        """
         if self.ending:
             raise InputError(
                 f"the episode is over ({self.ending}); reset the environment to begin"
@@ -474,14 +490,17 @@ class Episode(Stateful, ABC):
         )
 
     def diverged(self, error: DivergedError) -> StepResult:
-        """End the episode with the observation of the previous step, because there is no later one."""
+        """End the episode after a divergence.
+
+        The result repeats the observation of the previous step, because there is no
+        later observation.
+        """
         self._steps += 1
         self.ending = DIVERGED
         info = self._info() | {"error": str(error)}
         return StepResult(self._last_observation.copy(), 0.0, True, False, info)
 
     def _observation(self) -> np.ndarray:
-        """Return the observation, float32, clipped to its bounds."""
         low, high = self._bounds
         measured = self._task.select(self._measure())
         observation: np.ndarray = np.minimum(np.maximum(measured, low), high)
@@ -494,14 +513,20 @@ class Episode(Stateful, ABC):
 
     @abstractmethod
     def _measure(self) -> Mapping[str, Sequence[float]]:
-        """Return the values of each group of observations; called once per step, as it draws noise."""
+        """Return the values of each group of observations.
+
+        It is called once per step, because it draws noise.
+        """
 
     @abstractmethod
     def _reward_values(self) -> dict[str, float]:
-        """Return the value of each reward term in the last step; set `ending` if the episode is over."""
+        """Return the value of each reward term in the last step.
+
+        Set `ending` if the episode is over.
+        """
 
     def _info(self) -> dict[str, Any]:
-        """Return diagnostics as name → value; names end in the unit."""
+        """Return diagnostics by name, where names end in the unit."""
         return {
             "time_s": float(self.state.time),
             "air_j": float(self.state.air),

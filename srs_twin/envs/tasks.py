@@ -16,9 +16,9 @@ def make_task(name: str, **settings: Any) -> Task:
     """Return a task by name.
 
     Args:
-        name: one of `TASKS`.
-        **settings: settings of the task, see `CrawlTask`, `ModuleTask`,
-            `SpatialCrawlTask`, `PegsTask` and `GraspTask`.
+        name: name of the task, one of `TASKS`.
+        **settings: arguments of the task's class: `CrawlTask`, `ModuleTask`,
+            `SpatialCrawlTask`, `PegsTask` or `GraspTask`.
 
     Raises:
         UnknownNameError: the task does not exist.

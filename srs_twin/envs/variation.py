@@ -1,10 +1,10 @@
 """Distribution of robots over episodes (domain randomisation).
 
-Robots vary by up to three sources: the tolerances of `modules` in a robot file, the
-confidence intervals of a fit file, and given ranges. Fitted parameters are drawn
-jointly from a normal distribution with the fit's standard errors and correlations, and
-clipped to their intervals. The correlations matter: where the data determine only a sum
-of two parameters, the draws preserve that sum.
+Up to three sources of variation are combined: the tolerances of `modules` in a robot
+file, the confidence intervals of a fit file, and given ranges. Fitted parameters are
+drawn jointly from a normal distribution with the fit's standard errors and
+correlations, and clipped to their intervals. The correlations preserve combinations of
+parameters that the data determine well, such as a sum of two parameters.
 """
 
 from __future__ import annotations
@@ -37,9 +37,8 @@ class Variation:
 
     Attributes:
         file: nominal robot with the tolerances of its modules.
-        fit: fit whose parameters are drawn from their confidence intervals; None: no
-            fit.
-        ranges: parameter name → lower and upper limit of a uniform distribution.
+        fit: fit whose parameters are drawn from their confidence intervals, or None.
+        ranges: lower and upper limit of a uniform distribution, by parameter name.
     """
 
     file: RobotFile
@@ -55,7 +54,7 @@ class Variation:
         Args:
             robot: name or path of a robot file, or its keys with `base`.
             fit: path of a fit file for this robot.
-            ranges: see the attribute.
+            ranges: lower and upper limit of a uniform distribution, by parameter name.
 
         Raises:
             InputError: a file does not exist, the fit is for another robot, or a range
@@ -100,12 +99,11 @@ class Variation:
 def _draw_fitted_values(
     fit: FitFile, spec: RobotSpec, rng: np.random.Generator
 ) -> dict[str, float]:
-    """Draw fitted parameters from their joint normal distribution; add the actuator's fixed bend."""
     fitted = [parameter for parameter in fit.parameters if parameter.value is not None]
     values = np.array([parameter.value for parameter in fitted], dtype=float)
     errors = np.array([parameter.standard_error for parameter in fitted], dtype=float)
     covariance = np.array(fit.correlation, dtype=float) * np.outer(errors, errors)
-    # Use eigenvalues, because correlations of 1 make the covariance singular.
+    # Eigenvalues are used, because correlations of 1 make the covariance singular.
     drawn = values
     if fitted:
         drawn = rng.multivariate_normal(values, covariance, method="eigh")

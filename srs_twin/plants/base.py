@@ -1,9 +1,9 @@
-"""Plant, the interface of all simulated snakes, and SnakeState, the observable state of a snake.
+"""Plant, the interface of simulated snakes, and SnakeState, their observable state.
 
-`check_plausible`, `check_before_step` and `check_commands` detect divergence that the
-integrators do not detect, within one tick. The state before a step is checked as well,
-because a step may hide a wrong number: a position of 1e15 m, an infinite pressure,
-which the engine replaces by 0, or a valve state of NaN.
+`check_plausible`, `check_before_step` and `check_commands` detect within one tick
+divergence that the integrators do not detect. The state before a step is checked as
+well, because a step may hide a wrong number. Examples are a position of 1e15 m, an
+infinite pressure, which the engine replaces by 0, and a valve state of NaN.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ Pose = tuple[float, float, float]
 PlantState = SavedState
 
 BASES = ("free", "clamped")
-"""Supports of the chain: "free" on the floor, or "clamped" at its head in the air, as on a test bench."""
+"""Supports of the chain: "free" on the floor, or "clamped" at its head in the air."""
 
 _FLAT = frozenset({"planar", "obstacles", "floor"})
 SUPPORTS = {
@@ -46,11 +46,13 @@ SUPPORTS = {
     "contact 'loaded'": _FLAT | {"spatial", "skin", "tail", "objects", "steps"},
     "contact 'preloaded'": frozenset({"planar", "spatial", "obstacles"}),
 }
-"""Features of robots and worlds that each kind of plant supports: models of
-`AnalyticalSnake`, and contacts of `TwinSnake`."""
+"""Features of robots and worlds that each kind of plant supports.
+
+The kinds are the models of `AnalyticalSnake` and the contacts of `TwinSnake`.
+"""
 
 _TERRAIN = "terrain"
-"""Feature of a spatial robot in a world that is not a level floor; no plant supports it."""
+"""Feature of a spatial robot on a floor that is not level, which no plant supports."""
 
 
 def refusals(
@@ -58,14 +60,14 @@ def refusals(
 ) -> Iterator[Violation]:
     """Yield the features of a robot and a world that a plant does not support.
 
-    The parameter is the option for a feature of the robot, and the section of the world
-    for a feature of the world.
-
     Args:
-        option: "model" of the analytical plant or "contact" of the twin.
+        option: option that selects the kind of plant, "model" of the analytical plant
+            or "contact" of the twin. Violations due to the robot name this option as
+            their parameter.
         value: value of the option.
-        spec: robot; None for the features of the world alone.
-        world: world.
+        spec: robot, or None to check the features of the world alone.
+        world: world around the robot. Violations due to the world name its section as
+            their parameter.
     """
     plant = f"{option} '{value}'"
     used = list(_features(option, spec, world))
@@ -75,7 +77,7 @@ def refusals(
         for name, supported in SUPPORTS.items()
         if name.startswith(option) and needed <= supported
     ]
-    # The twin with a loaded contact supports every feature but the terrain.
+    # The twin with a loaded contact supports every feature except the terrain.
     other = f"use {' or '.join(own) or 'the twin'}"
     for feature, parameter, words in used:
         remedy = other
@@ -88,7 +90,6 @@ def refusals(
 def _features(
     option: str, spec: RobotSpec | None, world: World
 ) -> Iterator[tuple[str, str, str]]:
-    """Yield each feature, the parameter to change without it, and the feature in words."""
     if spec is not None:
         kind = "spatial" if spec.is_spatial else "planar"
         hint = "with" if spec.is_spatial else "without"
@@ -116,37 +117,39 @@ def _features(
 class SnakeState:
     """Observable state of a snake at one time, in SI units and the world frame.
 
-    z points up, yaw is counter-clockwise, and connectors are numbered from the head.
-    With a leading axis of samples on every field, the object is a history; `at` selects
-    a state from it.
+    The z axis points up, yaw is counter-clockwise, and connectors are numbered from the
+    head. With a leading axis of samples on every field, the object is a history, from
+    which `at` selects a state.
 
     Attributes:
-        time: s.
-        com: centre of mass, shape (2,), m.
+        time: time since the start of the run, s.
+        com: position of the centre of mass, shape (2,), m.
         com_velocity: velocity of the centre of mass, shape (2,), m/s.
         heading: mean of the connector headings, unwrapped, rad.
         position: positions of the connectors, shape (N, 2), m.
         theta: connector headings, unwrapped, shape (N,), rad.
-        bend: q_j = θ_j − θ_{j+1}, shape (segments,), rad.
-        bend_rate: shape (segments,), rad/s.
-        pressure: gauge pressure of the + and − chamber, shape (segments, 2), Pa.
+        bend: bends q_j = θ_j − θ_{j+1}, shape (segments,), rad.
+        bend_rate: rates of the bends, shape (segments,), rad/s.
+        pressure: gauge pressures of the + and − chambers, shape (segments, 2), Pa.
         valves: valve states during the preceding interval, shape (segments, 2).
         sensed: sensor readings of `bend`, shape (segments,), rad.
         contact_force: horizontal force of the floor on each connector, shape (N, 2), N.
-            In the analytical model it is the momentary force, in the twin the mean
-            since the previous sample, because contact forces fluctuate between steps.
+            The analytical model reports the instantaneous force. The twin reports the
+            mean force since the previous sample, because its contact forces fluctuate
+            between steps.
         obstacle_force: horizontal force of all obstacles on each connector and the
-            adjoining halves of its segments, mean since the previous sample, shape (N,
-            2), N; 0 on plants without obstacles.
-        torque: net moment of each segment on the connectors that it joins, k (q_f − q)
-            + c (q̇_f − q̇) for compliant bends, shape (segments,), N·m.
-        work: work of the air since the start, J: that of the torques on the free bends,
-            ∫ Σ T_j q̇_f,j dt.
+            adjoining halves of its segments, shape (N, 2), N. It is the mean since the
+            previous sample, and 0 on plants without obstacles.
+        torque: net moment of each segment on the connectors that it joins, shape
+            (segments,), N·m. For compliant bends it is k (q_f − q) + c (q̇_f − q̇),
+            where q_f is the free bend, k the stiffness and c the damping.
+        work: work of the air since the start, J. It is the work of the torques T_j on
+            the free bends, ∫ Σ T_j q̇_f,j dt.
         internal_loss: part of the work that the material of the segments has
-            dissipated, J; 0 in the planar analytical models, which do not record it.
-        air: pneumatic energy drawn from the supply since the start, J, see
-            `Pneumatics.air`.
-        qpos: generalised positions of the twin; empty on other plants.
+            dissipated, J. The planar analytical models do not record it and report 0.
+        air: pneumatic energy drawn from the supply since the start (`Pneumatics.air`),
+            J.
+        qpos: generalised positions of the twin, or an empty array on other plants.
     """
 
     time: float | np.ndarray
@@ -174,7 +177,7 @@ class SnakeState:
 
     @staticmethod
     def history(states: Sequence[SnakeState]) -> SnakeState:
-        """Return the concatenation of histories; a single state counts as one sample."""
+        """Return the concatenation of histories, where a state counts as one sample."""
         return concatenate_records(
             [state if np.ndim(state.time) else state.as_history() for state in states]
         )
@@ -194,15 +197,16 @@ class SnakeState:
 class SpatialState(SnakeState):
     """State of a snake whose segments bend in two directions.
 
-    `bend`, `bend_rate`, `sensed` and `torque` have a last axis with the components to
-    the left and upwards, shape (segments, 2), and `pressure` and `valves` one column
-    per chamber. `theta` is the heading of the horizontal projection of a connector.
+    The fields `bend`, `bend_rate`, `sensed` and `torque` have a last axis with the
+    components to the left and upwards, shape (segments, 2). The fields `pressure` and
+    `valves` have one column per chamber. `theta` is the heading of the horizontal
+    projection of a connector.
 
     Attributes:
         height: heights of the connectors above the floor, shape (N,), m.
         orientation: quaternions of the connectors, w first, x forward and z up, shape
             (N, 4).
-        load: vertical force of the floor on each connector, mean since the previous
+        load: mean vertical force of the floor on each connector since the previous
             sample, shape (N,), N.
     """
 
@@ -225,15 +229,16 @@ _SPATIAL_FIELDS = tuple(field.name for field in fields(SpatialState))
 
 
 class Plant(Claimable, Stateful, ABC):
-    """Abstract snake that follows valve commands.
+    """Abstract base class of snakes that follow valve commands.
 
     Attributes:
-        name: "analytical" or "twin".
-        spec: the robot.
-        tick: control tick, s; a multiple of the plant's time step.
-        max_chunk_s: longest schedule that callers should pass to `play` in one call, s.
+        name: short name of the plant, "analytical" or "twin".
+        spec: simulated robot.
+        tick: control tick, s, which is a multiple of the plant's time step.
+        max_chunk_s: maximum length of a schedule that callers should pass to one call
+            of `play`, s.
         layout: valve layout, one of `pneumatics.valves.LAYOUTS`.
-        state: last returned state; only on plants that can be saved.
+        state: last returned state, only on plants that can be saved.
     """
 
     name: str
@@ -243,19 +248,26 @@ class Plant(Claimable, Stateful, ABC):
     layout: str = "3/2"
     state: SnakeState
     world: World | None = None
-    """Floor, obstacles and objects around the snake; None for a level floor alone."""
+    """Floor, obstacles and objects around the snake, or None for a level floor.
+    """
     touches: bool = False
-    """Whether the body touches obstacles or objects of the world, whose forces are then recorded."""
+    """Whether the body touches obstacles or objects, whose forces are then recorded."""
     objects: int = 0
-    """Number of movable objects, whose x, y (m) and heading (rad) are the last values of `qpos`."""
+    """Number of movable objects.
+
+    The last values of `qpos` are x, y (m) and heading (rad) of each object.
+    """
     metered: bool = True
-    """Whether pneumatic energy and valve openings are known; otherwise trajectories omit them."""
+    """Whether pneumatic energy and valve openings are known and recorded."""
     has_internal_loss: bool = False
-    """Whether segments can dissipate energy without bending; otherwise trajectories omit the column."""
+    """Whether segments can dissipate energy without bending, which is then recorded."""
 
     @property
     def sample_step(self) -> float | None:
-        """Unit of the interval between samples within a tick, s; None if every interval is possible."""
+        """Unit of the interval between samples within a tick, s.
+
+        It is None if every interval is possible.
+        """
         if type(self).advance is Plant.advance:
             return self.tick
         return None
@@ -270,7 +282,7 @@ class Plant(Claimable, Stateful, ABC):
         """
 
     def save(self) -> PlantState:
-        """Return the saved state for `restore`, in this or another process.
+        """Return the state of the plant, which `restore` accepts in any process.
 
         Raises:
             InputError: the class does not list its `state_attributes`.
@@ -279,10 +291,10 @@ class Plant(Claimable, Stateful, ABC):
         return PlantState(self.identity(), self.state_dict())
 
     def restore(self, state: PlantState) -> SnakeState:
-        """Continue from a saved state, with the same bits as the original plant.
+        """Continue from a saved state, bit-identically to the original plant.
 
         Returns:
-            The state of the snake at that time.
+            The state of the snake at the time of the saved state.
 
         Raises:
             InputError: the saved state belongs to another plant or robot.
@@ -297,11 +309,11 @@ class Plant(Claimable, Stateful, ABC):
         """Start at time 0 from a physical state, which may come from another plant.
 
         Args:
-            snake: its fields `com`, `com_velocity`, `heading`, `bend`, `bend_rate` and
-                `pressure` are used. If the bends follow the pressures (`complete`,
-                `simplified`), the bend rates do as well.
+            snake: physical state. The fields `com`, `com_velocity`, `heading`, `bend`,
+                `bend_rate` and `pressure` are used. In the models `complete` and
+                `simplified` the pressures determine the bend rates.
             yaw_rate: rate of the mean heading, rad/s.
-            seed: as in `reset`.
+            seed: random seed of the plant, for sensor noise.
 
         Raises:
             InputError: the plant cannot be in this state, or can only start at rest.
@@ -309,7 +321,7 @@ class Plant(Claimable, Stateful, ABC):
         raise InputError(f"plant '{self.name}' can only start straight and at rest")
 
     def identity(self) -> dict[str, Any]:
-        """Return the settings that a saved state and the plant must have in common (JSON values)."""
+        """Return the settings that must match a saved state, as JSON values."""
         return {**self.describe(), "robot_digest": short_digest(self.spec)}
 
     def __init_subclass__(cls) -> None:
@@ -321,29 +333,30 @@ class Plant(Claimable, Stateful, ABC):
         """Advance by one tick.
 
         Args:
-            valves: valve states, int8, shape (segments, 2): +1 fill, 0 hold, −1 vent,
-                columns + and − chamber; or shape (slots, segments, 2) with slots of
-                equal length.
+            valves: valve states, int8, +1 to fill, 0 to hold and −1 to vent. The shape
+                is (segments, 2) with columns for the + and − chambers, or (slots,
+                segments, 2) with slots of equal length.
 
         Raises:
-            InputError: as in `advance`.
-            DivergedError: as in `advance`.
+            InputError: `advance` refuses the valve states.
+            DivergedError: the state is no longer finite and plausible.
         """
         return self.advance(valves, 1)[-1]
 
     def advance(self, valves: np.ndarray, samples: int) -> list[SnakeState]:
-        """Advance by one tick and return equally spaced states, the last one at the end of the tick.
+        """Advance by one tick and return equally spaced states.
 
-        A plant overrides this method, or only `step` if it cannot sample within a tick.
+        The last state is at the end of the tick. A plant overrides this method, or only
+        `step` if it cannot sample within a tick.
 
         Args:
-            valves: see `step`.
-            samples: number of states, 1 or more; tick / samples must be a multiple of
-                the time step.
+            valves: valve states as in `step`.
+            samples: number of states, 1 or more, such that tick / samples is a multiple
+                of the time step.
 
         Raises:
-            InputError: wrong shape, a valve state other than −1, 0, +1, or more samples
-                than the plant provides.
+            InputError: the shape is wrong, a valve state is not −1, 0 or +1, or the
+                plant cannot provide so many samples.
             DivergedError: the state is no longer finite and plausible.
         """
         if samples != 1:
@@ -362,26 +375,29 @@ class Plant(Claimable, Stateful, ABC):
             samples: number of equally spaced samples, the last one at the end.
 
         Returns:
-            The history of the samples; None from a plant that only advances tick by
+            The history of the samples, or None from a plant that only advances tick by
             tick.
 
         Raises:
-            InputError: the valves do not have a state.
-            DivergedError: as in `advance`; its `history` holds the samples before.
+            InputError: the valves cannot take a commanded state.
+            DivergedError: the state is no longer finite and plausible. The error's
+                `history` holds the samples before.
         """
         return None
 
     def openings(self) -> np.ndarray:
-        """Return the number of openings of each chamber's inlet since `reset`, shape (segments, 2)."""
+        """Return the number of inlet openings since `reset`, shape (segments, 2)."""
         return np.zeros((self.spec.segments, self.spec.chambers), dtype=int)
 
     def describe(self) -> dict[str, Any]:
-        """Return the settings for the provenance of a run (JSON values)."""
+        """Return the settings that a run records, as JSON values."""
         return {"plant": self.name, "robot": self.spec.name, "tick_s": self.tick}
 
 
 class PneumaticPlant(Plant):
-    """Plant with a `Pneumatics` and a `Sensor`; subclasses implement the motion in `_simulate`.
+    """Plant with a `Pneumatics` and a `Sensor`.
+
+    Subclasses implement the motion in `_simulate`.
 
     Attributes:
         pneumatics: chambers and valves.
@@ -407,7 +423,6 @@ class PneumaticPlant(Plant):
         layout: str,
         sensor: str | Sensor,
     ) -> float:
-        """Construct chambers and sensors; return the supply pressure, Pa."""
         if supply_pa is None:
             supply = self.spec.supply.nominal
         else:
@@ -422,7 +437,7 @@ class PneumaticPlant(Plant):
         return supply
 
     def identity(self) -> dict[str, Any]:
-        """See `Plant.identity`; stuck valves may differ."""
+        """See `Plant.identity`. Stuck valves may differ."""
         settings = super().identity()
         chambers = {
             key: value
@@ -459,31 +474,22 @@ class PneumaticPlant(Plant):
 
     @abstractmethod
     def _simulate(self, schedule: Schedule, ticks: int, samples: int) -> SnakeState:
-        """Follow a schedule of checked valve states.
-
-        Args:
-            schedule: valve states over `ticks` ticks.
-            ticks: number of ticks.
-            samples: number of equally spaced samples.
-
-        Returns:
-            The history of the samples.
-        """
+        """Follow a schedule of checked valve states and return the samples' history."""
 
 
 _PA_PER_UNIT = {"kPa": 1e3, "bar": 1e5, "psi": 6894.76}
-"""Units in which a supply pressure may have been given instead of Pa."""
+"""Units other than Pa in which a supply pressure may have been given by mistake."""
 
 _LEAST_SUPPLY_SHARE = 0.01
-"""Fraction of the nominal pressure below which a supply pressure probably has another unit than Pa."""
+"""Fraction of the nominal pressure below which a pressure is probably not in Pa."""
 
 
 def _checked_supply(supply_pa: float, spec: RobotSpec) -> float:
     """Return a supply pressure (Pa) after a check that it is plausible for a robot.
 
     Raises:
-        InputError: it is not finite, negative, or so small that its unit is probably
-            not Pa.
+        InputError: the pressure is not finite, negative, or so small that its unit is
+            probably not Pa.
     """
     nominal = spec.supply.nominal
     if not 0 <= supply_pa < np.inf:
@@ -492,7 +498,7 @@ def _checked_supply(supply_pa: float, spec: RobotSpec) -> float:
             " negative, in Pa"
         )
     if 0 < supply_pa < _LEAST_SUPPLY_SHARE * nominal:
-        # The unit that brings the pressure closest to the nominal one.
+        # The most likely unit brings the pressure closest to the nominal pressure.
         unit = min(
             _PA_PER_UNIT,
             key=lambda unit: abs(np.log(supply_pa * _PA_PER_UNIT[unit] / nominal)),
@@ -509,8 +515,8 @@ def check_initial_state(snake: SnakeState, yaw_rate: float, segments: int) -> No
     """Check that a snake can start in a state, before anything moves.
 
     Args:
-        snake: see `Plant.place`.
-        yaw_rate: rad/s.
+        snake: physical state as in `Plant.place`.
+        yaw_rate: rate of the mean heading, rad/s.
         segments: number of segments of the plant.
 
     Raises:
@@ -543,16 +549,12 @@ _VALVE_STATE_RANGE = np.iinfo(np.int8)
 def check_plausible(plant: str, state: SnakeState) -> SnakeState:
     """Return a state or a history after a check that it is plausible.
 
-    Args:
-        plant: name of the plant.
-        state: state or history.
-
     Raises:
-        DivergedError: the state is not plausible; the error's `history` holds the
+        DivergedError: the state is not plausible. The error's `history` holds the
             earlier samples.
     """
-    # The other fields follow from these. Scalars are compared in Python, because a
-    # NumPy call on a scalar takes as long as on an array.
+    # All other fields of the state follow from the checked fields. Scalars are compared
+    # in Python, because a NumPy call on a scalar takes as long as on an array.
     scalars: tuple[Any, ...] = (state.heading, state.work, state.air)
     single = not isinstance(state.time, np.ndarray)
     if single:
@@ -581,7 +583,7 @@ def check_before_step(plant: str, time: float, *state: Any) -> None:
         state: numbers and arrays of the state.
 
     Raises:
-        DivergedError: it is not plausible.
+        DivergedError: the state is not plausible.
     """
     if not is_plausible(*state):
         wrong = first_implausible(
@@ -592,7 +594,9 @@ def check_before_step(plant: str, time: float, *state: Any) -> None:
 
 
 def check_commands(source: str, time: float, valves: object) -> None:
-    """Check that valve commands have not diverged; the chambers report invalid finite commands.
+    """Check that valve commands have not diverged.
+
+    The chambers report finite but invalid commands.
 
     Args:
         source: name of the controller or policy.

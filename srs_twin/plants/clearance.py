@@ -1,12 +1,16 @@
 r"""Distance of the body from obstacles and objects, and overlaps at the start of a run.
 
-The body is represented by the collision hull of the twin on every plant: a capsule of
-the body's width between every two adjacent hinges (`mjcf.surroundings`). The axes of
-these capsules follow from the recorded connectors. The pose of a connector determines
-the hinges next to it, so the axes are exact for one or two hinges per segment. With
-more hinges, the inner ones are assumed to have equal bends. For a model without hinges,
-those of the corresponding twin are used. The middle of a segment with bend q is then $$
-l\,|q|/24 $$ inside the arc, and 5 % more at 1.5 rad (1.5 mm at 1 rad in generation 2).
+On every plant the body is represented by the collision hull of the twin, which has a
+capsule of the body's width between every two adjacent hinges (`mjcf.surroundings`). The
+axes of these capsules are computed from the recorded connectors. The pose of a
+connector determines the hinges next to it, so the axes are exact for one or two hinges
+per segment. With more hinges, the inner hinges are assumed to have equal bends. A model
+without hinges gets the hinges of the corresponding twin. The middle of a segment with
+length l and bend q then lies inside the arc by
+
+$$ l\,|q|/24 . $$
+
+At 1.5 rad the distance is 5 % larger. In generation 2 it is 1.5 mm at 1 rad.
 """
 
 from __future__ import annotations
@@ -25,22 +29,30 @@ if TYPE_CHECKING:
     import shapely
 
 TOUCHING_M = 1e-6
-"""Overlap below which a body only touches an obstacle: the twin sinks into the floor by nanometres, m."""
+"""Overlap below which a body only touches an obstacle, m.
+
+The twin sinks into the floor by nanometres.
+"""
 PENETRATION_M = 1e-3
-"""Overlap that the soft contacts of a run can cause at a length unit of 1, m."""
+"""Overlap that soft contacts can cause during a run, at a length unit of 1, m."""
 
 _POINTS_PER_WIDTH = 40
-"""Points per body width at which the depth inside a polygon is evaluated; its error is half an interval."""
+"""Number of points per body width at which depths inside a polygon are evaluated.
+
+The error of a depth is half the distance of these points.
+"""
 
 
 class Solid(NamedTuple):
-    """Obstacle or object, which consists of all points within a radius of its core.
+    """Obstacle or object, represented by a core and a radius.
+
+    It consists of all points within the radius of the core.
 
     Attributes:
         name: name in messages, such as "obstacle 2 at (0.5, 0.1) m".
-        core: point or area, in the frame of an object.
-        radius: m.
-        pose: x, y (m) and heading (rad) of the frame.
+        core: point or area in the frame of the obstacle or object.
+        radius: distance of the surface from the core, m.
+        pose: position x, y (m) and heading (rad) of the frame.
     """
 
     name: str
@@ -50,7 +62,7 @@ class Solid(NamedTuple):
 
 
 def solids(world: World) -> list[Solid]:
-    """Return the round obstacles, the polygons, and then the objects at their initial poses."""
+    """Return circles, polygons, and then objects at their initial poses."""
     import shapely
 
     found = []
@@ -73,11 +85,13 @@ def solids(world: World) -> list[Solid]:
 def hull_lines(
     position: np.ndarray, theta: np.ndarray, geometry: Geometry, hinges: int
 ) -> np.ndarray:
-    """Return the axes of the collision capsules, half the width of the body inside its hull.
+    """Return the axes of the collision capsules.
+
+    The axes are inside the hull by half the width of the body.
 
     Args:
-        position: connectors, shape (samples, N, 2), m.
-        theta: their headings, shape (samples, N), rad.
+        position: positions of the connectors, shape (samples, N, 2), m.
+        theta: headings of the connectors, shape (samples, N), rad.
         geometry: geometry of the robot.
         hinges: number of hinges per segment.
 
@@ -93,25 +107,25 @@ def hull_lines(
     headings = theta[:, :-1, None] + np.diff(theta, axis=1)[..., None] * fraction
     directions = np.stack([np.cos(headings), np.sin(headings)], axis=-1)
     line = position[:, :-1, None] - np.cumsum(capsules[:, None] * directions, axis=2)
-    # The rear connector determines the last hinge; the closing error is distributed
-    # over the hinges before it.
+    # The rear connector determines the last hinge. The closing error is distributed
+    # over the hinges in front of the last one.
     weight = np.append(np.linspace(0.0, 1.0, hinges), 1.0)[:, None]
     line += weight * (position[:, 1:, None] - line[:, :, -1:])
     return np.concatenate([position[:, :1], line.reshape(len(line), -1, 2)], axis=1)
 
 
 def clearance(plant: Plant, states: SnakeState) -> np.ndarray:
-    """Return the distance of the hull from the nearest obstacle or object of the plant's world.
+    """Return the distance of the hull from the nearest obstacle or object.
 
-    It is negative for an overlap, and at least −(half the width of the body) in a
-    polygon or a box.
+    The distance is negative for an overlap. In a polygon or a box it is at least minus
+    half the width of the body.
 
     Args:
-        plant: plant with a solid world.
-        states: history of its states.
+        plant: plant whose world has obstacles or objects.
+        states: history of the plant's states.
 
     Returns:
-        Shape (samples,), m.
+        Distance at each sample, shape (samples,), m.
     """
     import shapely
 
@@ -139,10 +153,10 @@ class Overlap(NamedTuple):
     """Overlap of the body with an obstacle or object at the start.
 
     Attributes:
-        number: number in `solids`.
-        name: see `Solid`.
-        depth: depth of the deepest point of the axes in the obstacle, plus half the
-            width of the body, m.
+        number: index into `solids`.
+        name: name of the obstacle or object in messages.
+        depth: maximum depth of a point of the axes in the obstacle, plus half the width
+            of the body, m.
     """
 
     number: int
@@ -161,13 +175,15 @@ class Overlap(NamedTuple):
 def start_overlaps(
     world: World, lines: np.ndarray, half_width: float, *, allowed: float = TOUCHING_M
 ) -> list[Overlap]:
-    """Return the overlaps of a body with obstacles, and objects at their initial poses, the deepest first.
+    """Return the overlaps of a body with obstacles and objects, the deepest first.
+
+    Objects are at their initial poses.
 
     Args:
         world: obstacles and objects.
         lines: axes of the hull (`hull_lines`), shape (1, points, 2), m.
         half_width: half the width of the body, m.
-        allowed: smaller overlaps are left out, m.
+        allowed: depth up to which overlaps are omitted, m.
     """
     import shapely
 
@@ -191,12 +207,12 @@ def check_start(plant: Plant, state: SnakeState, allowed: float = TOUCHING_M) ->
     """Check that the body does not overlap an obstacle or object at the start.
 
     Args:
-        plant: plant at the start.
-        state: its state.
-        allowed: allowed overlap, m.
+        plant: plant at the start of a run.
+        state: state of the plant.
+        allowed: maximum allowed overlap, m.
 
     Raises:
-        InputError: it does.
+        InputError: the body overlaps an obstacle or object.
     """
     if plant.world is not None and plant.world.is_solid:
         lines = _hull(plant, SnakeState.history([state]))
@@ -213,7 +229,6 @@ def _hull(plant: Plant, states: SnakeState) -> np.ndarray:
 
 
 def _in_frame(points: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """Return lines, shape (samples,), through points in frames given by x, y and heading, (samples, 3)."""
     import shapely
 
     x, y = np.moveaxis(points - pose[:, None, :2], -1, 0)

@@ -3,8 +3,8 @@ r"""Hall sensor on the neutral axis of a segment, and its calibration.
 **Strip and field.** The strip bends with constant curvature κ = q/l. The coordinate
 frame is at the magnet: x points along the strip towards the element and the head, and y
 points to the left, normal to the strip. At the arc length L the strip has turned by θ =
-κL. The element is h_s and the centre of the magnet h_m to the left of the neutral axis;
-negative values are to its right:
+κL. The element lies at the distance h_s to the left of the neutral axis, and the centre
+of the magnet at h_m. Negative distances are to the right. The positions are
 
 $$ S = \begin{pmatrix} \sin\theta/\kappa - h_s \sin\theta \\
 (1 - \cos\theta)/\kappa + h_s \cos\theta \end{pmatrix}, \qquad
@@ -16,13 +16,14 @@ the field of the magnet is
 $$ B = \frac{\mu_0}{4\pi}\left(\frac{3\,(m\cdot r)\,r}{|r|^5} - \frac{m}{|r|^3}\right), $$
 
 and the element measures the normal component of the field, B_n = B_y cos θ − B_x sin θ
-(Eq. 1). θ in Eq. 1 is interpreted as the local angle κL. With the whole bend q instead,
+(Eq. 1). θ in Eq. 1 is interpreted as the local angle κL. If θ were the whole bend q,
 the reading over ±90° would be neither linear nor monotonic (docs/module.md#the-curvature-sensor).
 
 **Chambers.** A rectangular chamber becomes round when it is filled and presses on the
 adjacent strip (Section 2.2.2, Fig. 14a, c). The filled chamber is on the outside of the
-bend, so it bows the strip against the bend. Once the chamber is round, it presses no
-further. The bend of the strip is
+bend, so it bows the strip against the bend. The displacement of the strip stops growing
+when the chamber is round. With the strength b and the bend q_c at which the chamber is
+nearly round, the bend of the strip is
 
 $$ q_s = q - b\,q_c \tanh(q / q_c) . $$
 
@@ -31,11 +32,13 @@ dissertation states that such readings are not monotonic at small angles. The fi
 with the values is lost, so b and q_c are estimates. The effect depends on the bend and
 not on the instantaneous pressure.
 
-**Electronics.** Hall element, amplifier and converter:
+**Electronics.** A Hall element, an amplifier and a converter form a chain:
 
-    element      s B_n + n, with the sensitivity s and the noise n amplifier    V = V₀ +
-    bias + G (1 + e) (s (B_n − B_n(0)) + n), limited to the rails converter    centre of
-    the quantisation step of V, with 2^bits steps over the converter's range
+- The element's output is s B_n + n, with the sensitivity s and the noise n.
+- The amplifier's output is V = V₀ + bias + G (1 + e) (s (B_n − B_n(0)) + n), limited to
+  the rails. It has the gain G and, on the straight strip, the output V₀.
+- The converter returns the centre of the quantisation step of V, with 2^bits steps over
+  its range.
 
 The amplifier is balanced on the straight strip, as after assembly. Otherwise the
 amplified field at rest (54 gauss) would far exceed the rails. `bias` and the gain error
@@ -71,9 +74,9 @@ The estimate 2 reverses the sign of the reading's derivative at q = 0.
 """
 
 ROUNDING_BEND_RAD = 0.15
-"""q_c, the bend at which a rectangular chamber has become nearly round, rad.
+"""Bend q_c at which a rectangular chamber has become nearly round, rad.
 
-Estimate (8.6°).
+The value of 8.6° is an estimate.
 """
 
 
@@ -94,7 +97,7 @@ def strip_bend(bend: Array, chamber: str) -> Array:
 
 
 ORIENTATIONS = ("up", "side")
-"""Direction of the magnet's north pole: along the strip, or normal to it.
+"""Direction of the magnet's north pole: "up" is normal to the strip, "side" along it.
 
 The dissertation uses a magnet normal to the strip.
 """
@@ -110,7 +113,8 @@ MAGNET_HEIGHT = INCH / 32
 MAGNET_DIAMETER = INCH / 16
 """Diameter of the magnet, m.
 
-The dissertation gives none. The value is a stock size for the known height.
+The dissertation does not state the diameter. The value is a stock size for the known
+height.
 """
 
 REMANENCE = 1.32
@@ -131,18 +135,19 @@ MOMENT = (
 class Strip:
     """Magnet and Hall element on a strip; see the module docstring.
 
-    The dissertation gives no heights, so both are estimates. The height of the magnet
-    is half of the flexible board (0.05 mm) and half of the magnet. The height of the
-    element is the board and 0.65 mm up to the element in a SOT-23 package.
+    The dissertation states neither height, so both are estimates. The centre of the
+    magnet is above the neutral axis by half the flexible board (0.05 mm) and half the
+    magnet. The element is above the neutral axis by half the board and 0.65 mm inside a
+    SOT-23 package.
 
     Attributes:
         segment_length: length l that bends by q, m.
-        distance: arc length L from magnet to element, m. The dissertation studied 3.1
-            to 4.6 mm and chose 3.1.
+        distance: arc length L from the magnet to the element, m. The dissertation
+            studied 3.1 to 4.6 mm and chose 3.1 mm.
         orientation: orientation of the magnet, one of `ORIENTATIONS`.
         moment: magnetic moment |m|, A·m².
-        magnet_height: h_m, m.
-        element_height: h_s, m.
+        magnet_height: height h_m of the magnet's centre, m.
+        element_height: height h_s of the element, m.
         chamber: cross-section of the chambers, a name in `STRIP_PRESSURE_FACTOR`; a
             rectangular chamber presses on the strip.
     """
@@ -248,9 +253,10 @@ class HallSensor:
     """Strip with its electronics; see the module docstring.
 
     Sensitivity and noise are estimates from data sheets of the 49E class, to which the
-    AH49E of the dissertation belongs: 1.6 to 2.0 mV/G at 5 V, and 90 µV in 10 kHz,
-    which is 25 µV in the 500 Hz of the amplifier. Rails and converter belong to an
-    Arduino Pro Mini (Section 2.3.2 for generation 3): 5 V, 10 bits.
+    AH49E of the dissertation belongs. The data sheets state 1.6 to 2.0 mV/G at 5 V. The
+    noise of 90 µV in a bandwidth of 10 kHz corresponds to 25 µV in the amplifier's 500
+    Hz. Rails and converter belong to an Arduino Pro Mini (Section 2.3.2 for generation
+    3): 5 V, 10 bits.
 
     Attributes:
         strip: geometry and magnet.
@@ -388,7 +394,7 @@ ANGLES = 181
 """Number of angles in a calibration: one per degree over ±90°."""
 
 LEAST_R_SQUARED = 0.5
-"""Minimum fraction of variance explained by the line; worse sensors are useless."""
+"""Minimum fraction of variance that the line must explain for a usable sensor."""
 
 
 @dataclass(frozen=True)
@@ -402,6 +408,7 @@ class Calibration:
         span: maximum angle to both sides, rad.
         voltage_range: minimum and maximum voltage, V.
         worst_error: maximum difference between line and angle, rad.
+        monotonic: whether the voltage never reverses over the angles.
     """
 
     slope: float
@@ -464,7 +471,7 @@ def fit_line(voltage: Array, angle: Array) -> Calibration:
 
 
 def calibrate(sensor: HallSensor, span: float = SPAN) -> Calibration:
-    """Calibrate a sensor in its state before it drifted.
+    """Calibrate a sensor in the state before its drift.
 
     Args:
         sensor: Hall sensor. Its `bias` and `gain_error` are ignored, because they arise

@@ -30,15 +30,15 @@ from srs_twin.sensing.hall import SPAN, Calibration, HallSensor, calibrate
 
 
 class Sensor(ABC):
-    """Abstract curvature sensors of a robot.
+    """Abstract base class of curvature sensors.
 
-    Sensors have no state. A reading depends only on the arguments of `read`, so it is
-    equal for every caller, in every order, for one time or a whole run.
+    Sensors have no state. A reading depends only on the arguments of `read`, so callers
+    may read in any order, one time or a whole run at once.
 
     Attributes:
-        kind: short name.
-        axes: number of readings per segment, 1 or 2. With 2, bends and readings have a
-            last axis with the components to the left and upwards.
+        kind: short name of the sensor.
+        axes: number of readings per segment, 1 or 2. With two readings, bends and
+            readings have a last axis with the components to the left and upwards.
     """
 
     kind: str = "own"
@@ -59,7 +59,7 @@ class Sensor(ABC):
         """
 
     def describe(self) -> dict[str, object]:
-        """Return the settings for the provenance of a run (JSON values)."""
+        """Return the settings that a run records, as JSON values."""
         return {"kind": self.kind}
 
 
@@ -150,7 +150,11 @@ def _splitmix(word: np.ndarray) -> np.ndarray:
 class CurvatureSensor(Sensor):
     """Curvature sensor of the dissertation (Section 2.2.2).
 
-    It combines field, amplifier, converter and the calibrated line.
+    It combines the field, the amplifier, the converter and the calibrated line.
+
+    Attributes:
+        hall: Hall sensor in each segment.
+        calibration: straight line from voltage to bend.
     """
 
     hall: HallSensor
@@ -201,9 +205,9 @@ class _AlteredSensor(Sensor):
 class TwoAxisSensor(_AlteredSensor):
     """Two equal sensors in each segment of a spatial robot, one per bending direction.
 
-    The strips lie in the neutral axis at right angles, so each strip reads one
-    component of the bend. Their noise is independent, and the first one has the noise
-    of a planar robot's sensor with an equal seed. Both have equal drift.
+    The strips lie on the neutral axis at right angles, so each strip measures one
+    component of the bend. The two sensors have independent noise and equal drift. The
+    first sensor has the noise of a planar robot's sensor with an equal seed.
     """
 
     @property
@@ -270,7 +274,12 @@ class DeadSensor:
 
 @dataclass(frozen=True)
 class FaultySensor(_AlteredSensor):
-    """Sensors of which some have failed, as `dead` lists."""
+    """Sensors of which some have failed.
+
+    Attributes:
+        sensor: sensors without faults.
+        dead: faults of individual segments.
+    """
 
     dead: tuple[DeadSensor, ...]
 
@@ -278,7 +287,7 @@ class FaultySensor(_AlteredSensor):
         """See `Sensor.read`."""
         sensed = self.sensor.read(bend, time, seed)
         for fault in self.dead:
-            # The start of a tick and the sum of its steps may differ by rounding.
+            # The start of a tick and a sum of steps may differ due to rounding.
             failed = np.asarray(time) >= fault.since - 1e-9
             segments = sensed if self.axes == 1 else np.moveaxis(sensed, -1, 0)
             reading = segments[..., fault.segment - 1]  # a view

@@ -1,8 +1,8 @@
-r"""AnalyticalSnake: the dissertation's planar model, and its variants, as a plant.
+"""AnalyticalSnake, the dissertation's planar model and its variants as a plant.
 
-The mechanics are those of a `Body`: `bodies` has those of planar snakes, `quasistatic`
-that of a snake whose segments bend in two directions. Planar bodies with skin are
-divided into `cells`.
+A `Body` holds the mechanics of the model. `bodies` defines planar bodies, and
+`quasistatic` defines a body whose segments bend in two directions. A planar body with
+skin is divided into `cells`.
 """
 
 from __future__ import annotations
@@ -57,22 +57,23 @@ from srs_twin.robot.spec import GRAVITY, RobotSpec
 from srs_twin.robot.world import World
 from srs_twin.sensing import Sensor
 
-# Largest interval between exchanges of bends and pressures for point masses at a time
-# unit of 1, s. With 0.25 ms their pressures oscillate below ambient; half of this
-# interval does not change the results.
+# Maximum interval between exchanges of bends and pressures for point masses, at a time
+# unit of 1, s. With 0.25 ms the pressures oscillate below ambient pressure, while half
+# of this interval does not change the results.
 _POINT_MASS_COUPLING_STEP = 0.0001
 
 
 class AnalyticalSnake(PneumaticPlant):
-    """Planar model of the dissertation (Section 3.1), whose bends follow Eq. 14, and its variants.
+    """Planar model of the dissertation (Section 3.1) and its variants.
 
     Masses on arcs of constant curvature move under the friction of the floor, by Eq. 11
-    summed over the body (E22). `simplified` keeps the chords at their straight length;
-    in `compliant`, load and inertia deflect the bends.
+    summed over the body (E22). The bends follow Eq. 14. In the model `simplified`,
+    chords keep the length of the straight segment. In the model `compliant`, load and
+    inertia deflect the bends.
 
     Attributes:
         options: assumptions and numerical settings.
-        timestep: longest step of the integrator, s; steps also end on valve events.
+        timestep: maximum step of the integrator, s. Valve events also end a step.
         body: mechanics of the model.
         friction: friction law of the floor, one of `robot.friction.LAWS`.
     """
@@ -97,22 +98,22 @@ class AnalyticalSnake(PneumaticPlant):
         """Build the model.
 
         Args:
-            spec: the robot.
-            supply_pa: supply pressure, Pa; default the robot's nominal pressure.
-            tick: control tick, s; default `TICK_S` times the time unit of the robot
-                (`robot.scale`).
+            spec: robot to simulate.
+            supply_pa: supply pressure, Pa. The default is the robot's nominal pressure.
+            tick: control tick, s. The default is `TICK_S` times the time unit of the
+                robot (`robot.scale`).
             layout: valve layout, "3/2" or "in_out".
             pneumatics: "lag", "orifice", or a `Pneumatics` object.
-            sensor: curvature sensor: "ideal", "hall" with its defaults, or a `Sensor`
-                object.
-            world: slope of the floor, and obstacles. None for a level floor without
+            sensor: curvature sensor, which is "ideal", "hall" with its defaults, or a
+                `Sensor` object.
+            world: slope of the floor and obstacles, or None for a level floor without
                 obstacles.
             **options: fields of `AnalyticalOptions`, such as model="compliant" or
                 friction="wheel".
 
         Raises:
             InputError: an option or the tick is not allowed, or options, robot and
-                world exclude each other.
+                world cannot be combined.
         """
         self.spec = spec
         self.world: World = world or World()
@@ -195,7 +196,6 @@ class AnalyticalSnake(PneumaticPlant):
         return self._observe_start(trace)
 
     def _observe_start(self, trace: Trace) -> SnakeState:
-        """Set the state at time 0 and return it."""
         body = self.body
         now = body.motion(body.state[None].copy(), body.velocity[None].copy(), trace)
         self.state = self._observe(np.zeros(1), now, trace).at(0)
@@ -224,10 +224,14 @@ class AnalyticalSnake(PneumaticPlant):
         return check_plausible(self.name, history)
 
     def _advance(self, schedule: Schedule, steps: Steps) -> tuple[int, Motion, Trace]:
-        """Advance chambers and body; return the number of completed steps, and the samples they reached.
+        """Advance chambers and body.
 
-        Chambers whose pressures depend on compliant bends alternate with the body,
-        every step or two.
+        Chambers whose pressures depend on compliant bends are advanced alternately with
+        the body, one or two steps at a time.
+
+        Returns:
+            The number of completed steps, and motion and chamber trace at the reached
+            samples.
         """
         motions = []
         traces = []
@@ -261,11 +265,14 @@ class AnalyticalSnake(PneumaticPlant):
 
     @property
     def jumps(self) -> int:
-        """Number of jumps between resting poses since `reset`; 0 unless the model is "quasistatic"."""
+        """Number of jumps between resting poses since `reset`.
+
+        Only the model "quasistatic" can jump.
+        """
         return self.body.jumps
 
     def describe(self) -> dict[str, Any]:
-        """Return the settings for the provenance of a run."""
+        """Return the settings that a run records."""
         options = self.options
         about = super().describe() | {
             "model": options.model,
@@ -301,8 +308,8 @@ class AnalyticalSnake(PneumaticPlant):
         inertia = self._connector_inertia(cells.mass)
         solid = BodyParameters.of(cells.mass, inertia, cells.length, cells.gap, frozen)
         if isinstance(cells, Cells):
-            # The floor has the drag on one connector; along a divided body it acts in
-            # smaller parts.
+            # The drag of the floor belongs to one connector. On a divided body it is
+            # distributed over all points.
             drag = floor.drag * self.spec.geometry.connectors / len(cells.mass)
             floor = floor._replace(drag=drag)
         if options.base == "clamped":
@@ -328,17 +335,16 @@ class AnalyticalSnake(PneumaticPlant):
 
     @property
     def _coupling_step(self) -> float:
-        """Largest interval between exchanges of bends and pressures, s; point masses need a shorter one."""
+        """Maximum interval between exchanges of bends and pressures, s.
+
+        Point masses need a shorter interval than connectors with inertia.
+        """
         step = self.pneumatics.coupling_step_s
         if not self.body.solid.inertia.all():
             step = min(step, _POINT_MASS_COUPLING_STEP * self.spec.scale.time)
         return step
 
     def _connector_inertia(self, mass: np.ndarray) -> np.ndarray:
-        """Return the moments of inertia of the points with masses about their centres, (points,), kg·m².
-
-        A cell of a body with skin is a strip as wide as the body.
-        """
         inertia = np.zeros_like(mass)
         geometry = self.spec.geometry
         if self.options.inertia == "lumped":
@@ -370,7 +376,6 @@ class AnalyticalSnake(PneumaticPlant):
         )
 
     def _observe(self, time: np.ndarray, motion: Motion, trace: Trace) -> SnakeState:
-        """Return the history of a motion."""
         body = self.body
         if isinstance(body, QuasistaticArcs):
             sensed = self.sensor.read(motion.bend, time, self.seed)

@@ -1,18 +1,20 @@
 r"""Bodies of the planar analytical models: connectors on arcs of constant curvature.
 
-`PrescribedBends` follow the chambers regardless of load (models `complete` and
-`simplified`). `ClampedBends` are a chain that is held at its head. `CompliantBends`
-have stiffness and damping (model `compliant`).
+There are three kinds of bodies. The bends of `PrescribedBends` follow the chambers
+regardless of load (models `complete` and `simplified`). `ClampedBends` is a chain held
+at its head. The bends of `CompliantBends` have stiffness and damping (model
+`compliant`).
 
 The bends of a clamped chain are the free bends of Eq. 14, as on a test bench. Only the
-clamp touches the chain, so its motion follows from the bends alone. The moments of the
-segments follow from the recursive Newton–Euler algorithm. It computes accelerations
-from head to tail,
+clamp touches the chain, so its motion follows from the bends alone. The recursive
+Newton–Euler algorithm then gives the moments of the segments. First it computes the
+acceleration a_j of each connector j from head to tail,
 
 $$ a_{j+1} = a_j - (\ddot L - L\dot\psi^2)\,e(\psi) - (L\ddot\psi + 2\dot L\dot\psi)\,e_\perp(\psi), $$
 
-with the direction ψ and the length L of chord j, and moments from tail to head. T_j is
-the generalised force of the bend q_j.
+where chord j has the length L, the direction ψ, and the unit vectors e(ψ) along it and
+e_⊥(ψ) normal to it. Then it sums forces and moments from tail to head. The moment T_j
+of segment j is the generalised force of the bend q_j.
 """
 
 from __future__ import annotations
@@ -52,13 +54,14 @@ class Motion(NamedTuple):
     """Motion of a body at several times.
 
     Attributes:
-        states: states with the indices of `kernels`, shape (samples, STATES or more). With
-            obstacles, their mean forces on each point since the previous sample follow.
+        states: states with the indices of `kernels`, shape (samples, STATES or more).
+            With obstacles, the last columns hold the mean obstacle forces on each point
+            since the previous sample.
         velocities: velocity of the centre of mass in the mean-heading frame (m/s), yaw
             rate (rad/s) and, for compliant bends, bend rates (rad/s), shape (samples, 3
             or more).
-        bend, bend_rate: bends (rad) and bend rates (rad/s) of the segments, or of the cells
-            of a body with skin, shape (samples, cells).
+        bend, bend_rate: bends (rad) and bend rates (rad/s) of the segments, or of the
+            cells of a body with skin, shape (samples, cells).
         torque: net moment of each segment, shape (samples, segments), N·m.
     """
 
@@ -73,11 +76,11 @@ class Body(Stateful, ABC):
     """Abstract mechanics of an analytical model, driven by the chambers.
 
     Attributes:
-        state: current state. `kernels` names its indices; compliant bends append further
-            entries.
+        state: current state with the indices of `kernels`. Compliant bends append
+            further entries.
         velocity: current velocities, in the format of `Motion.velocities`.
         solid: constants of the body for the kernels.
-        floor: floor for the kernels.
+        floor: friction parameters of the floor for the kernels.
         cells: division of the segments.
         obstacles: obstacles that the body can touch, or None.
     """
@@ -89,7 +92,7 @@ class Body(Stateful, ABC):
     obstacles: Obstacles | None = None
 
     compliant = False
-    """Whether the bends are degrees of freedom instead of the chambers' free bends."""
+    """Whether the bends are degrees of freedom; otherwise they equal the free bends."""
 
     def __init__(
         self,
@@ -98,7 +101,10 @@ class Body(Stateful, ABC):
         cells: Undivided,
         bends: int = 0,
     ) -> None:
-        """Set the constants; `bends` counts the bends that are degrees of freedom."""
+        """Set the constants of the body.
+
+        `bends` counts the bends that are degrees of freedom.
+        """
         self.solid = solid
         self.floor = floor
         self.cells = cells
@@ -106,11 +112,11 @@ class Body(Stateful, ABC):
 
     @property
     def jumps(self) -> int:
-        """Number of jumps between resting poses since `reset`, 0 for a planar body."""
+        """Number of jumps between resting poses since `reset`."""
         return 0
 
     def bends(self) -> tuple[np.ndarray, np.ndarray] | tuple[None, None]:
-        """Return bends (rad) and rates (rad/s) that are degrees of freedom, or None."""
+        """Return bends (rad) and bend rates (rad/s), or None if they are prescribed."""
         return None, None
 
     def reset(self, pose: Pose) -> None:
@@ -171,8 +177,9 @@ class Body(Stateful, ABC):
             sample_steps: number of steps before each sample, ascending, shape (samples,).
 
         Returns:
-            The number of completed steps, which is smaller than requested after a failure, and
-            states and velocities as in `Motion` at the reached samples.
+            The number of completed steps, which is smaller than requested after a
+            failure. States and velocities at the reached samples follow in the layout
+            of `Motion`.
         """
 
     def stored(self, bend: np.ndarray, free: np.ndarray) -> float | np.ndarray:
@@ -188,11 +195,11 @@ class Body(Stateful, ABC):
     def motion(
         self, states: np.ndarray, velocities: np.ndarray, trace: Trace
     ) -> Motion:
-        """Return the motion at times for which the trace has one row each."""
+        """Return the motion at the times of the rows of the trace."""
 
 
 class PrescribedBends(Body):
-    """Body of `complete` and `simplified`, whose bends are the free bends of Eq. 14."""
+    """Body of models `complete` and `simplified`, whose bends follow Eq. 14."""
 
     state_attributes = ("_state_rate",)
 
@@ -267,7 +274,7 @@ class ClampedBends(Body):
     def motion(
         self, states: np.ndarray, velocities: np.ndarray, trace: Trace
     ) -> Motion:
-        """See `Body.motion`. The bends determine the motion."""
+        """See `Body.motion`. The motion is computed from the bends."""
         trace = self._split(trace)
         torque = np.empty_like(trace.bend)
         simulate_clamped(trace, self.solid, self._head_pose, states, velocities, torque)
@@ -277,9 +284,9 @@ class ClampedBends(Body):
 
 
 class _Chain(NamedTuple):
-    """Chain of connectors in the world frame, relative to its head.
+    """Connectors of a chain in the world frame, relative to the head connector.
 
-    `lever` is the velocity of all connectors behind a segment per bend rate, m.
+    `lever` is the velocity of all connectors behind a segment per unit bend rate, m.
     """
 
     position: np.ndarray
@@ -289,8 +296,6 @@ class _Chain(NamedTuple):
 
 
 class _Centre(NamedTuple):
-    """Motion of the centre of mass relative to the head, and of the mean heading."""
-
     x: float
     y: float
     vx: float
@@ -301,16 +306,16 @@ class _Centre(NamedTuple):
 
 @allocating
 def simulate_clamped(trace, solid, head, states, velocities, torque):  # type: ignore[no-untyped-def]
-    """Fill states, velocities and moments of a chain that is held at its head.
+    """Compute states, velocities and moments of a chain that is held at its head.
 
     Args:
         trace: trace of the chambers, whose free bends are the bends of the chain.
-        solid: the chain.
+        solid: constants of the chain.
         head: pose of the head: x, y (m) and heading (rad).
-        states: output for pose and velocity of the centre of mass in the world frame, with
-            the indices of `kernels`.
-        velocities: output for velocity in the mean-heading frame and mean spin, shape
-            (samples, 3).
+        states: output for pose and velocity of the centre of mass in the world frame,
+            with the indices of `kernels`.
+        velocities: output for the velocity in the mean-heading frame and the mean yaw
+            rate, shape (samples, 3).
         torque: output for net moments of the segments, shape (samples, segments), N·m.
     """
     n = solid.mass.shape[0]
@@ -335,10 +340,11 @@ def simulate_clamped(trace, solid, head, states, velocities, torque):  # type: i
 
 @inlined
 def _accelerate(trace, k, solid, total, heading, chain):  # type: ignore[no-untyped-def]
-    """Fill a chain from head to tail at row k of a trace; return its centre's motion.
+    """Fill a chain from head to tail at row k of a trace.
 
-    The position of the head stays 0. `total` is the mass of the chain in kg, and `heading`
-    is the heading of the head in rad.
+    The head stays at the origin with the heading `heading` (rad). `total` is the mass
+    of the chain, kg. The result is the motion of the centre of mass and of the mean
+    heading.
     """
     n = solid.mass.shape[0]
     position = chain.position
@@ -373,7 +379,7 @@ def _accelerate(trace, k, solid, total, heading, chain):  # type: ignore[no-unty
         v_y = v_y - chord_rate * s - span * chord_spin * c
         acceleration[j + 1, 0] = acceleration[j, 0] - inward * c + aside * s
         acceleration[j + 1, 1] = acceleration[j, 1] - inward * s - aside * c
-        # With the bend, the chord shortens and rotates by half of the bend.
+        # A bend shortens the chord and rotates it by half of the bend.
         chain.lever[j, 0] = -chord.slope * c - span / 2 * s
         chain.lever[j, 1] = -chord.slope * s + span / 2 * c
         share = solid.mass[j + 1] / total
@@ -392,7 +398,7 @@ def _fill_moments(solid, chain, torque):  # type: ignore[no-untyped-def]
     position = chain.position
     force_x = force_y = moment = 0.0
     for j in range(n - 2, -1, -1):
-        # The moment is about the connector at the rear end of segment j.
+        # Moments are taken about the connector at the rear end of segment j.
         if j < n - 2:
             arm_x = position[j + 2, 0] - position[j + 1, 0]
             arm_y = position[j + 2, 1] - position[j + 1, 1]
@@ -404,12 +410,12 @@ def _fill_moments(solid, chain, torque):  # type: ignore[no-untyped-def]
 
 
 class CompliantBends(Body):
-    """Body of `compliant`: masses on springs with dampers.
+    """Body of the model `compliant`, with masses on springs and dampers.
 
-    A segment has the stiffness k and the damping c = k · damping_time, which act against
-    deviations from its free bend q_f. Its moment is k (q_f − q) + c (q̇_f − q̇). A massless
-    segment without load has its free bend, which obeys Eq. 14. Inertia and friction deflect
-    it.
+    A segment with the bend q and the free bend q_f exerts the moment k (q_f − q) + c
+    (q̇_f − q̇). Here k is the stiffness and c = k · damping_time the damping. A
+    massless segment without load keeps its free bend, which obeys Eq. 14, while inertia
+    and friction deflect the segment.
     """
 
     state_attributes = ("_sampled", "_contact_loads")
@@ -438,7 +444,7 @@ class CompliantBends(Body):
             compliant_kernels.BENDS + self._bends,
             compliant_kernels.BENDS + 2 * self._bends,
         )
-        # Impulses of the obstacles on each point, and the time, follow the momenta.
+        # The impulses of the obstacles on each point and the time follow the momenta.
         self._impulses = slice(self._momenta.stop, None)
         count = 0 if obstacles is None else obstacles.force.size + 1
         self._shapes = self._momenta.stop + count, self._shapes[1]
@@ -473,7 +479,6 @@ class CompliantBends(Body):
 
     @property
     def _contact_loads(self) -> np.ndarray:
-        """Normal forces of the latest stage, from which the next stage starts."""
         if self.obstacles is None:
             return np.empty(0)
         return np.stack([self.obstacles.normal, self.obstacles.load])

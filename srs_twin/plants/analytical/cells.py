@@ -1,19 +1,21 @@
 """Cells into which analytical models divide segments with skin or among obstacles.
 
-A segment of constant curvature with the bend q is a chain of cells. The cells are arcs
-with the bends s_c q, where s_c is the fraction of the bend in cell c. The masses and
-contact points of the body are at the ends of the cells, as in the trapezoidal rule
-along the arcs. The kernels then compute with a longer chain. Its mean heading, averaged
-over all contact points, differs from the mean over the connectors by a linear function
-of the bends.
+A segment of constant curvature with the bend q is represented by a chain of cells. Cell
+c is an arc with the bend s_c q, where s_c is the fraction of the bend in the cell. The
+masses and contact points of the body are at the ends of the cells, as in the
+trapezoidal rule along the arcs. The kernels then treat the cells as a longer chain.
+Averaged over all contact points, the mean heading differs from the mean over the
+connectors by a linear function of the bends.
 
-The moment T_j of a segment does the work T_j δq_j, so T_j = Σ s_c T_c with prescribed
-bends. In the `compliant` model the bends of the cells are degrees of freedom. A cell
-has the stiffness k/s_c and the damping c/s_c, so that the cells in series have k and c.
-Cells of the rigid gap are far stiffer.
+The moment T_j of a segment does the work T_j δq_j, so T_j = Σ s_c T_c holds for
+prescribed bends, where T_c is the moment of cell c. In the `compliant` model the bends
+of the cells are degrees of freedom. A cell has the stiffness k/s_c and the damping
+c/s_c, so that the cells in series have the segment's stiffness k and damping c. Cells
+of the rigid gap are far stiffer.
 
 A body on wheels among obstacles is divided as well, because a load between two
-connectors bends a segment unevenly. Its masses and wheels stay at the connectors.
+connectors bends a segment unevenly. The masses and wheels of such a body stay at the
+connectors.
 """
 
 from __future__ import annotations
@@ -26,9 +28,9 @@ from srs_twin.compute.arrays import Array
 from srs_twin.robot.spec import Geometry, RobotSpec
 
 _RIGID_RATIO = 1e6
-"""Stiffness of a cell in the rigid gap over the segment's stiffness.
+"""Ratio of the stiffness of a cell in the rigid gap to the segment's stiffness.
 
-Bends of such a cell are below a microradian.
+The bend of such a cell stays below a microradian.
 """
 
 
@@ -46,9 +48,9 @@ class Division(NamedTuple):
 
     @classmethod
     def of(cls, geometry: Geometry, points: int) -> Division:
-        """Return at least `points` cells of about equal length.
+        """Return a division into at least `points` cells of about equal length.
 
-        The ends of the arc are ends of cells.
+        Ends of the arc are also ends of cells.
         """
         half_gap = geometry.rigid_gap / 2
         arc = geometry.segment_length
@@ -72,12 +74,12 @@ class Undivided:
     """Segments of a robot on wheels, whose masses and contacts are at the connectors.
 
     Attributes:
-        spec: the robot.
-        mass: mass of each connector, or of each end of a cell, shape (points,), kg.
-        length: length of the arc of a segment, or of each cell, shape (cells,), m.
-        gap: length of the straight part, which belongs to each arc, m.
-        inverse_share: inverse fraction 1/s_c, shape (segments, cells per segment) for
-            divided segments, dimensionless.
+        spec: robot whose body is divided.
+        mass: mass at each connector or end of a cell, shape (points,), kg.
+        length: length of each segment's arc or of each cell, shape (cells,), m.
+        gap: length of the straight part that belongs to each arc, m.
+        inverse_share: inverse fraction 1/s_c of each cell, dimensionless, shape
+            (segments, cells per segment) for divided segments.
     """
 
     inverse_share: float | Array = 1.0
@@ -107,14 +109,14 @@ class Undivided:
         return bend
 
     def moments(self, torque: Array) -> Array:
-        """Return the moments of the segments from moments on prescribed cells."""
+        """Return the moments of the segments from the moments of prescribed cells."""
         return torque
 
     def lead(self, bend: Array) -> float:
-        """Return the mean heading over all points minus that over the connectors, rad.
+        """Return the mean heading over all points minus the mean over connectors, rad.
 
         Args:
-            bend: bends of the cells, or their rates, shape (cells,), rad.
+            bend: bends of the cells (rad), or their rates (rad/s), shape (cells,).
         """
         return 0.0
 
@@ -207,14 +209,14 @@ class Cells(Undivided):
 
 
 _MIDDLE = 1e-6
-"""Width of the transition between two halves of a segment over the segment's length.
+"""Ratio of the transition between a segment's halves to the segment's length.
 
 Points in the transition count for both halves.
 """
 
 
 def cells_of_skin(spec: RobotSpec) -> Cells:
-    """Return the division of a robot with skin, with masses by the trapezoidal rule."""
+    """Return the cells of a robot with skin, with masses from the trapezoidal rule."""
     assert spec.skin is not None and spec.mass.segments is not None, "a robot with skin"
     division = Division.of(spec.geometry, spec.skin.points)
     cells = np.outer(spec.mass.segments, division.length / spec.geometry.pitch).ravel()
@@ -222,7 +224,7 @@ def cells_of_skin(spec: RobotSpec) -> Cells:
 
 
 def cells_of_wheels(spec: RobotSpec, count: int) -> Cells:
-    """Return the division of a robot on wheels into about `count` cells per segment."""
+    """Return about `count` cells per segment of a robot on wheels."""
     division = Division.of(spec.geometry, count)
     mass = np.zeros(spec.segments * len(division.share) + 1)
     mass[:: len(division.share)] = spec.mass.array()

@@ -1,39 +1,47 @@
 r"""Compiled kernel of the `compliant` analytical model.
 
-**Equations.** Kinematics and floor are as in `complete` (`kernels`), but the bends q
-are unknown. The velocities are u = (v_c in the frame of the mean heading, θ̇, q̇). Each
-connector has three velocities: along, across, and its yaw rate. They are linear in u
-with three rows R_i(q). Lagrange's equations in Hamilton's variables are
+**Equations.** Kinematics and floor are as in the model `complete` (`kernels`), but the
+bends q are unknown. The velocities u contain the velocity v_c of the centre of mass in
+the frame of the mean heading, the yaw rate θ̇ of this frame, and the bend rates q̇. The
+velocities of connector i along and across its heading, and its yaw rate, are linear in
+u. The rows R_{t,i} and R_{n,i} and the whole matrix R_i(q) give them. With the momenta
+p, Hamilton's form of Lagrange's equations is
 
 $$ p = M(q)\,u, \quad M = \sum m_i \bigl(R_{t,i}^T R_{t,i} + R_{n,i}^T R_{n,i}\bigr), \qquad
    \dot p_q = \frac{\partial T}{\partial q} + \tau - k q - c \dot q + \sum R_i^T f_i, $$
 
-with the kinetic energy T, the moment of the air τ = k G (p⁺ − p⁻), and the friction
-force and moment f_i of a connector. The first three momenta are M v_c and L, as in
-`complete`. Only the floor changes them, so the scheme conserves them exactly without
-friction, and no acceleration appears.
+Here m_i is the mass of a connector, T the kinetic energy, k the stiffness, c the
+damping, and f_i the friction force and moment on a connector. The air exerts the moment
+τ = k G (p⁺ − p⁻), where G is the gain and p⁺, p⁻ are the chamber pressures. The first
+three momenta are the linear momentum and the angular momentum L, as in `complete`. Only
+the floor changes these three momenta, so the scheme conserves them exactly without
+friction. The equations contain no acceleration.
 
 **Integration.** SDIRK2 is used as in `kernels`. A stage is solved for u by Newton's
-method. Its matrix contains friction, stiffness, damping and, as an antisymmetric part,
-the gyroscopic forces. It neglects the changes of friction and M with q, which are of
-order γ² h². The antisymmetric part is necessary. At the straight shape, alternating
-rotations of connectors move no point mass, so M is singular and only damping resists
-that motion. Friction has a convex potential, whose derivative along a Newton step shows
-whether the step was too long.
+method. Newton's matrix contains friction, stiffness, damping and, as an antisymmetric
+part, the gyroscopic forces. The matrix neglects the changes of friction and M with q,
+which are of order γ² h² for a step h. The antisymmetric part is necessary: in the
+straight shape, alternating rotations of connectors move no point mass, so M is singular
+and only damping resists this motion. Friction has a convex potential, whose derivative
+along a Newton step shows whether the step was too long.
 
-**Linear cost.** z denotes the velocity of a connector, its spin, and the rate of its
-velocity at constant u, all relative to the mean-heading frame. A segment propagates
+**Linear cost.** The cost of a solve is proportional to the number of segments. Let z
+contain the velocity of a connector, its spin ω, and the rate of change of its velocity
+at constant u, all relative to the mean-heading frame. Across segment j, z changes
+according to
 
 $$ z_{j+1} = z_j + \tau_j\,\omega_j + t_j\,\dot q_j, $$
 
-and Newton's matrix is the sum of Zᵀ B Z over the connectors. B contains mass, friction
-derivatives and, between velocities and rates, ± a m. The system is solved like an
-articulated body. From tail to head, each bend is eliminated from the matrix of the body
-part behind it. From head to tail, the bends are substituted.
+with coefficients τ_j and t_j that depend on the bend. Newton's matrix is the sum of Zᵀ
+B Z over the connectors, where Z maps u to z. The matrix B of a connector contains its
+mass m, the derivatives of friction and, between velocities and rates, ± a m with a = γ
+h. The system is solved like an articulated body. A pass from tail to head eliminates
+each bend from the matrix of the body part behind it, and a pass from head to tail
+substitutes the bends.
 
-The z of the head is unknown at first. Rates must be relative to the centre of mass,
-Σ m ż = 0. The two Lagrange multipliers of this constraint are propagated with z and
-turn out to be v_c.
+The vector z of the head is unknown at first. Rates must be relative to the centre of
+mass, which gives the constraint Σ m ż = 0. The two Lagrange multipliers of this
+constraint are propagated with z and are equal to v_c.
 """
 
 from __future__ import annotations
@@ -107,23 +115,25 @@ from srs_twin.plants.analytical.obstacles import (
 from srs_twin.robot.spec import GRAVITY
 
 BENDS = STATES
-"""Index of the first bend in the state; the momenta of the bends follow the bends."""
+"""Index of the first bend in the state, where bends precede their momenta."""
 
 _NEWTON_STEPS = 1000
-"""Maximum number of iterations; a body at rest on a slope needs many."""
+"""Maximum number of Newton iterations. A body at rest on a slope needs many.
+"""
 _NEWTON_TOLERANCE = 1e-9
-"""Tolerance of the velocities at a time unit of 1, m/s."""
+"""Tolerance of velocities in Newton's method, at a time unit of 1, m/s."""
 _NEWTON_ARM = 0.1
-"""Lever arm that turns rates into velocities, at a length unit of 1, m."""
+"""Lever arm that converts rates into velocities, at a length unit of 1, m."""
 _MOST_PASSES = 10
-"""Maximum number of updates of the normal forces in the friction of obstacles."""
+"""Maximum number of updates of the normal forces in the obstacles' friction."""
 _LOAD_TOLERANCE = 1e-4
-"""Tolerance of these normal forces over the weight."""
+"""Tolerance of the obstacles' normal forces, relative to the weight of the body."""
 _MARGIN = SPEED_LIMIT / 10
-"""Speed that the search for near obstacles allows for, m/s."""
+"""Additional speed for which the search for near obstacles allows, m/s."""
 
-# Columns of a link, the coefficients that propagate z over a segment: τ by the spin
-# (the spin itself has the coefficient 0), and t by the bend rate (the spin has −1).
+# Columns of a link, which holds the coefficients that propagate z over a segment. The
+# coefficients τ multiply the spin, and t the bend rate. The change of the spin itself
+# has the implicit coefficients 0 and −1.
 _SPIN_X = 0
 _SPIN_Y = 1
 _SPIN_X_RATE = 2
@@ -143,18 +153,18 @@ _Y_RATE = 4
 _MULTIPLIER_X = 5
 _MULTIPLIER_Y = 6
 _UNKNOWNS = 7
-_RIGHT = 7  # column of the right side
+_RIGHT = 7  # column of the right-hand side
 
 
 class CompliantModel(NamedTuple):
     """Constants of the kernels.
 
     Attributes:
-        solid: body.
+        solid: constants of the body.
         segments: number of segments.
-        stiffness, damping: stiffness k (N·m/rad) and damping c (N·m·s/rad) of each cell,
-            shape (cells,). An undivided segment is one cell.
-        floor: floor.
+        stiffness, damping: stiffness k (N·m/rad) and damping c (N·m·s/rad) of each
+            cell, shape (cells,). An undivided segment is one cell.
+        floor: friction parameters of the floor.
         obstacles: obstacles that the body can touch, or None.
     """
 
@@ -174,7 +184,7 @@ class CompliantModel(NamedTuple):
         floor: FloorFriction,
         obstacles: Obstacles | None = None,
     ) -> CompliantModel:
-        """Return the model; springs are numbers or (segments, cells) arrays."""
+        """Return the model, where springs are numbers or (segments, cells) arrays."""
         cells = len(solid.mass) - 1
         if np.ndim(stiffness) == 0:
             segments = cells
@@ -192,13 +202,16 @@ def _fill_propagation(body, q, u, solid, links):  # type: ignore[no-untyped-def]
     """Fill the coefficients τ and t that propagate z from a connector to the next."""
     for j in range(q.shape[0]):
         spin = u[2] + 0.5 * (body[SPIN, j] + body[SPIN, j + 1])
-        # The direction of a chord is half a bend behind the heading of its front end.
+        # The heading of a chord differs by half a bend from the heading of its front
+        # end.
         chord = chord_terms(q[j], solid, j)
         slope = chord.slope
         span = chord.span
         c = body[COS, j] * chord.cos_half + body[SIN, j] * chord.sin_half
         s = body[SIN, j] * chord.cos_half - body[COS, j] * chord.sin_half
         chord_rate = slope * u[3 + j]
+        # The bend coefficients of the link change at the rates −forth along and −aside
+        # across the chord, whose direction is (c, s).
         forth = chord.curvature * u[3 + j] + 0.5 * span * spin
         aside = slope * spin - 0.5 * chord_rate
         link = links[j]
@@ -216,7 +229,8 @@ def _fill_propagation(body, q, u, solid, links):  # type: ignore[no-untyped-def]
 def _fill_loads(body, u, a, solid, floor, loads):  # type: ignore[no-untyped-def]
     """Fill momentum, friction and the symmetric part of Newton's matrix.
 
-    The columns of `loads`, shape (N, LOAD_COLUMNS), are named in `kinematics`. `a` is γ h.
+    The columns of `loads`, shape (N, LOAD_COLUMNS), are named in `kinematics`. `a` is
+    the implicit step γ h, s.
 
     Returns:
         Force of the floor (x, y), its moment about the centre of mass, and the
@@ -230,6 +244,7 @@ def _fill_loads(body, u, a, solid, floor, loads):  # type: ignore[no-untyped-def
         s = body[SIN, i]
         x = body[X, i]
         y = body[Y, i]
+        # (vx, vy) is the velocity relative to the centre of mass.
         vx = body[VX, i] - u[2] * y
         vy = body[VY, i] + u[2] * x
         spin = u[2] + body[SPIN, i]
@@ -272,18 +287,18 @@ def _damper_power(model, rates, free_rates):  # type: ignore[no-untyped-def]
 def balance(q, u, moment, a, model, floor, work):  # type: ignore[no-untyped-def]
     """Fill momenta and forces of Lagrange's equations, and the input of `solve`.
 
-    All are in the frame of the mean heading.
+    All quantities are expressed in the frame of the mean heading.
 
     Args:
         q: bends, shape (segments,), rad.
-        u: velocity of the centre of mass in that frame (m/s), yaw rate and bend rates
-            (rad/s), shape (3 + segments,).
-        moment: moment k q_f + c q̇_f of the free bend on each segment, shape
+        u: velocity of the centre of mass (m/s), yaw rate and bend rates (rad/s), shape
+            (3 + segments,).
+        moment: moment k q_f + c q̇_f of the free bend q_f on each segment, shape
             (segments,), N·m.
         a: implicit step γ h for `solve`, s.
-        model: a `CompliantModel`, whose obstacles hold the pose of the body.
-        floor: the floor.
-        work: a `WorkArrays`.
+        model: constants, a `CompliantModel`, whose obstacles hold the pose of the body.
+        floor: friction parameters of the floor.
+        work: work arrays, a `WorkArrays`.
 
     Returns:
         Power that floor and obstacles take from the body, W.
@@ -313,7 +328,7 @@ def balance(q, u, moment, a, model, floor, work):  # type: ignore[no-untyped-def
 
 @kernel_only
 def _sum_behind(q, u, moment, model, work):  # type: ignore[no-untyped-def]
-    """Fill momenta and forces of the bends, after their first three components."""
+    """Fill momenta and forces of the bends, which follow the first three components."""
     mass = model.solid.mass
     n = mass.shape[0]
     momentum = work.momentum
@@ -321,12 +336,15 @@ def _sum_behind(q, u, moment, model, work):  # type: ignore[no-untyped-def]
     fx = force[0]
     fy = force[1]
     floor_moment = force[2]
-    # The sums extend over all connectors behind a segment and refer to the connector at
-    # its front end: momenta p, then forces.
+    # The sums extend over all connectors behind a segment. Moments refer to the
+    # connector at the front end of the segment. The sums px, py and pm are momenta, and
+    # x, y and m are forces and a moment.
     px = py = pm = x = y = m = 0.0
     for j in range(n - 2, -1, -1):
         load = work.loads[j + 1]
         link = work.links[j]
+        # At a constant mean heading, a bend turns the head by this fraction of the
+        # bend.
         share = (n - 1 - j) / n
         mass_share = mass[j + 1] / model.solid.weight
         px = px + load[MOMENTUM_X]
@@ -360,7 +378,6 @@ def _sum_behind(q, u, moment, model, work):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _add_connector(matrix, load, mass, weight, share, a, residual):  # type: ignore[no-untyped-def]
-    """Add a connector's B, the multipliers, and its part of the momentum residual."""
     matrix[_X, _X] += load[MASS_XX]
     matrix[_X, _Y] += load[MASS_XY]
     matrix[_Y, _X] += load[MASS_YX]
@@ -381,7 +398,6 @@ def _add_connector(matrix, load, mass, weight, share, a, residual):  # type: ign
 
 @kernel_only
 def _by_bend(link, row):  # type: ignore[no-untyped-def]
-    """Return the derivative with respect to the bend rate from derivatives by z."""
     return (
         link[_BEND_X] * row[_X]
         + link[_BEND_Y] * row[_Y]
@@ -407,8 +423,9 @@ def solve(a, model, work):  # type: ignore[no-untyped-def]
 
     Args:
         a: implicit step γ h, positive, s.
-        model: model as in `balance`.
-        work: work arrays filled by `balance`, with the residual. `step` is the solution.
+        model: constants, a `CompliantModel`.
+        work: work arrays filled by `balance`, with the residual. The solution is stored
+            in `work.step`.
     """
     mass = model.solid.mass
     loads = work.loads
@@ -442,6 +459,8 @@ def _eliminate_bend(j, a, model, work):  # type: ignore[no-untyped-def]
             + link[_BEND_Y_RATE] * matrix[_Y_RATE, k]
         )
     pivot[_RIGHT] += work.residual[3 + j]
+    # In the momentum equation of an implicit step, damping has the factor a and
+    # stiffness the factor a².
     bend_stiffness = a * model.damping[j] + a * a * model.stiffness[j]
     stiff = bend_stiffness + _by_bend(link, pivot)
     for k in range(_UNKNOWNS + 1):
@@ -473,7 +492,7 @@ class _HeadSolution(NamedTuple):
 
 @kernel_only
 def _substitute_bends(head, work):  # type: ignore[no-untyped-def]
-    """Fill the step from head to tail. The multipliers are the velocity v_c."""
+    """Fill the Newton step from head to tail, where the multipliers equal v_c."""
     step = work.step
     n = work.loads.shape[0]
     step[0] = head.multiplier_x
@@ -510,10 +529,6 @@ def _substitute_bends(head, work):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _eliminate(matrix):  # type: ignore[no-untyped-def]
-    """Solve for the last column in place.
-
-    The symmetric part is positive semidefinite, so no pivoting is needed.
-    """
     for j in range(_UNKNOWNS):
         for i in range(j + 1, _UNKNOWNS):
             factor = matrix[i, j] / matrix[j, j]
@@ -538,7 +553,7 @@ class WorkArrays(NamedTuple):
     """Work arrays for N connectors.
 
     Attributes:
-        body: posed body, shape (ROWS, N).
+        body: posed body (`kinematics`), shape (ROWS, N).
         links: coefficients of the propagation (`_fill_propagation`), shape (segments,
             _LINK_COLUMNS).
         loads: momenta, friction and mass matrices of the connectors (`_fill_loads`),
@@ -547,12 +562,14 @@ class WorkArrays(NamedTuple):
             (segments, _UNKNOWNS + 1).
         matrix: Newton's matrix of the body part behind a connector, with the right-hand
             side last, shape (_UNKNOWNS, _UNKNOWNS + 1).
-        bend, moment: bends, and moments of the free bends, at a stage, shape (segments,).
-        momentum, force: p and dp/dt, shape (3 + segments,).
-        residual, step: residual of a stage and Newton step, shape (3 + segments,).
-        last, drift: velocities before a stage, and their rates of change between stages,
-            shape (3 + segments,).
-        rate, known: rates of the state, and known part, at a stage, shape (state,).
+        bend, moment: bends (rad) and moments of the free bends (N·m) at a stage, shape
+            (segments,).
+        momentum, force: momenta p and their rates dp/dt, shape (3 + segments,).
+        residual, step: residual of a stage, and Newton step, shape (3 + segments,).
+        last, drift: velocities before a stage, and their rates of change between
+            stages, shape (3 + segments,).
+        rate, known: rates f(Y) of the state, and known part of Y, at a stage, shape
+            (state,).
     """
 
     body: np.ndarray
@@ -573,7 +590,7 @@ class WorkArrays(NamedTuple):
 
     @classmethod
     def of(cls, n: int, states: int = 0) -> WorkArrays:
-        """Return arrays for n connectors and `states` states (0 for `balance`)."""
+        """Return arrays for n connectors and states with `states` entries."""
         shapes = [
             (ROWS, n),
             (n - 1, _LINK_COLUMNS),
@@ -628,9 +645,9 @@ def _begin_stage(bend, rate, model, work):  # type: ignore[no-untyped-def]
 def _stage(a, free, row, model, floor, u, work):  # type: ignore[no-untyped-def]
     """Solve one implicit stage Y = known + a f(Y), and return whether it converged.
 
-    In place of the bends, Y contains their deviations from the free bends, which are known
-    exactly. `work.known` holds the known part, and `work.rate` gets f(Y). `u` holds a guess
-    of the velocities, and then the solution.
+    In place of the bends, the state Y contains their deviations from the free bends,
+    which are known exactly. `work.known` holds the known part of Y, and `work.rate`
+    receives f(Y). `u` holds a guess of the velocities, which the solution replaces.
     """
     known = work.known
     q = work.bend
@@ -643,7 +660,7 @@ def _stage(a, free, row, model, floor, u, work):  # type: ignore[no-untyped-def]
     weight = model.solid.weight
     _begin_stage(bend, bend_rate, model, work)
     step_share = 0.0  # fraction of the latest Newton step that has been made
-    slope_before = 0.0  # derivative of the potential along that step at its start
+    slope_before = 0.0  # derivative of the potential at the start of that step
     converged = False
     passes = 0
     power = 0.0
@@ -685,7 +702,10 @@ def _stage(a, free, row, model, floor, u, work):  # type: ignore[no-untyped-def]
 
 @inlined
 def _fill_rates(a, power, free, row, model, floor, u, work):  # type: ignore[no-untyped-def]
-    """Fill the rates of the state; `power` is what floor and obstacles take, W."""
+    """Fill the rates of the state.
+
+    Floor and obstacles take `power` (W) from the body.
+    """
     known = work.known
     force = work.force
     k = work.rate
@@ -716,7 +736,8 @@ class CompliantState(NamedTuple):
     Attributes:
         state: state of `kernels`, followed by bends (rad) and their momenta (kg·m²/s). With
             obstacles, the impulses on each point (N·s) and the time (s) follow.
-        velocity: velocities as in `balance`, kept between calls as first guesses.
+        velocity: velocities in the layout of `balance`, kept between calls as first
+            guesses.
     """
 
     state: np.ndarray
@@ -736,14 +757,14 @@ def advance(now, steps, free, marks, model, samples, work):  # type: ignore[no-u
     """Advance a body in place and return the number of completed steps.
 
     Args:
-        now: a `CompliantState`.
+        now: state of the body, a `CompliantState`, changed in place.
         steps: lengths of the steps, shape (steps,), s.
         free: free bends and their rates at the start and at the two stages of each step, a
             `Bends` of shape (1 + 2 · steps, segments).
         marks: number of steps before each sample, ascending, shape (samples,).
-        model: a `CompliantModel`.
-        samples: output, a `Samples`.
-        work: a `WorkArrays`.
+        model: constants, a `CompliantModel`.
+        samples: output for states and velocities, a `Samples`.
+        work: work arrays, a `WorkArrays`.
     """
     state = now.state
     u = now.velocity

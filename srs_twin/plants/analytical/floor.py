@@ -1,29 +1,34 @@
 r"""Compiled friction on the connectors of a moving body, with its derivatives.
 
-**Coasting.** A straight body that slides without rotation (`slide`) moves like a point
-with the same laws. All connectors move equally, so the mass cancels:
+**Coasting.** All connectors of a straight body that slides without rotation (`slide`)
+move equally. The body therefore moves like a point, and the mass cancels:
 
 $$ \dot v = f(v; \mu_t/(1 + s), \mu_n), \qquad s = \sum_w \frac{I_w}{M R^2}, $$
 
-with the law f for a load of g per unit mass. The spin of the wheels adds the relative
-inertia s along the heading, which lengthens the stopping distance by the factor 1 + s.
-No other force acts, so neither velocity component changes its sign. Each component is
-integrated by the midpoint rule until it is 0, and stays 0. Positions are smooth in the
-velocities and coefficients, as a fit requires.
+Here f is the friction law with the coefficients μ_t along and μ_n across the heading,
+for a load equal to gravity per unit mass. Wheel w has the radius R and the moment of
+inertia I_w about its axle, and M is the mass of the robot. The spin of the wheels adds
+the relative inertia s along the heading, which lengthens the stopping distance by the
+factor 1 + s. No other force acts, so neither component of the velocity v changes its
+sign. Each component is integrated by the midpoint rule until it is 0, and then stays 0.
+Positions are smooth functions of the velocities and coefficients, as a fit requires.
 
-**Instantaneous loads.** A connector has two wheels at ± a, and its centre of mass is at
-the height h. A lateral force increases the load of the outer wheel. The connector does
-not tip over. With the law's force φ per unit load, left and right,
+**Instantaneous loads.** A connector of weight W has two wheels at the distance a on
+either side of its centre line, and its centre of mass is at the height h. A lateral
+force F_n increases the load of the outer wheel. The connector does not tip over. The
+law gives the lateral forces φ_L and φ_R per unit load of the left and right wheel, so
+the loads N_L and N_R are
 
 $$ N_{L,R} = \tfrac W2 \mp k F_n, \qquad F_n = N_L φ_L + N_R φ_R
    = \frac W2\,\frac{φ_L + φ_R}{1 - k (φ_R - φ_L)}, \qquad k = \frac h{2a}. $$
 
-Loads are not negative. Derivatives are computed at constant loads, which keeps them
-symmetric. The solution is unchanged, but Newton's method needs a few more iterations.
+Negative loads are replaced by 0. Derivatives are computed at constant loads, which
+keeps them symmetric. This does not change the solution, but Newton's method needs a few
+more iterations.
 
 **Skin** has different coefficients for slip towards the tail and towards the head. The
-law `cosine` has no potential, so its derivatives are not symmetric. Both are cases of
-their own, and the kernels of other floors do not depend on them.
+law `cosine` has no potential, so its derivatives are not symmetric. Skin and `cosine`
+are therefore compiled separately from the kernels of other floors.
 """
 
 from __future__ import annotations
@@ -43,21 +48,21 @@ class FloorFriction(NamedTuple):
     """Friction parameters and inclination of the floor, for the kernels.
 
     Attributes:
-        case: tuple of None whose length is the index into `_CASES`. The length is part of
-            the type in numba, so that a kernel is compiled only for the contacts and the
-            law of its floor.
+        case: tuple of None whose length is the index into `_CASES`. In numba the length
+            of a tuple is part of its type, so a kernel is compiled only for the
+            contacts and the law of its floor.
         track: distance of the two contacts of a connector from the centre line, m, or 0 for
             one contact.
         mu_t, mu_n: friction coefficients along and across the heading, dimensionless.
         slip: slip speed ε, m/s.
         drag: axial drag on each connector, N.
-        load_transfer: load k transferred between the wheels per lateral force, 0 for static
-            loads, dimensionless.
+        load_transfer: factor k, the load transferred between the wheels per lateral
+            force, dimensionless. Static loads have k = 0.
         mu_back: friction coefficient along the heading for slip towards the tail,
             dimensionless.
         gravity: component of gravity normal to the floor, m/s².
         pull_x, pull_y: components of gravity along the floor in the world frame, m/s².
-        unit: time unit u of the robot (`robot.scale`), for tolerances.
+        unit: time unit of the robot (`robot.scale`), which scales the tolerances.
     """
 
     case: tuple[None, ...]
@@ -77,14 +82,14 @@ class FloorFriction(NamedTuple):
 class ContactTerms(NamedTuple):
     """Force and moment of the contacts of a connector, and their derivatives.
 
-    In the names of derivatives, the first letter is the force or moment and the second the
-    velocity: t along, n across, m about the vertical. `mt` always equals `tm`. Friction is
-    the gradient of a potential, so the derivatives are symmetric, except under the law
-    `cosine`.
+    In the names of derivatives, the first letter denotes the force or moment, and the
+    second letter the velocity. The letters stand for the directions along (t), across
+    (n) and about the vertical (m). `mt` always equals `tm`. Friction is the gradient of
+    a potential, so the derivatives are symmetric, except under the law `cosine`.
 
     Attributes:
-        t, n: force along and across the heading, N.
-        m: moment, N·m.
+        t, n: forces along and across the heading, N.
+        m: moment about the vertical, N·m.
         tt, tn, nt, nn: derivatives of forces with respect to velocities, N·s/m.
         tm, nm, mn: mixed derivatives of forces and spin, or moment and velocity, N·s.
         mm: derivative of the moment with respect to the spin, N·m·s.
@@ -113,7 +118,7 @@ def _one_contact(law, along, across, spin, weight, floor):  # type: ignore[no-un
 def _sum_pair(left, right, a, b, arm):  # type: ignore[no-untyped-def]
     """Return the terms of two contacts at the distance `arm` from the centre line.
 
-    `left` and `right` are results of a law. `a` and `b` are factors on them.
+    `left` and `right` are results of a friction law, scaled by the factors `a` and `b`.
     """
     a_t, a_n, a_tt, a_tn, a_nt, a_nn = left
     b_t, b_n, b_tt, b_tn, b_nt, b_nn = right
@@ -152,7 +157,7 @@ def _loaded_pair(law, v_a, v_b, mu_a, mu_b, across, weight, floor):  # type: ign
     a_n = left[1]
     b_n = right[1]
     lateral_force = weight / 2 * (a_n + b_n) / (1 - floor.load_transfer * (b_n - a_n))
-    # Loads of the left and the right wheel.
+    # The left wheel has the load a, and the right wheel the rest of the weight.
     a = min(max(weight / 2 - floor.load_transfer * lateral_force, 0.0), weight)
     return _sum_pair(left, right, a, weight - a, floor.track)
 
@@ -167,7 +172,6 @@ def _two_loaded_contacts(law, along, across, spin, weight, floor):  # type: igno
 
 @compiled
 def _skin(law, along, across, spin, weight, floor):  # type: ignore[no-untyped-def]
-    """Evaluate `connector_friction` for two points of a skin; the track may be 0."""
     v_a = along - spin * floor.track
     v_b = along + spin * floor.track
     mu_a = floor.mu_t if v_a >= 0.0 else floor.mu_back
@@ -195,12 +199,14 @@ def floor_friction(
 
     Args:
         law: friction law, one of `robot.friction.LAWS`.
-        track: see `FloorFriction`.
-        mu_t: see `FloorFriction`.
-        mu_n: see `FloorFriction`.
-        slip: see `FloorFriction`.
-        load_transfer: see `FloorFriction`.
-        mu_back: see `FloorFriction`; None for wheels.
+        track: distance of the two contacts from the centre line, m, or 0 for one
+            contact.
+        mu_t: friction coefficient along the heading, dimensionless.
+        mu_n: friction coefficient across the heading, dimensionless.
+        slip: slip speed ε, m/s.
+        load_transfer: load transferred between the wheels per lateral force,
+            dimensionless.
+        mu_back: friction coefficient for slip towards the tail, or None for wheels.
     """
     if mu_back is not None or law == "cosine":
         contacts = _skin
@@ -231,11 +237,12 @@ def floor_friction(
 def with_reduced_slip_speed(floor, speed):  # type: ignore[no-untyped-def]
     """Return a floor on which a body at rest does not creep down a slope.
 
-    A regularised law yields at any force, so on a slope the slip speed decreases with the
-    speed of the body. A level floor is returned unchanged.
+    A contact under a regularised law yields to any force. On a slope the slip speed is
+    therefore reduced together with the speed of the body. A level floor is returned
+    unchanged.
 
     Args:
-        floor: the floor.
+        floor: friction parameters of the floor.
         speed: approximate maximum speed of the body, m/s.
     """
     slip = floor.slip
@@ -264,8 +271,8 @@ def connector_friction(along, across, spin, weight, floor) -> Any:  # type: igno
         along: velocity of the connector along its heading, m/s.
         across: velocity across its heading, m/s.
         spin: yaw rate, rad/s.
-        weight: normal load of all contacts together, N.
-        floor: the floor.
+        weight: total normal load of the contacts, N.
+        floor: friction parameters of the floor.
     """
     contacts, law = _CASES[len(floor.case)]
     return _add_drag(contacts(law, along, across, spin, weight, floor), along, floor)
@@ -304,9 +311,9 @@ def _compile_connector_friction(along, across, spin, weight, floor):  # type: ig
 
 @kernel_only
 def slopes_of_force(terms, c, s):  # type: ignore[no-untyped-def]
-    """Return the derivatives xx, xy, yx, yy of the force in the frame of the body.
+    """Return the derivatives xx, xy, yx and yy of the force in the body frame.
 
-    c and s are cosine and sine of the connector's heading.
+    `c` and `s` are the cosine and sine of the connector's heading.
     """
     t_x = terms.tt * c - terms.tn * s
     n_x = terms.nt * c - terms.nn * s
@@ -316,9 +323,10 @@ def slopes_of_force(terms, c, s):  # type: ignore[no-untyped-def]
 
 
 class Twist(NamedTuple):
-    """Vector of a planar body: two components in its frame, and one about the vertical.
+    """Planar velocity or momentum in a frame.
 
-    The units are m/s and rad/s for a velocity, kg·m/s and kg·m²/s for a momentum.
+    It has two linear components and one about the vertical. The units are m/s and rad/s
+    for a velocity, and kg·m/s and kg·m²/s for a momentum.
     """
 
     x: float
@@ -327,17 +335,18 @@ class Twist(NamedTuple):
 
 
 class BodyForces(NamedTuple):
-    """Net force and moment of the floor on a body in its frame, with their derivatives.
+    """Net force and moment of the floor on a body in its frame, with derivatives.
 
-    `xy` is the derivative of the force x with respect to the velocity y. z stands for the
-    moment and for the yaw rate.
+    In names of derivatives such as `xy`, the first letter denotes the force and the
+    second letter the velocity. The letter z stands for the moment and for the yaw rate.
 
     Attributes:
         x, y: force, N.
         moment: moment about the centre of mass, N·m.
         power: dissipated power, W.
         xx, xy, yx, yy: derivatives of the force with respect to the velocity, N·s/m.
-        xz, yz, zx, zy: mixed derivatives, N·s.
+        xz, yz, zx, zy: derivatives between force and yaw rate, and between moment and
+            velocity, N·s.
         zz: derivative of the moment with respect to the yaw rate, N·m·s.
     """
 
@@ -378,8 +387,8 @@ def _symmetric_forces(body, mass, u, floor):  # type: ignore[no-untyped-def]
         along = vx * c + vy * s
         across = vy * c - vx * s
         f = connector_friction(along, across, spin, mass[i] * floor.gravity, floor)
-        # The derivatives of the velocities along and across with respect to the yaw
-        # rate are the lever arms of the forces.
+        # The lever arms of the forces are also the derivatives of the velocities along
+        # and across with respect to the yaw rate.
         t_arm = px * s - py * c
         n_arm = px * c + py * s
         fx += f.t * c - f.n * s
@@ -418,7 +427,9 @@ def _unsymmetric_forces(body, mass, u, floor):  # type: ignore[no-untyped-def]
         across = vy * c - vx * s
         f = connector_friction(along, across, spin, mass[i] * floor.gravity, floor)
         d_xx, d_xy, d_yx, d_yy = slopes_of_force(f, c, s)
-        # These derivatives are taken at constant velocity, or at constant spin.
+        # The derivatives of the force with respect to the spin are taken at constant
+        # velocity. The derivatives of the moment with respect to the velocity are taken
+        # at constant spin.
         spin_x = f.tm * c - f.nm * s
         spin_y = f.tm * s + f.nm * c
         moment_x = f.tm * c - f.mn * s
@@ -455,8 +466,8 @@ def forces_and_slopes(body, mass, u, floor) -> Any:  # type: ignore[no-untyped-d
     Args:
         body: posed body, shape (ROWS, N).
         mass: masses of the connectors, shape (N,), kg.
-        u: velocity of the centre of mass in the body frame, and yaw rate.
-        floor: the floor.
+        u: velocity of the centre of mass in the body frame (m/s), and yaw rate (rad/s).
+        floor: friction parameters of the floor.
     """
     return _forces_of_case(len(floor.case))(body, mass, u, floor)
 
@@ -476,8 +487,8 @@ def fill_forces(body, mass, u, floor, force):  # type: ignore[no-untyped-def]
         mass: masses of the connectors, shape (N,), kg.
         u: velocity of the centre of mass in the body frame (m/s) and yaw rate (rad/s),
             shape (3 or more,).
-        floor: the floor.
-        force: output, shape (N, 3).
+        floor: friction parameters of the floor.
+        force: output for forces and moment on each connector, shape (N, 3).
     """
     for i in range(mass.shape[0]):
         c = body[COS, i]
@@ -493,19 +504,19 @@ def fill_forces(body, mass, u, floor, force):  # type: ignore[no-untyped-def]
         force[i, 2] = terms.m
 
 
-# Ratio of speed to slip speed at which a law has reached its full force within 1e-4,
-# even for an ellipse of 1:14.
+# Above this ratio of speed to slip speed, a law has its full force within 1e-4, even
+# for a friction ellipse with an axis ratio of 1:14.
 _SLIDING_RATIO = 1000.0
 
-_MIN_SLIP_SPEED = 1e-7  # on a slope at a time unit of 1, m/s
-_COASTING_STEP = 5e-4  # longest time step of `slide`, s
+_MIN_SLIP_SPEED = 1e-7  # minimum on a slope at a time unit of 1, m/s
+_COASTING_STEP = 5e-4  # maximum time step of `slide`, s
 _COASTING_SLIP_SPEED = (
     1e-9  # slip speed of `slide`, m/s; small, because it only avoids 0/0
 )
 
 
 def spin_share(spec: RobotSpec) -> float:
-    """Return s: inertia of the wheels, as solid discs, over the mass of the robot."""
+    """Return the relative inertia s of the wheels, which are solid discs."""
     return 2 * spec.geometry.connectors * (spec.mass.wheel / 2) / spec.mass.total
 
 
@@ -521,12 +532,12 @@ def slide(
     """Return the positions of a coasting body relative to the start.
 
     Args:
-        velocity: initial velocity along and across the heading, m/s.
+        velocity: initial velocities along and across the heading, m/s.
         times: times of the positions, ascending from 0, shape (times,), s.
         law: friction law, one of `robot.friction.LAWS`.
         mu_t: friction coefficient along the heading, dimensionless.
         mu_n: friction coefficient across the heading, dimensionless.
-        share: relative inertia s of the wheels (module docstring), dimensionless.
+        share: relative inertia s of the wheels (`spin_share`), dimensionless.
 
     Returns:
         Positions along and across the heading, shape (times, 2), m.
@@ -573,7 +584,6 @@ def _deceleration(along, across, floor):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _stop_at_zero(speed, change):  # type: ignore[no-untyped-def]
-    """Return a velocity after a change, or 0 if the change would reverse it."""
     after = speed + change
     if after * speed > 0.0:
         return after

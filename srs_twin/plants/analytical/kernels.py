@@ -1,40 +1,44 @@
 r"""Compiled kernels of the models with prescribed bends (`complete`, `simplified`).
 
-**Forward dynamics.** Point masses m_i are at the connectors. The chambers prescribe the
-bends q(t), so the unknown is the pose of the body. Let ρ_i(q) and φ_i(q) be position
-and heading of connector i relative to the centre of mass r_c, in the frame of the mean
-heading θ. Then
+**Forward dynamics.** Point masses m_i with the total mass M are at the connectors. The
+chambers prescribe the bends q(t), so the unknown is the pose of the body. Connector i
+is at r_i, and ρ_i(q) is its position relative to the centre of mass r_c, in the frame
+of the mean heading θ. Its heading relative to θ is φ_i(q). The velocity v of the centre
+of mass and the angular momentum L then obey
 
 $$ M \dot v = \sum f_i, \qquad \dot L = \sum \bigl(r_i - r_c\bigr) \times f_i + n_i, \qquad
    L = I(q)\,\dot\theta + h(q, \dot q), $$
 
-with I = Σ m_i |ρ_i|² + J_i, h = Σ m_i ρ_i × ρ̇_i + J_i φ̇_i, the moment of inertia J_i
-of a connector (0 for point masses), the friction force f_i, and the yaw moment n_i of
-its wheels. This is Eq. 11 multiplied by eᵀ, which cancels the segment torques. The
-angular momentum L is a state, so the scheme does not need q̈. Jumps of q̈ at valve
-events therefore do not reduce its order.
+Here f_i is the friction force on a connector, n_i the yaw moment of its wheels, and J_i
+its moment of inertia, which is 0 for point masses. The body has the moment of inertia I
+= Σ m_i |ρ_i|² + J_i, and its bend rates contribute h = Σ m_i ρ_i × ρ̇_i + J_i φ̇_i to
+L. The equations are Eq. 11 multiplied by eᵀ, which cancels the segment torques. Because
+L is a state, the scheme does not need q̈, and jumps of q̈ at valve events do not reduce
+its order.
 
-Friction is stiff. The two-stage, second-order, L-stable SDIRK method of Alexander
-(1977) therefore solves the three velocities implicitly, with Newton's method in each
-stage. Friction has a convex potential, whose derivative along a Newton step shows
-whether the step was too long. `steps` chooses the lengths of the time steps.
+Friction is stiff, so the velocities are treated implicitly, by the two-stage,
+second-order, L-stable SDIRK method of Alexander (1977). Each stage is solved for the
+three velocities by Newton's method. Friction has a convex potential, whose derivative
+along a Newton step shows whether the step was too long. `steps` chooses the lengths of
+the time steps.
 
 **Inverse dynamics.** The moments of the segments for given bends (`inverse_dynamics`)
 follow from the recursive Newton–Euler algorithm. From head to tail, it computes the
-accelerations a_i, ε_i of the connectors with a fixed head and a constant rate of the
-mean heading. The balance of forces and moments gives the acceleration a, α of the whole
-body,
+linear and angular accelerations a_i and ε_i of the connectors, for a fixed head and a
+constant rate of the mean heading. The balance of forces and moments gives the linear
+and angular acceleration a and α of the whole body,
 
 $$ M a = \sum f_i - m_i a_i, \qquad
    I \alpha = \sum n_i - J_i \varepsilon_i + \rho_i \times (f_i - m_i a_i). $$
 
-From tail to head, it sums the force F_j and the moment N_j about the rear end of
-segment j that act on all connectors behind it. A massless segment has the chord L e
-along the mean heading of its ends, and does only the work T_j δq_j:
+From tail to head, it sums the loads on all connectors behind segment j to the force F_j
+and the moment N_j about the rear end of the segment. A massless segment has a chord of
+length L(q) with the derivative L', along the unit vector e in the direction of the mean
+heading of its ends. The segment does only the work T_j δq_j, so
 
 $$ T_j = -L'\, F_j \cdot e + \tfrac12 L\, e \times F_j - N_j. $$
 
-This is Eq. 11 solved for T with a cost linear in the number of segments.
+The result solves Eq. 11 for T at a cost linear in the number of segments.
 """
 
 from __future__ import annotations
@@ -71,8 +75,8 @@ class PrescribedModel(NamedTuple):
     """Constants of the kernels.
 
     Attributes:
-        solid: body.
-        floor: floor.
+        solid: constants of the body.
+        floor: friction parameters of the floor.
         friction_moment: whether the moment of friction about the centre of mass acts.
     """
 
@@ -106,8 +110,8 @@ _CHORD_COLUMNS = 4
 class _InverseArrays(NamedTuple):
     """Work arrays of the inverse dynamics.
 
-    `chords` holds L' e (m/rad) and L e (m) of each segment. `load` holds accelerations of
-    the connectors, then the loads on them.
+    `chords` holds L' e (m/rad) and L e (m) of each segment. `load` first holds the
+    accelerations of the connectors, and then the loads on them.
     """
 
     body: np.ndarray
@@ -125,7 +129,7 @@ def inverse_dynamics(
         velocities: velocity of the centre of mass in the mean-heading frame (m/s) and
             yaw rate (rad/s), shape (samples, 3).
         trace: trace of the chambers, whose free bends are the bends.
-        model: the constants.
+        model: constants of body and floor.
         torque: output for the moments, shape (samples, segments), N·m.
     """
     n = len(model.solid.mass)
@@ -159,6 +163,7 @@ def _fill_accelerations(trace, k, yaw, solid, work):  # type: ignore[no-untyped-
     chords = work.chords
     motion = work.load
     n = solid.mass.shape[0]
+    # alpha is the angular acceleration of the head relative to the mean heading.
     alpha = 0.0
     for j in range(n - 1):
         alpha += (n - 1 - j) / n * acceleration[j]
@@ -167,12 +172,14 @@ def _fill_accelerations(trace, k, yaw, solid, work):  # type: ignore[no-untyped-
     motion[0, 1] = y
     motion[0, 2] = alpha
     for j in range(n - 1):
-        # The direction of a chord is half a bend from the heading of either end.
+        # The heading of a chord differs by half a bend from the heading of either end.
         chord = chord_terms(q[j], solid, j)
         slope = chord.slope
         span = chord.span
         c = body[COS, j] * chord.cos_half + body[SIN, j] * chord.sin_half
         s = body[SIN, j] * chord.cos_half - body[COS, j] * chord.sin_half
+        # The chord has the direction (c, s) and turns at the rate chord_spin. The
+        # second derivative of the chord vector has the components `along` and `across`.
         chord_spin = yaw + body[SPIN, j] - rate[j] / 2
         along = (
             slope * acceleration[j]
@@ -196,8 +203,8 @@ def _fill_accelerations(trace, k, yaw, solid, work):  # type: ignore[no-untyped-
 def _balance_loads(inertia, model, work):  # type: ignore[no-untyped-def]
     """Convert the accelerations in `work.load` to forces (N) and moments (N·m).
 
-    They include the acceleration of the whole body. The result is the moment of the loads
-    about the centre of mass (N·m), or 0 if the friction moment acts.
+    The loads include the acceleration of the whole body. The result is the moment of
+    the loads about the centre of mass (N·m), or 0 if the friction moment acts.
     """
     solid = model.solid
     body = work.body
@@ -215,6 +222,7 @@ def _balance_loads(inertia, model, work):  # type: ignore[no-untyped-def]
         s = body[SIN, i]
         x = body[X, i]
         y = body[Y, i]
+        # Friction is rotated from the frame of the connector to the mean-heading frame.
         floor_x = friction[i, 0] * c - friction[i, 1] * s
         floor_y = friction[i, 0] * s + friction[i, 1] * c
         load[i, 0] = mass[i] * load[i, 0] - floor_x
@@ -240,8 +248,9 @@ def _balance_loads(inertia, model, work):  # type: ignore[no-untyped-def]
 def _sum_moments(work, remainder, torque):  # type: ignore[no-untyped-def]
     """Fill the moments of the segments from tail to head.
 
-    `remainder` is the moment of the loads about the centre of mass. A bend rotates the
-    head, and with it the whole body, so that the mean heading stays constant.
+    `remainder` is the moment of the loads about the centre of mass (N·m). A bend turns
+    the whole body with the head, so that the mean heading stays constant, and the
+    remainder does work on this rotation.
     """
     chords = work.chords
     load = work.load
@@ -251,6 +260,8 @@ def _sum_moments(work, remainder, torque):  # type: ignore[no-untyped-def]
         fx = fx + load[j + 1, 0]
         fy = fy + load[j + 1, 1]
         moment = moment + load[j + 1, 2]
+        # With the symbols of the module docstring, arm is L e × F and lengthening is L'
+        # F · e.
         arm = chords[j, _SPAN_X] * fy - chords[j, _SPAN_Y] * fx
         lengthening = chords[j, _SLOPE_X] * fx + chords[j, _SLOPE_Y] * fy
         torque[j] = arm / 2 - lengthening - moment + (n - 1 - j) / n * remainder
@@ -271,25 +282,25 @@ ENERGY_LOSS = 6  # energy lost to friction, and potential energy gained, J
 STATES = 7
 
 SPEED_LIMIT = 100.0
-"""Speed above which a state is not plausible, m/s."""
+"""Speed above which a state counts as diverged, m/s."""
 
-_NEWTON_STEPS = 100  # maximum number of iterations of a stage
+_NEWTON_STEPS = 100  # maximum number of Newton iterations of a stage
 _NEWTON_TOLERANCE = 1e-8  # tolerance of the velocities at a time unit of 1, m/s
 _NEWTON_ARM = 0.1
-"""Lever arm that turns the yaw rate into a velocity, at a length unit of 1, m."""
+"""Lever arm that converts a yaw rate to a velocity, at a length unit of 1, m."""
 _OVERSHOOT = 0.1
-"""Ratio of the derivatives after and before a Newton step that was too long."""
+"""Magnitude of the ratio of derivatives that marks a Newton step as too long."""
 
 
 @inlined
 def is_too_long(slope_before, slope_after):  # type: ignore[no-untyped-def]
-    """Return whether a Newton step overshot the minimum, across a kink of friction."""
+    """Return whether a Newton step overshot the minimum across a kink of friction."""
     return slope_after < -_OVERSHOOT * slope_before
 
 
 @inlined
 def shorter_fraction(slope_before, slope_after):  # type: ignore[no-untyped-def]
-    """Return the fraction of a long step at which the derivative is about 0."""
+    """Return the fraction of a too long step at which the derivative is about 0."""
     return min(max(slope_before / (slope_before - slope_after), 0.1), 0.7)
 
 
@@ -313,8 +324,7 @@ def _solve3(a, b, c, right):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _rotate(c, s, angle):  # type: ignore[no-untyped-def]
-    """Return cosine and sine of an angle plus an increment."""
-    if abs(angle) > 0.1:  # rad; up to it the neglected terms are below 1e-17
+    if abs(angle) > 0.1:  # rad; below this angle the neglected terms are below 1e-17
         dc = math.cos(angle)
         ds = math.sin(angle)
     else:
@@ -336,7 +346,7 @@ def copy(values, out):  # type: ignore[no-untyped-def]
 
 @inlined
 def is_slow(state):  # type: ignore[no-untyped-def]
-    """Return whether the velocity is plausible. A NaN fails every comparison."""
+    """Return whether the velocity is plausible, which a NaN is not."""
     return abs(state[STATE_VX]) < SPEED_LIMIT and abs(state[STATE_VY]) < SPEED_LIMIT
 
 
@@ -344,16 +354,8 @@ def is_slow(state):  # type: ignore[no-untyped-def]
 def record(state, velocity, marks, done, mark, samples):  # type: ignore[no-untyped-def]
     """Copy state and velocity after `done` steps to all samples at this step.
 
-    Args:
-        state: state after `done` steps.
-        velocity: velocity after `done` steps.
-        marks: number of steps before each sample, ascending.
-        done: number of completed steps.
-        mark: number of the next sample.
-        samples: a `Samples`.
-
-    Returns:
-        The number of the sample that is next after the copy.
+    `marks` holds the number of steps before each sample, ascending. `mark` is the index
+    of the next sample, and the result is this index after the copy.
     """
     while mark < marks.shape[0] and marks[mark] == done:
         copy(state, samples.states[mark])
@@ -363,13 +365,14 @@ def record(state, velocity, marks, done, mark, samples):  # type: ignore[no-unty
 
 
 class _StageEquation(NamedTuple):
-    """Equation of a stage: momentum = known momentum + a · force, for three velocities.
+    """Stage equation for three velocities: momentum = known momentum + a · force.
 
     Attributes:
         a: implicit step γ h, s.
-        weight, inertia, moment: M (kg), I (kg·m²) and h (kg·m²/s).
-        known_x, known_y: known velocity of the centre of mass, with gravity, world frame,
-            m/s.
+        weight, inertia, moment: mass M (kg), moment of inertia I (kg·m²) and angular
+            momentum h of the bend rates (kg·m²/s).
+        known_x, known_y: known velocity of the centre of mass, with gravity, world
+            frame, m/s.
         known_moment: known angular momentum, kg·m²/s.
         acts: 1 if the friction moment acts, otherwise 0.
     """
@@ -388,6 +391,7 @@ class _StageEquation(NamedTuple):
 def _residual(equation, u, c, s, force):  # type: ignore[no-untyped-def]
     a = equation.a
     weight = equation.weight
+    # (bx, by) is the known velocity in the frame of the mean heading.
     bx = equation.known_x * c + equation.known_y * s
     by = equation.known_y * c - equation.known_x * s
     turning = equation.inertia * u.yaw + equation.moment
@@ -428,8 +432,6 @@ def _moved(u, share, step):  # type: ignore[no-untyped-def]
 
 
 class _Heading(NamedTuple):
-    """Cosine and sine of a reference heading, and a heading relative to it, rad."""
-
     cos: float
     sin: float
     ahead: float
@@ -439,8 +441,9 @@ class _Heading(NamedTuple):
 def _stage(stage, a, bends, heading, model, work):  # type: ignore[no-untyped-def]
     """Solve one implicit stage Y = known + a f(Y), and fill f(Y).
 
-    `work.after` holds the known part of Y. `work.guess` holds a guess of the velocities,
-    which becomes the solution. The result is whether Newton's method converged.
+    `work.after` holds the known part of the state Y. `work.guess` holds a guess of the
+    velocities, which the solution replaces. The result is whether Newton's method
+    converged.
     """
     solid = model.solid
     floor = model.floor
@@ -456,9 +459,10 @@ def _stage(stage, a, bends, heading, model, work):  # type: ignore[no-untyped-de
     u = Twist(guess[0], guess[1], guess[2])
     step = Twist(0.0, 0.0, 0.0)
     step_share = 0.0  # fraction of the latest Newton step that has been made
-    slope_before = 0.0  # derivative of the potential along that step at its start
+    slope_before = 0.0  # derivative of the potential at the start of that step
     converged = False
     power = 0.0
+    # The mean heading at the end of the stage depends on the unknown yaw rate.
     c, s = _rotate(heading.cos, heading.sin, heading.ahead + a * u.yaw)
     tolerance = _NEWTON_TOLERANCE * floor.unit
     arm = _NEWTON_ARM * floor.unit * floor.unit
@@ -491,7 +495,7 @@ def _stage(stage, a, bends, heading, model, work):  # type: ignore[no-untyped-de
 
 @inlined
 def _fill_rates(equation, known, c, s, u, power, floor, k):  # type: ignore[no-untyped-def]
-    """Fill k = f(Y), which the stage equation gives without a further evaluation."""
+    """Fill k = f(Y), which follows from the stage equation."""
     a = equation.a
     k[STATE_X] = u.x * c - u.y * s
     k[STATE_Y] = u.x * s + u.y * c
@@ -531,15 +535,16 @@ class StepArrays(NamedTuple):
 
 @kernel_only
 def step(state, h, bends, model, work):  # type: ignore[no-untyped-def]
-    """Make one step of SDIRK2.
+    """Make one step of the SDIRK2 method.
 
     Args:
         state: state at the start, shape (STATES,).
         h: length of the step, s.
         bends: bends and rates at the two stages, shape (2, segments).
-        model: the constants.
-        work: work arrays. `after` and `rates` get the state at the end and the rates at
-            the stages. `guess` and `pace` belong to the start, then to the end.
+        model: constants of body and floor.
+        work: work arrays. `after` receives the state at the end, and `rates` the rates
+            at the stages. `guess` and `pace` are updated from the start to the end of
+            the step.
 
     Returns:
         Whether both stages converged.
@@ -597,21 +602,22 @@ def observe(
     solid: BodyParameters,
     floor: FloorFriction,
 ) -> Observation:
-    """Return the observable quantities.
+    """Return the observable quantities of several states.
 
     Args:
-        states: states with the indices above, shape (samples, STATES or more).
+        states: states with the indices `STATE_X` to `ENERGY_LOSS`, shape (samples,
+            STATES or more).
         velocities: velocity of the centre of mass in the mean-heading frame (m/s) and
             yaw rate (rad/s), shape (samples, 3 or more).
         bends: bends and rates, shape (samples, segments).
-        solid: the body.
-        floor: the floor.
+        solid: constants of the body.
+        floor: friction parameters of the floor.
     """
     count = len(states)
     n = len(solid.mass)
     shapes = [(count, n, 2), (count, n), (count, n, 2), (count,)]
     out = Observation(*map(np.zeros, shapes))
-    # Contiguous arrays have one type, so the kernel is compiled once for all models.
+    # Contiguous arrays share one type, so the kernel is compiled once for all models.
     bends = Bends(*map(np.ascontiguousarray, bends))
     body = np.zeros((ROWS, n))
     _observe(states, velocities, bends, solid, floor, out, body, np.zeros((n, 3)))

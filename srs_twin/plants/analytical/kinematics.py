@@ -15,9 +15,9 @@ from srs_twin.compute.compiled import compiled, inlined, kernel_only
 from srs_twin.robot import geometry
 
 # Rows of a posed body, an array of shape (ROWS, N) with one column per connector.
-COS = 0  # cosine of the heading relative to the mean heading
-SIN = 1  # sine of it
-SPIN = 2  # its rate, rad/s
+COS = 0  # cosine of the connector's heading relative to the mean heading
+SIN = 1  # sine of the connector's heading relative to the mean heading
+SPIN = 2  # rate of the connector's heading relative to the mean heading, rad/s
 X = 3  # position, m
 Y = 4
 VX = 5  # velocity, m/s
@@ -25,9 +25,9 @@ VY = 6
 ROWS = 7
 
 # Columns of the load on a connector in the `compliant` model: momentum relative to the
-# centre of mass, force and moment, and Newton's matrix, which is the mass minus γ h
-# times the derivative of the force. XM is the derivative of the force x with respect to
-# the spin.
+# centre of mass, force and moment, and Newton's matrix. Newton's matrix is the mass
+# minus γ h times the derivative of the force. The column XM is the entry of this
+# matrix for the force x and the spin.
 MOMENTUM_X = 0
 MOMENTUM_Y = 1
 MOMENTUM_YAW = 2
@@ -58,8 +58,8 @@ class BodyParameters(NamedTuple):
             masses, shape (N,), kg·m².
         length: length l of each segment, shape (segments,), m.
         gap: rigid gap L_o, m.
-        frozen: 1 to keep all chords at l + L_o (model `simplified`), or 0 to shorten them
-            with the bend.
+        frozen: 1 to keep all chords at the length l + L_o (model `simplified`), or 0
+            for chords that shorten with the bend.
         weight: total mass M, kg.
         pitch: mean distance between the connectors of the straight body, m.
     """
@@ -81,7 +81,7 @@ class BodyParameters(NamedTuple):
         gap: float,
         frozen: float = 0.0,
     ) -> BodyParameters:
-        """Return the constants, where `length` may be one number for all segments."""
+        """Return the constants. `length` may be one number for all segments."""
         lengths = np.full(len(mass) - 1, length)
         return cls(
             mass,
@@ -100,7 +100,7 @@ class Chord(NamedTuple):
     Attributes:
         cos_half, sin_half: cosine and sine of half the bend, by which the chord turns from
             either end.
-        span: length L, m.
+        span: length L of the chord, m.
         slope, curvature: derivatives dL/dq (m/rad) and d²L/dq² (m/rad²).
     """
 
@@ -113,7 +113,10 @@ class Chord(NamedTuple):
 
 @kernel_only
 def chord_terms(q, solid, j):  # type: ignore[no-untyped-def]
-    """Return the `Chord` of segment j (from 0 at the head) with the bend q (rad)."""
+    """Return the `Chord` of segment j for the bend q (rad).
+
+    Segments are counted from 0 at the head.
+    """
     half_turn = _half_turn(q)
     length = solid.length[j]
     span, slope, curvature = _spans(half_turn, length, solid.gap)
@@ -129,7 +132,7 @@ def chord_terms(q, solid, j):  # type: ignore[no-untyped-def]
 
 @inlined
 def _fill_chords(q, rate, solid, out):  # type: ignore[no-untyped-def]
-    """Fill terms of single segments in a loop that can be vectorised.
+    """Fill the terms of single segments in a loop that the compiler can vectorise.
 
     `out` serves as a buffer. The result is the heading of the head relative to the mean
     heading (rad) and its rate (rad/s).
@@ -161,17 +164,17 @@ class _Centre(NamedTuple):
 
 @compiled
 def pose_body(q, rate, solid, out):  # type: ignore[no-untyped-def]
-    """Fill a posed body and return I (kg·m²) and h (kg·m²/s). See `kernels`.
+    """Fill a posed body and return I (kg·m²) and h (kg·m²/s) as defined in `kernels`.
 
     Args:
         q: bends, shape (segments,), rad.
         rate: bend rates, shape (segments,), rad/s.
-        solid: the body.
-        out: posed body, shape (ROWS, N).
+        solid: constants of the body.
+        out: output for the posed body, shape (ROWS, N).
     """
     mass = solid.mass
     lead, lead_rate = _fill_chords(q, rate, solid, out)
-    # From the head to the tail, in the frame of the head.
+    # The loop runs from head to tail, in the frame of the head.
     c = 1.0
     s = 0.0
     spin = 0.0
@@ -179,7 +182,8 @@ def pose_body(q, rate, solid, out):  # type: ignore[no-untyped-def]
     total = cx = cy = cvx = cvy = 0.0
     for i in range(mass.shape[0]):
         if i > 0:
-            # The direction of a chord is half a bend from the heading of either end.
+            # The heading of a chord differs by half a bend from the heading of either
+            # end.
             half_c = out[COS, i]
             half_s = out[SIN, i]
             span = out[X, i]
@@ -211,10 +215,10 @@ def pose_body(q, rate, solid, out):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _transform_to_mean(out, solid, centre, lead, lead_rate):  # type: ignore[no-untyped-def]
-    """Transform a body from the head's frame to the mean heading; return I and h.
+    """Transform a body from the head's frame to the mean-heading frame.
 
-    `lead` is the heading of the head relative to the mean heading, in rad. The origin moves
-    to the centre of mass.
+    `lead` is the heading of the head relative to the mean heading (rad). The origin
+    moves to the centre of mass. The result is I (kg·m²) and h (kg·m²/s).
     """
     mass = solid.mass
     connector_inertia = solid.inertia
@@ -225,7 +229,8 @@ def _transform_to_mean(out, solid, centre, lead, lead_rate):  # type: ignore[no-
     place_y = out[Y]
     rate_x = out[VX]
     rate_y = out[VY]
-    # The lead may exceed a full turn in a long coil, so no series expansion is used.
+    # In a long coil the head may lead by more than a full turn, so no series expansion
+    # is used.
     a = math.cos(lead)
     b = math.sin(lead)
     inertia = moment = 0.0

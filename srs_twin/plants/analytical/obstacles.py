@@ -1,34 +1,37 @@
 r"""Contact of the `compliant` model with obstacles.
 
-**Shapes.** At each point of the chain (`cells`) the body is a straight stretch along
-the heading, which reaches half way to the neighbouring points. It has round ends and
-the half width w. Obstacles are line segments with a radius: circles and the sides of
-polygons. The contact is at the closest points of stretch and obstacle. Its force acts
-on the stretch, and thus changes force and moment at one point only.
+**Shapes.** At each point of the chain of `cells`, the body is a straight stretch along
+the heading, which reaches half way to the neighbouring points. A stretch has round ends
+and the half width w. An obstacle is a line segment with a radius, which represents a
+circle or one side of a polygon. A stretch and an obstacle touch at their closest
+points. The contact force acts on the stretch, so it changes force and moment at one
+point of the chain only.
 
-**Law.** With the overlap δ and the normal velocity v_n of the body at the contact,
-positive when it leaves,
+**Law.** The normal force N and the friction f_t of a contact depend on the overlap δ
+and on the normal and tangential velocities v_n and v_t of the body at the contact. A
+positive v_n means that the body leaves the obstacle:
 
 $$ N = k\,δ_+\,(1 - χ v_n)_+, \qquad
    f_t = -μ N \frac{v_t}{\sqrt{v_t^2 + ε^2}}. $$
 
-N never pulls. The factor with χ dissipates energy (Hunt and Crossley, 1975). The
-stiffness is k = m/T², on which the robot with the mass m would oscillate with the time
-constant T = `CONTACT_TIME_S`. The limit T → 0 is rigid contact. Force and stiffness are
-evaluated at the end of each implicit stage, where δ moves by −a v_n with a = γ h. The
-derivative
+Here ( )₊ denotes the positive part, so N never pulls. The dissipation coefficient χ
+removes energy (Hunt and Crossley, 1975), μ is the friction coefficient and ε the slip
+speed. The stiffness is k = m/T², so that the robot of mass m would oscillate on it with
+the time constant T = `CONTACT_TIME_S`. The limit T → 0 is rigid contact. Force and
+stiffness are evaluated at the end of each implicit stage of length a = γ h, in which δ
+changes by −a v_n. The derivative
 
 $$ \frac{∂N}{∂v_n} = -k\,\bigl(a\,(1 - χ v_n) + χ δ\bigr) $$
 
-therefore enters Newton's matrix, and stiff contacts do not limit the time step. The
-matrix, but not the force, neglects changes of the normal during a step.
+therefore enters Newton's matrix, and stiff contacts do not limit the time step. Only
+the matrix neglects that the direction of the normal changes during a step.
 
-Newton's method relies on a convex potential, which friction has under constant N. A
-stage is therefore solved a few times, each time with the normal forces of the previous
-solution in the friction.
+Newton's method relies on a convex potential, which friction has only for constant
+normal forces. A stage is therefore solved a few times. Each solve computes friction
+from the normal forces of the previous solution.
 
-The twin shares none of this: it has rods between hinges, other shapes, and MuJoCo's
-constraint forces.
+The twin models obstacles independently, with rods between hinges, other shapes and
+MuJoCo's constraint forces.
 """
 
 from __future__ import annotations
@@ -70,11 +73,11 @@ from srs_twin.robot.world import WALL_M, World
 CONTACT_TIME_S = 0.001
 """Time constant T of a contact at a time unit of 1 (`robot.scale`), s.
 
-It is a numerical setting.
+The value is a numerical setting and not a property of the robot.
 """
 
 _LOSS_S_PER_M = 20.0
-"""Coefficient χ at a speed unit of 1, s/m. Bodies leave an obstacle slower than 1/χ."""
+"""Coefficient χ at a speed unit of 1, s/m, which limits rebound speeds to 1/χ."""
 
 # Columns of `Obstacles.shape`, m.
 _BEGIN_X = 0
@@ -87,7 +90,7 @@ _SHAPE_COLUMNS = 5
 # Entries of `Obstacles.pose`.
 _COM_X = 0  # centre of mass, m
 _COM_Y = 1
-_COS = 2  # of the mean heading
+_COS = 2  # cosine of the mean heading
 _SIN = 3
 
 
@@ -102,7 +105,7 @@ class Obstacles(NamedTuple):
         stiffness, loss: contact stiffness k (N/m) and dissipation coefficient χ (s/m).
         friction, slip: friction coefficient μ (dimensionless) and slip speed ε (m/s).
         pose: pose of the body at the end of a stage, shape (4,).
-        near: number of obstacles within reach of the body, and their indices.
+        near: number of obstacles within reach of the body, followed by their indices.
         force: force of the obstacles on each point at the latest evaluation, world
             frame, shape (points, 2), N.
         normal, load: normal forces at the latest evaluation and in the friction law, shape
@@ -126,14 +129,7 @@ class Obstacles(NamedTuple):
 def make_obstacles(
     world: World, spec: RobotSpec, cells: Undivided, slip: float
 ) -> Obstacles:
-    """Return the obstacles of a world.
-
-    Args:
-        world: circles, polygons, and the coefficient of friction.
-        spec: the robot.
-        cells: division of the segments.
-        slip: slip speed, m/s.
-    """
+    """Return the obstacles of a world for a slip speed (m/s)."""
     shapes = np.array(list(_shapes(world)), dtype=float).reshape(-1, _SHAPE_COLUMNS)
     half = np.broadcast_to(
         (np.asarray(cells.length) + cells.gap) / 2, len(cells.mass) - 1
@@ -190,7 +186,11 @@ def find_near(obstacles, state, reach):  # type: ignore[no-untyped-def]
 
 @compiled_if(is_given)
 def set_pose(obstacles, known, a, u):  # type: ignore[no-untyped-def]
-    """Store the pose at the end of a stage with velocities u."""
+    """Store the pose at the end of a stage.
+
+    `known` is the known part of the state, and the body moves with the velocities u for
+    the implicit step a (s).
+    """
     heading = known[HEADING] + a * u[2]
     c = math.cos(heading)
     s = math.sin(heading)
@@ -202,8 +202,6 @@ def set_pose(obstacles, known, a, u):  # type: ignore[no-untyped-def]
 
 
 class _Line(NamedTuple):
-    """Axis of an obstacle in the mean-heading frame: one end and a vector, m."""
-
     x: float
     y: float
     to_x: float
@@ -227,8 +225,6 @@ def _axis(shape, pose):  # type: ignore[no-untyped-def]
 
 
 class _Stretch(NamedTuple):
-    """Straight stretch of the body around a point, in the mean-heading frame."""
-
     x: float
     y: float
     cos: float
@@ -238,10 +234,10 @@ class _Stretch(NamedTuple):
 
 
 class _Gap(NamedTuple):
-    """Closest points of the axes of body and obstacle.
+    """Gap between the axes of body and obstacle at their closest points.
 
-    `place` is the position on the body, along its heading from the point. (x, y) is the
-    vector from the obstacle to the body, m.
+    `place` is the position on the body, along its heading from the point (m). (x, y) is
+    the vector from the obstacle to the body, m.
     """
 
     place: float
@@ -261,7 +257,13 @@ def _gap(stretch, line):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _closest(stretch, line):  # type: ignore[no-untyped-def]
-    """Return the closest points: along the heading (m), and along the line (0 to 1)."""
+    """Return the closest points of a stretch and a line.
+
+    The first result is a distance along the heading (m), the second a fraction of the
+    line.
+    """
+    # u is the unit vector along the stretch, b is the vector along the line, and d
+    # points from the stretch to the line.
     px = stretch.x
     py = stretch.y
     ux = stretch.cos
@@ -276,7 +278,7 @@ def _closest(stretch, line):  # type: ignore[no-untyped-def]
     dy = line.y - py
     if size == 0.0:
         return min(max(dx * ux + dy * uy, lowest), highest), 0.0
-    # This determinant is 0 for parallel lines.
+    # The determinant is 0 for parallel lines.
     angle = size - mixed * mixed
     place = 0.5 * (lowest + highest)
     if angle > 1e-12 * size:
@@ -295,7 +297,7 @@ class _Contact(NamedTuple):
         n_x, n_y: normal away from the obstacle, dimensionless.
         arm_x, arm_y: lever arm of the contact on the surface of the body about the point,
             m.
-        normal, tangential: normal force N and friction f_t, N.
+        normal, tangential: normal force and friction f_t, N.
         normal_slope, tangential_slope: derivatives of N and f_t with respect to the normal
             and tangential velocity, N·s/m.
         power: power that the contact takes from the body, W.
@@ -314,11 +316,11 @@ class _Contact(NamedTuple):
 
 @inlined
 def _contact(o, a, load, reach, stretch, gap, velocity):  # type: ignore[no-untyped-def]
-    """Return the contact of a point with an obstacle. See the module docstring.
+    """Return the contact of a point with an obstacle.
 
-    `a` is γ h in s. `load` is the normal force in the friction law, N. `reach` is the
-    distance of the axes at which body and obstacle touch, m. `velocity` is the `Twist` of
-    the point.
+    The module docstring states the law. `a` is the implicit step γ h, s. `load` is the
+    normal force in the friction law, N. `reach` is the distance of the axes at which
+    body and obstacle touch, m. `velocity` is the `Twist` of the point.
     """
     distance = math.sqrt(gap.x * gap.x + gap.y * gap.y)
     n_x = gap.x / distance
@@ -356,11 +358,12 @@ def add_contacts(obstacles, body, u, a, loads):  # type: ignore[no-untyped-def]
     """Add the forces of near obstacles and their derivatives to the loads of points.
 
     Args:
-        obstacles: an `Obstacles` with the pose of the body. Its forces are filled.
+        obstacles: obstacles with the pose of the body, an `Obstacles` whose forces are
+            filled.
         body: posed body, shape (ROWS, points).
-        u: velocities, shape (3 + cells,).
+        u: velocities as in `compliant_kernels.balance`, shape (3 + cells,).
         a: implicit step γ h, s.
-        loads: loads that are changed in place (`compliant_kernels._fill_loads`).
+        loads: loads (`compliant_kernels._fill_loads`), changed in place.
 
     Returns:
         Force (x, y) and moment about the centre of mass in the frame of the mean
@@ -416,8 +419,8 @@ def _add_load(load, contact, a):  # type: ignore[no-untyped-def]
     load[FORCE_X] += contact.normal * nx - contact.tangential * ny
     load[FORCE_Y] += contact.normal * ny + contact.tangential * nx
     load[FORCE_YAW] += contact.normal * n_m + contact.tangential * t_m
-    # These are the derivatives of normal (n) and tangential (t) force with respect to
-    # the velocity (x, y) and the spin (s).
+    # Names such as n_x denote derivatives: of the normal (n) or tangential (t) force,
+    # with respect to the velocity (x, y) or the spin (s).
     n_x = contact.normal_slope * nx
     n_y = contact.normal_slope * ny
     n_s = contact.normal_slope * n_m
@@ -442,7 +445,7 @@ def _add_load(load, contact, a):  # type: ignore[no-untyped-def]
 def update_loads(obstacles, scale):  # type: ignore[no-untyped-def]
     """Set the loads of friction to the latest normal forces.
 
-    The result is whether one of them changed by more than `scale` (N).
+    The result is whether a load changed by more than `scale` (N).
     """
     o = obstacles
     changed = False
@@ -458,19 +461,22 @@ def update_loads(obstacles, scale):  # type: ignore[no-untyped-def]
 def fill_rates(obstacles, model, free, free_rates, rates, work):  # type: ignore[no-untyped-def]
     """Fill the rates of the impulses, of the time and of the energy column.
 
-    The work of the torques is the energy of the body plus the integral of the losses. The
-    implicit method evaluates the stiff normal forces at the end of a stage, when an impact
-    has almost stopped the body. The integral of the losses therefore misses the energy that
-    is dissipated in impacts. The torques are smooth, so the power of the air is integrated
-    instead. It is Σ T_j q̇_f,j with T = k (q_f − q) + c (q̇_f − q̇) of a whole segment.
+    Without obstacles the energy column (`ENERGY_LOSS`) holds the losses, and the work
+    of the torques is the energy of the body plus these losses. The implicit method,
+    however, evaluates the stiff normal forces at the end of a stage, when an impact has
+    almost stopped the body. The integral of the losses would therefore miss the energy
+    that is dissipated in impacts. Among obstacles the column holds the work instead, as
+    the integral of the power of the air, Σ T_j q̇_f,j, which is smooth. T = k (q_f − q)
+    + c (q̇_f − q̇) is the torque of a whole segment with the bend q, the free bend q_f,
+    the stiffness k and the damping c.
 
     Args:
         obstacles: obstacles with the forces of the stage.
-        model: a `compliant_kernels.CompliantModel`.
+        model: constants, a `compliant_kernels.CompliantModel`.
         free: free bends of the cells, rad.
         free_rates: rates of the free bends, rad/s.
         rates: rates of the bends, rad/s.
-        work: work arrays with the bends. `rate`, the rates of the state, is filled.
+        work: work arrays with the bends. The rates of the state in `rate` are filled.
     """
     k = work.rate
     q = work.bend

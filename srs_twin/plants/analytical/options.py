@@ -1,4 +1,4 @@
-"""Options of the analytical models: their assumptions about robot and floor, and their numerical settings."""
+"""Options of the analytical models: physical assumptions and numerical settings."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ LOADS = ("static", "momentary")
 INERTIAS = ("point", "connector", "lumped")
 
 TIMESTEP_S = 0.002
-"""Default longest time step at a time unit of 1 (`robot.scale`), s."""
+"""Default maximum time step at a time unit of 1 (`robot.scale`), s."""
 TOLERANCE_M_S = 0.0002
-"""Default tolerance of a step at a time unit of 1, m/s."""
+"""Default error tolerance of a step at a time unit of 1, m/s."""
 SLIP_SPEED_M_S = 0.00025
 """Default slip speed at a time unit of 1, m/s."""
 
 
 def default_timestep(tick: float, scale: Scale) -> float:
-    """Return the default longest time step, s.
+    """Return the default maximum time step, s.
 
     Args:
         tick: control tick, s.
-        scale: units of the robot. For those of the shipped robots the step does not
-            depend on the tick.
+        scale: units of the robot. For the units of the shipped robots, the step does
+            not depend on the tick.
     """
     if scale == SHIPPED:
         return TIMESTEP_S
@@ -63,37 +63,41 @@ class AnalyticalOptions:
     """Assumptions and numerical settings of an analytical model.
 
     Attributes:
-        model: "complete" (prescribed bends), "simplified" (prescribed bends, chords
-            frozen at l + L_o) or "compliant" (bends deflected by load and inertia);
-            "quasistatic" (`quasistatic`) for a robot whose segments bend in two
-            directions, and only for it. A body with skin is not "simplified".
-        friction: law of a robot on wheels, "axis" (one contact per connector, the law
-            of the dissertation), "wheel" (two wheels at the track), "ellipse" or
-            "cosine" (two skids at the track) or "viscous" (for tests); a skin has its
-            own law, along the whole body.
-        load: load of a wheel or skid, "static" (half of its connector's weight) or
-            "momentary" (with the load transfer by the lateral force, see `floor`).
-        friction_torque: whether the moment of friction about the centre of mass acts;
+        model: model of the bends. "complete" prescribes the bends. "simplified"
+            prescribes them and keeps chords at the length l + L_o, but not for a body
+            with skin. In "compliant" load and inertia deflect the bends. "quasistatic"
+            (module `quasistatic`) is for robots whose segments bend in two directions,
+            and only for these robots.
+        friction: friction law of a robot on wheels. "axis" has one contact per
+            connector and is the law of the dissertation. "wheel" has two wheels at the
+            track, "ellipse" and "cosine" have two skids at the track, and "viscous"
+            serves for tests. A skin has its own law along the whole body.
+        load: load of a wheel or skid. "static" is half of the weight of its connector.
+            "momentary" is the instantaneous load, which includes the transfer due to
+            the lateral force (`floor`).
+        friction_torque: whether the moment of friction about the centre of mass acts.
             False gives the first model of the dissertation, with "simplified" only.
-        inertia: moment of inertia of each connector: "point" for none, "connector" for
-            a compact body with two wheels as in the twin, "lumped" for the
+        inertia: moment of inertia of each connector. "point" sets it to 0. "connector"
+            is a compact body with two wheels as in the twin. "lumped" is the
             dissertation's j(i) = Σ m L²/3, which counts the masses of the segments
             twice (E19).
-        base: "free", or "clamped": held at the head, in the air (not with "compliant").
-        track: distance of the two contacts of a connector from the centre line, m;
-            default the robot's half track for a law at the wheels, and 0, one contact,
-            for other laws.
-        touch: whether the body touches obstacles (`obstacles`), with "compliant" only;
-            otherwise it passes through them.
+        base: support of the chain: "free", or "clamped" at its head in the air.
+            "compliant" bodies cannot be clamped.
+        track: distance of the two contacts of a connector from the centre line, m. The
+            default is the robot's half track for a law at the wheels. For other laws it
+            is 0, which means one contact.
+        touch: whether the body touches obstacles (module `obstacles`), with "compliant"
+            only. Otherwise it passes through them.
         cells: approximate number of cells per segment of a robot on wheels that can
             touch obstacles.
-        timestep: longest time step, s; default `TIMESTEP_S` times the time unit of the
-            robot (`robot.scale`), or a near part of the tick (`robot.scale.divide`).
-        tolerance: largest error of a step where friction reverses, as a velocity, m/s;
-            with prescribed bends, steps are divided until they meet it, see `steps`;
-            default `TOLERANCE_M_S` times the time unit.
-        slip_speed: slip speed ε of the friction law, m/s; default `SLIP_SPEED_M_S`
-            times the time unit.
+        timestep: maximum time step, s. The default is `TIMESTEP_S` times the time unit
+            of the robot (`robot.scale`), or a near part of the tick
+            (`robot.scale.divide`).
+        tolerance: maximum error of a step in which friction reverses, expressed as a
+            velocity, m/s. With prescribed bends, steps are divided until they meet it
+            (module `steps`). The default is `TOLERANCE_M_S` times the time unit.
+        slip_speed: slip speed ε of the friction law, m/s. The default is
+            `SLIP_SPEED_M_S` times the time unit.
     """
 
     model: str = "complete"
@@ -128,11 +132,11 @@ class AnalyticalOptions:
             )
 
     def law_on(self, spec: RobotSpec) -> str:
-        """Return the friction law of a robot, which is that of its skin if it has one."""
+        """Return the friction law of a robot, or of its skin if it has one."""
         return self.friction if spec.skin is None else spec.skin.law
 
     def track_of(self, spec: RobotSpec) -> float:
-        """Return the distance of the contacts of a robot from its centre line, m."""
+        """Return the distance of a robot's contacts from its centre line, m."""
         if self.track is not None:
             return self.track
         if self.law_on(spec) in TWO_POINT_LAWS:
@@ -143,17 +147,19 @@ class AnalyticalOptions:
         """Check that a robot in a world can be simulated with these options.
 
         Raises:
-            InputError: it cannot; the message contains all reasons.
+            InputError: the robot cannot be simulated. The message contains all reasons.
         """
         raise_violations(
             (*refusals("model", self.model, spec, world), *self.violations(spec))
         )
 
     def violations(self, spec: RobotSpec | None) -> Iterator[Violation]:
-        """Yield options that exclude each other; parameters are names of options.
+        """Yield violations by options that exclude each other.
+
+        The parameters of a violation are names of options.
 
         Args:
-            spec: robot; None for the options alone.
+            spec: robot, or None to check the options alone.
         """
         if not self.friction_torque and self.model != "simplified":
             yield Violation(

@@ -1,41 +1,46 @@
 r"""Spatial body without inertia (model `quasistatic`) on a floor.
 
-A segment is an arc of constant curvature and twist, with the rotation vector w from its
-rear connector to the front one. The components z, −y and x of w are the bends to the
-left and upwards and the twist. The coordinates are the pose of the head connector and
-the bends q and twists of all segments. Weight and contacts are at points along the
-axis, a radius r above the lowest point of the body.
+A segment is an arc of constant curvature and twist. The rotation vector w leads from
+the frame of its rear connector to the frame of its front connector. The components z,
+−y and x of w are the bend to the left, the bend upwards and the twist. The generalised
+coordinates are the pose of the head connector and the bends q and twists of all
+segments. Weight and contacts are at points along the axis of the body, which has the
+radius r.
 
-**Equilibrium.** Without inertia, the forces balance at every time. The free bends of
-the chambers are q̂, with stiffness k and damping c. The points have the heights z_i,
-masses m_i and loads N_i, and u is the velocity of all coordinates. A step of length h
-minimises
+**Equilibrium.** Without inertia, the forces balance at every time. The chambers impose
+the free bends q̂ with the stiffness k and the damping c. Point i has the height z_i,
+the mass m_i and the normal load N_i. A time step of length h finds the velocities of
+the coordinates that minimise
 
 $$ \tfrac12 k\,(q + h\dot q - \hat q)^2 + \tfrac h2 c\,\dot q^2
    + \sum_i m_i g\,h \dot z_i + \tfrac{\kappa_i}2 \max(0, r - z_i - h\dot z_i)^2 + h
    \sum_i N_i D(s_i) + \tfrac h2 \sum_i \frac{m_i}{\tau}(\dot z_i^2 + \dot\rho_i^2), $$
 
-divided by h. The first terms are the elastic energy, the dissipation of the segments,
-and the weight. The floor has the stiffness κ_i = m_i g/δ, in which a resting point
-sinks by δ. D is the dissipation potential of a friction law for the slip s_i, the
-velocity of the material vertically below the axis. So the pose at rest has the minimum
-potential energy, and the body moves along the floor with the minimum dissipated power.
-Friction bends the segments as well.
+divided by h. The first three terms are the elastic energy, the dissipation in the
+segments, and the weight. The floor has the stiffness κ_i = m_i g/δ, so that a resting
+point sinks by δ. D(s_i) is the dissipation potential of a friction law, where the slip
+s_i is the velocity of the material vertically below the axis. The last term is the drag
+described below. The pose at rest therefore has the minimum potential energy, and the
+body moves along the floor with the minimum dissipated power. Friction also bends the
+segments.
 
-The loads in front of D must be the loads of the solution. The step is therefore solved
-up to four times, each time with the loads of the previous solution. A friction law
-without a potential, such as `cosine`, has no such minimum.
+The loads N_i that multiply D must be the loads of the solution. A step is therefore
+solved up to four times, each time with the loads of the previous solution. A friction
+law without a potential, such as `cosine`, cannot be used, because it has no such
+minimum.
 
-**Jumps.** The resting pose can become unstable. The body then topples within a time
-that its inertia would determine. In place of the inertia, a drag with the time τ acts
-on vertical motion and on rolling (surface velocity ρ̇). Between jumps it changes loads
-by the fraction ż/(g τ), which is below 0.01. A step in which a point moves too far is
-divided. A jump is counted where a point becomes faster than √(g r)/4.
+**Jumps.** The resting pose can become unstable. A real body then topples within a time
+that its inertia determines. In place of inertia, a drag with the time constant τ acts
+on the vertical velocity ż_i and on rolling with the surface velocity ρ̇_i. Between
+jumps the drag changes loads by the fraction ż/(g τ), which is below 0.01. A step in
+which a point moves too far is divided. A jump is counted when a point becomes faster
+than √(g r)/4.
 
-**Validity.** Inertia may be neglected if the inertia number (2πf)² A/(μ g) is small,
-with the amplitude A of the lateral motion. The sag number m g λ²/(k p) shows how far
-the weight bends the body between its supports. λ is the wavelength along the body, m
-the mass within a wavelength, and p the pitch.
+**Validity.** Inertia may be neglected if the inertia number (2πf)² A/(μ g) is small.
+Here f is the gait frequency, A the amplitude of the lateral motion and μ the friction
+coefficient. The sag number m g λ²/(k p) shows how far the weight bends the body between
+its supports. Here λ is the wavelength along the body, m the mass within a wavelength,
+and p the pitch of the connectors.
 """
 
 from __future__ import annotations
@@ -54,13 +59,13 @@ from srs_twin.pneumatics import Trace
 from srs_twin.robot.spec import GRAVITY, RobotSpec
 
 _DEPTH_RATIO = 1 / 2000
-"""Depth of a resting point in the floor over the radius of the body."""
+"""Ratio of a resting point's depth in the floor to the radius of the body."""
 _DRAG_TIME_S = 0.5
 """Drag time τ of vertical motion and of rolling at a time unit of 1, s."""
 _MOVE_RATIO = 0.05
-"""Maximum motion of a point in a substep over the radius of the body."""
+"""Ratio of a point's maximum motion in a substep to the radius of the body."""
 _JUMP_RATIO = 0.25
-"""Minimum speed of a point in a jump over √(g r)."""
+"""Ratio of a point's minimum speed in a jump to √(g r)."""
 
 
 def make_constants(
@@ -69,12 +74,12 @@ def make_constants(
     """Return the constants of a robot on a level floor or held at its head.
 
     Args:
-        spec: a spatial robot.
+        spec: spatial robot to simulate.
         slip_speed: slip speed ε of the friction law, m/s.
-        base: "free" or "clamped".
+        base: support of the body, "free" or "clamped".
 
     Raises:
-        InputError: the friction law has no potential, or segments lengthen.
+        InputError: the friction law has no potential, or the segments can lengthen.
     """
     g = spec.geometry
     bending = spec.bending
@@ -122,7 +127,7 @@ def make_constants(
 
 
 class QuasistaticArcs(Body):
-    """Body of `quasistatic`, with the state indices of `spatial_kinematics`.
+    """Body of the model `quasistatic`, with the state indices of `spatial_kinematics`.
 
     Attributes:
         constants: constants of the body and of the floor.
@@ -132,7 +137,7 @@ class QuasistaticArcs(Body):
     state_attributes: ClassVar[tuple[str, ...]] = ("_sampled", "_theta")
 
     def __init__(self, spec: RobotSpec, slip_speed: float, base: str) -> None:
-        """Set the constants. Arguments and errors are described in `make_constants`."""
+        """Set the constants with the arguments of `make_constants`."""
         self._spec = spec
         self.constants = make_constants(spec, slip_speed, base)
         points = len(self.constants.mass)
@@ -151,7 +156,7 @@ class QuasistaticArcs(Body):
         return int(self.state[kinematics.JUMPS])
 
     def reset(self, pose: Pose) -> None:
-        """See `Body.reset`. The modules have their rest bends."""
+        """See `Body.reset`. The modules start with their rest bends."""
         self.state, self.velocity = map(np.zeros, self._shapes)
         constants = self.constants
         segments = self._spec.segments
@@ -205,9 +210,9 @@ class QuasistaticArcs(Body):
 
         Args:
             time: times of the samples, shape (samples,), s.
-            motion: motion at these times.
+            motion: motion at the times of the samples.
             trace: trace of the chambers.
-            sensed: readings of the bends.
+            sensed: sensor readings of the bends.
         """
         count = len(time)
         n = self._spec.geometry.connectors
@@ -278,14 +283,13 @@ class QuasistaticArcs(Body):
         return mean
 
     def _exchanged(self, states: np.ndarray) -> np.ndarray:
-        """Return the floor's impulses and the time, shape (samples, 3 · points + 1)."""
         return np.hstack(
             [states[:, self._impulses], states[:, kinematics.CLOCK :][:, :1]]
         )
 
 
 def quaternions(frames: np.ndarray) -> np.ndarray:
-    """Return the quaternions of rotation matrices, w ≥ 0 first, shape (…, 4)."""
+    """Return the quaternions of rotation matrices, shape (…, 4), with w ≥ 0 first."""
     from scipy.spatial.transform import Rotation
 
     turns: np.ndarray = Rotation.from_matrix(frames.reshape(-1, 3, 3)).as_quat(

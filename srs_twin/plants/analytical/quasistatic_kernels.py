@@ -29,27 +29,27 @@ from srs_twin.robot import friction
 from srs_twin.robot.spec import GRAVITY
 
 _MAX_SWEEPS = 4
-"""Maximum number of solves of a step, each with the loads of the previous solve."""
+"""Maximum number of solves per step, each with the loads of the previous solve."""
 _MAX_ITERATIONS = 30
 _SOFTER = (1e3, 1e2, 10.0, 1.0)
 """Factors on the slip speed that are tried in turn if Newton's method fails.
 
-Each solve starts from the previous solution.
+The factor decreases to 1, and each solve starts from the previous solution.
 """
 _MAX_TRIALS = 14
 _MAX_SLOPE_RATIO = 0.5
-"""A line search ends where the derivative is below this fraction of the first one."""
+"""Fraction of the initial derivative below which a line search ends."""
 _MAX_HALVINGS = 14
 _TOLERANCE = 1e-6
-"""Residual power over the power of friction at the slip speed at which a solve ends."""
+"""Tolerance of the residual power, relative to friction times slip speed."""
 _LOAD_TOLERANCE = 1e-4
-"""Change of a load over the weight of the body below which the sweeps end."""
+"""Change of a load, relative to the body's weight, below which a step is solved."""
 _ellipse = compiled(friction.ellipse)
 
 
 @compiled
 def _begin_step(state, body, work, h):  # type: ignore[no-untyped-def]
-    """Fill the residual's linear part: springs, dampers, weight and drag."""
+    """Fill the linear part of the residual: springs, dampers, weight and drag."""
     segments = work.bend.shape[0]
     count = body.share.shape[0]
     linear = work.linear
@@ -61,6 +61,8 @@ def _begin_step(state, body, work, h):  # type: ignore[no-untyped-def]
     for p in range(work.point.shape[0]):
         rows = work.rows[p]
         mass = body.mass[p]
+        # A point moves only with the head and with the segments up to its own segment.
+        # These are the first `used` velocities.
         used = 9 + 3 * (p // count)
         drag = mass / body.drag_time
         for i in range(used):
@@ -93,7 +95,6 @@ def _fill_linear(velocity, work, out, with_matrix):  # type: ignore[no-untyped-d
 
 @compiled
 def _residual(velocity, body, work, h, slip, out, with_matrix):  # type: ignore[no-untyped-def]
-    """Fill the residual of a step of length h (s) and, if asked, Newton's matrix."""
     count = body.share.shape[0]
     mu = body.friction
     matrix = work.matrix
@@ -104,6 +105,8 @@ def _residual(velocity, body, work, h, slip, out, with_matrix):  # type: ignore[
         up = 0.0
         for i in range(used):
             up += rows[UP, i] * velocity[i]
+        # The floor is a spring, which is evaluated at the height at the end of the
+        # step.
         spring = body.free * body.mass[p] * GRAVITY / body.depth
         load = spring * max(0.0, body.radius - work.point[p, 2] - h * up)
         work.load[p] = load
@@ -116,6 +119,8 @@ def _residual(velocity, body, work, h, slip, out, with_matrix):  # type: ignore[
             along += rows[ALONG, i] * velocity[i]
             across += rows[ACROSS, i] * velocity[i]
         mu_t = mu.ahead if along >= 0.0 else mu.back
+        # f_t and f_n are the friction along and across the body. tt, tn and nn are the
+        # derivatives of this friction with respect to the velocities.
         f_t, f_n, tt, tn, _, nn = _ellipse(
             along, across, work.law_load[p], mu_t, mu.across, slip
         )
@@ -183,8 +188,8 @@ def _product(a, b):  # type: ignore[no-untyped-def]
 
 @compiled
 def _minimise(velocity, body, work, h, slip, tolerance):  # type: ignore[no-untyped-def]
-    """Solve for the velocities under the loads `law_load`; return the success."""
     size = velocity.shape[0]
+    # g is the gradient of the minimised function, and d is the Newton step.
     g = work.residual
     d = work.direction
     for _ in range(_MAX_ITERATIONS):
@@ -195,8 +200,8 @@ def _minimise(velocity, body, work, h, slip, tolerance):  # type: ignore[no-unty
         first = _product(g, d)
         if not first < -tolerance:
             return np.isfinite(first)
-        # The derivative along the Newton step increases monotonically. The search finds
-        # where it is nearly 0.
+        # The derivative along the Newton step increases monotonically, and the search
+        # finds the point where it is nearly 0.
         low = 0.0
         high = 0.0
         t = 1.0
@@ -234,8 +239,8 @@ def _solve_step(velocity, state, body, work, h, weight):  # type: ignore[no-unty
         tolerance = _TOLERANCE * weight * slip
         converged = _minimise(velocity, body, work, h, slip, tolerance)
         if not converged:
-            # Newton's method overshoots if sticking points are far from the solution,
-            # so the solve begins again with smoother friction.
+            # Newton's method overshoots if sticking points are far from the solution.
+            # The solve then begins again with smoother friction.
             for i in range(velocity.shape[0]):
                 velocity[i] = 0.0
             for factor in _SOFTER:
@@ -254,7 +259,7 @@ def _solve_step(velocity, state, body, work, h, weight):  # type: ignore[no-unty
 
 @compiled
 def move_state(velocity, state, body, work, h, turn, old):  # type: ignore[no-untyped-def]
-    """Advance a state by a solved step of length h."""
+    """Advance a state over a step of length h (s), given the solved velocities."""
     segments = work.bend.shape[0]
     for j in range(segments):
         for i in range(3):
@@ -340,13 +345,13 @@ def advance(now, steps, free, sample_steps, body, work, samples):  # type: ignor
     """Advance by several steps and return the number of completed steps.
 
     Args:
-        now: a `QuasistaticState`, changed in place.
+        now: state of the body, a `QuasistaticState`, changed in place.
         steps: lengths of the steps, shape (steps,), s.
         free: free bends at the start and after each step, shape (steps + 1, S, 2), rad.
         sample_steps: number of steps before each sample.
-        body: constants.
-        work: workspace.
-        samples: output, a `Samples`.
+        body: constants of body and floor.
+        work: work arrays.
+        samples: output for states and velocities, a `Samples`.
     """
     state = now.state
     velocity = now.velocity

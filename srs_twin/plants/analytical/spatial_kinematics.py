@@ -1,8 +1,8 @@
 """Compiled kinematics of a spatial body of arcs with curvature and twist.
 
-The first six velocities are the velocity and the angular velocity of the head connector
-in the world frame. For each segment, head first, the rates of the bends to the left and
-upwards and of the twist follow. `quasistatic` describes the model.
+`quasistatic` describes the model. The first six velocities are the velocity and the
+angular velocity of the head connector in the world frame. The rates of the bend to the
+left, the bend upwards and the twist of each segment follow, head first.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ import numpy as np
 
 from srs_twin.compute.compiled import allocating, compiled, inlined
 
-# Layout of a state: position and rotation matrix (by rows) of the head connector,
-# accumulated quantities, then the bends. The impulses of the floor on all points, shape
-# (points, 3), and their loads follow.
+# A state begins with the position and the rotation matrix (by rows) of the head
+# connector. Accumulated quantities follow, then the bends, then the impulses of the
+# floor on all points, shape (points, 3), and finally the loads of the points.
 ROTATION = 3
 WORK = 12  # work of the air, J
 FRICTION_LOSS = 13  # energy that the floor dissipates, J
@@ -27,14 +27,14 @@ JUMPS = 17  # number of jumps between resting poses
 IS_JUMPING = 18  # 1 during a jump, otherwise 0
 BENDS = 19
 
-# Rows of `Work.rows`: velocity of a contact along and across the body and upwards, and
-# rolling velocity.
+# Rows of `Work.rows`: velocities of a contact along and across the body and upwards,
+# and the rolling velocity.
 ROWS = 4
 ALONG, ACROSS, UP, ROLL = range(ROWS)
 
 
 class SkinFriction(NamedTuple):
-    """Friction coefficients of a skin, and the slip speed of its law.
+    """Friction coefficients of a skin, and the slip speed of the friction law.
 
     Attributes:
         ahead, back: coefficients for slip towards the head and the tail, dimensionless.
@@ -49,26 +49,26 @@ class SkinFriction(NamedTuple):
 
 
 class QuasistaticState(NamedTuple):
-    """State of a spatial body in the layout above, and its velocities."""
+    """State of a spatial body in the layout of this module, and its velocities."""
 
     state: np.ndarray
     velocity: np.ndarray
 
 
 class QuasistaticBody(NamedTuple):
-    """Constants of the body and of the floor, with P points per segment, S segments.
+    """Constants of body and floor, for S segments with P points each.
 
     Attributes:
         share: fraction of the arc ahead of a point, shape (P,), dimensionless.
-        front, rear: straight lengths from the connector to the arc, and from the arc to the
-            point, shape (P,), m.
+        front, rear: straight lengths from the front connector to the arc, and from the
+            arc to the point, shape (P,), m.
         mass: masses of the points, shape (S P,), kg.
         length, gap: length of an arc, and straight length at each end of an arc, m.
         stiffness, damping: stiffness (N·m/rad) and damping (N·m·s/rad) of bends and twist,
             shape (3,).
         radius, depth: radius of the body, and depth of its resting points in the floor, m.
         friction: friction of the skin.
-        drag_time: mass over the drag of vertical and rolling motion, s.
+        drag_time: ratio of mass to drag of vertical and rolling motion, s.
         longest_move: maximum motion of a point in a substep, m.
         jump_speed: minimum speed of a point in a jump, m/s.
         free: 1 for a body on the floor, 0 for a body held at its head in the air.
@@ -92,7 +92,7 @@ class QuasistaticBody(NamedTuple):
 
 
 class Work(NamedTuple):
-    """Arrays of a step.
+    """Work arrays of a step for S segments with P points each.
 
     Attributes:
         position, frame: positions (m) and rotation matrices of the connectors, shapes (S +
@@ -100,21 +100,22 @@ class Work(NamedTuple):
         point: positions of the points, shape (S P, 3), m.
         heading: cosine and sine of the horizontal direction of the body at each point,
             shape (S P, 2).
-        motion: velocity and angular velocity of each point per velocity of the body,
-            shape (S P, 6, velocities).
-        rows: contact velocities of each point per velocity of the body (`ROWS`), shape (S
-            P, ROWS, velocities).
-        load, law_load: normal force on each point, and in the friction law, shape (S P,),
-            N.
-        force: friction along and across, shape (S P, 2), N.
-        linear: derivative of the residual without contacts, shape (velocities, velocities).
-        at_rest: residual without contacts and velocities, shape (velocities,).
+        motion: Jacobian from the body's velocities to velocity and angular velocity of
+            each point, shape (S P, 6, velocities).
+        rows: Jacobian from the body's velocities to the contact velocities of each
+            point, shape (S P, ROWS, velocities).
+        load, law_load: normal force on each point, and normal force in the friction
+            law, shape (S P,), N.
+        force: friction along and across the body, shape (S P, 2), N.
+        linear: derivative of the residual without contacts, shape (velocities,
+            velocities).
+        at_rest: residual without contacts at zero velocities, shape (velocities,).
         matrix: Newton's matrix, lower triangle, shape (velocities, velocities).
         residual, direction, trial: vectors of Newton's method, shape (velocities,).
         bend, bend_rate: free bends (rad) and their rates (rad/s), with a twist of 0, shape
             (S, 3).
-        base: spatial velocity of the rear connector of each segment per rate of bends,
-            shape (S, 6, 3).
+        base: Jacobian from the rates of a segment's bends and twist to the spatial
+            velocity of its rear connector, shape (S, 6, 3).
     """
 
     position: np.ndarray
@@ -138,7 +139,7 @@ class Work(NamedTuple):
 
 
 def work_arrays(segments: int, points: int) -> Work:
-    """Return arrays for numbers of segments and of points per segment."""
+    """Return the work arrays for a number of segments and of points per segment."""
     n = segments + 1
     count = segments * points
     velocities = 6 + 3 * segments
@@ -194,7 +195,7 @@ def rotate(turn, out):  # type: ignore[no-untyped-def]
 def _spin(turn, axis):  # type: ignore[no-untyped-def]
     """Return a column of the left Jacobian of exp([turn]).
 
-    It is the angular velocity per rate of one component of `turn`.
+    The column is the angular velocity per rate of one component of `turn`.
     """
     x, y, z = turn
     square = x * x + y * y + z * z
@@ -209,7 +210,8 @@ def _spin(turn, axis):  # type: ignore[no-untyped-def]
     e_x = 1.0 * (axis == 0)
     e_y = 1.0 * (axis == 1)
     e_z = 1.0 * (axis == 2)
-    # e + b t × e + c t × (t × e), with t × (t × e) = t (t · e) − e t²
+    # The column is e + b t × e + c t × (t × e) for the unit vector e of the component
+    # and the rotation vector t, where t × (t × e) = t (t · e) − e t².
     return (
         e_x + b * (y * e_z - z * e_y) + c * (x * part - e_x * square),
         e_y + b * (z * e_x - x * e_z) + c * (y * part - e_y * square),
@@ -219,21 +221,25 @@ def _spin(turn, axis):  # type: ignore[no-untyped-def]
 
 @compiled
 def _arc(w, u, lengths, offset, turn, slopes):  # type: ignore[no-untyped-def]
-    """Fill a position behind a connector, in its frame, and the derivatives by w.
+    """Fill a position behind a connector, in its frame, and the derivatives.
 
-    `w` is the rotation vector of the front connector relative to the rear one. `u` is the
-    fraction of the arc. `lengths` are the straight length ahead of the arc, its length, and
-    the straight length behind. `slopes` gets velocity and angular velocity per rate of w.
+    `w` is the rotation vector of the front connector relative to the rear one. `u` is
+    the fraction of the arc ahead of the position. `lengths` are the straight length
+    ahead of the arc, the length of the arc, and the straight length behind it. `offset`
+    and `turn` receive position and rotation. `slopes` receives velocity and angular
+    velocity per rate of w.
     """
     front, length, rear = lengths
     x, y, z = w
+    # m is the tangent in the middle of the part of the arc ahead, and t is the tangent
+    # at the rear end of this part.
     half = (-u / 2 * x, -u / 2 * y, -u / 2 * z)
     rotate(half, turn)
     m_x = turn[0, 0]
     m_y = turn[1, 0]
     m_z = turn[2, 0]
-    # The chord of an arc with the bend b is sin(b/2)/(b/2) of its length, along the
-    # middle of the arc.
+    # The chord of an arc with the bend b is shorter than the arc by the factor
+    # sin(b/2)/(b/2), and is parallel to the tangent in the middle of the arc.
     bend = math.sqrt(y * y + z * z)
     a = u * bend / 2
     if a > 1e-3:
@@ -251,6 +257,7 @@ def _arc(w, u, lengths, offset, turn, slopes):  # type: ignore[no-untyped-def]
     offset[1] = -chord * ratio * m_y - rear * t_y
     offset[2] = -chord * ratio * m_z - rear * t_z
     for i in range(3):
+        # h and e are the angular velocities of the tangents m and t per rate of w.
         s_x, s_y, s_z = _spin(half, i)
         h_x = -u / 2 * s_x
         h_y = -u / 2 * s_y
@@ -284,9 +291,9 @@ def _turned(frame, x, y, z):  # type: ignore[no-untyped-def]
 
 @compiled
 def _fill_motion(motion, place, j, work, slopes):  # type: ignore[no-untyped-def]
-    """Fill the velocities of a position on segment j per velocity of the body.
+    """Fill the Jacobian from the body's velocities to a position on segment j.
 
-    `motion` has the shape (6, velocities), and `slopes` is filled by `_arc`.
+    `motion` is the Jacobian, shape (6, velocities), and `slopes` is filled by `_arc`.
     """
     x = place[0]
     y = place[1]
@@ -326,9 +333,10 @@ def _fill_motion(motion, place, j, work, slopes):  # type: ignore[no-untyped-def
 
 @compiled
 def _turn_slopes(slopes, frame, out, column):  # type: ignore[no-untyped-def]
-    """Write derivatives by the bends and the twist in the world frame.
+    """Write derivatives with respect to bends and twist, in the world frame.
 
-    The bends to the left and upwards and the twist are the components z, −y and x of w.
+    The bend to the left, the bend upwards and the twist are the components z, −y and x
+    of the rotation vector w.
     """
     for i in range(3):
         source = 2 - i
@@ -341,8 +349,6 @@ def _turn_slopes(slopes, frame, out, column):  # type: ignore[no-untyped-def]
 
 
 class _Place(NamedTuple):
-    """Work arrays of a position behind a connector (`_arc`)."""
-
     offset: np.ndarray
     turn: np.ndarray
     slopes: np.ndarray
@@ -350,7 +356,7 @@ class _Place(NamedTuple):
 
 @allocating
 def pose(state, body, work):  # type: ignore[no-untyped-def]
-    """Fill positions, frames, points and their motions for a state."""
+    """Fill positions, frames, points and their Jacobians for a state."""
     place = _Place(np.empty(3), np.empty((3, 3)), np.empty((6, 3)))
     count = body.share.shape[0]
     for i in range(3):
@@ -389,8 +395,8 @@ def _fill_point(j, p, radius, place, work):  # type: ignore[no-untyped-def]
     rows = work.rows[p]
     _fill_motion(motion, work.point[p], j, work, place.slopes)
     for i in range(9 + 3 * j):
-        # Velocity of the material vertically below the axis, and rolling velocity of
-        # the surface.
+        # The first rows are the velocity of the material vertically below the axis. The
+        # last row is the rolling velocity of the surface.
         v_x = motion[0, i] - radius * motion[4, i]
         v_y = motion[1, i] + radius * motion[3, i]
         rows[ALONG, i] = c * v_x + s * v_y

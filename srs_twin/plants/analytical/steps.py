@@ -1,24 +1,26 @@
 r"""Time steps of the analytical models, and adaptive substeps.
 
 Steps end on valve events (`Steps`). Where the slip of a connector changes its sign, its
-friction reverses within a few times the slip speed ε, mostly in far less time than a
-step. A step that misses such a reversal makes the error of a whole impulse. `complete`
-and `simplified` therefore divide steps where friction reverses.
+friction reverses while the slip passes a few times the slip speed ε. Such a reversal
+mostly takes far less time than a step. A step that misses such a reversal has an error
+as large as a whole friction impulse. The models `complete` and `simplified` therefore
+divide steps where friction reverses.
 
-**Error estimate.** A step knows three rates of momentum: k₀ at its start, which is the
-last stage of the previous step, and k₁ and k₂ at its stages. If the rate changes
-linearly, k₁ is on the line between the other two. The deviation of k₁, as a velocity
-change over the step,
+**Error estimate.** Three rates of momentum are known in a step of length h: k₀ at its
+start, which is the last stage of the previous step, and k₁ and k₂ at its two stages.
+The stages are at γ h and h after the start. If the rate changes linearly, k₁ lies on
+the line between k₀ and k₂. The deviation of k₁ from this line, converted to a velocity
+change of the mass M over the step,
 
 $$ \eta = \frac{h}{M}\,\bigl|\,k_1 - (1-\gamma)\,k_0 - \gamma\,k_2\,\bigr|, $$
 
-is at least 0.7 times the error of a reversal anywhere in the step. It is of third order
-in h where friction is smooth. The rate of the angular momentum is divided by the radius
-of gyration of the straight body.
+is at least 0.7 times the error of a reversal anywhere in the step. The estimate η is of
+third order in h where friction is smooth. The rate of the angular momentum is divided
+by the radius of gyration of the straight body, so that it enters as a velocity.
 
 A step with η above the tolerance is repeated in halves, which may be divided again.
-Substeps well below the tolerance are doubled. Bends within a step are cubic Hermite
-polynomials through the bends and rates that the chambers give at its stages.
+Substeps well below the tolerance are doubled. Within a step the bends are cubic Hermite
+polynomials through the bends and rates of the chambers at the start and the stages.
 """
 
 from __future__ import annotations
@@ -54,7 +56,7 @@ from srs_twin.pneumatics import Trace
 class Steps:
     """Time steps of a schedule.
 
-    Equal schedules without valve events share an object, so do not modify it.
+    Equal schedules without valve events share one object, which must not be modified.
 
     Attributes:
         ends: end of each step, ascending, from the start of the schedule, shape
@@ -81,9 +83,9 @@ class Steps:
             span: length of the schedule, s.
             events: times of valve events, ascending, s.
             samples: number of equally spaced samples, the last one at the end.
-            longest: maximum step, s.
-            same: minimum distance of an event from the end of another step and from other
-                events, s. A closer event does not end a step.
+            longest: maximum length of a step, s.
+            same: minimum time between an event and other events or ends of steps, s. A
+                closer event does not end a step.
         """
         per_sample = math.ceil(span / samples / longest * (1 - 1e-12))
         even = _even(span, samples, per_sample)
@@ -91,7 +93,7 @@ class Steps:
             return even
         grid = span / (samples * per_sample)
         steps = events / grid
-        # Because of rounding, an event may be on either side of a grid point.
+        # Due to rounding, an event may be on either side of a grid point.
         events = events[np.abs(steps - np.round(steps)) * grid > same]
         events = events[np.diff(events, prepend=-1.0) > same]
         sample_steps = even.sample_steps + np.searchsorted(
@@ -107,7 +109,7 @@ class Steps:
 
     @cached_property
     def stage_times(self) -> np.ndarray:
-        """Start of the schedule and the two stages of each step, s.
+        """Times of the start of the schedule and of the two stages of each step, s.
 
         The shape is (1 + 2 · steps,).
         """
@@ -142,7 +144,7 @@ class Steps:
 
 @lru_cache(maxsize=64)
 def _even(span: float, samples: int, per_sample: int) -> Steps:
-    """Return the steps of the even grid.
+    """Return the steps of an even grid.
 
     The cache serves the ticks of a controller, which are all equal.
     """
@@ -154,8 +156,9 @@ def _even(span: float, samples: int, per_sample: int) -> Steps:
 MAX_SUBSTEPS = 64
 """Maximum number of substeps of a step, a power of 2."""
 
-# Ratios of error to tolerance. Above the first ratio a step is quartered, because
-# halves would fail again. Below the second ratio the next substep is doubled.
+# The next two values are ratios of error to tolerance. Above the first ratio a step is
+# quartered, because halves would fail again. Below the second ratio the next substep is
+# doubled.
 _QUARTER_ABOVE = 4.0
 _DOUBLE_BELOW = 0.5
 
@@ -231,8 +234,6 @@ class PrescribedState(NamedTuple):
 
 
 class _AdvanceArrays(NamedTuple):
-    """Work arrays of `advance`; `drift` holds the rates of change of the velocities."""
-
     step: StepArrays
     drift: np.ndarray
     stages: Bends
@@ -255,8 +256,8 @@ def advance(
         trace: trace of the chambers at the start and the two stages of each step, 1 + 2 ·
             steps rows.
         marks: number of steps before each sample, ascending, shape (samples,).
-        model: the constants.
-        tolerance: maximum allowed η, m/s.
+        model: constants of body and floor.
+        tolerance: maximum allowed error estimate η, m/s.
         samples: output for states and velocities at the samples, shapes (samples, STATES)
             and (samples, 3).
 
@@ -284,7 +285,7 @@ def _fastest_point(u, rates, reach):  # type: ignore[no-untyped-def]
 def _fill_stages(done, size, length, bends, stages):  # type: ignore[no-untyped-def]
     """Fill the bends at the stages of a substep.
 
-    `done` and `size` count substeps of the minimum length.
+    `done` and `size` are multiples of the minimum length of a substep.
     """
     for stage in range(2):
         at = (done + (GAMMA if stage == 0 else 1.0) * size) / MAX_SUBSTEPS

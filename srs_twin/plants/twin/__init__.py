@@ -2,6 +2,6 @@
 
 import os
 
-# Simulation needs no display, but MuJoCo would search for one. Rendering sets the
-# variable earlier.
+# Simulation needs no display, but MuJoCo would search for one. Code that renders sets
+# the variable before this import.
 os.environ.setdefault("MUJOCO_GL", "disabled")

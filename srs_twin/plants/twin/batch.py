@@ -1,20 +1,20 @@
 """TwinBatch: many twins with individual parameters, stepped in parallel by threads.
 
-Each run is a `TwinSnake` of its spec, so its results are bit-identical to a twin
-simulated alone. Each distinct spec is compiled once (24 ms for gen2; a copy takes 2
-ms).
+Each run is a `TwinSnake` of its own robot, and its results are bit-identical to the
+results of this twin alone. Each distinct robot is compiled once, which takes 24 ms for
+gen2, while a copy takes 2 ms.
 
 Threads process whole twins, including chambers and observation, and every engine call
 releases the global interpreter lock. Three alternatives were considered:
 
-- `mujoco.batch.Batch` makes the steps of all runs in one call. It is as fast in the
-  engine and its results are bit-identical, but its threads wait while Python runs. They
-  wait 5 % of the time if runs are played, and a third if they are commanded tick by
-  tick.
-- `mujoco.rollout.Rollout` with threads does not return the warm start, so a run in
-  chunks would not be bit-identical.
-- Setting parameters in a compiled model would save the 24 ms, compared with one second
-  for ten simulated seconds, but would repeat every formula of the model.
+- `mujoco.batch.Batch` makes the steps of all runs in one call. The engine is equally
+  fast and the results are bit-identical, but the threads wait while Python runs. They
+  wait 5 % of the time if runs are played, and a third of the time if runs are commanded
+  tick by tick.
+- `mujoco.rollout.Rollout` with threads does not return the solver's warm start, so a
+  run in chunks would not be bit-identical.
+- Setting parameters in a compiled model would save the 24 ms of compilation, but would
+  repeat every formula of the model. Ten simulated seconds take about one second.
 
 >>> from dataclasses import replace
 >>> from srs_twin import Gait, Job, TwinBatch, load_robot, run_many
@@ -52,8 +52,8 @@ class TwinBatch(Claimable):
     Attributes:
         twins: twin of each run, a `TwinSnake` that can also be used alone.
         tick: control tick, s.
-        state: latest state of every run, with a leading axis of runs on every field. For a
-            run that diverged it is the last plausible state.
+        state: latest state of every run, with a leading axis of runs on every field. A
+            run that diverged keeps its last plausible state.
         errors: error that ended each run, or None. Runs that have ended stop until
             `reset`.
     """
@@ -72,10 +72,11 @@ class TwinBatch(Claimable):
         """Return a batch for the chosen engine.
 
         Args:
-            *arguments: see `__init__`.
+            *arguments: positional arguments of `__init__`.
             engine: "cpu", or "warp" for MuJoCo Warp.
             device: device of Warp, such as "cuda:0" or "cpu", or None for Warp's default.
-            **settings: see `__init__`; with `deterministic=True` Warp sums in a fixed order.
+            **settings: keyword arguments of `__init__`. With `deterministic=True` Warp
+                sums in a fixed order.
 
         Raises:
             InputError: MuJoCo Warp is not installed, or does not support the settings.
@@ -104,7 +105,7 @@ class TwinBatch(Claimable):
             supply_pa: supply pressure of all runs or of each run, Pa; the default is the
                 nominal pressure of each robot.
             threads: number of threads; the default is one per processor.
-            engine: see `__new__`.
+            engine: engine, "cpu" or "warp" (`__new__`).
             **settings: further arguments of `TwinSnake`, for all runs.
 
         Raises:
@@ -157,8 +158,8 @@ class TwinBatch(Claimable):
                 segments, 2) or (runs, slots, segments, 2).
 
         Raises:
-            InputError: the shape is wrong, or the valves do not have a commanded state. No run
-                has moved then.
+            InputError: the shape is wrong, or the valves cannot take a commanded state.
+                No run has then moved.
         """
         self.advance(valves, 1)
         return self.state
@@ -167,14 +168,15 @@ class TwinBatch(Claimable):
         """Advance all runs by one tick. A run with diverged commands ends.
 
         Args:
-            valves: see `step`.
-            samples: number of equally spaced samples, the last one at the end of the tick.
+            valves: valve commands as in `step`.
+            samples: number of equally spaced samples, the last one at the end of the
+                tick.
 
         Returns:
-            The history of each run, as in `play`.
+            The history of each run as in `play`.
 
         Raises:
-            InputError: as in `step`.
+            InputError: `step` would refuse the valve commands.
         """
         check_one_per_run("valves", valves, len(self))
         errors = [
@@ -199,12 +201,12 @@ class TwinBatch(Claimable):
             samples: number of equally spaced samples of each run, the last one at the end.
 
         Returns:
-            The history of each run. The history of a run that diverges ends there, and is None
-            if it has no samples.
+            The history of each run. The history of a run that diverges ends at the
+            divergence, and is None if it has no samples.
 
         Raises:
-            InputError: the number of schedules differs from the number of runs, or a schedule
-                is refused by `Plant.play`.
+            InputError: the number of schedules differs from the number of runs, or
+                `Plant.play` refuses a schedule.
         """
         check_one_per_run("schedules", schedules, len(self))
         histories = self._workers.run(
@@ -222,7 +224,7 @@ class TwinBatch(Claimable):
         return np.array([twin.openings() for twin in self.twins])
 
     def describe(self) -> dict[str, object]:
-        """Return settings for the provenance of a run, besides the twins' own."""
+        """Return the settings that a run records besides the twins' settings."""
         return {}
 
     def _command_error(self, k: int, valves: np.ndarray) -> DivergedError | None:
@@ -240,7 +242,8 @@ class TwinBatch(Claimable):
         try:
             return self.twins[k].play(schedule, samples)
         except DivergedError as error:
-            # The frames of the traceback would keep the engine's records alive.
+            # The frames of the traceback would keep the engine's records alive, so the
+            # traceback is removed.
             self.errors[k] = error.with_traceback(None)
             history: SnakeState | None = error.history
             return history
@@ -267,7 +270,7 @@ def on_warp(
     deterministic: bool = False,
     **settings: Any,
 ) -> Any:
-    """Return a `WarpBatch`. The other arguments are described in `TwinBatch`."""
+    """Return a `WarpBatch` with the arguments of `TwinBatch`."""
     return warp_batch()(
         _twins(Workers(threads), specs, supply_pa, settings, once=True),
         device=device,
@@ -298,10 +301,6 @@ def _twins(
     *,
     once: bool = False,
 ) -> tuple[TwinSnake, ...]:
-    """Build a twin of each spec.
-
-    With `once`, runs with the same robot and supply pressure share one twin.
-    """
     supplies = _one_per_run("supply_pa", supply_pa, len(specs))
     counts = sorted({spec.geometry.connectors for spec in specs})
     if len(counts) != 1:

@@ -1,19 +1,20 @@
 r"""Loaded contact: friction as a law on MuJoCo's normal forces, implicit in velocity.
 
 MuJoCo keeps the wheels on the floor with frictionless contacts (condim 1). A law of
-`robot.friction` gives the friction from the normal forces of the same step. This module
-runs the time steps in a compiled loop around the engine's C functions. `friction_solve`
-solves for the friction of one step and lists the symbols.
+`robot.friction` computes the friction from the normal forces of the current step. This
+module runs the time steps in a compiled loop around the engine's C functions.
+`friction_solve` solves for the friction of one step and lists the symbols.
 
-**Equation of a step.** The step has the length h, begins with the velocity v₋ and
-ends with v. MuJoCo first solves it with the friction forces f̂ of the previous step,
+**Equation of a step.** The step has the length h, begins with the velocity v₋ and ends
+with v. MuJoCo first solves the step with the friction forces f̂ of the previous step,
 which gives v̂:
 
 $$ (M + h D)(\hat v - v_-) = h\,\bigl(Q - c(v_-)\bigr) + h J_n^T \hat N + h \sum_w J_w^T \hat f_w . $$
 
-Here M is the inertia, Q are the applied forces, c are the Coriolis and centrifugal
-forces, N̂ are the normal forces, and f̂_w is the friction force on contact w. MuJoCo
-treats the dampers h D implicitly, together with the springs (`_damping_matrices`).
+Here M is the joint-space inertia, D the damping matrix, Q are the applied forces, and c
+are the Coriolis and centrifugal forces. N̂ are the normal forces with the Jacobian J_n,
+and f̂_w is the friction force on contact w with the Jacobian J_w. MuJoCo treats the
+dampers h D implicitly, together with the springs (`_damping_matrices`).
 
 The desired step has second-order damping C instead of h D, Coriolis forces at mid-step,
 and the friction f of this step:
@@ -21,26 +22,27 @@ and the friction f of this step:
 $$ (M + C)(v - v_-) = h\,\bigl(Q - c(\bar v)\bigr) + h J_n^T N + h \sum_w J_w^T f_w , \qquad
    \bar v = (v_- + v)/2 . $$
 
-With A = M + C and δ = v − v̂, the difference of the two equations is
+N and f_w are the normal forces and friction forces of the current step. With A = M + C
+and δ = v − v̂, the difference of the two equations is
 
 $$ \bigl(A + J_n^T R^{-1} J_n\bigr)\,\delta = h \sum_w J_w^T (f_w - \hat f_w)
    + h\,\bigl(c(v_-) - c(\bar v)\bigr) + (h D - C)(\hat v - v_-) . $$
 
-The change of the normal forces, N − N̂ = −J_n δ/(h R), has moved to the left side. J_n
-holds the rows of the wheels that press on the floor, and R is MuJoCo's regularisation.
-This term prevents friction from pushing wheels into the floor. c(v̄) is evaluated with
-v̂ in place of v.
+J_n holds only the rows of wheels that press on the floor, and R is MuJoCo's
+regularisation. The term with J_n on the left side contains the change of the normal
+forces, N − N̂ = −J_n δ/(h R). This term prevents friction from pushing wheels into the
+floor. The force c(v̄) is evaluated with v̂ in place of v.
 
-**Obstacles** also press on the hulls of the body without friction in the engine.
-Friction acts on a hull at the point where the obstacle's force acts (`stick_slip`). J_n
-has no row for hulls, so the normal force of an obstacle stays N̂. Movable objects have
-their own contacts (`object_contacts`).
+**Obstacles** press on the hulls of the body, also without friction in the engine.
+Friction (`stick_slip`) acts on a hull at the point of application of the obstacle's
+normal force. J_n has no row for hulls, so the normal force of an obstacle keeps its
+value in N̂. Movable objects have their own contacts (`object_contacts`).
 
 **Time levels.** Positions are evaluated at mid-step, which makes springs, friction and
-Coriolis forces second-order accurate. MuJoCo's normal contacts act with their state at
-the end of the step, because their time constant is only two steps. The friction of a
-wheel acts at the contact point, except for the part that spins the wheel, which acts at
-the hub.
+Coriolis forces second-order accurate. MuJoCo's normal contacts use their state at the
+end of the step, because their time constant is only two steps. The friction of a wheel
+acts at the contact point, except for the part that spins the wheel, which acts at the
+hub.
 """
 
 from __future__ import annotations
@@ -101,10 +103,11 @@ from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import MovableObject
 
 _SKIP_TO_FORCES = int(mujoco.mjtStage.mjSTAGE_VEL)
-"""Stage after which the engine continues: positions and velocities are evaluated."""
+"""Stage after which the engine continues, with positions and velocities evaluated."""
 
 _SINKING_TIME = 0.05
-"""Time in which a resting snake sinks into the floor, at a time unit of 1, s."""
+"""Time in which a resting snake sinks into the floor, at a time unit of 1, s.
+"""
 
 _MIN_DECAY = 1e-9
 """Minimum decay exponent of a damped mode over one step, dimensionless.
@@ -114,7 +117,7 @@ Smaller values are rounding errors of undamped motions.
 
 
 class StepRecords(NamedTuple):
-    """Records of the friction solve (`friction_solve`) and the time step h, s."""
+    """Records of the friction solve (`friction_solve`), and the time step h (s)."""
 
     contacts: Contacts
     sparsity: Sparsity
@@ -124,11 +127,11 @@ class StepRecords(NamedTuple):
 
 
 class StepOutputs(NamedTuple):
-    """Results of steps, one row per step. See `LoadedStepper.run`.
+    """Results of steps, with one row per step. `LoadedStepper.run` describes them.
 
     Attributes:
-        force: force on each contact in the world frame, shape (steps, C, 3), N. For a hull
-            it is friction only.
+        force: force on each contact in the world frame, shape (steps, C, 3), N. For a
+            hull it contains friction only.
         pair_force: friction of each pair of an object and a hull, shape (steps, pairs,
             3), N.
     """
@@ -141,7 +144,7 @@ class StepOutputs(NamedTuple):
 
 
 class LoadedStepper(Stateful):
-    """Time steps of one twin with loaded contact.
+    """Integrator of one twin with loaded contact.
 
     Attributes:
         contact_state: friction, rim speeds and loads that the contacts keep from step to
@@ -166,14 +169,14 @@ class LoadedStepper(Stateful):
         Args:
             model: model compiled from `settings`.
             data: engine data that the steps advance.
-            spec: the robot.
+            spec: robot of the model.
             settings: settings with the time step and a `LoadedContact`.
-            air: maximum stiffness that the air in the chambers adds to the joints, shape (nv,
-                nv), N·m/rad, or None for no stiffness.
+            air: maximum stiffness that the air in the chambers adds to the joints,
+                shape (nv, nv), N·m/rad, or None for no added stiffness.
             objects: movable objects of the scene.
         """
-        # The kernels call C functions of the engine by name, so LLVM must know their
-        # symbols.
+        # The kernels call C functions of the engine by name, so LLVM must load the
+        # symbols of the engine's library.
         llvm.load_library_permanently(
             str(next(Path(mujoco.__file__).parent.glob("libmujoco*")))
         )
@@ -201,7 +204,7 @@ class LoadedStepper(Stateful):
         self._reset_contact_state()
 
     def __reduce_ex__(self, protocol: SupportsIndex) -> NoReturn:
-        """Refuse to be copied, because a copy would hold the original's addresses.
+        """Refuse copying, because a copy would hold the original's addresses.
 
         Raises:
             InputError: always.
@@ -213,7 +216,7 @@ class LoadedStepper(Stateful):
 
     @property
     def constants(self) -> tuple[Contacts, Sparsity]:
-        """Constants computed from the model at construction."""
+        """Constants that were computed from the model at construction."""
         return self._contacts, self._sparsity
 
     @constants.setter
@@ -234,7 +237,7 @@ class LoadedStepper(Stateful):
 
     @property
     def hull_jacobian(self) -> np.ndarray:
-        """View of the Jacobians of the hulls; each step recomputes the wheels'."""
+        """View of the hulls' Jacobians, which persist, unlike the wheels' Jacobians."""
         return self._work.jacobian[self._contacts.wheels :]
 
     @hull_jacobian.setter
@@ -255,9 +258,10 @@ class LoadedStepper(Stateful):
     def reset(self) -> None:
         """Sink the snake into the floor until it rests, and set the static loads.
 
-        The snake sinks by some micrometres. It does so on a level floor without friction,
-        because friction would hold the small displacements along the floor that sinking causes.
-        Obstacles do not act, so that the snake stays in its place until its start is checked.
+        The snake sinks by some micrometres. Meanwhile the floor is level and without
+        friction, because friction would hold the small displacements along the floor
+        due to sinking. Obstacles do not act, so that the snake stays in its place until
+        its start is checked.
         """
         model = self._model
         data = self._data
@@ -307,8 +311,8 @@ class LoadedStepper(Stateful):
             controls: controls of the actuators, shape (steps, nu).
 
         Returns:
-            states: time, qpos and qvel at the end of each step, shape (steps, 1 + nq + nv).
-                They are NaN after a step that diverged.
+            states: time, qpos and qvel at the end of each step, shape (steps, 1 + nq +
+                nv), or NaN after a step that diverged.
             sensors: sensor values of each step, shape (steps, nsensordata).
             floor_force: force of the floor on each wheel in the world frame, shape
                 (steps, axles, 2, 3), N.
@@ -422,7 +426,7 @@ def _floor_law(spec: RobotSpec, contact: LoadedContact, wheel_spin: float) -> Fl
 def _reference_dynamics(
     model: mujoco.MjModel, wheels: list[str], hulls: list[str]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return M and the contact Jacobian of the straight snake.
+    """Return inertia matrix M and contact Jacobian of the straight snake.
 
     Their shapes are (nv, nv) and (C, nv). A row of the Jacobian gives the velocity of a
     wheel across the heading, or of a hull along the heading.
@@ -448,19 +452,20 @@ def _damping_matrices(
 ) -> tuple[np.ndarray, np.ndarray]:
     r"""Return C of second order in time, and (h D + h² K) − C, shapes (nv, nv).
 
-    MuJoCo evaluates dampers and springs at the end of a step, which is of first order.
-    The matrix
+    C replaces the damping of the engine's step. MuJoCo evaluates dampers (matrix D) and
+    springs (matrix K) at the end of a step, which is accurate to first order. The
+    matrix
 
     $$ C = M\,\varphi(h M^{-1} D) - M, \qquad \varphi(x) = x/(1 - e^{-x}) = 1 + x/2 + \dots $$
 
-    makes the step (M + C)(v − v₋) = h (f − D v₋) decay as the exact exponential does. The
-    step is then of second order, and fast modes do not ring. M is the inertia of the
-    straight snake; other shapes would give the same order.
+    makes the step (M + C)(v − v₋) = h (f − D v₋) under a force f decay like the exact
+    exponential. The step is then accurate to second order, and fast modes do not ring.
+    M is the inertia matrix of the straight snake. The shape does not affect the order.
 
-    The air that the bends compress acts as a further spring K_a, whose force is evaluated
-    at mid-step. The term h² K_a/4 in A keeps the step stable for its fastest oscillation,
-    in which a connector vibrates between two closed chambers. The term changes the results
-    only by terms of second order.
+    The air that the bends compress acts as a further spring K_a, whose force is
+    evaluated at mid-step. The term h² K_a/4 in A keeps the step stable for the fastest
+    oscillation of this spring, in which a connector vibrates between two closed
+    chambers. The term changes the results only to second order in h.
     """
     hinges = model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE
     rates = h * model.dof_damping
@@ -469,8 +474,8 @@ def _damping_matrices(
     )
     decays, modes = scipy.linalg.eigh(np.diag(rates), mass)
     shapes = mass @ modes
-    # Rigid motions are undamped. Rounding errors of their rates would add a mass matrix
-    # that is fixed in the world, although it should rotate with the snake.
+    # Rigid motions are undamped. Rounding errors of their decay rates would add an
+    # inertia that is fixed in the world, although it should rotate with the snake.
     damped = decays > _MIN_DECAY
     decays[~damped] = 1.0
     damping: np.ndarray = (
@@ -511,7 +516,8 @@ def _end_step(inputs, engine, records, step, out):  # type: ignore[no-untyped-de
     _copy(engine.qacc, inputs.qacc_warmstart)
     for i in range(engine.qvel.shape[0]):
         work.v_predicted[i] = work.v_start[i] + h * engine.qacc[i]
-    # Coriolis forces at mid-step; `solve_friction` expects them in `residual`.
+    # The Coriolis forces are evaluated at mid-step. `solve_friction` expects them in
+    # `residual`.
     set_mid_velocity(engine, work)
     mj_comVel(model, engine.data)
     mj_rne(model, engine.data, 0, work.residual.ctypes.data)

@@ -11,7 +11,8 @@ from numba import types
 def c_function(name: str, *more: Any) -> Any:
     """Return a C function of MuJoCo that kernels can call.
 
-    Its arguments are the addresses of a model and of its data, and the arguments `more`.
+    The arguments of this function are the addresses of a model and of its data,
+    followed by the arguments `more`.
     """
     return types.ExternalFunction(name, types.void(types.intp, types.intp, *more))
 
@@ -26,7 +27,9 @@ mj_integratePos = c_function("mj_integratePos", types.intp, types.float64)
 
 
 class EngineData(NamedTuple):
-    """Engine data that the friction solve reads and writes, named as in MjData.
+    """Engine data that the friction solve reads and writes.
+
+    Fields are named as in MjData.
 
     Attributes:
         model: address of the MjModel, used by numba only.
@@ -52,7 +55,7 @@ class EngineData(NamedTuple):
 
 
 class StepInputs(NamedTuple):
-    """Views of engine data that only the loop over steps writes, named as in MjData."""
+    """Views of engine data that only the loop over steps writes."""
 
     ctrl: np.ndarray
     qacc_warmstart: np.ndarray

@@ -1,8 +1,9 @@
 r"""Newton's method for the implicit friction of one time step.
 
-`contact_loaded` derives the equation of a step. Its unknown is the velocity change
-δ = v − v̂. The engine predicts v̂ with the friction forces f̂_w of the previous step, and
-δ is caused by the difference to the friction forces f_w of this step:
+`contact_loaded` derives the equation of a step. The unknown is the velocity change δ =
+v − v̂. The engine predicts v̂ with the friction forces f̂_w of the previous step. The
+change δ is due to the difference between f̂_w and the friction forces f_w of the
+current step:
 
 $$ r(\delta) = (A + J_n^T R^{-1} J_n)\,\delta - h \sum_w J_w^T \bigl(f_w(u_w) - \hat f_w\bigr) - b = 0, \qquad
    b = h\,\bigl(c(v_-) - c(\bar v)\bigr) + (h D - C)(\hat v - v_-) . $$
@@ -22,8 +23,10 @@ $$ r(\delta) = (A + J_n^T R^{-1} J_n)\,\delta - h \sum_w J_w^T \bigl(f_w(u_w) - 
 - f_w: friction force of contact w along and across the heading, N.
 - J_w: Jacobian that maps generalised velocities to the velocity of contact w along and
   across the heading.
-- J_n: Jacobian of the normal velocities of the wheels that press on the floor.
+- J_n: Jacobian that maps generalised velocities to the normal velocities of the wheels
+  that press on the floor.
 - R: MuJoCo's regularisation of the normal forces of these wheels, 1/kg.
+- r: residual of the equation, kg·m/s or kg·m²/s.
 - u_w: velocity of contact w at which the friction law is evaluated,
   u_w = J_w (v₋ + θ (v − v₋)).
 - θ: fraction of the step at which friction is evaluated (`_evaluation_fraction`). It is
@@ -35,21 +38,21 @@ One part of a wheel's friction accelerates the spin of the wheel. This part
 
 **Newton's matrix** is A + J_nᵀ R⁻¹ J_n − h Σ θ J_wᵀ (∂f_w/∂u_w) J_w. A contact moves
 only with the ancestors of its connector. The matrix therefore has the sparsity pattern
-of M and is factored like M. The derivatives of the contact forces are summed as spatial
-6 × 6 matrices from the ends of the chain to its root, and then projected on the joint
-axes. The composite-rigid-body algorithm does the same with inertias (Featherstone 2008,
-Section 6.2). Spatial vectors have rotation first and refer to the centre of mass of the
-snake, as `cdof` does in MuJoCo.
+of M and can be factored without fill-in. The derivatives of the contact forces are
+summed as spatial 6 × 6 matrices from the ends of the chain to its root, and then
+projected on the joint axes. The composite-rigid-body algorithm treats inertias in this
+way (Featherstone 2008, Section 6.2). Spatial vectors have rotation first and refer to
+the centre of mass of the snake, as `cdof` does in MuJoCo.
 
 **Loads.** Friction depends on the normal forces, which themselves depend on δ. One
-Newton step uses the loads of v̂. The equation is then solved to the tolerance with the
-loads after this step.
+Newton step uses the loads that belong to v̂. The equation is then solved to the
+tolerance with the loads after this Newton step.
 
 `object_contacts` adds the contacts of movable objects to the solve.
 
-Both numba and Warp compile these functions, so they use only records of arrays, numbers
-and loops. Numbers have a decimal point, and a variable that a loop changes is created
-with `float`.
+Both numba and Warp compile these functions, so the functions use only records of
+arrays, numbers and loops. Literals of floating-point numbers have a decimal point, and
+a variable that a loop changes is created with `float`.
 """
 
 from __future__ import annotations
@@ -99,9 +102,10 @@ _MAX_ITERATIONS = 30  # Newton steps under the final loads
 _MAX_TRIALS = 12  # evaluations of one line search
 
 # Tolerances of the squared residual. The first is relative to the squared friction
-# impulse and makes friction exact to 1e-7. The second is relative to the largest first
-# residual, below which only rounding errors remain. The third is absolute, (kg·m/s)²;
-# Warp computes in single precision and replaces it (`warp.translation`).
+# impulse and makes friction exact to 1e-7. The second is relative to the maximum
+# initial residual, below which only rounding errors remain. The third is absolute, in
+# (kg·m/s)². Warp computes in single precision and replaces the third tolerance
+# (`warp.translation`).
 _RELATIVE_TOLERANCE = 1e-14
 _ROUNDING_TOLERANCE = 1e-24
 _ABSOLUTE_TOLERANCE = 0.0
@@ -115,7 +119,7 @@ _ALONG = 0
 _ACROSS = 1
 _UP = 2
 _NORMAL = (
-    2  # for a hull: away from the obstacle, and unused for unloading as R is infinite
+    2  # for a hull: away from the obstacle; an infinite R excludes it from unloading
 )
 _HUB = 3
 
@@ -127,7 +131,7 @@ _SLOPE_MIXED = 3  # ∂f_t/∂v_n = ∂f_n/∂v_t, N·s/m
 _SLOPE_ACROSS = 4  # ∂f_n/∂v_n: force across, velocity across, N·s/m
 _RIM_SPEED = 5  # rim speed of a wheel when its friction is evaluated, m/s
 _UNLOADING = 6  # decrease of the normal force due to δ, N
-_SPIN_FORCE = 7  # part of the force along that spins the wheel, N
+_SPIN_FORCE = 7  # part of the force along the heading that spins the wheel, N
 
 # Third column of `ContactState.force`. The first two have the same indices as in the
 # response.
@@ -135,7 +139,7 @@ _STORED_SPIN = 2
 
 
 class Contacts(NamedTuple):
-    """Constants of the C possible contacts: first wheels, then hulls near obstacles.
+    """Constants of the C possible contacts, first wheels, then hulls near obstacles.
 
     Attributes:
         wheels: number of wheels.
@@ -148,8 +152,8 @@ class Contacts(NamedTuple):
             body for a hull, shape (C,), 1/kg.
         static_load: normal force at rest, shape (C,), N.
         load_kind: kind of load in the friction law, an index into `numerics.LOADS`.
-        sensor: index into `sensordata` of the normal force on a wheel, or of the force on a
-            hull and its point of application, shape (C,).
+        sensor: index into `sensordata` of the normal force on a wheel, or of the force
+            on a hull followed by its point of application, shape (C,).
         wheel_radius: radius of the wheels, m.
         floor: friction law of the wheels on the floor.
         obstacle_friction: friction coefficient between hulls and obstacles, dimensionless.
@@ -173,8 +177,8 @@ class ContactState(NamedTuple):
     """State of the contacts that persists from step to step.
 
     Attributes:
-        force: friction along and across the heading, and the part of it that spins the
-            wheel, shape (C, 3), N.
+        force: friction along and across the heading, and part of the friction that
+            spins the wheel, shape (C, 3), N.
         rim_speed, slip_speed: circumferential speed of each wheel, and slip speed of each
             contact, shape (C,), m/s.
         load: normal force in the friction law, shape (C,), N.
@@ -189,9 +193,9 @@ class ContactState(NamedTuple):
 class Workspace(NamedTuple):
     """Arrays of one step with C contacts, nv degrees of freedom and nM entries of M.
 
-    Arrays of shape (nv, 6) hold a spatial velocity or force for each degree of freedom. It
-    belongs to the bodies beyond the degree of freedom. The module docstring lists the
-    symbols.
+    The module docstring lists the symbols. Arrays of shape (nv, 6) hold one spatial
+    velocity or force per degree of freedom, which belongs to the bodies beyond this
+    degree of freedom.
 
     Attributes:
         jacobian: spatial vectors that give a contact's velocity along, across and upwards,
@@ -212,8 +216,8 @@ class Workspace(NamedTuple):
             M for Newton's matrix.
         v_start, v_predicted, v_change: velocities v₋, v̂ and δ, shape (nv,).
         bias: vector b, shape (nv,), kg·m/s or kg·m²/s.
-        residual, trial_residual: residual r, or c(v̄) before the solve, and r at a trial of
-            the line search, shape (nv,).
+        residual, trial_residual: residual r, and residual at a trial of the line
+            search, shape (nv,). Before the solve, `residual` holds c(v̄).
         direction: Newton step, shape (nv,).
     """
 
@@ -267,7 +271,7 @@ def workspace(contacts: int, nv: int, newton_matrix: np.ndarray) -> Workspace:
 
 @kernel_only
 def apply_stored_friction(engine, contacts, sparsity, state, work, h):  # type: ignore[no-untyped-def]
-    """Locate the wheels and write the previous step's friction to `qfrc_applied`."""
+    """Locate the wheels and write the stored friction to `qfrc_applied`."""
     _locate_wheels(engine, contacts, work)
     _generalised_forces(
         engine.cdof, contacts, sparsity, state.force, work, engine.qfrc_applied
@@ -277,7 +281,7 @@ def apply_stored_friction(engine, contacts, sparsity, state, work, h):  # type: 
 
 @kernel_only
 def set_mid_velocity(engine, work):  # type: ignore[no-untyped-def]
-    """Set `qvel` to the velocity at mid-step without δ, (v₋ + v̂)/2."""
+    """Set `qvel` to the velocity at mid-step without δ, which is (v₋ + v̂)/2."""
     for i in range(work.v_start.shape[0]):
         engine.qvel[i] = 0.5 * (work.v_start[i] + work.v_predicted[i])
 
@@ -304,9 +308,9 @@ def solve_friction(engine, contacts, sparsity, state, work, h):  # type: ignore[
             mu = contacts.floor.across
         else:
             mu = contacts.obstacle_friction
-        # Secant stiffness of friction, the force per slip speed of the previous step,
-        # N·s/m. It decides whether the contact slides (θ near 1/2) or sticks (θ near
-        # 1).
+        # The grip is the secant stiffness of friction, which is the force per slip
+        # speed of the previous step, N·s/m. A small grip means that the contact slides
+        # (θ near 1/2), and a large grip that it sticks (θ near 1).
         grip = (
             mu
             * work.normal_force[w]
@@ -322,16 +326,16 @@ def solve_friction(engine, contacts, sparsity, state, work, h):  # type: ignore[
 def store_friction(contacts, state, work, force):  # type: ignore[no-untyped-def]
     """Store the friction for the next step and return the dissipated power.
 
-    The power of a normal force is computed with the mean velocity of the step. An impact
-    stops the body within a step or two, and the velocity before it would give up to twice
-    the loss.
+    The power of a normal force is computed with the mean velocity of the step. An
+    impact stops the body within a step or two, so the velocity before the impact would
+    give up to twice the loss.
 
     Args:
         contacts: constants of the contacts.
         state: state of the contacts, changed in place.
         work: workspace after `solve_friction`.
-        force: output for the force on each contact in the world frame, shape (C, 3), N. For
-            a hull it is friction only.
+        force: output for the force on each contact in the world frame, shape (C, 3), N.
+            For a hull it contains friction only.
 
     Returns:
         Power that friction and the normal forces of obstacles dissipate, W.
@@ -348,8 +352,8 @@ def store_friction(contacts, state, work, force):  # type: ignore[no-untyped-def
         state.force[w, _FORCE_ALONG] = f_t
         state.force[w, _FORCE_ACROSS] = f_n
         state.force[w, _STORED_SPIN] = work.response[w, _SPIN_FORCE]
-        # The solve gives the rim speed at the fraction θ of the step. It is extrapolated
-        # to the end.
+        # The solve gives the rim speed at the fraction θ of the step. The rim speed at
+        # the end of the step is extrapolated.
         state.rim_speed[w] += (rim - state.rim_speed[w]) / work.theta[w]
         c = work.heading[w, 0]
         s = work.heading[w, 1]
@@ -408,8 +412,8 @@ def _locate_wheels(engine, contacts, work):  # type: ignore[no-untyped-def]
         point_jacobian(work.jacobian[w, _ALONG], x, y, z, c, s, 0.0)
         point_jacobian(work.jacobian[w, _ACROSS], x, y, z, -s, c, 0.0)
         point_jacobian(work.jacobian[w, _UP], x, y, z, 0.0, 0.0, 1.0)
-        # The hub is one radius above the contact, so its row differs from the row
-        # along the heading only in the moments.
+        # The hub is one wheel radius above the contact. The Jacobian row of the hub
+        # therefore differs from the row along the heading only in the moments.
         hub = work.jacobian[w, _HUB]
         along = work.jacobian[w, _ALONG]
         for k in range(6):
@@ -420,7 +424,6 @@ def _locate_wheels(engine, contacts, work):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _read_normal_forces(engine, contacts, work):  # type: ignore[no-untyped-def]
-    """Read the normal forces, and locate the contacts with faces of obstacles."""
     com = engine.subtree_com[1]
     sensors = engine.sensordata
     for w in range(contacts.body.shape[0]):
@@ -463,12 +466,13 @@ def _generalised_forces(cdof, contacts, sparsity, force, work, out):  # type: ig
 
 @kernel_only
 def _contact_velocity(contacts, work, w, theta):  # type: ignore[no-untyped-def]
-    """Return u of a contact at the fraction θ of the step, m/s; `motion` holds δ."""
+    """Return the velocity u of a contact at the fraction θ of the step, m/s."""
     last = contacts.last_dof[w]
     middle = work.mid_motion[last]
     step = work.step_motion[last]
     change = work.motion[last]
-    # v₋ + θ (v − v₋) = (v₋ + v̂)/2 + (θ − 1/2)(v̂ − v₋) + θ δ
+    # The velocity is v₋ + θ (v − v₋) = (v₋ + v̂)/2 + (θ − 1/2)(v̂ − v₋) + θ δ, where
+    # `motion` holds δ.
     along = work.jacobian[w, _ALONG]
     across = work.jacobian[w, _ACROSS]
     shift = theta - 0.5
@@ -484,7 +488,7 @@ def _friction_load(contacts, work, w):  # type: ignore[no-untyped-def]
     static = contacts.static_load[w]
     if contacts.load_kind == _MOMENTARY or w >= contacts.wheels:
         return normal
-    # The wheels 2k and 2k + 1 share an axle, and w ^ 1 is the other one.
+    # The wheels 2k and 2k + 1 share an axle, so w ^ 1 is the opposite wheel.
     opposite = max(work.normal_force[w ^ 1] - work.response[w ^ 1, _UNLOADING], 0.0)
     if contacts.load_kind == _ACROSS_ONLY and normal + opposite > 0.0:
         return 2.0 * static * normal / (normal + opposite)
@@ -495,8 +499,8 @@ def _friction_load(contacts, work, w):  # type: ignore[no-untyped-def]
 def _evaluation_fraction(x):  # type: ignore[no-untyped-def]
     """Return the fraction θ of a step at which friction is evaluated.
 
-    If slip decays by the factor e^(−x) per step, this θ makes the implicit step reproduce
-    the exponential decay. θ is 1/2 for slow decay and 1 for fast decay.
+    If the slip decays by the factor e^(−x) per step, the result θ makes the implicit
+    step reproduce this decay. θ tends to 1/2 for slow decay and to 1 for fast decay.
     """
     if x > 0.1:
         return 1.0 / (1.0 - np.exp(-x)) - 1.0 / x
@@ -547,7 +551,7 @@ def _friction_law(contacts, w, along, across, load, force, rim, h):  # type: ign
             along, across, load, floor, drag, force[_FORCE_ACROSS], is_cosine
         )
         # Newton's matrix must be symmetric. The geometric mean of the two off-diagonal
-        # derivatives keeps it positive definite.
+        # derivatives keeps the matrix positive definite.
         return Traction(f_t, f_n, tt, np.sign(tn) * np.sqrt(tn * nt), nn), along
     if floor.kind == _ELLIPSE:
         grip = stick_slip_friction(
@@ -570,8 +574,8 @@ def _newton(engine, contacts, sparsity, state, work, h):  # type: ignore[no-unty
         change[i] = 0.0
     clear(work.response)
     first = float(0.0)
-    # The first pass uses the loads of v̂ and need not converge. The second pass uses
-    # the loads that result from the first pass.
+    # The first pass uses the loads that belong to v̂ and need not converge. The second
+    # pass uses the loads that result from the first pass.
     for iteration in range(2):
         max_iterations = 1 if iteration == 0 else _MAX_ITERATIONS
         friction_impulse = float(0.0)
@@ -602,11 +606,12 @@ def _newton(engine, contacts, sparsity, state, work, h):  # type: ignore[no-unty
 def _line_search(engine, contacts, sparsity, state, work, h):  # type: ignore[no-untyped-def]
     """Search along the Newton step, and return the squared residual at the new δ.
 
-    The search ends when the residual is nearly normal to the Newton step. Under given loads
-    friction maximises dissipation, so the residual is the gradient of a convex function,
-    which decreases along the Newton step. The squared residual may increase where a contact
-    changes between sticking and sliding. A search that requires it to decrease would stall
-    when the robot stops.
+    The search ends when the residual is nearly normal to the Newton step. Under given
+    loads friction maximises dissipation, so the residual is the gradient of a convex
+    function, which decreases along the Newton step. The squared residual itself may
+    increase where a contact changes between sticking and sliding. A search that
+    required the squared residual to decrease would therefore stall when the robot
+    stops.
     """
     change = work.v_change
     direction = work.direction
@@ -627,8 +632,8 @@ def _line_search(engine, contacts, sparsity, state, work, h):  # type: ignore[no
         )
         slope = inner(work.trial_residual, direction)
         limit = _MAX_SLOPE_RATIO * slope_start
-        # A full step may end early with a positive derivative, because the next Newton
-        # step continues from there.
+        # The search accepts a full step with a still descending function, because the
+        # next Newton step continues from there.
         if slope >= -limit and (scale == 1.0 or slope <= limit):
             break
         if slope < 0.0:
@@ -679,7 +684,6 @@ def _evaluate_friction(contacts, state, work, h):  # type: ignore[no-untyped-def
 
 @kernel_only
 def _sum_impulses(contacts, state, work, h):  # type: ignore[no-untyped-def]
-    """Fill the impulses of the contact forces minus the forces in the engine's step."""
     impulse = work.impulse
     jacobian = work.jacobian
     response = work.response
@@ -722,8 +726,9 @@ def _assemble(engine, contacts, sparsity, state, work, h):  # type: ignore[no-un
     for i in range(slope.shape[0]):
         clear(slope[i])
     for w in range(contacts.body.shape[0]):
-        # t is along and n across the heading. tt, tn and nn are derivatives of r with
-        # respect to δ: ∂u/∂δ is θ J, and friction enters r with the factor −h.
+        # In tt, tn and nn, the letter t stands for along and n for across the heading.
+        # They are derivatives of r with respect to δ, because ∂u/∂δ is θ J and friction
+        # enters r with the factor −h.
         weight = -work.theta[w] * h
         tt = weight * response[w, _SLOPE_ALONG]
         tn = weight * response[w, _SLOPE_MIXED]
@@ -732,8 +737,8 @@ def _assemble(engine, contacts, sparsity, state, work, h):  # type: ignore[no-un
             up = 1.0 / contacts.regularisation[w]
         else:
             up = 0.0
-        # While a wheel rolls, the force along the heading spins the wheel. Its
-        # derivative then acts on the connector at the hub.
+        # While a wheel rolls, the force along the heading spins the wheel. The
+        # derivative of this force then acts on the connector at the hub.
         ahead = jacobian[w, _HUB if response[w, _RIM_SPEED] != 0.0 else _ALONG]
         aside = jacobian[w, _ACROSS]
         above = jacobian[w, _UP]

@@ -1,20 +1,20 @@
 r"""Energy that the joints of the twin's segments store and dissipate.
 
-A segment has n hinges, each with the stiffness n k and the damping n c. A hinge with
-the angle q_k deviates from the equal part q_f/n of the free bend q_f by
-e_k = q_k − q_f/n. With the torque T = k (q_f − q) + c (q̇_f − q̇) of the segment, the air
-exerts the power
+A segment with the stiffness k and the damping c has n hinges, each with the stiffness n
+k and the damping n c. The angle q_k of a hinge deviates from an equal part of the free
+bend q_f by e_k = q_k − q_f/n. The segment has the bend q = Σ q_k and the torque T = k
+(q_f − q) + c (q̇_f − q̇). The air then delivers the power
 
 $$ T\,\dot q_f = P + \frac{d}{dt} \sum_k \tfrac12 n k\,e_k^2 + \sum_k n c\,\dot e_k^2 , $$
 
-where P is the power that body and floor receive. The pitch and roll joints store and
-dissipate energy with their whole angles.
+where P is the power that body and floor receive. For the pitch and roll joints, the
+whole angle takes the place of e_k.
 
-Under a preloaded contact the pitch and roll joints are not counted. The preloaded
-wheels bounce on the floor and shake these joints. The energy for this comes from the
-finite time step of the normal forces, not from the torques. In gen2_turn the joints
-dissipate 35 mW with steps of 1 ms and 1.6 mW with 0.25 ms, but 0.006 mW under a loaded
-contact.
+Under a preloaded contact the pitch and roll joints are not counted, because the
+preloaded wheels bounce on the floor and shake these joints. The energy of this motion
+stems from the finite time step of the normal forces and not from the torques. In the
+scenario gen2_turn the joints dissipate 35 mW with steps of 1 ms and 1.6 mW with steps
+of 0.25 ms. Under a loaded contact they dissipate 0.006 mW.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ class InternalJoints:
 
     Attributes:
         hinges: velocity indices of the bending hinges, shape (segments, hinges per
-            segment). For a spatial robot the tilt hinges follow, shape (2 · segments,
-            hinges per segment).
-        out_of_plane: velocity indices of the pitch and roll joints that are counted, shape
-            (joints,).
+            segment). For a spatial robot, rows for the tilt hinges follow, so that the
+            shape is (2 · segments, hinges per segment).
+        out_of_plane: velocity indices of the pitch and roll joints that are counted,
+            shape (joints,).
         damping: damping coefficient of each velocity, 0 for other joints, shape (nv,),
             N·m·s/rad.
     """
@@ -42,13 +42,7 @@ class InternalJoints:
     def __init__(
         self, model: mujoco.MjModel, spec: RobotSpec, settings: ModelSettings
     ) -> None:
-        """Look up the joints of a compiled twin.
-
-        Args:
-            model: compiled scene.
-            spec: the robot.
-            settings: settings of the scene.
-        """
+        """Look up the joints of a compiled twin."""
         hinges = np.array(
             [
                 [
@@ -100,7 +94,8 @@ class InternalJoints:
 
         Args:
             qvel: generalised velocities, shape (…, nv).
-            free_rate: rates of the free bends, shaped like `free_bend` of `stored`, rad/s.
+            free_rate: rates of the free bends, rad/s, with the shape of `free_bend` in
+                `stored`.
 
         Returns:
             Power of each sample, shape (…,).
@@ -117,7 +112,7 @@ class InternalJoints:
         out_of_plane: np.ndarray,
     ) -> np.ndarray:
         """Return the deviations e_k of the hinges, then the values of other joints."""
-        if self._spatial:  # the bending hinges come before the tilt hinges
+        if self._spatial:  # bending hinges precede tilt hinges
             free = np.concatenate([free[..., 0], free[..., 1]], axis=-1)
         angles = values[..., hinges] - free[..., None] / hinges.shape[1]
         flat = angles.reshape(*values.shape[:-1], hinges.size)

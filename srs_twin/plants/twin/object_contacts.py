@@ -1,25 +1,27 @@
 r"""Friction of movable objects on the floor and on the body.
 
-The friction solve of a time step includes these contacts. An object touches hulls of
-the body and stands on the floor on four support points (`MovableObject.supports`). Both
-kinds of contacts follow the law of `stick_slip`, which is implicit in the velocities as
-for the wheels. The symbols are listed in `friction_solve`.
+The friction solve of a time step includes these contacts, and `friction_solve` lists
+the symbols. An object touches hulls of the body and stands on the floor on four support
+points (`MovableObject.supports`). Both kinds of contacts follow the law of
+`stick_slip`, which is implicit in the velocities as for the wheels.
 
 The law uses the velocity of a hull relative to the object, and the object receives the
-opposite friction force. The support points carry constant loads. The normal forces on
-hulls keep their values from v̂. The vertical friction of a hull does not change the
-loads of the support points.
+opposite friction force. The support points carry constant loads, which the vertical
+friction of hulls does not change. The normal forces on hulls keep their values from the
+engine's prediction v̂.
 
-Each object is a separate kinematic tree. The derivatives of its contacts with hulls
-couple the motion of the object with the motion of the snake. They add a block B to
-Newton's matrix, which is outside the sparsity pattern of M. Block elimination solves
-for the motion of the objects first,
+Each object is a separate kinematic tree. The derivatives of contact forces between
+objects and hulls couple the two motions. They add a block B to Newton's matrix, which
+is outside the sparsity pattern of the inertia matrix M. Without B, the matrix consists
+of the block P of the snake and the block Q of the objects. Block elimination solves for
+the motion y of the objects first and then for the motion x of the snake,
 
 $$ (Q - B P^{-1} B^T)\,y = r_o - B P^{-1} r_s, \qquad x = P^{-1} (r_s - B^T y), $$
 
-with the factored matrices P of the snake and Q of the objects without B.
+where r_s and r_o are the right-hand sides of snake and objects, and P is already
+factored.
 
-Without objects these functions are not compiled. Warp omits them.
+These functions are compiled only for worlds with objects. Warp does not support them.
 """
 
 from __future__ import annotations
@@ -61,7 +63,7 @@ class ObjectState(NamedTuple):
     Attributes:
         force: friction along and across, shape (C, 2), N.
         slip_speed: slip speed of each contact, shape (C,), m/s.
-        jacobian: Jacobian with which the previous step's friction acts, laid out as in
+        jacobian: Jacobian of the previous step's friction, in the layout of
             `ObjectContacts`.
     """
 
@@ -81,20 +83,20 @@ class ObjectContacts(NamedTuple):
             shape (C, 2).
         object_body: body id of the object, shape (C,).
         place: position of a support point in the frame of the object, shape (C, 2), m.
-        sensor: index into `sensordata` of the force on the hull and its point of
-            application, shape (C,).
+        sensor: index into `sensordata` of the force on the hull, followed by its point
+            of application, shape (C,).
         load: normal force, constant for a support point, shape (C,), N.
         friction, admittance: friction coefficient (dimensionless) and inverse effective
             mass (1/kg), shape (C,).
-        force, slip_speed: see `ObjectState`.
+        force, slip_speed: friction (N) and slip speed (m/s) as in `ObjectState`.
         jacobian: spatial vectors that give the velocity along, across and away from the
             object, for hull and object, shape (C, 2, 3, 6). In a pair the vectors of the
             object have a negative sign.
         theta: fraction θ of the step at which friction is evaluated, shape (C,).
         response: friction along and across (N), and its derivatives along, mixed and across
             (N·s/m), shape (C, 5).
-        coupling, solved: block B and B P⁻¹, with one row per degree of freedom of the
-            objects, shape (no, nv).
+        coupling, solved: matrices B and B P⁻¹, with one row for each of the no degrees
+            of freedom of the objects, shape (no, nv).
         matrix: matrix of the objects with its right-hand side as last column, shape (no,
             no + 1).
     """
@@ -127,11 +129,8 @@ def object_contacts(
 ) -> ObjectContacts:
     """Return the contacts of the objects of a compiled scene, at rest.
 
-    Args:
-        model: compiled scene.
-        objects: movable objects of the scene.
-        slip: slip speed, m/s.
-        hull_admittance: inverse effective mass of each hull, shape (hulls,), 1/kg.
+    `slip` is the slip speed (m/s), and `hull_admittance` is the inverse effective mass
+    of each hull, shape (hulls,), 1/kg.
     """
     hulls = surroundings.hulls(model)
     names = object_names(model)
@@ -191,7 +190,7 @@ def _last_dof(model: mujoco.MjModel, body: np.ndarray) -> np.ndarray:
 
 @compiled_if(has_objects)
 def apply_object_friction(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
-    """Add the previous friction to `qfrc_applied`, after the wheels' friction."""
+    """Add the stored friction to `qfrc_applied`, after the wheels' friction."""
     o = engine.objects
     for w in range(o.force.shape[0]):
         for side in range(2):
@@ -208,7 +207,6 @@ def apply_object_friction(engine, sparsity, work, h):  # type: ignore[no-untyped
 
 @kernel_only
 def _locate(jacobian, x, y, z, c, s, sign):  # type: ignore[no-untyped-def]
-    """Fill the Jacobian of a contact, times a sign, for the direction (c, s) along."""
     c = sign * c
     s = sign * s
     point_jacobian(jacobian[_ALONG], x, y, z, c, s, 0.0)
@@ -218,7 +216,7 @@ def _locate(jacobian, x, y, z, c, s, sign):  # type: ignore[no-untyped-def]
 
 @compiled_if(has_objects)
 def locate_objects(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
-    """Locate the contacts and read their normal forces, after the wheels' forces."""
+    """Locate the contacts and read their normal forces, after the wheels."""
     o = engine.objects
     com = engine.subtree_com[1]
     sensors = engine.sensordata
@@ -250,7 +248,7 @@ def locate_objects(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
                 _locate(item, x - own[0], y - own[1], z - own[2], c, s, -1.0)
         grip = o.friction[w] * o.load[w] / max(o.slip_speed[w], o.slip)
         decay = h * grip * o.admittance[w]
-        # As `friction_solve._evaluation_fraction`.
+        # The fraction θ is computed as in `friction_solve._evaluation_fraction`.
         if decay > 0.1:
             o.theta[w] = 1.0 / (1.0 - np.exp(-decay)) - 1.0 / decay
         else:
@@ -360,10 +358,6 @@ def add_object_slopes(engine, sparsity, work, h):  # type: ignore[no-untyped-def
 
 @kernel_only
 def _eliminate(matrix, x):  # type: ignore[no-untyped-def]
-    """Solve a system whose matrix has its right-hand side as last column.
-
-    The matrix is changed in place. It must not need pivoting.
-    """
     count = matrix.shape[0]
     for i in range(count):
         for j in range(i + 1, count):
@@ -416,7 +410,7 @@ def store_object_friction(engine, sparsity, work, force):  # type: ignore[no-unt
 
     Args:
         engine: engine data, which include the contacts of objects.
-        sparsity: not used.
+        sparsity: unused sparsity pattern.
         work: workspace after the friction solve.
         force: output for the friction on the hull of each pair in the world frame, shape
             (pairs, 3), N.

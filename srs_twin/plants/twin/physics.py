@@ -49,8 +49,9 @@ class StepBatch:
         energy: kinetic energy at the beginning of each step, shape (steps,), J.
         obstacle_force: mean force of all obstacles on each connector and the adjoining
             halves of its segments in each step, world frame, shape (steps, N, 3), N.
-        power, internal: power that the snake loses to floor and obstacles, and power that
-            the joints of the segments dissipate (`internal_joints`), shape (steps,), W.
+        power, internal: power that the snake loses to floor and obstacles, and power
+            that the joints of the segments dissipate (`internal_joints`), shape
+            (steps,), W.
     """
 
     states: np.ndarray
@@ -62,15 +63,15 @@ class StepBatch:
 
 
 class SensorAddresses(NamedTuple):
-    """Addresses and indices for another engine that steps the bodies.
+    """Addresses in MuJoCo's arrays for another engine that steps the bodies.
 
     Attributes:
-        floor_force, foot_velocity: addresses of the floor's force on each wheel and of the
-            velocity of each foot, shape (wheels,). There are no velocities under loaded
-            contact.
+        floor_force, foot_velocity: addresses of the floor's force on each wheel and of
+            the velocity of each foot, shape (wheels,). Under loaded contact there are
+            no sensors of velocity.
         obstacle_force: address of the obstacles' force on each hull, shape (hulls,).
         external_force, external_velocity: addresses of other force components that take
-            energy from the snake, and of the velocities on which they do work, shape
+            energy from the snake, and of the corresponding velocities, shape
             (components,).
         kinetic_energy: address of the kinetic energy.
         connectors: body ids of the connectors, shape (N,).
@@ -92,7 +93,9 @@ class SensorAddresses(NamedTuple):
 
 
 class Sensors(NamedTuple):
-    """Addresses of all sensor components; the last axis of a vector sensor is x, y, z.
+    """Addresses of all sensor components.
+
+    The last axis of a vector sensor is x, y, z.
 
     Attributes:
         floor_force, foot_velocity: force of the floor on each wheel and velocity of each
@@ -100,8 +103,8 @@ class Sensors(NamedTuple):
         hull_force, hull_velocity: force of the obstacles on each hull and velocity of the
             hull's centre, shape (hulls, 3).
         object_force: force of each object on each hull, shape (objects, hulls, 3).
-        drag_force, drag_velocity: axial drag of each connector and velocity along its
-            heading, shape (N,). The forces are empty without drag.
+        drag_force, drag_velocity: axial drag on each connector, and velocity of the
+            connector along its heading, shape (N,). The forces are empty without drag.
         kinetic_energy: address of the kinetic energy.
     """
 
@@ -149,13 +152,13 @@ def find_sensors(
 
 @dataclass(frozen=True)
 class Kinematics:
-    """Positions and velocities in several states, world frame, connectors head first.
+    """Positions and velocities in several states, in the world frame.
 
     Attributes:
         qpos: generalised positions, shape (samples, nq).
         com, com_velocity: position (m) and velocity (m/s) of the centre of mass, shape
             (samples, 3).
-        positions: positions of the connectors, shape (samples, N, 3), m.
+        positions: positions of the connectors, head first, shape (samples, N, 3), m.
         headings: headings of the connectors, wrapped to (−π, π], shape (samples, N),
             rad.
         bends, bend_rates: bends (rad) and bend rates (rad/s) of the segments, shape
@@ -174,7 +177,7 @@ class Kinematics:
 
 
 class EngineWarnings(threading.local):
-    """Latest MuJoCo warnings on this thread, which belong to the twin running on it."""
+    """Latest MuJoCo warnings on this thread, which belong to the twin that it runs."""
 
     def __init__(self) -> None:
         self.last: deque[str] = deque(maxlen=4)
@@ -183,7 +186,7 @@ class EngineWarnings(threading.local):
 ENGINE_WARNINGS = EngineWarnings()
 """Warnings for the message of a DivergedError.
 
-Without a handler MuJoCo would write them to a log file.
+Without a handler MuJoCo would write the warnings to a log file.
 """
 
 
@@ -194,8 +197,9 @@ def _keep_warning(text: str) -> None:
 mujoco.set_mju_user_warning(_keep_warning)
 _ROLLOUT = mujoco_rollout.Rollout(nthread=0)  # runs on the calling thread
 _ROLLOUT_STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
-_SNAKE = 1  # body that carries the whole snake; objects are other trees
-# This state includes the warm start, so that resumed steps are bit-identical.
+_SNAKE = 1  # body that carries the whole snake; objects are separate trees
+# The saved state includes the solver's warm start, so that resumed steps are
+# bit-identical.
 _SAVED_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
@@ -206,7 +210,7 @@ class SnakePhysics(Stateful):
         model: compiled model. It belongs to this physics alone and may be changed.
         data: current state of the bodies.
         free: whether the snake moves on a floor. Otherwise its head is clamped.
-        internal_joints: energy of joint motions that leave the bends unchanged.
+        internal_joints: springs and dampers of the segments, for their energy.
         stepper: time steps under loaded contact, or None under a preloaded contact or
             without a floor.
     """
@@ -225,16 +229,17 @@ class SnakePhysics(Stateful):
         """Compile the scene of a robot.
 
         Args:
-            spec: the robot.
+            spec: robot to simulate.
             settings: time step, discretisation and contact.
             chambers: chambers of the robot.
             supply_pa: maximum pressure that can occur, Pa.
             world: obstacles and floor, or None for a level floor without obstacles.
         """
-        # Other worlds do not affect the scene, so they share one compiled model.
+        # All other worlds do not affect the scene, so they share one compiled model.
         matters = world is not None and (world.is_solid or world.uneven)
         relevant = world if matters else None
-        # A copy, so that changes of one twin's model do not affect other twins.
+        # The model is copied, so that changes of one twin's model do not affect other
+        # twins.
         model = copy.copy(_compile_scene(spec, settings, supply_pa, relevant))
         return cls(model, spec, settings, chambers, world or World())
 
@@ -246,7 +251,7 @@ class SnakePhysics(Stateful):
         chambers: Pneumatics,
         world: World,
     ) -> None:
-        """Take over a compiled scene. The arguments are described in `build`."""
+        """Take over a compiled scene with the arguments of `build`."""
         self.model = model
         self.data = mujoco.MjData(model)
         mujoco.mj_forward(model, self.data)
@@ -285,8 +290,8 @@ class SnakePhysics(Stateful):
             self._pneumatics,
             self._world,
         )
-        # The model may have been changed since these constants were computed from it,
-        # so they are copied, too.
+        # The model may have been changed after these constants were computed, so the
+        # constants are copied as well.
         constants = {
             name: value
             for name, value in vars(self).items()
@@ -321,14 +326,17 @@ class SnakePhysics(Stateful):
     def bends_and_rates(
         self, qpos: np.ndarray, qvel: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return bends and bend rates of states with shapes (…, nq) and (…, nv)."""
+        """Return bends and bend rates of states.
+
+        `qpos` has the shape (…, nq), and `qvel` has the shape (…, nv).
+        """
         bends = self._by_segment(qpos @ self._angles.T)
         return bends, self._by_segment(qvel @ self._rates.T)
 
     def connector_forces(self, hull_force: np.ndarray) -> np.ndarray:
         """Return the obstacles' forces on the connectors, shape (…, N, 3), N.
 
-        They are computed from the forces on the hulls, shape (…, hulls, 3).
+        The forces are computed from the forces on the hulls, shape (…, hulls, 3), N.
         """
         force: np.ndarray = np.einsum("ih,...hk->...ik", self._hull_shares, hull_force)
         return force
@@ -364,7 +372,9 @@ class SnakePhysics(Stateful):
     def place(
         self, pose: Pose, velocity: np.ndarray, bend: np.ndarray, rate: np.ndarray
     ) -> None:
-        """Set pose, velocities and bends after `lay_down`. The wheels start rolling.
+        """Set pose, velocities and bends after `lay_down`.
+
+        The wheels start rolling.
 
         Args:
             pose: centre of mass x, y (m) and mean heading (rad).
@@ -387,8 +397,8 @@ class SnakePhysics(Stateful):
         self._move_to_pose(pose)
         data.qvel[:] = (rate / hinges) @ self._rates
         self.refresh()
-        # A rigid rotation and then a translation give the mean velocities the given
-        # values.
+        # A rigid rotation followed by a translation brings the mean velocities to the
+        # given values.
         data.qvel[5] += velocity[2] - data.cvel[self._connectors, 2].mean()
         self.refresh()
         data.qvel[:2] += velocity[:2] - data.subtree_linvel[_SNAKE][:2]
@@ -458,17 +468,18 @@ class SnakePhysics(Stateful):
         )
 
     def run(self, trace: Trace) -> StepBatch:
-        """Advance the bodies under given chambers and evaluate the steps."""
+        """Advance the bodies, driven by given chambers, and evaluate the steps."""
         return self.evaluate(trace.bend_rate[1:], *self.advance_bodies(trace))
 
     def advance_bodies(self, trace: Trace) -> tuple[np.ndarray, ...]:
-        """Advance the bodies under given chambers.
+        """Advance the bodies, driven by given chambers.
 
-        The result holds the arguments of `evaluate` after the first. The results of several
-        calls may be concatenated before `evaluate`.
+        The result holds the arguments of `evaluate` that follow `free_rate`. The
+        results of several calls may be concatenated before they are evaluated.
 
         Args:
-            trace: chambers at the beginning of each step and at the end, steps + 1 rows.
+            trace: state of the chambers at the beginning of each step and at the end of
+                the last step, steps + 1 rows.
         """
         controls = self.controls(trace)
         if self.stepper is None:
@@ -480,8 +491,10 @@ class SnakePhysics(Stateful):
     def controls(self, trace: Trace) -> np.ndarray:
         """Return the controls of the actuators for each row of a trace.
 
-        The springs and dampers of the joints act relative to the rest bends. The air therefore
-        exerts the remainder of the moment k (q_f − q) + c (q̇_f − q̇).
+        A segment with the bend q and the free bend q_f exerts the moment k (q_f − q) +
+        c (q̇_f − q̇), with the stiffness k and the damping c. The springs and dampers
+        of the joints act relative to the rest bends, and the air exerts the remainder
+        of the moment.
         """
         spec = self._spec
         driven = (
@@ -512,22 +525,23 @@ class SnakePhysics(Stateful):
         Args:
             free_rate: rates of the free bends at the end of each step, shape (steps, segments),
                 or (steps, segments, 2) for a spatial robot, rad/s.
-            states: states as in `StepBatch`. The last one is the current state.
+            states: states as in `StepBatch`, of which the last is the current state.
             sensors: values of all sensors, shape (steps, nsensordata).
             floor_force: force on the wheels as in `StepBatch`, or None to read it from the
                 sensors.
             contact_power: power that floor, obstacles and objects take from the snake, shape
                 (steps,), W, or None to compute it from the sensors.
-            obstacle_friction: friction of obstacles, then of each object, on hulls. The
-                sensors do not contain it. Shape (steps, 1 + objects, hulls, 3), N.
+            obstacle_friction: friction of obstacles, then of each object, on hulls,
+                shape (steps, 1 + objects, hulls, 3), N. The sensors do not measure this
+                friction.
         """
         self.refresh()
         at = self._sensors
         hull_force = sensors[:, at.hull_force]
         if floor_force is None or contact_power is None:
             floor_force = self._at_feet(sensors, at.floor_force)
-            # The engine is implicit: a force acts with the velocity at the end of its
-            # step, which the sensors report one step later.
+            # The engine is implicit, so a force does work with the velocity at the end
+            # of its step. The sensors report this velocity one step later.
             earlier = np.concatenate([self._last_force[None], floor_force[:-1]])
             velocity = self._at_feet(sensors, at.foot_velocity)
             on_feet = earlier[..., :2] * velocity[..., :2]
@@ -541,7 +555,7 @@ class SnakePhysics(Stateful):
         obstacle_force = self.connector_forces((normal + obstacle_friction).sum(axis=1))
         self._floor_force = floor_force.mean(axis=0)
         self._last_force = floor_force[-1]
-        # The engine's dampers act with the velocities at the end of a step.
+        # The engine's dampers use the velocities at the end of a step.
         internal = self.internal_joints.dissipated(
             states[:, 1 + self.model.nq :], free_rate
         )
@@ -579,11 +593,7 @@ class SnakePhysics(Stateful):
         self._update_kinematics(self.data)
 
     def kinematics(self, states: np.ndarray) -> Kinematics:
-        """Return positions and velocities in given states.
-
-        Args:
-            states: states as in `StepBatch`.
-        """
+        """Return positions and velocities in states laid out as in `StepBatch`."""
         count = len(states)
         n = len(self._connectors)
         nq = self.model.nq
@@ -653,22 +663,23 @@ class SnakePhysics(Stateful):
         return np.array(self.data.subtree_com[_SNAKE])
 
     def floor_forces(self) -> np.ndarray:
-        """Return the floor's mean force on each wheel over the last `run`.
+        """Return the floor's mean force on each wheel during the last `run`.
 
         The preload is subtracted.
 
         Returns:
-            Force in the world frame, indexed by axle, left and right wheel, and x y z, shape
-            (axles, 2, 3), N.
+            Force in the world frame, indexed by axle, left and right wheel, and x, y,
+            z, shape (axles, 2, 3), N.
         """
         force = self._floor_force.copy()
         force[..., 2] -= self._preload
         return force
 
     def wheel_loads(self) -> np.ndarray:
-        """Return the mean load of each wheel over the last `run`, shape (axles, 2), N.
+        """Return the mean load of each wheel during the last `run`, N.
 
-        A negative load means that the wheel would lift off without the preload.
+        The shape is (axles, 2). A negative load means that the wheel would lift off
+        without the preload.
         """
         return self.floor_forces()[..., 2]
 
@@ -712,14 +723,14 @@ def _bend_matrices(
 def _compile_scene(
     spec: RobotSpec, settings: ModelSettings, supply_pa: float, world: World | None
 ) -> mujoco.MjModel:
-    """Return the compiled scene; the cache makes further twins ten times faster."""
     model = scene_mjcf(spec, settings, supply_pa=supply_pa, world=world).compile()
-    # The controls contain the rates of the free bends, so they may exceed the pressures
-    # of the chambers.
+    # The controls contain the rates of the free bends, so they may exceed the limits of
+    # the chamber pressures.
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
-    # MuJoCo stops where an iteration improves the cost by less than the tolerance times
-    # the mean of the diagonal of M, which holds masses and moments of inertia. The
-    # moments of inertia scale with the length unit, which this factor corrects.
+    # MuJoCo stops iterating when an iteration improves the cost by less than the
+    # tolerance times the mean of the diagonal of M. The diagonal holds masses and
+    # moments of inertia. The moments of inertia scale with the length unit, which this
+    # factor corrects.
     if settings.base == "free":
         masses = 3 * model.body_subtreemass[_SNAKE]
     else:

@@ -1,4 +1,4 @@
-"""TwinSnake: the three-dimensional twin in MuJoCo with compliant bends, on wheels or on skids."""
+"""TwinSnake: the three-dimensional twin in MuJoCo, with compliant bends."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ from srs_twin.robot.world import World
 from srs_twin.sensing import Sensor
 
 _MAX_SPEED = 1e4
-"""Speed of any joint from which a state is not plausible, rad/s or m/s."""
+"""Speed of a joint above which a state counts as diverged, rad/s or m/s."""
 
-# Option of a contact → key in the provenance of a run, where the two differ.
+# Keys of contact options in the record of a run, where they differ from the options.
 _CONTACT_KEYS = {
     "law": "friction",
     "slip_speed": "slip_speed_m_s",
@@ -57,15 +57,15 @@ _CONTACT_KEYS = {
 
 
 class Loads(NamedTuple):
-    """Forces and energies of the samples of a history.
+    """Forces and energies at the samples of a history.
 
     Attributes:
         floor_force: mean force of the floor on each wheel since the previous sample,
             world frame, shape (samples, axles, 2, 3), N.
         obstacle_force: mean horizontal force of obstacles on each connector since the
             previous sample, shape (samples, N, 2), N.
-        body_work: kinetic energy and losses to floor and obstacles, shape (samples,),
-            J.
+        body_work: sum of kinetic energy and losses to floor and obstacles, shape
+            (samples,), J.
         internal_loss: energy that joints dissipated inside segments, shape (samples,),
             J.
     """
@@ -77,17 +77,18 @@ class Loads(NamedTuple):
 
 
 class TwinSnake(PneumaticPlant):
-    """Twin in MuJoCo: rigid bodies in three dimensions, several hinges per segment, on wheels or skids.
+    """Twin in MuJoCo with rigid bodies in three dimensions, on wheels, skids or a skin.
 
-    The segments have the stiffness k and the damping c against deviations from their
-    free bends q_f: the moment is k (q_f − q) + c (q̇_f − q̇), so that a massless
-    segment without load obeys Eq. 14.
+    Each segment bends at several hinges. A segment with the bend q exerts the moment k
+    (q_f − q) + c (q̇_f − q̇), with the free bend q_f, the stiffness k and the damping
+    c. A massless segment without load therefore obeys Eq. 14.
 
     Attributes:
-        max_chunk_s: longest interval that the engine simulates in one call, s; it
+        max_chunk_s: maximum interval that the engine simulates in one call, s, which
             bounds the memory for the records of the steps.
-        physics: the `SnakePhysics`, for quantities that `Plant` does not provide.
-        timestep: s.
+        physics: engine model and data, a `SnakePhysics`, for quantities that `Plant`
+            does not provide.
+        timestep: time step, s.
         contact: contact with the floor, as given.
     """
 
@@ -122,23 +123,24 @@ class TwinSnake(PneumaticPlant):
         """Build and compile the twin.
 
         Args:
-            spec: the robot.
-            contact: contact with the floor; the names "loaded" and "preloaded" select
+            spec: robot to simulate.
+            contact: contact with the floor. The names "loaded" and "preloaded" select
                 `LoadedContact()` and `PreloadedContact()`.
-            timestep: time step, s; the tick is a multiple of it. The default is
+            timestep: time step, s, of which the tick must be a multiple. The default is
                 `numerics.TIMESTEP_S` times the time unit of the robot, or a near part
                 of the tick (`robot.scale.divide`).
-            hinges_per_segment: bending hinges per segment.
-            supply_pa: supply pressure, Pa; default the robot's nominal pressure.
-            tick: control tick, s; default `TICK_S` times the time unit.
+            hinges_per_segment: number of bending hinges per segment.
+            supply_pa: supply pressure, Pa. The default is the robot's nominal pressure.
+            tick: control tick, s. The default is `TICK_S` times the time unit of the
+                robot.
             layout: valve layout, "3/2" or "in_out".
             pneumatics: "lag", "orifice", or a `Pneumatics` object.
-            sensor: curvature sensor: "ideal", "hall" with its defaults, or a `Sensor`
-                object.
-            world: floor, obstacles and objects; None for a level floor without
+            sensor: curvature sensor, which is "ideal", "hall" with its defaults, or a
+                `Sensor` object.
+            world: floor, obstacles and objects, or None for a level floor without
                 obstacles.
-            base: "free", or "clamped": the head is held, and the snake hangs in the
-                air.
+            base: support of the chain, "free" or "clamped". A clamped snake hangs in
+                the air and is held at its head.
             numerics: switches for studies of the twin itself.
 
         Raises:
@@ -226,7 +228,6 @@ class TwinSnake(PneumaticPlant):
         return self._begin(seed, self.pneumatics.current_trace())
 
     def _begin(self, seed: int, trace: Trace) -> SnakeState:
-        """Return the first state of a run."""
         physics = self.physics
         self._start_height_energy = self._potential_energy(physics.center_of_mass())
         self._ticks = 0
@@ -252,7 +253,7 @@ class TwinSnake(PneumaticPlant):
         return super().identity() | {"world": self._world}
 
     def _simulate(self, schedule: Schedule, ticks: int, samples: int) -> SnakeState:
-        """Follow a schedule in chunks, see `PneumaticPlant._simulate`."""
+        """Follow a schedule in chunks (`PneumaticPlant._simulate`)."""
         interval = schedule.span / samples
         steps = count_steps("sample interval", interval, "time step", self.timestep)
         chunk_samples = max(1, math.floor(self.max_chunk_s / interval))
@@ -274,7 +275,7 @@ class TwinSnake(PneumaticPlant):
         return check_plausible(self.name, SnakeState.history(histories))
 
     def describe(self) -> dict[str, object]:
-        """Return the settings for the provenance of a run."""
+        """Return the settings that a run records."""
         settings = self._settings
         contact = settings.contact
         options = {
@@ -297,17 +298,10 @@ class TwinSnake(PneumaticPlant):
     def _simulate_chunk(
         self, schedule: Schedule, begun: float, samples: int, steps: int
     ) -> SnakeState:
-        """Follow a schedule in one call of the engine.
-
-        Args:
-            schedule: checked valve states.
-            begun: time at its beginning, s.
-            samples: number of equally spaced samples.
-            steps: time steps per sample.
-        """
         ENGINE_WARNINGS.last.clear()
         before = np.concatenate([[0.0], self.physics.data.qpos, self.physics.data.qvel])
-        # Check before the engine steps: it would normalise a quaternion of any length.
+        # The check precedes the step, because the engine would normalise a quaternion
+        # of any length.
         check_before_step(
             self.name,
             begun + self.timestep,
@@ -331,11 +325,11 @@ class TwinSnake(PneumaticPlant):
         return history
 
     def _advance(self, schedule: Schedule, steps: int) -> tuple[Trace, StepBatch]:
-        """Advance chambers and bodies; return their states at the end of each step."""
         if not self.pneumatics.depends_on_bend:
             interval = steps
         elif self.physics.stepper is not None:
-            # Closed chambers are stiff springs, stable with the bends of each step.
+            # Closed chambers are stiff springs, which are stable only if the bends are
+            # exchanged in each step.
             interval = 1
         else:
             coupled = self.pneumatics.coupling_step_s / self.timestep
@@ -355,7 +349,6 @@ class TwinSnake(PneumaticPlant):
     def _chunk_history(
         self, times: np.ndarray, trace: Trace, batch: StepBatch, steps: int
     ) -> SnakeState:
-        """Return the history at `times`, each at the end of a number of steps."""
         count = len(times)
         used = count * steps
         ends = np.arange(1, count + 1) * steps - 1
@@ -375,7 +368,8 @@ class TwinSnake(PneumaticPlant):
         loads = Loads(
             floor_force=mean_per_sample(batch.floor_force),
             obstacle_force=mean_per_sample(batch.obstacle_force[:, :, :2]),
-            # Energy balance: the work of the torques is kinetic energy plus losses.
+            # By the energy balance, the work of the torques is kinetic energy plus
+            # losses.
             body_work=batch.energy[ends] + loss[ends],
             internal_loss=internal[ends],
         )
@@ -384,14 +378,6 @@ class TwinSnake(PneumaticPlant):
     def _observe(
         self, times: np.ndarray, states: np.ndarray, trace: Trace, loads: Loads
     ) -> SnakeState:
-        """Return the history of some states.
-
-        Args:
-            times: shape (samples,), s.
-            states: shape (samples, 1 + nq + nv), see `StepBatch`.
-            trace: trace of the chambers.
-            loads: forces and energies of the samples.
-        """
         kinematics = self.physics.kinematics(states)
         theta = self._unwrap(kinematics.headings)
         body_work = loads.body_work
@@ -419,7 +405,7 @@ class TwinSnake(PneumaticPlant):
             contact_force=self._force_on_connectors(floor_force[..., :2]),
             obstacle_force=loads.obstacle_force,
             torque=self._stiffness * deviation,
-            # ∫ Σ T q̇_f dt, see `internal_joints`.
+            # The work is ∫ Σ T q̇_f dt (`internal_joints`).
             work=body_work + loads.internal_loss + stored,
             internal_loss=loads.internal_loss,
             air=trace.air,
@@ -435,9 +421,10 @@ class TwinSnake(PneumaticPlant):
         )
 
     def _unwrap(self, headings: np.ndarray) -> np.ndarray:
-        """Return headings without jumps by 2π since the previous sample, and keep the last ones.
+        """Return headings without jumps by 2π since the previous sample.
 
-        A connector turns by far less than π between two samples.
+        A connector turns by far less than π between two samples. The last headings are
+        stored.
         """
         theta = np.concatenate([self._theta[None], headings])
         if (np.abs(theta[1:] - theta[:-1]) >= math.pi).any():
@@ -446,7 +433,6 @@ class TwinSnake(PneumaticPlant):
         return theta[1:]
 
     def _force_on_connectors(self, force: np.ndarray) -> np.ndarray:
-        """Return the forces on the connectors, (samples, N, …), from those on axles or contact points."""
         if self.spec.skin is not None:
             places = np.array(
                 [patch.place for patch in patches(self.spec, self._settings)]
@@ -455,20 +441,18 @@ class TwinSnake(PneumaticPlant):
                 "ik,skc->sic", self.spec.connector_weights(places), force
             )
             return shared
-        # The second axle of a tail comes last and belongs to the last connector.
+        # The second axle of a tail is the last axle and belongs to the last connector.
         connectors = np.arange(self.spec.geometry.connectors)
         total: np.ndarray = np.add.reduceat(force, connectors, axis=1)
         return total
 
     def _potential_energy(self, com: np.ndarray) -> np.ndarray:
-        """Return the potential energy of centres of mass, shape (…, 3), J."""
         energy: np.ndarray = -self.spec.mass.total * (
             com @ self.physics.model.opt.gravity
         )
         return energy
 
     def _count_plausible_steps(self, states: np.ndarray) -> int:
-        """Return the number of steps, from the first, with finite and plausible states."""
         clock = states[:, 0]
         # The engine's clock stops after a divergence.
         moved = np.append(True, clock[1:] > clock[:-1])
@@ -480,7 +464,6 @@ class TwinSnake(PneumaticPlant):
     def _divergence_error(
         self, time: float, before: np.ndarray, history: SnakeState | None
     ) -> DivergedError:
-        """Restore the last plausible state and return an error with this state and MuJoCo's warnings."""
         warned = " ".join(" ".join(dict.fromkeys(ENGINE_WARNINGS.last)).split())
         physics = self.physics
         count = physics.model.nq

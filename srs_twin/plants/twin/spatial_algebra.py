@@ -1,8 +1,8 @@
 """Algebra of spatial vectors and tree-structured matrices, for numba and Warp.
 
-Spatial vectors have rotation first and refer to the centre of mass of the snake, as
-`cdof` does in MuJoCo. Symmetric matrices have the sparsity pattern of the joint-space
-inertia M (`Sparsity`).
+Spatial vectors have their rotational components first and refer to the centre of mass
+of the snake, like MuJoCo's `cdof`. Symmetric matrices have the sparsity pattern of the
+joint-space inertia M (`Sparsity`).
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from srs_twin.compute.compiled import kernel_only
 class Sparsity(NamedTuple):
     """Lower triangle of M in compressed rows, and damping matrices with this pattern.
 
-    The entries of a row belong to the ancestors of its degree of freedom. The last entry is
-    the degree of freedom itself.
+    The entries of a row belong to the ancestors of the row's degree of freedom. The
+    last entry belongs to this degree of freedom itself.
 
     Attributes:
         row_length, row_start: number and first index of the entries of each row, shape
             (nv,).
         column: column of each entry, shape (nM,).
         parent: parent of each degree of freedom, −1 for the root, shape (nv,).
-        damping, damping_excess: matrix C in A = M + C (`contact_loaded`), and matrix h D −
-            C, shape (nM,), kg or kg·m².
+        damping, damping_excess: damping matrices C, where A = M + C (`contact_loaded`),
+            and h D − C, shape (nM,), kg or kg·m².
     """
 
     row_length: np.ndarray
@@ -81,7 +81,7 @@ def add_product(sparsity, matrix, x, out):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def point_jacobian(row, x, y, z, ex, ey, ez):  # type: ignore[no-untyped-def]
-    """Fill the row that gives the velocity of the point (x, y, z) along the axis e."""
+    """Fill the Jacobian row of the velocity of the point (x, y, z) along the axis e."""
     row[0] = y * ez - z * ey
     row[1] = z * ex - x * ez
     row[2] = x * ey - y * ex
@@ -119,8 +119,8 @@ def project(cdof, sparsity, force, out):  # type: ignore[no-untyped-def]
 def project_slopes(cdof, sparsity, slope, force, matrix):  # type: ignore[no-untyped-def]
     """Sum spatial derivatives towards the root and add their projection to a matrix.
 
-    As in the composite-rigid-body algorithm, the sum beyond each degree of freedom is
-    projected on this degree of freedom and its ancestors.
+    As in the composite-rigid-body algorithm, the sum of the derivatives beyond a degree
+    of freedom is projected on this degree of freedom and its ancestors.
 
     Args:
         cdof: spatial axes of the degrees of freedom, shape (nv, 6).

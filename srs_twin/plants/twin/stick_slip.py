@@ -1,18 +1,20 @@
 r"""Friction of a contact that can stick, and of a wheel whose spin has inertia.
 
 Both laws map the velocity of a contact to its friction force and the derivatives of the
-force. They take and return plain numbers, because numba and Warp compile them.
+force. The functions take and return plain numbers, because numba and Warp compile them.
 
-The contact is elastic-plastic in its force. The force p̂ of the previous step is scaled
-by the friction limits μ_t N along and μ_n N across the heading, which gives q̂. Then
+The contact force is elastic-plastic. Let N be the normal force, ε the slip speed, and
+v_t and v_n the velocities along and across the heading. The friction force of the
+previous step, divided by the friction limits μ_t N along and μ_n N across the heading,
+is q̂. The friction force f then follows from an elastic trial value y:
 
 $$ y = \hat q - \frac{1}{\varepsilon \mu}\,(\mu_t v_t, \mu_n v_n), \qquad
    f = N\,(\mu_t y_t, \mu_n y_n)\,/\,\max(1, |y|), \qquad \mu = \min(\mu_t, \mu_n) . $$
 
-For |y| ≤ 1 the contact sticks: the force changes in proportion to the velocity and is
-constant at rest. For |y| > 1 the contact slides with the force of
-`robot.friction.ellipse`. With y = q̂ − v/ε it slides with the force of
-`robot.friction.cosine`, which lies on the same ellipse.
+For |y| ≤ 1 the contact sticks, so the force changes in proportion to the velocity and
+is constant at rest. For |y| > 1 the contact slides with the force of
+`robot.friction.ellipse`. If y is replaced by q̂ − v/ε, the contact slides with the
+force of `robot.friction.cosine`, which lies on this ellipse as well.
 """
 
 from __future__ import annotations
@@ -29,7 +31,7 @@ _MIN_LIMIT = 1e-12
 _MIN_RATIO = 0.01
 """Lower bound on μ/max(μ_t, μ_n) in the stiffness 1/(ε μ), dimensionless.
 
-It keeps the stiffness finite if one of the coefficients is zero.
+The bound keeps the stiffness finite if one of the coefficients is zero.
 """
 
 _RIM_TOLERANCE = 1e-12
@@ -50,7 +52,8 @@ class FloorLaw(NamedTuple):
             dimensionless.
         across: friction coefficient μ_n across the heading, dimensionless.
         slip_speed: slip speed ε, m/s.
-        spin_mass: moment of inertia of a wheel's spin over its squared radius, kg.
+        spin_mass: moment of inertia of a wheel about its axle, divided by its squared
+            radius, kg.
     """
 
     kind: int
@@ -94,15 +97,15 @@ def stick_slip_friction(v_t, v_n, load, mu_t, mu_n, slip, p_t, p_n):  # type: ig
     if not greatest * load > 0.0:
         return Traction(0.0, 0.0, 0.0, 0.0, 0.0)
     # In the direction of the smaller coefficient the contact yields at the slip speed
-    # ε; in the other direction it yields earlier.
+    # ε. In the other direction it yields at a lower speed.
     stiffness = 1.0 / (slip * max(min(mu_t, mu_n), _MIN_RATIO * greatest))
-    # q is the previous force in units of the friction limits. If the load has
+    # The vector q is the previous force divided by the friction limits. If the load has
     # decreased, q is scaled back onto the friction ellipse.
     q_t = p_t / max(limit_t, _MIN_LIMIT)
     q_n = p_n / max(limit_n, _MIN_LIMIT)
     shrink = 1.0 / max(1.0, np.sqrt(q_t * q_t + q_n * q_n))
-    # y is the elastic trial force, and a is the trial force limited to the ellipse, both
-    # in units of the friction limits.
+    # The vector y is the elastic trial force, and a is the trial force limited to the
+    # ellipse. Both are divided by the friction limits.
     y_t = shrink * q_t - mu_t * stiffness * v_t
     y_n = shrink * q_n - mu_n * stiffness * v_n
     size = np.sqrt(y_t * y_t + y_n * y_n)
@@ -128,7 +131,7 @@ def skin_friction(v_t, v_n, load, law, p_t, p_n, is_cosine):  # type: ignore[no-
     The module docstring states the law.
 
     Args:
-        v_t, v_n, load, p_t, p_n: as in `stick_slip_friction`.
+        v_t, v_n, load, p_t, p_n: arguments of `stick_slip_friction`.
         law: friction on the floor, a `FloorLaw`.
         is_cosine: whether the law is `cosine` instead of `ellipse`.
 
@@ -144,8 +147,8 @@ def skin_friction(v_t, v_n, load, law, p_t, p_n, is_cosine):  # type: ignore[no-
     greatest = max(along, mu_n)
     if not greatest * load > 0.0:
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    # Friction opposes the slip, so a force towards the tail belongs to slip towards the
-    # head and its coefficient.
+    # Friction opposes the slip, so a force towards the tail has the coefficient for
+    # slip towards the head.
     mu_p = mu_ahead if p_t <= 0.0 else mu_back
     mu_v = mu_ahead if v_t >= 0.0 else mu_back
     q_t = p_t / max(mu_p * load, _MIN_LIMIT)
@@ -180,20 +183,23 @@ def skin_friction(v_t, v_n, load, law, p_t, p_n, is_cosine):  # type: ignore[no-
 def rolling_friction(v_t, v_n, load, law, p_t, p_n, rim, inertia):  # type: ignore[no-untyped-def]  # noqa: D417
     r"""Return the `Traction` and rim speed (m/s) of a wheel whose spin has inertia.
 
-    The contact has the coefficient μ_n in every direction, and the axle brakes with μ_t.
-    The rim speed w at the end of the step balances both:
+    The contact has the friction coefficient μ_n in every direction. The axle brakes the
+    wheel with the coefficient μ_t under the load N. The rim speed w at the end of the
+    step balances the contact force f_t and the axle's friction:
 
     $$ k\,(w - w_0) = -f_t(v_t - w) - \mu_t N \operatorname{sgn} w . $$
 
-    sgn is set-valued at 0, so a wheel that its contact cannot turn stays locked. A
-    sliding wheel without inertia follows `robot.friction.wheel`.
+    Here w₀ is the rim speed at the beginning of the step. The function sgn is
+    set-valued at 0, so a wheel that its contact cannot turn stays locked. A sliding
+    wheel without inertia follows `robot.friction.wheel`.
 
     Args:
-        v_t, v_n, load, p_t, p_n: as in `stick_slip_friction`.
-        law: a `FloorLaw` with equal coefficients for forward and backward slip.
+        v_t, v_n, load, p_t, p_n: arguments of `stick_slip_friction`.
+        law: friction on the floor, a `FloorLaw` with equal coefficients for forward and
+            backward slip.
         rim: rim speed w₀ at the beginning of the step, m/s.
-        inertia: coefficient k, the moment of inertia of the wheel over its squared radius
-            and the time step, kg/s.
+        inertia: coefficient k, kg/s. It is the moment of inertia of the wheel divided
+            by its squared radius and by the time step.
     """
     mu_n = law.across
     slip = law.slip_speed
@@ -202,8 +208,8 @@ def rolling_friction(v_t, v_n, load, law, p_t, p_n, rim, inertia):  # type: igno
     demand = inertia * rim - grip.along
     if abs(demand) <= drag:
         return grip, 0.0
-    # The excess of the driving force decreases in w and is positive at 0, so a
-    # bracketed Newton iteration converges.
+    # The excess of the driving force decreases with the rim speed and is positive at 0,
+    # so a bracketed Newton iteration converges.
     side = 1.0 if demand > 0.0 else -1.0
     low = float(0.0)
     high = (abs(demand) - drag) / inertia
@@ -247,8 +253,8 @@ def axis_friction(v_t, v_n, load, law, p_t, p_n, rim, inertia):  # type: ignore[
     The spin of the wheel adds mass along the heading.
 
     Args:
-        v_t, v_n, load, law, p_t, p_n, rim, inertia: as in `rolling_friction`, but p_t
-            excludes the part that spins the wheel.
+        v_t, v_n, load, law, p_t, p_n, rim, inertia: arguments of `rolling_friction`,
+            except that p_t excludes the part that spins the wheel.
     """
     mu_t = law.forward
     mu_n = law.across

@@ -1,1 +1,1 @@
-"""Conversion of RobotSpec and World into MJCF: the model and its export."""
+"""MJCF models of robots and their surroundings, and their export."""

@@ -5,10 +5,10 @@ its segments, or a link between the hinges of a segment. A rod has the mass of i
 of the body. Its inertia is computed for a block with the width of the body and twice
 the height of the centre of mass.
 
-A rod is divided into equally long patches. In the middle of each patch, two contact
-points side by side touch the floor. The contact geoms are frictionless spheres around
-the height of the centre of mass. Friction is computed by a law from their contact
-forces (`contact_loaded`).
+A rod is divided into equally long patches. It touches the floor at two points side by
+side in the middle of each patch. The contact geoms are frictionless spheres centred at
+the height of the centre of mass. Friction is a law on their contact forces
+(`contact_loaded`).
 """
 
 from __future__ import annotations
@@ -22,18 +22,22 @@ from srs_twin.plants.twin.mjcf.numerics import ModelSettings, hinge_stations
 from srs_twin.robot.spec import RobotSpec
 
 _MIN_LENGTH = 1e-9
-"""Minimum length of a part of a rod divided by the pitch. Shorter parts are rounding
-errors."""
+"""Minimum ratio of a rod part's length to the pitch.
+
+Smaller ratios are rounding errors.
+"""
 
 
 class Rod(NamedTuple):
-    """Rigid part of the body. Positions are distances behind the head when straight, m.
+    """Rigid part of the body.
+
+    Places are distances behind the head of the straight snake, m.
 
     Attributes:
-        name: name of the MuJoCo body.
-        origin: position of the frame of this body.
-        front: position of the front end.
-        back: position of the rear end.
+        name: name of the rod's MuJoCo body.
+        origin: place of this body's frame.
+        front: place of the front end.
+        back: place of the rear end.
     """
 
     name: str
@@ -64,7 +68,7 @@ def rods(spec: RobotSpec, settings: ModelSettings) -> list[Rod]:
 
 
 class Patch(NamedTuple):
-    """Part of a rod that belongs to one segment and touches the floor in its middle.
+    """Part of a rod within one segment, which touches the floor in the middle.
 
     Attributes:
         rod: rod that contains the patch.
@@ -142,9 +146,9 @@ def _set_inertia(mj: MjSpec, spec: RobotSpec, rod: Rod, parts: list[Patch]) -> N
 def root_connector(spec: RobotSpec) -> int:
     """Return the number of the middle connector, which has the free joint.
 
-    With the root in the middle, no contact is more than half of the chain away from it,
-    which makes a step a third faster. The integrator evaluates inertia at the beginning
-    of a step. Its error in the mean speed is a fifth of the error with the head as
-    root.
+    With the root in the middle, no contact is more than half of the chain away from the
+    root. A step then takes a third less time than with the head as root. The integrator
+    evaluates inertia at the beginning of a step. The resulting error of the mean speed
+    is a fifth of the error with the head as root.
     """
     return (spec.geometry.connectors + 1) // 2

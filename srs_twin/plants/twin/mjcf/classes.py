@@ -1,7 +1,8 @@
-"""Default classes of the MJCF with common properties of hinges, wheels and actuators.
+"""Default classes of the MJCF, with common properties of joints, geoms and actuators.
 
-Elements state only their class, their name, their position and values that depend on
-the mass of their connector (axle friction, preload).
+Elements name their class and state only individual properties. These are the name, the
+position, and values that depend on the mass of a connector, such as axle friction and
+preload.
 """
 
 from __future__ import annotations
@@ -32,13 +33,11 @@ _COLLISION_GROUP = 3
 _HIDDEN_GROUP = 5
 
 _MAX_FREE_BEND = (
-    100.0  # limit of the free bend of a spatial robot, far above any real one, rad
+    100.0  # limit of the free bend of a spatial robot, far above any real bend, rad
 )
 _FLANGE_RATIO = 1.08  # radius of a connector's disc over the radius of the body
 _RUNNER_RATIO = 0.25  # radius of a skid's runner over the radius of a wheel
-_PLATE_HALF_HEIGHT = (
-    0.003  # of a connector's disc at a length unit of 1 (`robot.scale`), m
-)
+_PLATE_HALF_HEIGHT = 0.003  # half height of a connector's disc at a length unit of 1, m
 _DRAWN_CLEARANCE = (
     0.001  # height of the drawn body above the floor at a length unit of 1, m
 )
@@ -47,14 +46,7 @@ _DRAWN_CLEARANCE = (
 def add_classes(
     mj: mujoco.MjSpec, spec: RobotSpec, settings: ModelSettings, *, limit_pa: float
 ) -> None:
-    """Add the classes of a robot.
-
-    Args:
-        mj: model, changed in place.
-        spec: robot.
-        settings: time step, discretisation and contact.
-        limit_pa: upper limit of the chamber pressures, Pa.
-    """
+    """Add the classes of a robot to a model."""
     root = mj.add_default(ROOT, mj.default)
     root.geom.contype = root.geom.conaffinity = 0
     root.geom.mass = 0
@@ -79,8 +71,8 @@ def add_classes(
         drag.gear = [1, 0, 0, 0, 0, 0]
         drag.biastype = mujoco.mjtBias.mjBIAS_AFFINE
         drag.gainprm[0] = 0.0
-        # The drag is proportional to the speed up to the slip speed, and constant
-        # beyond it. The integrator treats the proportional part implicitly.
+        # Up to the slip speed the drag is proportional to the speed, which the
+        # integrator treats implicitly. Above the slip speed the drag is constant.
         drag.biasprm[2] = -limit / stated(settings.contact.slip_speed)
         drag.forcelimited = True
         drag.forcerange = [-limit, limit]

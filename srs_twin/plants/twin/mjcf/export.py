@@ -1,4 +1,4 @@
-"""Export of a RobotSpec as MJCF files in the layout of MuJoCo Menagerie.
+"""Export of robots as MJCF files in the layout of MuJoCo Menagerie.
 
 ``<robot>.xml`` contains the robot. ``scene.xml`` includes it and adds floor, light,
 contact pairs and floor-force sensors. Numbers are written in full precision, so that
@@ -7,13 +7,14 @@ the files compile to a model that is bit-identical to the twin's model.
 not support.
 
 The controls are pressures. If the damping time c/k of the segments differs from the
-mode time constant τ₂, each chamber has two actuators. `plus_1` takes the pressure, and
-`plus_1_lag` takes its mean over the time step.
+time constant τ₂ of the bending mode, each chamber has two actuators. In segment 1, for
+example, the control of `plus_1` is the pressure, and the control of `plus_1_lag` is the
+mean pressure over the time step.
 
 MuJoCo's actuators are linear in the pressures, so a limit of the bends becomes a limit
-of the moments. A robot with a dead zone is exported only if its pressures are converted
+of the moments. A robot with a dead zone is refused, unless its pressures are converted
 before they become controls (`equivalent_linear_pressure` of `pneumatics.chambers`).
-`describe_departures` lists what the files lack.
+`describe_departures` lists what the files omit or approximate.
 """
 
 from __future__ import annotations
@@ -66,11 +67,11 @@ _DEPARTURES = {
     "modules.sensor_gain_spread": _SENSORS,
     "modules.sensor_bias_spread_rad": _SENSORS,
 }
-"""Robot parameter → how the exported model departs from the twin."""
+"""Departure of the exported model from the twin, by key of a robot file."""
 
 
 def describe_departures(robot: RobotFile) -> Iterator[str]:
-    """Yield a line for each robot parameter that the export omits or approximates."""
+    """Yield a line for each number of a robot that the export omits or approximates."""
     on_bench = robot.geometry.connectors.value == 2
     for path, record in robot.records().items():
         departure = _DEPARTURES.get(path)
@@ -110,10 +111,10 @@ def robot_files(
     """Return a robot's MJCF files as a mapping from file name to text.
 
     Args:
-        spec: robot.
-        supply_pa: upper limit of the controls, Pa. Lower values are raised to the
-            limits of the robot.
-        linear: whether a robot with a dead zone is exported without its dead zone.
+        spec: robot to export.
+        supply_pa: upper limit of the controls, Pa. The limits of the robot are used if
+            they are higher.
+        linear: whether to export a robot with a dead zone without its dead zone.
 
     Raises:
         InputError: the robot has a skin or a tail on two axles, or it has a dead zone
@@ -163,9 +164,10 @@ def robot_files(
 def _add_lags(mj: mujoco.MjSpec, spec: RobotSpec) -> None:
     """Add a second actuator, which lags behind the pressure, to each chamber.
 
-    The moment of a nominal segment is k x + c ẋ, where x lags behind the pressures with
-    the time constant τ₂. With T = c/k, the moment equals (1 − T/τ₂) k x + (T/τ₂) k G
-    (p⁺ − p⁻). No second actuator is needed if T = τ₂.
+    The air in a nominal segment exerts the moment k x + c ẋ, with the stiffness k and
+    the damping c. The free bend x follows G (p⁺ − p⁻) with the time constant τ₂, where
+    G is the gain and p⁺, p⁻ are the chamber pressures. With T = c/k the moment is (1 −
+    T/τ₂) k x + (T/τ₂) k G (p⁺ − p⁻). No second actuator is needed if T = τ₂.
     """
     share = spec.bending.damping_time / spec.actuator.tau_mode
     if math.isclose(share, 1.0, rel_tol=1e-9):
@@ -196,9 +198,9 @@ def _limit_moments(mj: mujoco.MjSpec, spec: RobotSpec) -> None:
 def _adapt_to_mjx(mj: mujoco.MjSpec) -> None:
     """Remove what MJX and MuJoCo Warp do not support.
 
-    The contact sensors, the integrator and a flag are affected. The replacement
-    integrator adds no damping to the springs, so the dampers get their full values
-    again.
+    The changes concern the contact sensors, the integrator and a flag. The integrator
+    of the adapted model adds no damping to the springs, so the dampers get their full
+    values.
     """
     for sensor in mj.sensors:
         mj.delete(sensor)
@@ -224,7 +226,7 @@ def _text(mj: mujoco.MjSpec) -> str:
 def _include_robot(name: str, robot: str, scene: str) -> str:
     """Replace the robot's elements in the XML of a scene by an `include` of its file.
 
-    MuJoCo cannot write `include`, or contact pairs without their geoms.
+    MuJoCo writes neither an `include` nor contact pairs without their geoms.
     """
     document = minidom.parseString(scene)
     top = document.documentElement

@@ -1,23 +1,24 @@
-"""Construction of the MuJoCo model: the chain of connectors and segments on a floor.
+"""MuJoCo model of a robot: a chain of connectors and segments on a floor.
 
 The robot is a free-floating chain in three dimensions, built in both directions from
 its middle connector. A connector is a body with two feet on the floor (`wheels`), or
 the whole body lies on the floor (`belly`).
 
-A segment is a chain of n equal bending hinges. Each hinge has the stiffness n k and the
-damping n c, so that the series of hinges has k and c. One pitch hinge and one roll
-hinge in the middle of the segment distribute the load of the floor. The controls are
-the chamber pressures in Pa. The actuators ``plus_j`` and ``minus_j`` exert the moment k
-G (p⁺ − p⁻) on the tendon ``bend_j``, whose length is the bend q_j of the segment.
+A segment with the stiffness k and the damping c is a chain of n equal bending hinges,
+each with the stiffness n k and the damping n c. One pitch hinge and one roll hinge in
+the middle of the segment distribute the load of the floor. The controls are the chamber
+pressures p⁺ and p⁻ in Pa. The actuators ``plus_j`` and ``minus_j`` exert the moment k G
+(p⁺ − p⁻), with the gain G, on the tendon ``bend_j``, whose length is the bend q_j of
+the segment.
 
 A spatial robot has no pitch hinge. Each bending hinge is paired with a tilt hinge,
-which turns the head end upwards. A pair of rotations about two axes contains a twist.
-To cancel it, every second pair has the opposite order of hinges. The actuators
-``air_left_j`` and ``air_up_j`` act on the tendons ``bend_j`` and ``tilt_j``. Their
-control is the free bend, and their moment is k times the free bend. With
-`Actuator.extension`, the link in the middle of a segment has a slide joint
-``stretch_j`` with the axial stiffness of a solid round section. The actuator
-``air_along_j`` exerts this stiffness times the free extension.
+which turns the head end upwards. Two successive rotations about different axes contain
+a twist. To cancel the twist, the order of the two hinges is reversed at every second
+place. The actuators ``air_left_j`` and ``air_up_j`` act on the tendons ``bend_j`` and
+``tilt_j``. The control of these actuators is the free bend, and they exert k times the
+free bend. If the robot has an `Actuator.extension`, the link in the middle of a segment
+has a slide joint ``stretch_j`` with the axial stiffness of a solid round section. The
+actuator ``air_along_j`` exerts this axial stiffness times the free extension.
 
 With a clamped base (`ModelSettings.base`) the head is fixed to the world. The model
 then has no floor, wheels or preload. It also has no pitch and roll hinges, because the
@@ -72,12 +73,12 @@ def robot_mjcf(
     """Build the robot without floor: bodies, joints, tendons and actuators.
 
     Args:
-        spec: robot.
+        spec: robot to build.
         settings: time step, discretisation and contact.
-        supply_pa: upper limit of the controls, Pa. Lower values are raised to the
-            limits of the robot.
-        obstacle_friction: friction coefficient of the hulls that touch obstacles
-            (`surroundings`), or None for a body without hulls.
+        supply_pa: upper limit of the controls, Pa. The limits of the robot are used if
+            they are higher.
+        obstacle_friction: friction coefficient of hulls that touch obstacles
+            (`surroundings`), dimensionless, or None for a body without hulls.
 
     Raises:
         InputError: the twin does not support the robot with these settings (`rules`).
@@ -123,9 +124,9 @@ def scene_mjcf(
     The sensors measure forces in the world frame, N.
 
     Args:
-        spec: robot.
+        spec: robot to build.
         settings: time step, discretisation and contact.
-        supply_pa: upper limit of the controls, as in `robot_mjcf`.
+        supply_pa: upper limit of the controls, Pa, as in `robot_mjcf`.
         world: floor and obstacles, or None for a level floor without obstacles.
 
     Raises:
@@ -157,9 +158,10 @@ def _set_options(mj: MjSpec, settings: ModelSettings) -> None:
     option.iterations = 50
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     if settings.loaded:
-        # There are few normal forces, and the engine selects the Jacobian by their
-        # number. The tolerance is tight because errors of 1e-7 in the loads would push
-        # stopping wheels sideways, in a direction that depends on the processor.
+        # There are few normal forces, and the engine selects a dense or sparse Jacobian
+        # by their number. A strict tolerance is needed, because errors of 1e-7 in the
+        # loads would push stopping wheels sideways, in a direction that depends on the
+        # processor.
         option.jacobian = mujoco.mjtJacobian.mjJAC_AUTO
         option.tolerance = 1e-12
     else:
@@ -173,9 +175,10 @@ def _set_options(mj: MjSpec, settings: ModelSettings) -> None:
 class _Chain:
     """Chain of connectors and segments that is added to a model.
 
-    Stations are distances along the straight segment from the connector at which it
-    begins. `ahead` is the direction of a segment along the x axis: −1 behind the root,
-    1 in front of it. Names are numbered from the head in both directions.
+    Stations are distances along a straight segment from the connector at which the
+    segment is attached. `ahead` is the direction of a segment along the x axis: −1
+    behind the root and 1 in front of the root. Numbers in names count from the head in
+    both directions.
     """
 
     mj: MjSpec
@@ -246,7 +249,7 @@ class _Chain:
             anchor = ahead * (hinges[k] - origins[k])
             in_middle = k == n // 2
             if in_middle and spec.actuator.extension:
-                # The slide joint is added first, so that it is aligned with the link in
+                # The slide joint precedes the hinges, so that it acts along the link in
                 # front.
                 self._add_joint(body, "stretch", f"stretch_{j}", anchor, ahead)
             self._add_hinges(body, j, k, anchor, ahead)
@@ -290,8 +293,8 @@ class _Chain:
     ) -> MjsJoint:
         """Add a joint at x (m).
 
-        In front of the root the axis is reversed, so that the sign of a joint angle
-        does not depend on the direction of construction.
+        In front of the root the axis of the joint is reversed, so that its sign is
+        independent of the building direction.
         """
         joint = body.add_joint(self.mj.find_default(kind), name=name, pos=[x, 0, 0])
         if ahead > 0:
@@ -358,7 +361,7 @@ def _set_inertia(
     of mass along the body's x axis, m.
     """
     body.mass = mass + fixed.mass
-    body.ipos = [x, 0, 0]  # the default of MjSpec would be the body's `pos`
+    body.ipos = [x, 0, 0]  # MjSpec would use the body's `pos` by default
     body.inertia = np.full(3, mass * spec.connector_gyration**2) + fixed.moments
     body.explicitinertial = True
 
@@ -383,7 +386,6 @@ def _constrain_curvature(mj: MjSpec, j: int, settings: ModelSettings) -> None:
 
 
 def _add_home_keyframe(mj: MjSpec) -> None:
-    """Add the keyframe ``home``: straight, at rest, on the floor, chambers empty."""
     root = mj.worldbody.first_body()
     qpos = [0.0] * len(mj.joints)
     if any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in mj.joints):

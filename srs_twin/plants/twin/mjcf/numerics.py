@@ -15,8 +15,10 @@ TIMESTEP_S = 0.001
 """Default time step at a time unit of 1 (`robot.scale`), s."""
 
 MAX_STEP_RATIO = 1.5
-"""Maximum ratio of the time step to the damping time of the segments. The springs
-diverge at a ratio of 2."""
+"""Maximum ratio of the time step to the damping time of the segments.
+
+The springs diverge if the ratio is 2 or more.
+"""
 
 SLIP_SPEED_M_S = 0.001
 """Default slip speed at a time unit of 1, m/s."""
@@ -49,9 +51,10 @@ LAW_OF: dict[Wheels, Law] = {"rolling": "wheel", "skid": "ellipse"}
 PRELOAD = {"rolling": 39.0, "skid": 99.0}
 """Preload κ of a wheel and of a skid, dimensionless.
 
-A skid slides in both directions, so its contact opens more easily. With κ = 19,
-connectors rocked from one skid to the other, and their loads oscillated by as much as
-their mean. With κ = 59, only the loads of the tail oscillated.
+A skid slides in both directions, so the contact of a skid opens more easily. With κ =
+19 connectors rocked from one skid to the other, and the loads oscillated with an
+amplitude as large as their mean. With κ = 59 only the loads of the tail oscillated so
+strongly.
 """
 
 
@@ -60,14 +63,13 @@ class LoadedContact:
     """Floor contact with normal forces from MuJoCo and friction from a friction law.
 
     Attributes:
-        law: friction law, "wheel", "ellipse", "axis" or "cosine" (docs/friction.md). A
-            skin has its own law.
-        load: load of a wheel in the law, one of `LOADS`. All except "momentary" are for
-            comparison.
-        slip_speed: slip speed ε, m/s. Below the friction limit μN, the force changes by
-            μN/ε times the velocity, so that a resting contact does not creep
-            (`stick_slip`). None means `SLIP_SPEED_M_S` times the time unit of the robot
-            (`robot.scale`).
+        law: friction law, "wheel", "ellipse", "axis" or "cosine" (docs/friction.md). A skin
+            has its own law.
+        load: load of a wheel in the friction law, one of `LOADS`. All loads except
+            "momentary" serve for comparison.
+        slip_speed: slip speed ε, m/s. Below the friction limit μN the force changes by μN/ε
+            times the velocity, so that a resting contact does not creep (`stick_slip`).
+            None means `SLIP_SPEED_M_S` times the time unit of the robot (`robot.scale`).
     """
 
     name: ClassVar[Literal["loaded"]] = "loaded"
@@ -83,7 +85,7 @@ class LoadedContact:
         _check_positive(self, "slip_speed")
 
     def for_robot(self, spec: RobotSpec) -> LoadedContact:
-        """Return the contact with missing settings in the units of a robot."""
+        """Return the contact with missing settings filled in for a robot."""
         return replace(self, slip_speed=_scaled(self.slip_speed, SLIP_SPEED_M_S, spec))
 
 
@@ -124,7 +126,7 @@ class PreloadedContact:
             )
 
     def for_robot(self, spec: RobotSpec) -> PreloadedContact:
-        """Return the contact with missing settings in the units of a robot."""
+        """Return the contact with missing settings filled in for a robot."""
         return replace(
             self,
             slip_time=_scaled(self.slip_time, SLIP_TIME_S, spec),
@@ -161,7 +163,7 @@ def _scaled(value: float | None, default: float, spec: RobotSpec) -> float:
 
 
 def stated(setting: float | None) -> float:
-    """Return a setting that `for_robot` has completed."""
+    """Return a contact setting, which `for_robot` must have filled in."""
     assert setting is not None
     return setting
 
@@ -169,7 +171,7 @@ def stated(setting: float | None) -> float:
 Contact = LoadedContact | PreloadedContact
 ContactName = Literal["loaded", "preloaded"]
 UNSTATED_CONTACT: ContactName = "preloaded"
-"""Contact of the twin in stored results that do not state it."""
+"""Contact of the twin in stored results that do not state a contact."""
 
 
 def as_contact(contact: Contact | str) -> Contact:
@@ -189,12 +191,13 @@ class Numerics:
     """Switches for studies of the twin itself.
 
     Attributes:
-        link_share: mass between the hinges of a segment as a fraction of the lightest
-            connector's mass. The dissertation places all mass at the connectors.
-        wheel_spin: factor on the wheels' moment of inertia about their axles.
-        constant_curvature: whether the hinges of a segment are constrained to equal
-            angles, as in the analytical model. Otherwise a loaded segment also bends
-            into an S.
+        link_share: fraction of the lightest connector's mass that is placed between the
+            hinges of a segment, dimensionless. The dissertation places all mass at the
+            connectors.
+        wheel_spin: factor on the wheels' moment of inertia about their axles,
+            dimensionless.
+        constant_curvature: whether to constrain the hinges of a segment to equal angles, as
+            in the analytical model. Otherwise a loaded segment also bends into an S.
     """
 
     link_share: float = 0.02
@@ -210,8 +213,8 @@ class ModelSettings:
         timestep: time step, s.
         hinges_per_segment: number of bending hinges per segment, 1 or more.
         contact: contact with the floor.
-        base: "free", or "clamped" to hold the head in the air, so that the chain bends
-            only in the horizontal plane.
+        base: support of the chain, "free" or "clamped". With a clamped base the head is
+            held, and the chain hangs in the air and bends in the horizontal plane only.
         numerics: switches for studies of the twin.
     """
 
@@ -227,7 +230,7 @@ class ModelSettings:
         return isinstance(self.contact, LoadedContact) and self.base == "free"
 
     def for_robot(self, spec: RobotSpec) -> ModelSettings:
-        """Return the settings with missing contact settings in the units of a robot."""
+        """Return the settings with missing contact settings filled in."""
         return replace(self, contact=self.contact.for_robot(spec))
 
     def link_mass(self, spec: RobotSpec) -> float:
@@ -238,9 +241,9 @@ class ModelSettings:
     def contact_time(self, spec: RobotSpec) -> float:
         """Return the time constant of the normal contact, s.
 
-        Under loaded contact it is two time steps, because the loads would oscillate
-        with a single step. Under a preload it is a fraction of the damping time of
-        pitch and roll, which distribute the load.
+        Under loaded contact the time constant is two time steps, because with a single
+        time step the loads would oscillate. Under a preload it is a fraction of the
+        damping time of the pitch and roll joints, which distribute the load.
         """
         if self.loaded:
             return 2 * self.timestep
@@ -255,10 +258,10 @@ PRESETS: dict[str, dict[str, float]] = {
     "reference": {"timestep": 0.00025},
     "fast": {"timestep": 0.002},
 }
-"""Settings of a twin for each preset, for `TwinSnake(spec, **PRESETS["fast"])`.
+"""Settings of a twin for each preset, used as `TwinSnake(spec, **PRESETS["fast"])`.
 
-benchmarks/presets.py measures the errors of the presets. The step of 2 ms is the
-longest one below the damping time of the segments.
+benchmarks/presets.py measures the errors of the presets. A step of 2 ms is the maximum
+below the damping time of the segments.
 """
 
 
@@ -303,7 +306,7 @@ def hinge_stations(hinges: int, length: float, gap: float) -> np.ndarray:
 
 
 def stable_step(step: float, damping_time: float) -> float:
-    """Return the largest equal part of a time step (s) that is stable.
+    """Return the longest stable step that divides a time step equally, s.
 
     Args:
         step: time step, s.

@@ -16,18 +16,21 @@ from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import World
 
 ROUNDING = 1 + 1e-9
-"""Factor that allows for rounding when two times are compared."""
+"""Factor that allows for rounding in a comparison of two times."""
 
 LEAST_INERTIA = 1e-15
-"""Minimum moment of inertia that MuJoCo accepts (mjMINVAL), kg·m². It is copied here,
-because scenarios are checked without importing MuJoCo."""
+"""Minimum moment of inertia that MuJoCo accepts (mjMINVAL), kg·m².
+
+The value is copied, because scenarios are checked without an import of MuJoCo.
+"""
 
 
 def check(spec: RobotSpec, settings: ModelSettings, world: World) -> None:
-    """Raise all violations and unsupported features of the contact together.
+    """Raise an error if a twin does not support robot, settings and world together.
 
     Raises:
-        InputError: there is a violation.
+        InputError: there is a violation. The message contains all violations and all
+            features that the contact does not support.
     """
     refused = refusals("contact", settings.contact.name, spec, world)
     raise_violations((*refused, *violations(spec, settings, world)))
@@ -36,7 +39,7 @@ def check(spec: RobotSpec, settings: ModelSettings, world: World) -> None:
 def violations(
     spec: RobotSpec, settings: ModelSettings, world: World
 ) -> Iterator[Violation]:
-    """Yield all violations. Their parameters are the arguments of `TwinSnake`."""
+    """Yield all violations, whose parameters are arguments of `TwinSnake`."""
     if world.objects and settings.base != "free":
         yield Violation("objects", "movable objects need a free snake")
     if world.objects and world.steps:
@@ -74,7 +77,7 @@ def violations(
 def coupling_violations(timestep: float, chambers: Pneumatics) -> Iterator[Violation]:
     """Yield a violation if the time step (s) is too long for the chambers.
 
-    The limit applies to chambers whose pressures depend on the bends.
+    Chambers whose pressures depend on the bends limit the time step.
     """
     longest = chambers.coupling_step_s
     if chambers.depends_on_bend and timestep > longest * ROUNDING:

@@ -1,21 +1,22 @@
 """Surroundings of a snake: floor, sky, light, obstacles and movable objects.
 
-**Obstacles** consist of capsules. A circle is an upright capsule with the radius of the
-circle. A polygon has a capsule of 1 mm radius along each side, so that it extends 1 mm
-beyond its sides. The hulls of the body are copies of the capsules of its skin at the
-height of the centres of mass, with the width of the robot. MuJoCo computes the contact
-between two capsules in closed form, in the plane. Only worlds with obstacles or objects
-have hulls, so other worlds have no additional cost.
+**Obstacles** consist of capsules. A circle is represented by an upright capsule with
+the radius of the circle. A polygon has a capsule of 1 mm radius along each side, which
+enlarges the polygon by 1 mm. The body touches obstacles with its hulls. Hulls are
+copies of the capsules of the skin with the width of the robot, at the height of the
+centres of mass. MuJoCo therefore computes the contact between hull and obstacle in
+closed form, in the plane. Hulls exist only in worlds with obstacles or objects, so
+other worlds have no additional cost.
 
-**An object** is a cylinder or a box that slides and turns on the floor. It is a body
-with two slide joints and a hinge about z, so its position in `qpos` is x, y and heading
-in the world. It cannot tip. Four points carry its weight and its friction on the floor
-(`MovableObject.supports`).
+**An object** is a cylinder or a box that slides and turns on the floor but does not
+tip. It is a body with two slide joints and a hinge about z, so its entries in `qpos`
+are x, y and heading in the world frame. Four support points carry the object's weight
+and its friction on the floor (`MovableObject.supports`).
 
-`friction_solve` computes the friction at these points and between object and body.
-MuJoCo computes the normal forces, and the friction of an object on obstacles and on
-other objects. In a world with objects the body can also touch itself. Otherwise a tail
-that holds an object would pass through the body in front of it.
+`friction_solve` computes the friction at the support points and between object and
+body. MuJoCo computes the normal forces, and the friction of an object on obstacles and
+on other objects. In a world with objects the body can also touch itself. Otherwise a
+tail that holds an object could pass through the undulating part of the body.
 """
 
 from __future__ import annotations
@@ -33,17 +34,17 @@ from srs_twin.plants.twin.mjcf.wheels import add_force_sensor, add_velocity_sens
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import WALL_M, MovableObject, Step, World
 
-# Contype of obstacles and conaffinity of hulls. The floor and the wheels have explicit
-# contact pairs.
+# MuJoCo's contype of obstacles and conaffinity of hulls. Floor and wheels touch through
+# explicit pairs.
 CONTACT_BIT = 2
-HEIGHT_RATIO = 2.0  # half height of a round obstacle over the body's width
-_MIN_CONTACT_STEPS = 2.0  # minimum contact time over the time step that MuJoCo uses
+HEIGHT_RATIO = 2.0  # ratio of a round obstacle's half height to the body's width
+_MIN_CONTACT_STEPS = 2.0  # minimum ratio of contact time to time step in MuJoCo
 _LEVEL_EXTENT = (
-    100.0  # of the first and the last level beyond the steps, at a length unit of 1, m
+    100.0  # length of the outer levels beyond the steps, at a length unit of 1, m
 )
-# Impedance of an obstacle at first touch and at full depth, dimensionless. The rods of
-# a segment are so light that a peg would sink into them by a quarter of a millimetre
-# per newton with 0.95 and 0.99.
+# MuJoCo's impedance of an obstacle at first touch and at full depth, dimensionless.
+# With 0.95 and 0.99 a peg would sink by a quarter of a millimetre per newton into the
+# rods of a segment, because these rods are light.
 _IMPEDANCE = 0.99, 0.999
 # Depth over which a contact reaches its full stiffness, at a length unit of 1, m.
 _TRANSITION_DEPTH = 0.0005
@@ -56,7 +57,7 @@ _CHECKER = mujoco.mjtBuiltin.mjBUILTIN_CHECKER
 def add_hull_class(
     mj: mujoco.MjSpec, spec: RobotSpec, settings: ModelSettings, friction: float
 ) -> None:
-    """Add the class ``hull`` of the geoms that touch obstacles."""
+    """Add the class ``hull`` for the geoms of the body that touch obstacles."""
     depth = _TRANSITION_DEPTH * spec.scale.length
     hull = mj.add_default("hull", mj.find_default(ROOT)).geom
     hull.type = mjtGeom.mjGEOM_CAPSULE
@@ -74,8 +75,9 @@ def add_hull_class(
 def add_obstacles(mj: mujoco.MjSpec, spec: RobotSpec, world: World) -> None:
     """Add the obstacles of a world, and sensors on each hull.
 
-    The sensors measure the force of all obstacles on the hull (world frame, N) with its
-    point of application (m), and the velocity of the hull's centre (world frame, m/s).
+    The sensors measure the force of all obstacles on the hull (N) with its point of
+    application (m), and the velocity of the hull's centre (m/s), all in the world
+    frame.
     """
     solid = mj.add_default("obstacle", mj.default).geom
     solid.type = mjtGeom.mjGEOM_CAPSULE
@@ -109,15 +111,10 @@ def add_obstacles(mj: mujoco.MjSpec, spec: RobotSpec, world: World) -> None:
 
 
 def add_steps(mj: mujoco.MjSpec, steps: tuple[Step, ...], spec: RobotSpec) -> list[str]:
-    """Lower the floor, add boxes for its raised levels and return the boxes' names.
+    """Lower the floor, add boxes for raised levels, and return the names of the boxes.
 
-    The floor before the first step, at the smallest x, has the height 0.
-
-    Args:
-        mj: model, changed in place.
-        steps: steps of the floor.
-        spec: robot, whose length sets the distance of the cameras instead of the extent
-            of the boxes.
+    The floor before the first step, at the smallest x, has the height 0. Cameras use
+    the length of the robot instead of the extent of the boxes.
     """
     if not steps:
         return []
@@ -175,7 +172,7 @@ def friction_of(model: mujoco.MjModel) -> float:
 def add_surroundings(mj: mujoco.MjSpec, body_length: float) -> None:
     """Add the floor ``floor``, the sky, the light ``sun`` and the camera ``track``.
 
-    Light and camera follow the snake. The floor has no collisions by itself, because
+    Light and camera follow the snake. The floor has no general collisions, because
     wheels touch it through explicit pairs.
 
     Args:
@@ -231,14 +228,15 @@ _COLOR = [0.86, 0.56, 0.22, 1]  # RGBA
 def add_objects(mj: mujoco.MjSpec, spec: RobotSpec, world: World) -> None:
     """Add the objects of a world after the robot, and their poses to keyframe ``home``.
 
-    Sensors measure the force of each object on each hull with its point of application,
-    and the velocity and the angular velocity of each object (world frame).
+    Sensors measure the force of each object on each hull with its point of application.
+    They also measure the velocity and the angular velocity of each object. All values
+    are in the world frame.
     """
     default = mj.add_default("object", mj.default)
     hull = mj.find_default("hull").geom
     solid = default.geom
-    # Hulls have a higher priority, so their contacts with objects have only normal
-    # forces.
+    # Hulls have a higher priority than objects, so contacts between them have only
+    # normal forces in the engine.
     solid.contype = solid.conaffinity = CONTACT_BIT
     solid.condim = 3
     solid.friction = [world.friction, 0.005, 0.0001]
@@ -273,7 +271,7 @@ def _add_self_contacts(mj: mujoco.MjSpec, spec: RobotSpec) -> None:
 
 
 def place_of(hull: str) -> tuple[int, int]:
-    """Return the segment of a hull and the number of the hull in it, counted from 1."""
+    """Return the segment of a hull and its number in the segment, counted from 1."""
     _, segment, number = hull.split("_")
     return int(segment), int(number)
 
@@ -304,8 +302,8 @@ def _add_object(
             default, name=f"{name}_solid", type=mjtGeom.mjGEOM_BOX, size=size, quat=turn
         )
     else:
-        # With a capsule, the contact with a hull is computed in closed form in the
-        # plane.
+        # The geom is a capsule, because contacts between capsules are computed in
+        # closed form in the plane.
         ends = [0, 0, -height, 0, 0, height]
         geom = body.add_geom(
             default, name=f"{name}_solid", type=mjtGeom.mjGEOM_CAPSULE, fromto=ends

@@ -1,7 +1,7 @@
 """Wheels and skids of the connectors, their contacts with the floor, and their preload.
 
-A connector touches the floor at two points at ± half the track, directly below its
-frame.
+A connector touches the floor at two points directly below its frame, at half the track
+to the left and right.
 
 **Loaded contact.** The wheels are frictionless spheres, and friction is computed by a
 law from their contact forces (`contact_loaded`).
@@ -9,23 +9,25 @@ law from their contact forces (`contact_loaded`).
 **Preloaded contact.**
 
 - ``rolling``: the feet are wheels on hinges. They touch the floor as spheres with the
-  isotropic coefficient μ_n. The `frictionloss` of the axle is μ_t × load × radius.
-- ``skid``: the feet are runners fixed to the connector, which slide with μ_t along it
-  and μ_n across it. MuJoCo aligns the contact frame with a geom only between a plane
-  and a capsule, along the axis of the capsule. A horizontal capsule would touch with
-  both ends, so runners rise to the front like a ski and touch with the rear end.
+  isotropic friction coefficient μ_n. The `frictionloss` of an axle is μ_t × load ×
+  radius, which brakes the wheel along its heading.
+- ``skid``: the feet are runners fixed to the connector. They slide with the coefficient
+  μ_t along and μ_n across the connector. MuJoCo aligns a contact frame with a geom only
+  for a plane and a capsule, along the axis of the capsule. A horizontal capsule would
+  touch with both ends. Runners therefore rise to the front like the tip of a ski and
+  touch with the rear end.
 
-MuJoCo's friction is convex, which lifts a sliding contact off the floor. Without
-preload, the wheels of a snake are in the air for more than half of the time, and the
-snake is up to a tenth too fast. The actuators ``press_i``, which have no control, press
-each connector down with κ times its static load. The friction coefficients of the
-contact pairs are the robot's coefficients divided by 1 + κ. The contacts then stay
-closed, and friction acts as under the static load, as in the analytical model. Floor
-forces without the preload are the true loads, within 2 % at rest. docs/twin.md
-describes the drawbacks.
+MuJoCo's convex friction model lifts a sliding contact off the floor. Without preload,
+the wheels of a snake would be in the air for more than half of the time, and the snake
+would be up to a tenth too fast. The actuators ``press_i``, which have no control,
+therefore press connector i down with κ times its static load. The friction coefficients
+of the contact pairs are the robot's coefficients divided by 1 + κ. The contacts then
+stay closed, and friction equals friction under the static load, as in the analytical
+model. Floor forces minus the preload are the true loads, within 2 % at rest.
+docs/twin.md describes the drawbacks.
 
-Contacts are explicit pairs that name the floor. They belong to the scene and not to the
-robot.
+Contacts are explicit pairs that name the floor, so they belong to the scene and not to
+the robot.
 """
 
 from __future__ import annotations
@@ -50,11 +52,11 @@ from srs_twin.robot.spec import GRAVITY, RobotSpec
 _NET_FORCE = 3  # reduction of a contact sensor: sum over all contacts
 _SIDES = {"left": 1, "right": -1}  # sign of y
 _RUNNER_SLOPE = (
-    0.6  # slope of a runner, which rises to the front; far above any connector's pitch
+    0.6  # slope of a runner towards the front, far above any connector's pitch
 )
 
-# Lengths at a length unit of 1 (`robot.scale`), m.
-# Initial depth of a runner in the floor. The first step then detects all runners.
+# The following lengths apply at a length unit of 1 (`robot.scale`), m. The initial
+# depth of a runner in the floor lets the first step detect all runners.
 _RUNNER_DEPTH = 1e-6
 _REFERENCE_DEPTH = (
     5e-5  # depth of all feet in the floor at which regularisations are evaluated
@@ -85,7 +87,7 @@ def axle_masses(spec: RobotSpec, settings: ModelSettings) -> list[float]:
 
 
 def treads(spec: RobotSpec, settings: ModelSettings = ModelSettings()) -> list[str]:  # noqa: B008
-    """Return the names of the geoms on the floor: head first, left before right."""
+    """Return the names of the geoms on the floor, head first and left before right."""
     return [
         f"tread_{side}_{i + 1}"
         for i in range(len(axle_masses(spec, settings)))
@@ -112,7 +114,7 @@ def preload_force(spec: RobotSpec, contact: PreloadedContact) -> np.ndarray:
 def pair_attributes(spec: RobotSpec, settings: ModelSettings) -> dict[str, Any]:
     """Return the attributes of a contact pair of floor and wheel or skid.
 
-    The friction coefficients are ordered along and across the heading.
+    The friction coefficient along the heading precedes the coefficient across.
     """
     mu_t = spec.friction.mu_t
     mu_n = spec.friction.mu_n
@@ -149,10 +151,10 @@ class FixedInertia(NamedTuple):
 def fixed_inertia(spec: RobotSpec, settings: ModelSettings) -> FixedInertia:
     """Return the inertia of skids or wheels fixed to a connector.
 
-    Skids have the mass of the wheels that they replace. Under a preloaded contact,
-    wheels on axles are separate bodies and contribute nothing. Without a floor, the
-    wheels do not turn and are fixed. Under loaded contact, the friction law includes
-    the spin of the wheels.
+    Skids have the mass of the wheels that they replace. Wheels on axles under a
+    preloaded contact are separate bodies and add no inertia. Without a floor the wheels
+    do not turn and count as fixed. Under loaded contact the spin of the wheels is part
+    of the friction law.
     """
     rolling = settings.contact.rolling and settings.base == "free"
     if rolling and not settings.loaded:
@@ -199,7 +201,7 @@ def add_wheels(
 def _wheels(spec: RobotSpec, i: int) -> Iterator[tuple[str, list[float]]]:
     g = spec.geometry
     for number, axle in enumerate(spec.axles, start=1):
-        x = 0.0 - axle.behind  # 0 instead of −0, which exported files would show
+        x = 0.0 - axle.behind  # avoids −0, which exported files would show
         for side, sign in _SIDES.items():
             if axle.connector == i:
                 yield (
@@ -229,8 +231,8 @@ def _add_wheel(
 def add_preload(mj: MjSpec, spec: RobotSpec, contact: PreloadedContact) -> None:
     """Press each connector down with a constant force along the world's z axis.
 
-    A tilted foot rolls on the floor about its centre. The force acts at the height of
-    this centre, so it exerts no moment on the connector.
+    A foot of a tilted connector rolls on the floor about the centre of the foot. The
+    force acts at the height of this centre, so it exerts no moment on the connector.
     """
     mj.worldbody.add_site(mj.find_default(ROOT), name="origin")
     height = foot_radius(spec, contact) - spec.geometry.com_height
@@ -248,7 +250,7 @@ def add_preload(mj: MjSpec, spec: RobotSpec, contact: PreloadedContact) -> None:
 
 
 def add_drag(mj: MjSpec, spec: RobotSpec) -> None:
-    """Apply an equal part of the axial drag to each connector along its heading."""
+    """Add an equal part of the axial drag to each connector, along its heading."""
     for i in range(1, spec.geometry.connectors + 1):
         mj.body(f"connector_{i}").add_site(mj.find_default(ROOT), name=f"drag_{i}")
         actuator = mj.add_actuator(
@@ -281,12 +283,7 @@ def add_contacts(
 
     The sensors measure the force of the floor on each wheel (world frame, N). Under a
     preloaded contact they also measure the velocity of each foot (world frame, m/s).
-
-    Args:
-        mj: model, changed in place.
-        spec: the robot.
-        settings: contact and time step.
-        levels: names of raised levels of the floor.
+    `levels` are the names of raised levels of the floor.
     """
     if settings.contact.rolling:
         name = "wheel_on_floor"
@@ -311,8 +308,8 @@ def add_contacts(
     for pair, factor in zip(
         pairs, itertools.cycle(_contact_time_factors(mj, spec, settings)), strict=False
     ):
-        # The time is rounded to 0.1 µs, so that the file reads well. The unit of time
-        # makes the rounding independent of the robot's scale.
+        # The time constant is rounded to 0.1 µs, which keeps exported files readable.
+        # The unit of time makes the rounding independent of the robot's scale.
         pair.solref = [round(settings.contact_time(spec) * factor / unit, 7) * unit, 1]
     for tread in treads(spec, settings):
         if levels:
@@ -363,9 +360,10 @@ def _contact_time_factors(
 ) -> np.ndarray:
     """Return factors on the contact time constant that make all wheels sink equally.
 
-    MuJoCo derives the regularisation R of a contact from the tree of bodies. For gen 2, R
-    is 1.25 times as large at the root as at the ends. A contact that sinks deeper transfers
-    part of its load to its neighbours. The factors are 1 or more.
+    MuJoCo derives the regularisation R of a contact from the tree of bodies. For gen 2,
+    R is 1.25 times as large at the root as at the ends. Without these factors, contacts
+    with a larger R would sink deeper and transfer part of their load to their
+    neighbours. The factors are 1 or more.
     """
     depth = contact_regularisation(mj.compile(), spec, settings)
     depth *= static_loads(spec, settings).ravel()
@@ -376,7 +374,10 @@ def _contact_time_factors(
 def contact_regularisation(
     model: mujoco.MjModel, spec: RobotSpec, settings: ModelSettings
 ) -> np.ndarray:
-    """Return MuJoCo's regularisation R of each geom in `treads`, 1/kg."""
+    """Return MuJoCo's regularisation R of each normal contact, 1/kg.
+
+    The contacts are in the order of `treads`.
+    """
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
     data.qpos[2] -= _REFERENCE_DEPTH * spec.scale.length
