@@ -165,7 +165,7 @@ PRESSURE_KPA = 48.3
 PEGS_FREQUENCY_HZ = 1.0
 """Gait frequency of scenario pegs_skin, Hz."""
 
-# The next four are those of scenario follow_fig57; docs/following.md describes how they
+# The next four are those of scenario follow_fig57; docs/course.md describes how they
 # were chosen.
 TURN_SHARE = 0.7
 """Fraction of the measured curvature range that the planner may use; the steering law needs the rest."""
