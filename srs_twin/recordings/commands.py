@@ -58,7 +58,7 @@ class TableOptions:
     """Options on information that a file lacks or that cannot be detected.
 
     Options:
-        map: Recording map: quantities of markers and columns (docs/logs.md).
+        map: Recording map: quantities of markers and columns (docs/recordings.md).
         units: Unit of lengths if the file states none: m, cm, mm, in, ft.
         rate: Frames per second if the file has no time.
         columns: Column names of a plain file without a header, e.g. time,x_1,y_1.

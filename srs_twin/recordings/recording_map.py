@@ -64,7 +64,7 @@ class LogColumn(StrictModel):
 
 
 class RecordingMap(StrictModel):
-    """Meanings of columns and markers in a recording (docs/logs.md#recording-map)."""
+    """Meanings of columns and markers in a recording (docs/recordings.md#recording-map)."""
 
     units: Literal["m", "cm", "mm", "in", "ft", "px"] | None = None
     """Unit of length, for files that do not state it."""

@@ -210,13 +210,13 @@ class ReplayFile(ControllerSection):
 
 
 class RecordingFile(ExtensionSection):
-    """Recorded motion of a robot with its log (docs/logs.md)."""
+    """Recorded motion of a robot with its log (docs/recordings.md)."""
 
     constructors = (RecordingReader,)
     measures = True
 
     motion: FilePath
-    """Motion capture file (docs/logs.md#file-formats), or for a bench a CSV file with time,bend_1,…."""
+    """Motion capture file (docs/recordings.md#file-formats), or for a bench a CSV file with time,bend_1,…."""
     valves: FilePath | None = None
     """Log of valves or pressures, a plain CSV or MCAP file (default: NAME.valves.csv in the same folder)."""
     offset_s: float | None = quantity(-1e9, 1e9)
@@ -228,7 +228,7 @@ class RecordingFile(ExtensionSection):
     layout: Literal["auto", Layout] = constructor_default()
     """Marker layout."""
     map: RecordingMap = constructor_default()
-    """Recording map: quantities of markers, rigid bodies and columns (docs/logs.md#recording-map)."""
+    """Recording map: quantities of markers, rigid bodies and columns (docs/recordings.md#recording-map)."""
     head: Line | None = constructor_default()
     """Column of the marker at the head (default: the end in the direction of motion).
     """
