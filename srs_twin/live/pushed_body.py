@@ -33,7 +33,7 @@ SUBSTEP_S = 0.01
 """Longest time step, s at a time unit of 1.
 
 Steps of 4 ms change the median error of an estimated force by less than 1 %
-(docs/contact-forces.md)."""
+(docs/objects.md)."""
 SLIP_SPEED_M_S = 0.005
 """Slip speed of the friction law, m/s at a time unit of 1."""
 _SETTLING_S = 3.0
