@@ -7,11 +7,13 @@ replaces the tables between their markers; a test checks that they are up to dat
 
 from __future__ import annotations
 
+import re
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 
 from srs_twin.envs import TASKS, make_task
-from srs_twin.envs.task import Signals
+from srs_twin.envs.task import Signal
 from srs_twin.io.files import atomic_write
 
 
@@ -20,11 +22,13 @@ def tables() -> str:
     sections = []
     for name in TASKS:
         task = make_task(name)
+        commands = {signal.name for signal in task.actions}
+        measured = [each for each in task.observations if each.name not in commands]
         sections.append(
             f"### SRSTwin/{name}-v0\n\n"
             f"A step takes {task.step_s:g} s; an episode is truncated after"
             f" {task.limit_s:g} s.\n\n"
-            f"{_table('action', task.actions)}\n\n{_table('observation', task.observations)}"
+            f"{_table('action', task.actions)}\n\n{_table('observation', measured)}"
         )
     return "\n\n".join(sections)
 
@@ -55,13 +59,26 @@ def update_tables(page: str) -> str:
     return page
 
 
-def _table(kind: str, signals: Signals) -> str:
+def _table(kind: str, signals: Iterable[Signal]) -> str:
+    """Return the table of signals; numbered signals of one kind share a row."""
+    numbered: dict[tuple[str, ...], int] = {}
+    for signal in signals:
+        number = re.search(r"_(\d+)", signal.name)
+        text = signal.description
+        if number:
+            text = re.sub(rf"\b{number[1]}\b", "N", text)
+        row = (
+            re.sub(r"_\d+", "_N", signal.name),
+            signal.unit,
+            f"{signal.low:.4g}",
+            f"{signal.high:.4g}",
+            text,
+        )
+        numbered[row] = numbered.get(row, 0) + 1
     rows = [f"| {kind} | unit | minimum | maximum | meaning |", "|---|---|---|---|---|"]
-    rows += [
-        f"| `{signal.name}` | {signal.unit} | {signal.low:.4g} | {signal.high:.4g} |"
-        f" {signal.description} |"
-        for signal in signals
-    ]
+    for (name, *cells), count in numbered.items():
+        numbers = f", N = 1…{count}" if count > 1 else ""
+        rows.append(f"| `{name}`{numbers} | {' | '.join(cells)} |")
     return "\n".join(rows)
 
 
