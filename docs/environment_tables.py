@@ -9,28 +9,32 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Iterable
+from collections.abc import Mapping
 from pathlib import Path
 
 from srs_twin.envs import TASKS, make_task
-from srs_twin.envs.task import Signal
+from srs_twin.envs.task import Signals
 from srs_twin.io.files import atomic_write
 
 
 def tables() -> str:
-    """Return the tables of all tasks."""
-    sections = []
-    for name in TASKS:
-        task = make_task(name)
+    """Return the tables of steps and limits, of actions and of observations."""
+    tasks = {name: make_task(name) for name in TASKS}
+    rows = ["| environment | step, s | time limit, s |", "|---|---|---|"]
+    rows += [
+        f"| `SRSTwin/{name}-v0` | {task.step_s:g} | {task.limit_s:g} |"
+        for name, task in tasks.items()
+    ]
+    actions = {name: task.actions for name, task in tasks.items()}
+    observations = {}
+    for name, task in tasks.items():
         commands = {signal.name for signal in task.actions}
-        measured = [each for each in task.observations if each.name not in commands]
-        sections.append(
-            f"### SRSTwin/{name}-v0\n\n"
-            f"A step takes {task.step_s:g} s; an episode is truncated after"
-            f" {task.limit_s:g} s.\n\n"
-            f"{_table('action', task.actions)}\n\n{_table('observation', measured)}"
+        observations[name] = tuple(
+            each for each in task.observations if each.name not in commands
         )
-    return "\n\n".join(sections)
+    return "\n\n".join(
+        ["\n".join(rows), _table("action", actions), _table("observation", observations)]
+    )
 
 
 def rewards() -> str:
@@ -59,26 +63,28 @@ def update_tables(page: str) -> str:
     return page
 
 
-def _table(kind: str, signals: Iterable[Signal]) -> str:
-    """Return the table of signals; numbered signals of one kind share a row."""
-    numbered: dict[tuple[str, ...], int] = {}
-    for signal in signals:
+def _table(kind: str, signals: Mapping[str, Signals]) -> str:
+    """Return the table of the signals of all tasks.
+
+    Signals that differ in a number share a row, and tasks with equal bounds a range.
+    """
+    meanings: dict[tuple[str, str, str], dict[str, list[str]]] = {}
+    for task, signal in ((task, each) for task in signals for each in signals[task]):
         number = re.search(r"_(\d+)", signal.name)
         text = signal.description
         if number:
             text = re.sub(rf"\b{number[1]}\b", "N", text)
-        row = (
-            re.sub(r"_\d+", "_N", signal.name),
-            signal.unit,
-            f"{signal.low:.4g}",
-            f"{signal.high:.4g}",
-            text,
+        name = re.sub(r"_\d+", "_N", signal.name)
+        ranges = meanings.setdefault((name, signal.unit, text), {})
+        tasks = ranges.setdefault(f"{signal.low:.4g} to {signal.high:.4g}", [])
+        if task not in tasks:
+            tasks.append(task)
+    rows = [f"| {kind} | unit | meaning | range |", "|---|---|---|---|"]
+    for (name, unit, text), ranges in meanings.items():
+        cell = "; ".join(
+            f"{', '.join(tasks)}: {bounds}" for bounds, tasks in ranges.items()
         )
-        numbered[row] = numbered.get(row, 0) + 1
-    rows = [f"| {kind} | unit | minimum | maximum | meaning |", "|---|---|---|---|---|"]
-    for (name, *cells), count in numbered.items():
-        numbers = f", N = 1…{count}" if count > 1 else ""
-        rows.append(f"| `{name}`{numbers} | {' | '.join(cells)} |")
+        rows.append(f"| `{name}` | {unit} | {text} | {cell} |")
     return "\n".join(rows)
 
 
