@@ -33,7 +33,11 @@ def tables() -> str:
             each for each in task.observations if each.name not in commands
         )
     return "\n\n".join(
-        ["\n".join(rows), _table("action", actions), _table("observation", observations)]
+        [
+            "\n".join(rows),
+            _table("action", actions),
+            _table("observation", observations),
+        ]
     )
 
 
@@ -69,7 +73,8 @@ def _table(kind: str, signals: Mapping[str, Signals]) -> str:
     Signals that differ in a number share a row, and tasks with equal bounds a range.
     """
     meanings: dict[tuple[str, str, str], dict[str, list[str]]] = {}
-    for task, signal in ((task, each) for task in signals for each in signals[task]):
+    pairs = [(task, each) for task, given in signals.items() for each in given]
+    for task, signal in pairs:
         number = re.search(r"_(\d+)", signal.name)
         text = signal.description
         if number:
