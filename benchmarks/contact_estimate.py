@@ -4,7 +4,7 @@
     36] [--free 300]
         [--data FOLDER] [--json FILE] [--picture]
 
-docs/contact-forces.md states the conditions, which were fixed before the evaluation. A
+docs/objects.md states the conditions, which were fixed before the evaluation. A
 twin crawls freely for 12 s; then a known force presses on its body every 4 s. False
 alarms are counted while the same robot crawls freely for `--free` seconds on the
 analytical model `compliant`, the cheapest plant with bends that deflect. Robots with

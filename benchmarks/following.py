@@ -36,7 +36,7 @@ PLANTS = ("analytical", "twin")
 FOLLOWERS = ("bearing", "path")
 OF_PATH = ("lookahead_m", "settle_m")
 BEARING = {"gain_per_rad": 0.6, "node_m": 0.4, "near_m": 0.3}
-"""Unpublished setting of the dissertation's follower: one of the two best of 18 (docs/following.md)."""
+"""Unpublished setting of the dissertation's follower: one of the two best of 18 (docs/course.md)."""
 TEXT_BOX = {"gen2": "gen2_section52", "gen4": "gen4_table9"}
 """Robot → bounding box used for planning in the dissertation; the scenarios use the measured footprint."""
 LONGEST_S = 60

@@ -7,7 +7,9 @@ replaces the tables between their markers; a test checks that they are up to dat
 
 from __future__ import annotations
 
+import re
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 from srs_twin.envs import TASKS, make_task
@@ -16,17 +18,27 @@ from srs_twin.io.files import atomic_write
 
 
 def tables() -> str:
-    """Return the tables of all tasks."""
-    sections = []
-    for name in TASKS:
-        task = make_task(name)
-        sections.append(
-            f"### SRSTwin/{name}-v0\n\n"
-            f"A step takes {task.step_s:g} s; an episode is truncated after"
-            f" {task.limit_s:g} s.\n\n"
-            f"{_table('action', task.actions)}\n\n{_table('observation', task.observations)}"
+    """Return the tables of steps and limits, of actions and of observations."""
+    tasks = {name: make_task(name) for name in TASKS}
+    rows = ["| environment | step, s | time limit, s |", "|---|---|---|"]
+    rows += [
+        f"| `SRSTwin/{name}-v0` | {task.step_s:g} | {task.limit_s:g} |"
+        for name, task in tasks.items()
+    ]
+    actions = {name: task.actions for name, task in tasks.items()}
+    observations = {}
+    for name, task in tasks.items():
+        commands = {signal.name for signal in task.actions}
+        observations[name] = tuple(
+            each for each in task.observations if each.name not in commands
         )
-    return "\n\n".join(sections)
+    return "\n\n".join(
+        [
+            "\n".join(rows),
+            _table("action", actions),
+            _table("observation", observations),
+        ]
+    )
 
 
 def rewards() -> str:
@@ -55,13 +67,29 @@ def update_tables(page: str) -> str:
     return page
 
 
-def _table(kind: str, signals: Signals) -> str:
-    rows = [f"| {kind} | unit | minimum | maximum | meaning |", "|---|---|---|---|---|"]
-    rows += [
-        f"| `{signal.name}` | {signal.unit} | {signal.low:.4g} | {signal.high:.4g} |"
-        f" {signal.description} |"
-        for signal in signals
-    ]
+def _table(kind: str, signals: Mapping[str, Signals]) -> str:
+    """Return the table of the signals of all tasks.
+
+    Signals that differ in a number share a row, and tasks with equal bounds a range.
+    """
+    meanings: dict[tuple[str, str, str], dict[str, list[str]]] = {}
+    pairs = [(task, each) for task, given in signals.items() for each in given]
+    for task, signal in pairs:
+        number = re.search(r"_(\d+)", signal.name)
+        text = signal.description
+        if number:
+            text = re.sub(rf"\b{number[1]}\b", "N", text)
+        name = re.sub(r"_\d+", "_N", signal.name)
+        ranges = meanings.setdefault((name, signal.unit, text), {})
+        tasks = ranges.setdefault(f"{signal.low:.4g} to {signal.high:.4g}", [])
+        if task not in tasks:
+            tasks.append(task)
+    rows = [f"| {kind} | unit | meaning | range |", "|---|---|---|---|"]
+    for (name, unit, text), ranges in meanings.items():
+        cell = "; ".join(
+            f"{', '.join(tasks)}: {bounds}" for bounds, tasks in ranges.items()
+        )
+        rows.append(f"| `{name}` | {unit} | {text} | {cell} |")
     return "\n".join(rows)
 
 

@@ -29,8 +29,10 @@ def scenario() -> str:
 
 
 def sweep() -> str:
-    """Return the keys of sweep files."""
-    return KeyTables(SweepFile.model_json_schema(by_alias=True)).markdown("sweep")
+    """Return the keys of sweep files, below a heading of the page of scenarios."""
+    return KeyTables(
+        SweepFile.model_json_schema(by_alias=True), heading="###"
+    ).markdown("sweep")
 
 
 def robot() -> str:
@@ -45,7 +47,9 @@ def robot() -> str:
 
 def inspection() -> str:
     """Return the keys of the output of `inspect --json`."""
-    return _OutputTables(RecordingFacts.model_json_schema()).markdown("inspect")
+    return _OutputTables(RecordingFacts.model_json_schema(), heading="###").markdown(
+        "inspect"
+    )
 
 
 @dataclass
@@ -56,11 +60,13 @@ class KeyTables:
         root: JSON Schema of the file.
         elsewhere: key → link to another page that describes it.
         sections: name of a definition → title of the section that describes it.
+        heading: number signs of the headings of sections.
     """
 
     root: Schema
     elsewhere: Mapping[str, str] = field(default_factory=dict)
     sections: dict[str, str] = field(default_factory=dict)
+    heading: str = "##"
 
     def markdown(self, name: str) -> str:
         """Return one section per block in the order of the file; `name` is the prefix of the anchors."""
@@ -68,7 +74,7 @@ class KeyTables:
 
     def section(self, name: str, path: str, block: Schema) -> Iterator[str]:
         """Yield the table of a block of the schema, then the tables of its subblocks."""
-        title = f"## {path}" if path else "## At the top level"
+        title = f"{self.heading} {path or 'At the top level'}"
         rows: list[str] = []
         inner: list[tuple[str, Schema]] = []
         for key, schema in block["properties"].items():

@@ -166,7 +166,7 @@ PRESSURE_KPA = 48.3
 PEGS_FREQUENCY_HZ = 1.0
 """Gait frequency of scenario pegs_skin, Hz."""
 
-# The next four values are taken from scenario follow_fig57. docs/following.md describes
+# The next four values are taken from scenario follow_fig57. docs/course.md describes
 # how they were chosen.
 TURN_SHARE = 0.7
 """Fraction of the curvature range for planning; the steering law needs the rest."""

@@ -34,7 +34,7 @@ SUBSTEP_S = 0.01
 """Maximum time step, s at a time unit of 1 s.
 
 With steps of 4 ms, the median error of an estimated force changes by less than 1 %
-(docs/contact-forces.md)."""
+(docs/objects.md)."""
 SLIP_SPEED_M_S = 0.005
 """Speed below which friction is viscous, m/s at a time unit of 1 s."""
 _SETTLING_S = 3.0

@@ -54,7 +54,7 @@ _GAIN_LIMITS = (0.4, 2.5)
 _PRIOR_STD = np.array([0.2, 0.3])
 """Initial standard deviations of d, in tightest curvatures, and of g.
 
-The values are explained in docs/following.md.
+The values are explained in docs/course.md.
 """
 _WALK_STD = np.array([0.1, 0.1])
 """Standard deviations of the random walk of d and g per √(gait period)."""
@@ -329,7 +329,7 @@ class BearingLaw(Steering):
     predicts = False
 
     def __init__(self, gain: float = 0.6, node: float = 0.2, near: float = 0.2) -> None:
-        """Set the parameters, whose defaults are explained in docs/following.md.
+        """Set the parameters, whose defaults are explained in docs/course.md.
 
         Args:
             gain: offset per bearing error, 1/rad.
@@ -374,7 +374,7 @@ class PathLaw(Steering):
     def __init__(
         self, footprint: Footprint, lookahead: float = 0.15, settle: float = 0.05
     ) -> None:
-        """Set the parameters, whose defaults are explained in docs/following.md.
+        """Set the parameters, whose defaults are explained in docs/course.md.
 
         Args:
             footprint: table of the offset for each curvature.

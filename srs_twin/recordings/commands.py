@@ -63,7 +63,7 @@ class TableOptions:
 
     Options:
         map: YAML file (recording map) that states what the markers and columns of the
-            recording mean (see docs/logs.md).
+            recording mean (see docs/recordings.md).
         units: Unit of lengths if the file does not state it: m, cm, mm, in or ft.
         rate: Frame rate in Hz if the file contains no times.
         columns: Column names of a text file without a header, for example time,x_1,y_1.

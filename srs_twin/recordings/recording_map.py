@@ -65,7 +65,7 @@ class LogColumn(StrictModel):
 
 
 class RecordingMap(StrictModel):
-    """Meaning of each column and marker in a recording (docs/logs.md#recording-map)."""
+    """Meaning of each column and marker in a recording (docs/recordings.md#recording-map)."""
 
     units: Literal["m", "cm", "mm", "in", "ft", "px"] | None = None
     """Unit of length of a file that does not state it."""

@@ -214,13 +214,13 @@ class ReplayFile(ControllerSection):
 
 
 class RecordingFile(ExtensionSection):
-    """Recorded motion of a robot with its log (docs/logs.md)."""
+    """Recorded motion of a robot with its log (docs/recordings.md)."""
 
     constructors = (RecordingReader,)
     measures = True
 
     motion: FilePath
-    """Motion capture file (docs/logs.md#file-formats), or a CSV file with the columns
+    """Motion capture file (docs/recordings.md#file-formats), or a CSV file with the columns
     time,bend_1,… of a robot on a bench."""
     valves: FilePath | None = None
     """Plain CSV or MCAP log of valves or pressures (default: NAME.valves.csv in the
@@ -235,7 +235,7 @@ class RecordingFile(ExtensionSection):
     """Marker layout."""
     map: RecordingMap = constructor_default()
     """Recording map, which states what markers, rigid bodies and columns measure
-    (docs/logs.md#recording-map)."""
+    (docs/recordings.md#recording-map)."""
     head: Line | None = constructor_default()
     """Column name of the marker at the head (default: end in the direction of motion).
     """

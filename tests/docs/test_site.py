@@ -144,7 +144,7 @@ def keys_of(schema):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("page", "model"),
-    [("scenario", with_extensions()), ("sweep", SweepFile), ("robot", RobotFile)],
+    [("scenario", with_extensions()), ("scenario", SweepFile), ("robot", RobotFile)],
 )
 def test_every_key_is_in_the_reference(site, page, model):
     shown = (site / f"docs/reference/{page}.html").read_text("utf-8")

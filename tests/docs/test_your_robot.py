@@ -22,6 +22,7 @@ COMMANDS = [
     line
     for text in re.findall(r"^```sh runnable\n(.*?)^```$", PAGE, re.M | re.S)
     for line in text.splitlines()
+    if line.startswith("srs-twin ")
 ]
 RECORDINGS = "calibration/examples/my_snake"
 MADE = runpy.run_path(str(ROOT / "docs/your_robot.py"))

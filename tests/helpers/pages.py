@@ -99,8 +99,10 @@ class Page:
 
     @property
     def files(self) -> set[str]:
-        """Names of the files that the page defines."""
-        return {block.file for block in self.blocks if block.file}
+        """Names of the files that the page defines, or writes by `srs-twin new`."""
+        written = re.findall(r"srs-twin new \w+ (\w+)", "\n".join(self.commands))
+        defined = {block.file for block in self.blocks if block.file}
+        return defined | {f"{name}.yaml" for name in written}
 
     def save_files(self, folder: Path) -> None:
         """Write the files of the page to a folder with copies of the shipped files."""

@@ -15,7 +15,7 @@ from srs_twin.robot.file import load_robot
 from srs_twin.rollout import rollout
 from srs_twin.scenario.loading import parse_scenario
 
-PAGE = (Path(__file__).resolve().parents[2] / "docs" / "add-a-robot.md").read_text(
+PAGE = (Path(__file__).resolve().parents[2] / "docs" / "your-robot.md").read_text(
     "utf-8"
 )
 TEXT = PAGE.split("```yaml servo_snake.yaml\n")[1].split("```")[0]
