@@ -104,7 +104,7 @@ class ReadingOptions(TableOptions):
     Options:
         up: Axis of the recording that points upwards: x, y, z, -x, -y, -z or auto.
         layout: Arrangement of the markers on the body: auto, single, head, pair,
-            middles or head_middles (see docs/logs.md).
+            middles or head_middles (see docs/recordings.md).
         head: Name of the marker at the head. [default: the end in the direction of
             motion]
         longest_gap: Maximum duration in seconds of a gap in a marker's track that is
