@@ -275,7 +275,7 @@ def test_workflows_use_a_supported_python():
 
 
 def test_exit_codes_are_those_of_the_command_line():
-    stated = main.__doc__.partition("Exit codes:")[2].partition(". Messages")[0]
+    stated = main.__doc__.partition("The exit codes are ")[2].partition(". If")[0]
     assert re.findall(r"^\| (\d+) \|", DOCS, re.M) == re.findall(r"\b\d+\b", stated)
 
 
