@@ -1,4 +1,4 @@
-"""Gaits with momentary wheel loads in Drake, compared with the same simulation in MuJoCo.
+"""Gaits with instantaneous wheel loads in Drake, compared with the same simulation in MuJoCo.
 
     uv run --group drake python benchmarks/against_drake.py                      # four points, 0.05 ms
     uv run --group drake python benchmarks/against_drake.py --step-ms 0.025 gen2_turn
@@ -167,7 +167,7 @@ class Snake:
 
     def drag(self, moments: np.ndarray) -> None:
         """Brake each axle with an implicit damper that has this moment (N·m) at the present speed."""
-        slowest = reference.AXLE_SHARE * SLIP_M_S / self._n["wheel_radius_m"]
+        slowest = reference.AXLE_FRACTION * SLIP_M_S / self._n["wheel_radius_m"]
         for axle, moment in zip(self._axles, moments, strict=True):
             axle.SetDamping(
                 self.context,
@@ -201,7 +201,7 @@ class Snake:
         wheel = n["wheel_kg"]
         neighbours = 1 if i in (0, n["connectors"] - 1) else 2
         drop = n["com_height_m"] - radius
-        links = neighbours / 2 * reference.LINK_SHARE * min(n["connectors_kg"])
+        links = neighbours / 2 * reference.LINK_FRACTION * min(n["connectors_kg"])
         mass = n["connectors_kg"][i] - 2 * wheel - links
         about = mass * n["connector_gyration_m"] ** 2
         disc = wheel * radius**2 / 4
@@ -241,7 +241,7 @@ class Snake:
         half = (length + gap) / 2
         front = gap / 2 + length * edge
         rear = gap / 2 + length * (1 - edge)
-        mass = reference.LINK_SHARE * min(n["connectors_kg"])
+        mass = reference.LINK_FRACTION * min(n["connectors_kg"])
         link = self._body(
             f"l{i}",
             mass,

@@ -10,7 +10,7 @@ preloaded contact. Other settings:
   model;
 - `--skid`: matched physics on skids, with the `ellipse` law;
 - `--loads`: the loaded contact and wheels without inertia about their axles.
-  `momentary` uses momentary loads in both plants, `across` the load distribution of the
+  `instantaneous` uses instantaneous loads in both plants, `across` the load distribution of the
   analytical model in both, `static` the static loads.
 """
 
@@ -95,7 +95,7 @@ def main() -> None:
             "contact": LoadedContact(load=selected.loads),
             "numerics": Numerics(wheel_spin=0.0),
         }
-        loads |= {"load": "static" if selected.loads == "static" else "momentary"}
+        loads |= {"load": "static" if selected.loads == "static" else "instantaneous"}
     points = list(product(FREQUENCIES_HZ, PRESSURES_KPA))
     if selected.quick:
         points = points[::4]

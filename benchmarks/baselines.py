@@ -182,12 +182,12 @@ def rows(results: list[dict[str, Any]]) -> Iterator[list[str]]:
         counts = ", ".join(
             f"{count} `{ending}`" for ending, count in endings.most_common()
         )
-        share = f"{sum(r['success'] for r in group)} of {len(group)}"
+        fraction = f"{sum(r['success'] for r in group)} of {len(group)}"
         reward, time = (mean(r[key] for r in group) for key in ("reward", "time"))
         yield [
             f"`{task}`",
             Path(policy).stem,
-            share,
+            fraction,
             counts,
             f"{reward:.2f}",
             f"{time:.1f}",

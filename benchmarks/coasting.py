@@ -68,7 +68,7 @@ def throw(spec: RobotSpec, velocity: tuple[float, float]) -> list[SnakeState]:
     world = np.array(
         [c * velocity[0] - s * velocity[1], s * velocity[0] + c * velocity[1]]
     )
-    first = plant.place(replace(rest, com_velocity=world, heading=HEADING_RAD))
+    first = plant.set_state(replace(rest, com_velocity=world, heading=HEADING_RAD))
     return [first, *(plant.step(vented) for _ in range(round(SECONDS / TICK_S)))]
 
 

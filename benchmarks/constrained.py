@@ -112,11 +112,11 @@ class SplineEngine:
         part = {"analytical": "compliant"}.get(plant, plant)
         for number, point in enumerate(points):
             space = self._study.space
-            shares = space.shares(
+            fractions = space.fractions(
                 [float(str(point.changes[name])) for name in space.variables]
             )
             values = {
-                f"{plant}.{name}": float(self._found[part, name](*shares)[0, 0])
+                f"{plant}.{name}": float(self._found[part, name](*fractions)[0, 0])
                 for name in METRICS
             }
             yield TaskResult(number, Row(point.key, DONE, values), None)

@@ -148,14 +148,19 @@ def crawl(
         mean = (
             np.asarray(valves, dtype=float).reshape(-1, *valves.shape[-2:]).mean(axis=0)
         )
-        rows.append((np.asarray(state.time), mean, state.pressure, state.sensed))
-    time, command, pressure, sensed = (
+        rows.append((np.asarray(state.time), mean, state.pressure, state.measured_bend))
+    time, command, pressure, measured_bend = (
         np.array(column) for column in zip(*rows, strict=True)
     )
     pressure = np.maximum(
         pressure + PRESSURE_NOISE_PA * rng.standard_normal(pressure.shape), 0.0
     )
-    return {"time": time, "command": command, "pressure": pressure, "sensed": sensed}
+    return {
+        "time": time,
+        "command": command,
+        "pressure": pressure,
+        "measured_bend": measured_bend,
+    }
 
 
 def touched(robot: str, seed: int) -> dict[str, np.ndarray]:
@@ -199,7 +204,7 @@ def estimates(robot: str, seed: int, samples: dict[str, np.ndarray]) -> np.ndarr
     observer = ContactObserver(load_robot(robot), TICK_S, gait_of(robot, seed)[1])
     rows = []
     for sample in zip(
-        samples["command"], samples["pressure"], samples["sensed"], strict=True
+        samples["command"], samples["pressure"], samples["measured_bend"], strict=True
     ):
         e = observer.update(*sample)
         if e is None:
@@ -347,7 +352,7 @@ def print_errors(results: list[dict[str, Any]], pitch: float) -> None:
         groups += [(name, np.array(names) == name) for name in sorted(set(names))]
     lines = []
     for name, chosen in groups:
-        shares = [
+        fractions = [
             (rows[:, 3] > THRESHOLD)[chosen].mean(),
             (off <= 1)[chosen].mean(),
             ((rows[:, 6] <= force) & (force <= rows[:, 7]))[chosen].mean(),
@@ -359,10 +364,10 @@ def print_errors(results: list[dict[str, Any]], pitch: float) -> None:
             [
                 name,
                 str(chosen.sum()),
-                f"{100 * shares[0]:.0f}",
+                f"{100 * fractions[0]:.0f}",
                 f"{100 * medians[0]:.0f}",
                 f"{medians[1]:.2f}",
-                *(f"{100 * value:.0f}" for value in shares[1:]),
+                *(f"{100 * value:.0f}" for value in fractions[1:]),
                 f"{width:.2f}",
             ]
         )

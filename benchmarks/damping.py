@@ -146,10 +146,10 @@ class ConstantLoss(LagPneumatics):
     depends_on_bend = True
 
     def __init__(
-        self, spec: RobotSpec, shares: np.ndarray, *, supply_pa: float, step: float
+        self, spec: RobotSpec, fractions: np.ndarray, *, supply_pa: float, step: float
     ) -> None:
         """Take the stiffness of each branch over that of the spring."""
-        self._shares = shares / (1 + shares.sum())
+        self._fractions = fractions / (1 + fractions.sum())
         self._times = np.array(BRANCH_TIMES_S)
         self.coupling_step_s = step
         super().__init__(spec, supply_pa=supply_pa)
@@ -173,8 +173,8 @@ class ConstantLoss(LagPneumatics):
         speed = (self.bend - before) / schedule.span - bend_rate
         at = self._follow(before - bend, speed, times)
         end = self._follow(before - bend, speed, np.array([schedule.span]))
-        trace.bend[:] -= np.einsum("b,btj->tj", self._shares, at[0])
-        trace.bend_rate[:] -= np.einsum("b,btj->tj", self._shares, at[1])
+        trace.bend[:] -= np.einsum("b,btj->tj", self._fractions, at[0])
+        trace.bend_rate[:] -= np.einsum("b,btj->tj", self._fractions, at[1])
         self._branches = end[0][:, 0]
         return trace
 
@@ -192,8 +192,8 @@ class ConstantLoss(LagPneumatics):
 def branches(loss: float) -> np.ndarray:
     """Return the stiffnesses of branches over that of the spring, for a loss factor."""
 
-    def error(shares: np.ndarray) -> np.ndarray:
-        found = modulus(shares, BAND_HZ)
+    def error(fractions: np.ndarray) -> np.ndarray:
+        found = modulus(fractions, BAND_HZ)
         return found.imag / found.real / loss - 1
 
     return least_squares(
@@ -201,10 +201,10 @@ def branches(loss: float) -> np.ndarray:
     ).x
 
 
-def modulus(shares: np.ndarray, frequency: float | np.ndarray) -> np.ndarray:
+def modulus(fractions: np.ndarray, frequency: float | np.ndarray) -> np.ndarray:
     """Return the complex stiffness at frequencies (Hz) over that of the spring, in their shape."""
     phase = 2j * np.pi * np.multiply.outer(frequency, BRANCH_TIMES_S)
-    return np.asarray(1 + (shares * phase / (1 + phase)).sum(axis=-1))
+    return np.asarray(1 + (fractions * phase / (1 + phase)).sum(axis=-1))
 
 
 def material_plant(
@@ -212,13 +212,13 @@ def material_plant(
 ) -> AnalyticalSnake:
     """Return `compliant` with Maxwell branches and the stiffness of the robot file at a frequency (Hz)."""
     spec = load_robot(case.robot)
-    shares = branches(loss)
-    spring = spec.bending.stiffness / modulus(shares, frequency).real
+    fractions = branches(loss)
+    spring = spec.bending.stiffness / modulus(fractions, frequency).real
     whole = replace(
-        spec.bending, stiffness=spring * (1 + shares.sum()), damping_time=1e-6
+        spec.bending, stiffness=spring * (1 + fractions.sum()), damping_time=1e-6
     )
     spec = replace(spec, bending=whole)
-    chambers = ConstantLoss(spec, shares, supply_pa=case.supply_pa, step=step)
+    chambers = ConstantLoss(spec, fractions, supply_pa=case.supply_pa, step=step)
     return AnalyticalSnake(
         spec,
         model="compliant",
@@ -247,9 +247,9 @@ def show_spectra() -> None:
     for case in CASES:
         time, frequency = damping_time(case, LOSS)
         power = spectrum(case, damped(load_robot(case.robot), time))
-        share = np.cumsum(power[0] * power[1]) / (power[0] * power[1]).sum()
+        fraction = np.cumsum(power[0] * power[1]) / (power[0] * power[1]).sum()
         low, middle, high = (
-            power[0][np.searchsorted(share, level)] for level in (0.1, 0.5, 0.9)
+            power[0][np.searchsorted(fraction, level)] for level in (0.1, 0.5, 0.9)
         )
         times = [
             f"{1e3 * loss / (2 * np.pi * frequency):.1f}"

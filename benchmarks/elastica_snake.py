@@ -24,7 +24,7 @@ RADIUS = 0.011 * LENGTH
 GRAVITY = 9.80665
 FROUDE = 0.1
 MU = LENGTH / (PERIOD**2 * GRAVITY * FROUDE)
-MU_SHARES = np.array([1.0, 1.5, 2.0])  # forward, backward, sideways
+MU_FRACTIONS = np.array([1.0, 1.5, 2.0])  # forward, backward, sideways
 SPLINE = np.array(
     [3.4e-3, 3.3e-3, 4.2e-3, 2.6e-3, 3.6e-3, 3.5e-3]
 )  # N·m along the body
@@ -119,7 +119,7 @@ class ContinuumSnake:
             nu=1e-6,
             slip_velocity_tol=1e-8,
             static_mu_array=np.zeros(3),
-            kinetic_mu_array=MU * MU_SHARES,
+            kinetic_mu_array=MU * MU_FRACTIONS,
         )
 
     def _add_muscles(self, rod: ea.CosseratRod) -> None:

@@ -105,13 +105,13 @@ def measure(count: int, seconds: float, rounds: int, threads: int | None) -> Res
     work = {name: Timing(tuple(seconds)) for name, seconds in spent.items()}
     # Ratio of rates: time of the plain rollout over time of the vector.
     ratios = {name: Ratio.between(times[name], times["vector"]) for name in times}
-    shares = {name: Ratio.between(work[name], work["vector"]) for name in times}
+    fractions = {name: Ratio.between(work[name], work["vector"]) for name in times}
     rows = [
         [
             name,
             three_figures(1 / times[name].median),
             str(ratios[name]),
-            str(shares[name]),
+            str(fractions[name]),
         ]
         for name in times
     ]
@@ -119,8 +119,8 @@ def measure(count: int, seconds: float, rounds: int, threads: int | None) -> Res
         name: (
             times[name].json()
             | {
-                "vector_share": ratios[name].json(),
-                "vector_share_processor": shares[name].json(),
+                "vector_fraction": ratios[name].json(),
+                "vector_share_processor": fractions[name].json(),
             }
         )
         for name in times

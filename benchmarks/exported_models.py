@@ -41,7 +41,7 @@ The last three are generation 4 with a dead zone and with a limit of the bends.
 """
 
 CHANGES = {
-    "dead_zone": {"onset_share": 1.0, "onset": 0.3, "onset_width": 0.1},
+    "dead_zone": {"onset_fraction": 1.0, "onset": 0.3, "onset_width": 0.1},
     "limited": {"bend_limit": 1.571},
     "limited_raw": {"bend_limit": 1.571},
 }

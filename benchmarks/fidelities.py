@@ -66,7 +66,7 @@ def main() -> None:
         )[:SETS]:
             order = np.r_[first : first + FEW, 0:first, first + FEW : options.samples]
             samples, surrogate = predict_twin(
-                study.shares[order], cheap[order], costly[order][:FEW]
+                study.fractions[order], cheap[order], costly[order][:FEW]
             )
             errors = np.hypot(sampling_errors(samples), surrogate)
             deviation = np.nanquantile(samples, ENDS) - full

@@ -132,7 +132,7 @@ def fits(seed: int, truth_model: str, only: str | None = None) -> dict[str, Any]
                 near,
                 names,
                 model=model,
-                against="both",
+                compare_signals="both",
                 starts=1,
                 known=[known],
                 reference=None if model is TWIN else TWIN,

@@ -59,13 +59,13 @@ def run(order: Order) -> dict[str, Any]:
         document["planner"]["margin_m"] = planner.margin.path
     modules["gain_spread"]["value"] = spread
     kind = list(KINDS)[seed % len(KINDS)]
-    run_up = getattr(planner.file, "run_up_m", 0.0)
+    lead_in = getattr(planner.file, "lead_in_m", 0.0)
     case = drawn(
         kind,
         seed,
         planner.problem.footprint,
-        run_up,
-        planner.margin.run_up - planner.margin.path,
+        lead_in,
+        planner.margin.lead_in - planner.margin.path,
     )
     document["world"] = _world(case)
     scenario = parse_scenario(document)
@@ -97,7 +97,7 @@ def run(order: Order) -> dict[str, Any]:
         for e in motion.events
         if e.kind in ("replanned", "no_new_plan") and "run_up" in e.text
     ]
-    later = motion.time >= (begun[0] if begun else math.inf if run_up else 0.0)
+    later = motion.time >= (begun[0] if begun else math.inf if lead_in else 0.0)
     return results | {
         "ending": motion.metadata["control"]["following"]["ending"] or "time_out",
         "touched": touched,

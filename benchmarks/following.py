@@ -34,7 +34,7 @@ from srs_twin.trajectory import Trajectory
 FIELDS = ("follow_gen4_a", "follow_gen4_b", "follow_gen4_c")
 PLANTS = ("analytical", "twin")
 FOLLOWERS = ("bearing", "path")
-OF_PATH = ("lookahead_m", "settle_m")
+OF_PATH = ("lookahead_m", "response_length_m")
 BEARING = {"gain_per_rad": 0.6, "node_m": 0.4, "near_m": 0.3}
 """Unpublished setting of the dissertation's follower: one of the two best of 18 (docs/course.md)."""
 TEXT_BOX = {"gen2": "gen2_section52", "gen4": "gen4_table9"}
@@ -80,7 +80,7 @@ def run(order: Order) -> dict[str, Any]:
         "goal_reached",
         "cross_track_rms_m",
         "cross_track_max_m",
-        "inside_share",
+        "inside_fraction",
         "contacts",
         "clearance_m",
         "arrival_error_m",
@@ -92,7 +92,7 @@ def run(order: Order) -> dict[str, Any]:
     return {
         "order": order,
         "ending": ending,
-        "inside_text_share": inside_text_share(motion, scenario.robot.name),
+        "inside_text_share": inside_text_fraction(motion, scenario.robot.name),
         "cross_track_later_m": cross_track_later(motion),
     } | {name: metrics[name] for name in names}
 
@@ -107,14 +107,14 @@ def cross_track_later(motion: Trajectory) -> float:
     return float(later.max(initial=0.0))
 
 
-def inside_text_share(motion: Trajectory, robot: str) -> float:
+def inside_text_fraction(motion: Trajectory, robot: str) -> float:
     """Return the fraction of time in which the body is inside the dissertation's box about the path."""
     control = motion.metadata["control"]
     text = control["following"] | {"footprint": asdict(load_footprint(TEXT_BOX[robot]))}
     dissertation_run = replace(
         motion, metadata=motion.metadata | {"control": control | {"following": text}}
     )
-    return float(following_metrics(dissertation_run)["inside_share"])
+    return float(following_metrics(dissertation_run)["inside_fraction"])
 
 
 def succeeded(row: dict[str, Any]) -> bool:
@@ -144,7 +144,7 @@ def summary(rows: list[dict[str, Any]]) -> list[str]:
         median("cross_track_rms_m", 1e3),
         f"{1e3 * max(row['cross_track_max_m'] for row in rows):.3g}",
         f"{1e3 * max(row['cross_track_later_m'] for row in rows):.3g}",
-        median("inside_share", 100),
+        median("inside_fraction", 100),
         median("inside_text_share", 100),
         least_clearance(rows),
         median("arrival_error_m", 1e3),

@@ -42,7 +42,7 @@ from srs_twin.control.reference import (
     Sine,
     Square,
     Staircase,
-    Step,
+    StepReference,
 )
 from srs_twin.control.smc import K_S_PER_RAD, DirectSMC, IterativeSMC, SlidingMode
 
@@ -55,7 +55,7 @@ SINE_RAD = 34.3 * DEGREE
 FREQUENCIES_HZ = (0.25, 0.5, 1.0, 2.0, 4.0, 6.0)
 LEAK_PER_S = 0.5
 
-STEP: tuple[Reference, float] = (Step(STEP_RAD, time=0.1), 1.1)
+STEP: tuple[Reference, float] = (StepReference(STEP_RAD, time=0.1), 1.1)
 SINES: dict[str, tuple[Reference, float]] = {
     f"{f:g} Hz": (Sine(SINE_RAD, f), max(10.0, 4 / f)) for f in FREQUENCIES_HZ
 }
@@ -203,7 +203,7 @@ def line(name: str, controller: Callable[[Reference], SlidingMode]) -> list[str]
         ),
         (
             f"{step['ripple_pp_rad'] / DEGREE:.2f},"
-            f" {step['sensed_ripple_pp_rad'] / DEGREE:.2f}"
+            f" {step['measured_ripple_pp_rad'] / DEGREE:.2f}"
         ),
         *(f"{s['amplitude_rel']:.3f}, {s['phase_lag_rad']:+.2f}" for s in sines),
         f"{sines[0]['fit_residual_rad'] / DEGREE:.2f}",

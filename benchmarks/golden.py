@@ -46,11 +46,11 @@ FITS = {
     "friction": "pulls.csv --validate {0}/pulls_check.csv --robot gen2",
     "actuator": (
         "steps.csv --validate {0}/steps_check.csv --robot gen2 --head snake:1a"
-        f" --find {_FIND}"
+        f" --parameters {_FIND}"
     ),
     "locomotion": (
         "walk_straight.csv --validate {0}/walk_check.csv --robot gen2 --starts 1 "
-        "--find geometry.rigid_gap_m,bending.stiffness_nm_per_rad"
+        "--parameters geometry.rigid_gap_m,bending.stiffness_nm_per_rad"
     ),
 }
 

@@ -17,7 +17,7 @@ the one with the lowest score g + h is taken. There is no open list and no backt
 The search ends when the arc distance falls below a threshold. The dissertation gives no
 value; here it is the length of one arc. Its second condition, "and the difference
 between the rotation angles is π", is joined by "or" and has no effect. The heading may
-therefore jump where the branches meet (`Plan.kink`), and no snake can follow such a
+therefore jump where the branches meet (`Plan.max_heading_jump`), and no snake can follow such a
 plan exactly. The joint is the arc whose length is the arc distance; it must be free and
 no tighter than the primitives.
 
@@ -33,7 +33,7 @@ from srs_twin.errors import InputError
 from srs_twin.planning.arcs import Primitives
 from srs_twin.planning.collision import Checker
 from srs_twin.planning.path import Segment, make_segment
-from srs_twin.planning.problem import Outcome, Plan, Problem, Settings
+from srs_twin.planning.problem import Plan, PlanOutcome, Problem, Settings
 from srs_twin.robot.world import Pose
 
 G_STEP_M = 0.001
@@ -75,7 +75,7 @@ def greedy(problem: Problem, settings: Settings) -> Plan:
         joint = _joint(tips[0], tips[1], arcs, forward)
         if joint is not None:
             path = _joined_path(branches, joint, problem, arcs.length)
-            return Plan(Outcome.FOUND, "the branches met", path, turn)
+            return Plan(PlanOutcome.FOUND, "the branches met", path, turn)
         child = _best_child(tips[side], tips[1 - side], arcs, (forward, backward)[side])
         if child is None:
             where = f"{turn // 2} arcs from the {('start', 'goal')[side]}"
@@ -83,14 +83,14 @@ def greedy(problem: Problem, settings: Settings) -> Plan:
                 f"every arc is blocked {where}, and greedy does not go back; try"
                 " best_first"
             )
-            return Plan(Outcome.NOT_FOUND, reason, (), turn)
+            return Plan(PlanOutcome.NOT_FOUND, reason, (), turn)
         curvature, end = child
         branches[side].append((tips[side], curvature))
         tips[side] = end
     reason = (
         f"the branches did not meet within {_MAX_BRANCH_ARCS} arcs each; try best_first"
     )
-    return Plan(Outcome.NOT_FOUND, reason, (), 2 * _MAX_BRANCH_ARCS)
+    return Plan(PlanOutcome.NOT_FOUND, reason, (), 2 * _MAX_BRANCH_ARCS)
 
 
 def arc_through(pose: Pose, x: float, y: float) -> tuple[float, float]:

@@ -6,7 +6,7 @@ Prints bend amplitudes by segment of the twin, `compliant` and `complete` over t
 range, stiffness and damping, and the amplitudes of `compliant` with single effects
 switched off. Then prints the wheel loads of the twin over a period, where the tail
 rests on the two wheels of the last connector, and the effect of a tail with two axles
-on momentary loads. Writes docs/images/heavy_tail.png.
+on instantaneous loads. Writes docs/images/heavy_tail.png.
 """
 
 from __future__ import annotations
@@ -154,7 +154,7 @@ class Case:
         def watch(state: Any) -> None:
             loads.append(plant.physics.wheel_loads())
             places.append(state.position[-1])
-            headings.append(state.theta[-1])
+            headings.append(state.connector_heading[-1])
 
         rollout(plant, Gait(self.frequency, self.offset), DURATION, observers=[watch])
         settled = round(2 / self.frequency / LOAD_TICK)
@@ -339,12 +339,12 @@ def lifted(tail: Tail | None, frequency: float, damping_time: float) -> list[str
     values = plant_metrics(run)
     bends = np.array(values["bend_amplitude_rad"])
     speed = 1e3 * values["com_speed_m_s"]
-    shares = (up.any(axis=1).mean(), up.all(axis=1).mean())
+    fractions = (up.any(axis=1).mean(), up.all(axis=1).mean())
     return [
         f"{speed:.0f}",
         row(bends),
         remarks(bends),
-        *(f"{100 * share:.0f}" for share in shares),
+        *(f"{100 * fraction:.0f}" for fraction in fractions),
     ]
 
 

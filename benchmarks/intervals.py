@@ -29,7 +29,7 @@ from srs_twin.identification.friction import (
 from srs_twin.identification.locomotion import GaitRun, PlantModel, fit_locomotion
 from srs_twin.identification.parameters import with_values
 from srs_twin.identification.static_tables import StaticTable, fit_static
-from srs_twin.plants.analytical.floor import slide, spin_share
+from srs_twin.plants.analytical.floor import slide, spin_fraction
 from srs_twin.pneumatics import Schedule
 from srs_twin.pneumatics.chambers import air_bend
 
@@ -79,7 +79,12 @@ def coasting(rng: np.random.Generator) -> FitEstimate:
     runs = []
     for k, velocity in enumerate([(0.5, 0.0), (0.0, 0.8)]):
         path = slide(
-            velocity, time, law="wheel", mu_t=0.06, mu_n=0.5, share=spin_share(GEN2)
+            velocity,
+            time,
+            law="wheel",
+            mu_t=0.06,
+            mu_n=0.5,
+            fraction=spin_fraction(GEN2),
         )
         x, y = (path + 1e-3 * rng.normal(size=path.shape)).T
         straight = {f"bend_{j}": 0 * time for j in range(1, 5)}
@@ -149,7 +154,7 @@ def gaits() -> Fit:
         GEN2,
         list(GAIT),
         model=model,
-        against="shapes",
+        compare_signals="shapes",
         starts=1,
     )
 

@@ -130,12 +130,12 @@ def spread(values: np.ndarray) -> str:
 
 def apart(ours: np.ndarray, theirs: np.ndarray) -> str:
     """Return the difference of the second mean from the first in per cent, with its 95 % interval."""
-    share = 100 * (theirs.mean() / ours.mean() - 1)
+    fraction = 100 * (theirs.mean() / ours.mean() - 1)
     if len(ours) < 2 or not (np.ptp(ours) or np.ptp(theirs)):
-        return f"{share:+.1f} %"
+        return f"{fraction:+.1f} %"
     between = ttest_ind(theirs, ours, equal_var=False).confidence_interval(0.95)
     low, high = (100 * float(end) / ours.mean() for end in (between.low, between.high))
-    return f"{share:+.1f} % ({low:+.1f} to {high:+.1f})"
+    return f"{fraction:+.1f} % ({low:+.1f} to {high:+.1f})"
 
 
 def by_controller(pool: ProcessPoolExecutor, count: int) -> str:

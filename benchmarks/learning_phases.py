@@ -104,7 +104,7 @@ class TimedILC(ILC):
             self._sum = np.zeros_like(self._sum)
             self._ticks = 0
         turn = np.exp([0, -2j * math.pi * self.frequency * time])
-        self._sum = self._sum + turn[:, None] * np.nan_to_num(state.sensed)
+        self._sum = self._sum + turn[:, None] * np.nan_to_num(state.measured_bend)
         self._ticks += 1
         return super().step(state)
 

@@ -90,13 +90,13 @@ def missing(
 
 def summary(rows: Sequence[dict[str, Any]]) -> list[str]:
     """Return the cells of some faults: in time, named, alone, delay, faults of other parts."""
-    shares = [
+    fractions = [
         f"{sum(row[what] for row in rows)} of {len(rows)}"
         for what in ("in_time", "among", "right")
     ]
     since = [row["at"] - row["observable"] for row in rows if row["among"]]
     after = f"{np.median(since):.2f}" if since else "–"
-    return [*shares, after, str(sum(len(row["others"]) for row in rows))]
+    return [*fractions, after, str(sum(len(row["others"]) for row in rows))]
 
 
 def report(done: Sequence[dict[str, Any]]) -> None:

@@ -63,8 +63,8 @@ def named(
         row = np.searchsorted(log.time, (time[k] + time[k - 1]) / 2, side="right") - 1
         bank.predict((log.values[max(row, 0)] > 0).astype(float), time[k] - time[k - 1])
         bank.update(bends[k])
-        if bank.named:
-            return float(time[k] - begun), bank.named
+        if bank.detected_faults:
+            return float(time[k] - begun), bank.detected_faults
     return np.nan, {}
 
 

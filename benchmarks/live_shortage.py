@@ -106,20 +106,22 @@ class Listener:
         threads = Path(f"/proc/{self.process.pid}/task").glob("*/schedstat")
         return 1e-9 * sum(int(thread.read_text().split()[0]) for thread in threads)
 
-    def throttle(self, share: float) -> None:
+    def throttle(self, fraction: float) -> None:
         """Allow only this share of a core from now on."""
-        threading.Thread(target=self._limit, args=(share,), daemon=True).start()
+        threading.Thread(target=self._limit, args=(fraction,), daemon=True).start()
 
-    def _limit(self, share: float) -> None:
+    def _limit(self, fraction: float) -> None:
         """Stop the process whenever it has used its share, and continue it later."""
         began = time.monotonic()
         used = self.processor_time()
         with contextlib.suppress(ProcessLookupError, FileNotFoundError):
             while self.process.poll() is None:
-                due = self.processor_time() - used - share * (time.monotonic() - began)
+                due = (
+                    self.processor_time() - used - fraction * (time.monotonic() - began)
+                )
                 # A process that did not get its share, because the machine is busy,
                 # does not get it later.
-                used += min(due + share * PERIOD_S, 0.0)
+                used += min(due + fraction * PERIOD_S, 0.0)
                 os.kill(self.process.pid, signal.SIGSTOP if due > 0 else signal.SIGCONT)
                 time.sleep(CHECK_S)
 
@@ -166,9 +168,9 @@ def main() -> None:
         tempfile.TemporaryDirectory() as name,
         walking_robot(Path(name)) as (client, options),
     ):
-        for share in given.shares:
+        for fraction in given.fractions:
             listeners = [
-                Listener(Path(name) / f"{share}-{end}", options)
+                Listener(Path(name) / f"{fraction}-{end}", options)
                 for end in ("kill", "term", "stop")
             ]
             killed, terminated, stopped = listeners
@@ -177,7 +179,7 @@ def main() -> None:
             time.sleep(MEASURE_S)
             need = (killed.processor_time() - used) / MEASURE_S
             for listener in listeners:
-                listener.throttle(share * need)
+                listener.throttle(fraction * need)
             time.sleep(given.seconds)
             killed.process.kill()
             death = time.monotonic()
@@ -190,7 +192,7 @@ def main() -> None:
             warnings = stopped.warnings()
             rows.append(
                 [
-                    f"{share:g} of {need:.2f}",
+                    f"{fraction:g} of {need:.2f}",
                     after_word,
                     after_signal,
                     f"{lost:.2f} s",

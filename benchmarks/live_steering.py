@@ -39,11 +39,11 @@ STEERABLE = (
     "stuck_valve:4+=closed",
     "leak:2+",
     "leak:3-",
-    "starved",
+    "low_supply_pressure",
 )
 SOUND = "none"
 NO_CAMERA = "no camera"
-OTHERS = ("starved=empty", NO_CAMERA)
+OTHERS = ("low_supply_pressure=empty", NO_CAMERA)
 """Faults with which nobody can steer."""
 
 

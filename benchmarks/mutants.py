@@ -63,7 +63,7 @@ def main() -> None:
         "--nearest", action="store_true", help="try the nearest test files only"
     )
     parser.add_argument(
-        "--jobs", type=int, default=1, help="number of parallel mutants"
+        "--workers", type=int, default=1, help="number of parallel mutants"
     )
     parser.add_argument(
         "--json", type=Path, help="file for the mutants and their first failing tests"

@@ -75,7 +75,7 @@ def true_front(study: OptimizationStudy, runs: StudyRuns, budget: int) -> np.nda
             "verbose": -9,
             "popsize": POPULATION,
         }
-        start = result[int(np.argmin(_weighed(study, result, weight, scale)))].shares
+        start = result[int(np.argmin(_weighed(study, result, weight, scale)))].fractions
         strategy = cma.CMAEvolutionStrategy(np.clip(start, 0.02, 0.98), 0.2, options)
         asked = 0
         while asked < (budget - 100) // 10 and not strategy.stop():
@@ -172,7 +172,7 @@ def rival(
             for run, member in zip(cheap, members, strict=True)
             if not member and run not in chosen
         ]
-    there = runs.run("twin", np.array([run.shares for run in chosen[:60]]))
+    there = runs.run("twin", np.array([run.fractions for run in chosen[:60]]))
     print(
         f"NSGA-II on compliant, 60 on the twin: {area(fine(study, there), worst):.4f}",
         flush=True,
@@ -189,22 +189,22 @@ def fronts(
     truth = area(true_front(study, runs, budget), worst)
     if rivals:
         truth = max(truth, rival(study, runs, budget, worst))
-    shares = []
+    fractions = []
     most = 0
     for seed in range(seeds):
         runs.reset()
         answer = search(
             replace(study, file=study.file.model_copy(update={"seed": seed})), runs
         )
-        shares.append(area(costs(study, answer.best), worst) / truth)
+        fractions.append(area(costs(study, answer.best), worst) / truth)
         most = max(most, sum(run.part == "twin" for run in answer.runs))
-        print(study.name, seed, f"{100 * shares[-1]:.1f} % of the area", flush=True)
-    near = sum(share >= 0.97 for share in shares)
+        print(study.name, seed, f"{100 * fractions[-1]:.1f} % of the area", flush=True)
+    near = sum(fraction >= 0.97 for fraction in fractions)
     return [
         study.name,
         f"area {truth:.4g}",
         f"{near} of {seeds} within 3 %",
-        f"{100 * (1 - min(shares)):.1f} %",
+        f"{100 * (1 - min(fractions)):.1f} %",
         str(most),
     ]
 

@@ -19,7 +19,7 @@ import numpy as np
 from grid import table
 
 from srs_twin.planning.planner import plan
-from srs_twin.planning.problem import Outcome
+from srs_twin.planning.problem import PlanOutcome
 
 sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
 from plan_sampling import TOUCH, deepest, misses
@@ -53,7 +53,7 @@ def main() -> None:
                         or misses(answer, case.problem)
                     )
                     wrong = wrong + bad
-                    proofs += answer.outcome is Outcome.PROVEN_IMPOSSIBLE
+                    proofs += answer.outcome is PlanOutcome.PROVEN_IMPOSSIBLE
                     solved[ratio, name].append(answer.found and not bad)
     lines = []
     for ratio in RATIOS:

@@ -51,7 +51,7 @@ def speed(
         "seed": seed,
         "duration_s": DURATION_S,
         "controller": {"kind": "yielding_gait:YieldingGait", "frequency": 1.0} | keys,
-        "world.pegs.pitch_m": pitch,
+        "world.pegs.spacing_m": pitch,
         "robot.bending.stiffness_nm_per_rad": stiffness,
         "robot.modules.gain_spread": 0.05,
         "robot.modules.tau_spread": 0.05,

@@ -152,7 +152,7 @@ def summary(answers: dict[str, dict[int, list[Plan]]]) -> dict[str, Any]:
         }
         result[name] = {
             "solved": len(solved[name]),
-            "drivable": sum(p.found and p.kink < DRIVABLE for p in plans),
+            "drivable": sum(p.found and p.max_heading_jump < DRIVABLE for p in plans),
             "share_of_solved_by_any": len(solved[name]) / max(1, len(everyone)),
             "misses_of_greedy": len(solved["greedy"] - solved[name]),
             "median_ms": float(np.median(ms)),
@@ -303,10 +303,10 @@ def tables(result: dict[str, Any]) -> str:
     ]
     by_count = []
     for name in names:
-        shares = [f"{100 * share:.0f}" for share in success[name].values()]
+        fractions = [f"{100 * fraction:.0f}" for fraction in success[name].values()]
         correlation = result[name]["trend"]
         said = "–" if correlation is None else f"{correlation:.2f}"
-        by_count.append([name, *shares, said])
+        by_count.append([name, *fractions, said])
     counts = ["success %", *map(str, success[names[0]]), "rank correlation"]
     return f"{table(head, rows)}\n\n{table(counts, by_count)}"
 
@@ -322,8 +322,8 @@ def draw(result: dict[str, Any], path: Path) -> None:
     # Different sizes keep coinciding curves visible.
     for name, size in (("greedy", 5), ("best_first", 9), ("ompl", 4)):
         if name in result:
-            share = [100 * result[name]["success"][c] for c in COUNTS]
-            axes.plot(list(COUNTS), share, "o-", label=name, markersize=size)
+            fraction = [100 * result[name]["success"][c] for c in COUNTS]
+            axes.plot(list(COUNTS), fraction, "o-", label=name, markersize=size)
     axes.set(
         xlabel="obstacles of 18",
         ylabel="success, %",

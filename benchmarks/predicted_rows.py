@@ -62,7 +62,7 @@ def fitted() -> dict[str, tuple[float, float]]:
     }
 
 
-def in_robot(robot: Document, shares: np.ndarray) -> Document:
+def in_robot(robot: Document, fractions: np.ndarray) -> Document:
     """Return the plain data of a robot whose parameters are at the given quantiles."""
     file = RobotFile.model_validate(robot)
     if all(record.uncertain is None for record in file.records().values()):
@@ -76,16 +76,16 @@ def in_robot(robot: Document, shares: np.ndarray) -> Document:
     priors = Priors.from_robot(file)
     count = len(priors.parameters)
     values = dict(
-        zip(priors.paths, priors.quantile(shares[:count]).tolist(), strict=True)
+        zip(priors.paths, priors.quantile(fractions[:count]).tolist(), strict=True)
     )
-    for share, (path, (value, error)) in zip(
-        shares[count:], fitted().items(), strict=False
+    for fraction, (path, (value, error)) in zip(
+        fractions[count:], fitted().items(), strict=False
     ):
         section, key = path.split(".")
         if "calibration/fits" in str(
             robot["friction"]["mu_t"]["source"]
         ) and key in robot.get(section, {}):
-            values[path] = value + error * float(ndtri(share))
+            values[path] = value + error * float(ndtri(fraction))
     changed = dict(robot)
     for path, value in values.items():
         section, key = path.split(".")
@@ -212,13 +212,13 @@ def main() -> None:
         and not claim.id.startswith(LEFT_OUT)
         and claim.id.startswith(tuple(options.only) or "")
     )
-    shares = qmc.Sobol(DIMENSIONS, rng=0).random_base2(
+    fractions = qmc.Sobol(DIMENSIONS, rng=0).random_base2(
         max(options.samples - 1, 1).bit_length()
     )
     todo: dict[str, str | np.ndarray] = {
         item: item for item in (AS_IT_STANDS, HALF_STEP)
     }
-    todo |= {str(k): item for k, item in enumerate(shares[: options.samples])}
+    todo |= {str(k): item for k, item in enumerate(fractions[: options.samples])}
     result = {}
     for name, which in todo.items():
         if options.table and not (options.out / name).exists():

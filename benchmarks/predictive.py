@@ -91,7 +91,7 @@ def held(
         column = column_of(spreads)
         true = truth[metric]
         known = np.isfinite(true)
-        chaos = PolynomialChaos.fit(study.shares, column[:, None])
+        chaos = PolynomialChaos.fit(study.fractions, column[:, None])
         low, high = np.quantile(column, [0.025, 0.975])
         wide = (low <= true[known]) & (true[known] <= high)
         narrow = []
@@ -115,9 +115,9 @@ def held(
         bias = (np.median(true[known]) - np.median(column)) / _spread(column)
         cells = (
             metric,
-            _share(wide),
+            _fraction(wide),
             f"{high - low:.3g}",
-            _share(narrow),
+            _fraction(narrow),
             f"{np.mean(widths):.3g}",
             f"{bias:+.2f}",
         )
@@ -163,7 +163,7 @@ def main() -> None:
     )
     shipped = made({}, 2048, 0)
     drawn = made({}, options.robots, 1)
-    robots = drawn.priors.quantile(drawn.shares)
+    robots = drawn.priors.quantile(drawn.fractions)
     result = propagate(shipped, options.out / "shipped", local())
     print("Robots with the chamber model of the predictor")
     held(result, same, robots)
@@ -171,7 +171,7 @@ def main() -> None:
     held(result, truth, robots)
     if options.forms:
         print(
-            "\nRobots with orifices, predictor with --form pneumatics.kind=lag,orifice"
+            "\nRobots with orifices, predictor with --model-form pneumatics.kind=lag,orifice"
         )
         held(
             propagate(
@@ -207,7 +207,7 @@ def _spread(values: np.ndarray) -> float:
     return float(high - low) / 2
 
 
-def _share(held: Any) -> str:
+def _fraction(held: Any) -> str:
     ends = binomtest(int(np.sum(held)), len(held)).proportion_ci(0.95, "exact")
     return (
         f"{100 * np.mean(held):.1f} % ({100 * ends.low:.0f} to {100 * ends.high:.0f})"

@@ -17,15 +17,15 @@ from srs_twin.errors import InputError
 from srs_twin.planning.arcs import ArcSequence, Primitives
 from srs_twin.planning.collision import Checker, ObstacleGrid
 from srs_twin.planning.dubins import dubins_path, shortest_path
-from srs_twin.planning.moves import (
-    MoveSet,
+from srs_twin.planning.path import path_from_arcs
+from srs_twin.planning.primitives import (
+    MotionPrimitives,
     follow_dubins_path,
     initial_state,
-    make_move_set,
+    make_motion_primitives,
     shorten_path,
 )
-from srs_twin.planning.path import path_from_arcs
-from srs_twin.planning.problem import Outcome, Plan, Problem, Settings
+from srs_twin.planning.problem import Plan, PlanOutcome, Problem, Settings
 from srs_twin.robot.world import Pose
 
 DEFAULT_SECONDS = 1.0
@@ -49,7 +49,7 @@ def rrt_connect(problem: Problem, settings: Settings) -> Plan:
         )
     util.noOutputHandler()
     radius = 1 / min(body.tightest)
-    moves = make_move_set(Primitives(3, 0.5, 0.5 * radius), body)
+    moves = make_motion_primitives(Primitives(3, 0.5, 0.5 * radius), body)
     grid = Checker(problem.world, body).grid
     space = base.DubinsStateSpace(radius)
     box = base.RealVectorBounds(2)
@@ -75,7 +75,7 @@ def rrt_connect(problem: Problem, settings: Settings) -> Plan:
     setup.solve(seconds)
     if not setup.haveExactSolutionPath():
         return Plan(
-            Outcome.NOT_FOUND, f"no path after {seconds:g} s; give more seconds"
+            PlanOutcome.NOT_FOUND, f"no path after {seconds:g} s; give more seconds"
         )
     poses = [_pose(state) for state in setup.getSolutionPath().getStates()]
     path: ArcSequence = []
@@ -83,7 +83,9 @@ def rrt_connect(problem: Problem, settings: Settings) -> Plan:
         path += shortest_path(a, b.x, b.y, b.heading, radius)
     if settings.smooth:
         path = shorten_path(problem.start, path, moves, grid, radius)
-    return Plan(Outcome.FOUND, "a free path", path_from_arcs(problem.start, path, body))
+    return Plan(
+        PlanOutcome.FOUND, "a free path", path_from_arcs(problem.start, path, body)
+    )
 
 
 def _motion_validator(base: Any) -> Any:
@@ -91,7 +93,7 @@ def _motion_validator(base: Any) -> Any:
 
     class Validator(base.MotionValidator):  # type: ignore[misc]  # OMPL has no types
         def __init__(
-            self, info: Any, moves: MoveSet, grid: ObstacleGrid, radius: float
+            self, info: Any, moves: MotionPrimitives, grid: ObstacleGrid, radius: float
         ) -> None:
             super().__init__(info)
             self.moves = moves

@@ -288,7 +288,7 @@ def steered(aim: float) -> Work:
     }
 
     def policy(state: SnakeState) -> np.ndarray:
-        signs = np.where(state.sensed > 0, -1, 1).astype(
+        signs = np.where(state.measured_bend > 0, -1, 1).astype(
             np.int8
         )  # a segment reverses as soon as allowed
         return np.stack([signs, -signs], axis=-1)

@@ -220,7 +220,7 @@ def plants(law: str = "cosine") -> Iterator[str]:
             spec,
             model="compliant",
             inertia="connector",
-            load="momentary",
+            load="instantaneous",
             timestep=0.001,
         )
         twin = TwinSnake(spec, hinges_per_segment=8, timestep=0.0005)

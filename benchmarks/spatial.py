@@ -75,10 +75,10 @@ def inertia_number(spec: RobotSpec, run: Trajectory, frequency: float) -> float:
     )
 
 
-def point(frequency: float, share: float, lag: float) -> dict[str, Any]:
+def point(frequency: float, fraction: float, lag: float) -> dict[str, Any]:
     """Simulate one gait on both plants; return its row."""
     spec = slow(load_robot("spatial_slender"), frequency)
-    gait = Gait(frequency, pitch=PitchWave(share, lag))
+    gait = Gait(frequency, pitch=PitchWave(fraction, lag))
     snake = AnalyticalSnake(
         spec, model="quasistatic", supply_pa=SUPPLY_PA, timestep=0.0025 / frequency
     )
@@ -96,7 +96,7 @@ def point(frequency: float, share: float, lag: float) -> dict[str, Any]:
     differences = compare(reference, candidate).metrics
     return {
         "frequency": frequency,
-        "share": share,
+        "share": fraction,
         "lag": lag,
         "inertia": inertia_number(spec, candidate, frequency),
         "speeds": [run["travel_speed_m_s"] for run in (one, other)],
@@ -126,7 +126,7 @@ def report(rows: list[dict[str, Any]]) -> None:
     lines = [
         [
             f"{row['frequency']:g}",
-            f"{row['share']:g}",
+            f"{row['fraction']:g}",
             f"{math.degrees(row['lag']):.0f}°",
             f"{row['inertia']:.2g}",
             *(f"{1e3 * speed:.1f}" for speed in row["speeds"]),

@@ -115,7 +115,8 @@ def serpenoid() -> Iterator[str]:
 def moved(run: Trajectory) -> np.ndarray:
     """Return the displacement of connector 1 in the last period, in its frame at the start of this period."""
     x, y, heading = (
-        run[f"{name}_1"][[-1 - MEASURED, -1]] for name in ("x", "y", "theta")
+        run[f"{name}_1"][[-1 - MEASURED, -1]]
+        for name in ("x", "y", "connector_heading")
     )
     (dx, dy), c, s = (
         (x[1] - x[0], y[1] - y[0]),

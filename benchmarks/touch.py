@@ -28,7 +28,7 @@ PLANTS = ("analytical", "twin")
 PLANNERS = {
     "clear, 10 mm margin": {"margin_m": 0.01},
     "clear, no margin": {"margin_m": 0.0},
-    "touch": {"margin_m": 0.01, "touch": "allowed"},
+    "touch": {"margin_m": 0.01, "contact": "allowed"},
 }
 GAPS_M = (0.075, 0.095)
 DETOUR_M = 0.25
@@ -70,8 +70,8 @@ def field(detour: bool, planner: str, seed: int) -> dict[str, Any]:
         "planner": {
             "kind": "best_first",
             "footprint": "gen2_gait",
-            "turn_share": 0.5,
-            "run_up_m": 0.3,
+            "turn_fraction": 0.5,
+            "lead_in_m": 0.3,
             **PLANNERS[planner],
         },
         "controller": {
@@ -85,7 +85,7 @@ def field(detour: bool, planner: str, seed: int) -> dict[str, Any]:
             },
             "delay_s": 0.1,
             "lookahead_m": 0.1,
-            "settle_m": 0.035,
+            "response_length_m": 0.035,
             "replan_beyond_m": 0.1,
             "replans": 10,
         },
@@ -93,8 +93,8 @@ def field(detour: bool, planner: str, seed: int) -> dict[str, Any]:
             "analytical": {
                 "model": "compliant",
                 "friction": "ellipse",
-                "load": "momentary",
-                "touch": True,
+                "load": "instantaneous",
+                "contact": True,
             },
             "twin": {"hinges_per_segment": 3},
         },

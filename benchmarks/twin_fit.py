@@ -82,7 +82,7 @@ def main(draws: int) -> None:
                 SPEC,
                 list(truth),
                 model=TWIN,
-                against="shapes",
+                compare_signals="shapes",
                 starts=1,
                 watch=lambda runs, _, counts=counts: counts.append(runs),
             )

@@ -6,7 +6,7 @@ over the stiffness k,
 
 $$ e_j = q_j - f_j = M_j / k . $$
 
-**Shape-based compliance** (Travers, Whitman and Choset, 2018): an admittance lets the
+**Shape-based compliance** (Travers, Whitman and Choset, 2018): an inverse_effective_mass lets the
 moments of the load change a parameter of the wave, here the amplitude a, relative to
 that of full pressure, or the lag β per segment. Its first-order form is
 
@@ -113,8 +113,8 @@ class YieldingGait(Gait):
             frequency: f, Hz.
             offset: φ, between −1 and 1, positive to the left.
             response: reaction to contact, one of `RESPONSES`.
-            gain: g of the admittance, 1.
-            time: T of the admittance, s.
+            gain: g of the inverse_effective_mass, 1.
+            time: T of the inverse_effective_mass, s.
             amplitude: a₀, from `SMALLEST_AMPLITUDE` to 1; "hold" and "vent" keep it.
             threshold: lag of the bend above which a segment is blocked, rad; "hold" and
                 "vent" only.
@@ -126,7 +126,7 @@ class YieldingGait(Gait):
         """
         super().__init__(frequency, offset, phase=phase, phase_step=phase_step)
         check_choice("response", response, RESPONSES)
-        check_positive("time of the admittance", time, "s")
+        check_positive("time of the inverse_effective_mass", time, "s")
         check_positive("threshold", threshold, "rad")
         if not SMALLEST_AMPLITUDE <= amplitude <= 1:
             raise InputError(
@@ -168,7 +168,7 @@ class YieldingGait(Gait):
     def step(self, state: SnakeState) -> np.ndarray:
         """Return the valve states of the next tick."""
         time = float(state.time)
-        self._events += self._readings.update(time, state.sensed)
+        self._events += self._readings.update(time, state.measured_bend)
         free = air_bend(self._spec, np.asarray(state.pressure, dtype=float))
         load = np.nan_to_num(self._readings.value - free)
         if self.response == "amplitude":

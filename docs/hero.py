@@ -135,7 +135,7 @@ def _draw_snake(
     axes: Axes, sample: Trajectory, geometry: Geometry, colors: np.ndarray
 ) -> None:
     """Draw wheels, connectors and segments; colors: of the segments, (segments, 4)."""
-    theta = sample.stack("theta")[0]
+    theta = sample.stack("connector_heading")[0]
     along = np.stack([np.cos(theta), np.sin(theta)], axis=-1)
     left = np.stack([-along[:, 1], along[:, 0]], axis=-1)
     wheels = wheel_centres(sample, geometry)[0].reshape(-1, 2)

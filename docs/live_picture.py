@@ -47,7 +47,7 @@ def draw_segments(
     names = [
         f"{column}_{i}"
         for i in range(1, len(poses) + 1)
-        for column in ("x", "y", "theta")
+        for column in ("x", "y", "connector_heading")
     ]
     row = Trajectory(dict(zip(names, poses.reshape(-1, 1), strict=True)))
     for line, color in zip(centre_lines(row, geometry)[0], colors, strict=True):

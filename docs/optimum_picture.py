@@ -49,7 +49,7 @@ def connector_poses(run: Trajectory, row: int, start: int) -> np.ndarray:
     count = sum(name.startswith("theta_") for name in run.columns)
     poses = np.array(
         [
-            [run[f"{c}_{i}"][row] for c in ("x", "y", "theta")]
+            [run[f"{c}_{i}"][row] for c in ("x", "y", "connector_heading")]
             for i in range(1, count + 1)
         ]
     )

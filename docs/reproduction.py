@@ -24,8 +24,8 @@ from srs_twin.reproduction.verdicts import (
     MET,
     MISSED,
     Baseline,
+    ClaimOutcome,
     JudgedClaim,
-    Outcome,
     load_baseline,
 )
 
@@ -122,7 +122,7 @@ def _line(row: JudgedClaim) -> str:
     return f"| {' | '.join(texts)} |".replace("\n", " ")
 
 
-def _marked(outcome: Outcome | None) -> str:
+def _marked(outcome: ClaimOutcome | None) -> str:
     if outcome is None:
         return ""
     mark = {MET: "", EXPLAINED: "*", MISSED: "**"}[outcome.verdict]

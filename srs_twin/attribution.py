@@ -261,8 +261,8 @@ class PlantVariants:
             )
             title = "slip of MuJoCo's smoothed friction"
             return [Refinement("contact softness", title, {"contact": stiffer}, 2.0)]
-        model_load = "across" if self._model.load == "momentary" else "static"
-        title = "momentary wheel loads instead of the model's loads"
+        model_load = "across" if self._model.load == "instantaneous" else "static"
+        title = "instantaneous wheel loads instead of the model's loads"
         changed = {"contact": replace(contact, load=model_load)}
         return [Refinement("loads that follow the motion", title, changed, 1.0)]
 
@@ -294,7 +294,7 @@ class PlantVariants:
             "timestep": self._model.timestep_s / 4,
             "slip_speed": self._model.slip_speed_m_s / 4,
         }
-        lighter_links = {"numerics": Numerics(link_share=Numerics.link_share / 2)}
+        lighter_links = {"numerics": Numerics(link_fraction=Numerics.link_fraction / 2)}
         spec = self._scenario.robot
         stiffer = _with_bending(
             spec,

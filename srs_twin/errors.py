@@ -153,6 +153,10 @@ class InputFileError(InputError):
         super().__init__("\n".join(self.lines))
 
 
+class RenamedWarning(UserWarning):
+    """A file or a command line uses a former name of a key or an option."""
+
+
 class UnitWarning(UserWarning):
     """Warning about an implausible number in a robot file, perhaps in a wrong unit."""
 
@@ -321,13 +325,71 @@ def check_choice(name: str, value: str, allowed: Iterable[str]) -> None:
         )
 
 
+RENAMED = {
+    "rest_share": "rest_fraction",
+    "onset_share": "onset_fraction",
+    "turn_share": "turn_fraction",
+    "inside_share": "inside_fraction",
+    "step_share": "step_fraction",
+    "contact_share": "contact_fraction",
+    "share": "fraction",
+    "momentary": "instantaneous",
+    "known": "expected_failure",
+    "pitch_m": "spacing_m",
+    "onset_rad": "dead_zone_rad",
+    "onset_width_rad": "dead_zone_transition_rad",
+    "line_begins_kpa": "initial_line_pressure_kpa",
+    "settle_m": "response_length_m",
+    "run_up_m": "lead_in_m",
+    "replans": "max_replans",
+    "touch": "contact",
+    "starved": "low_supply_pressure",
+    "air": "pneumatic_energy",
+    "sensed": "measured_bend",
+    "sensed_pitch": "measured_pitch",
+    "theta": "connector_heading",
+    "sensed_ripple_pp_rad": "measured_ripple_pp_rad",
+    "plan_kink_rad": "plan_max_heading_jump_rad",
+    "box_left_m": "extent_left_m",
+    "box_right_m": "extent_right_m",
+    "press_on": "allow_zero_margin",
+    "--tell-supply": "--publish-supply",
+    "--press-on": "--allow-zero-margin",
+    "--without": "--exclude",
+    "--want": "--target-accuracy",
+    "--form": "--model-form",
+    "--against": "--compare-signals",
+    "--find": "--parameters",
+    "--jobs": "--workers",
+    "--threads": "--workers",
+    "--duration-s": "--duration",
+}
+"""Former names of keys, kinds, columns, metrics and options → names since 0.1.0.
+
+A column with a number (``theta_1``) is listed without it.
+"""
+
+
+def current_name(name: str) -> str | None:
+    """Return the current name of a renamed key, column or option, or None."""
+    base, _, number = name.rpartition("_")
+    if number.isdecimal() and base in RENAMED:
+        return f"{RENAMED[base]}_{number}"
+    return RENAMED.get(name)
+
+
 def did_you_mean(text: str, available: Iterable[str]) -> str:
     """Return '; did you mean A, B or C?' for the closest names, or an empty string.
+
+    A former name gets '; it is now called A'.
 
     Names are compared by their last component, such as `frequency_hz` of
     `controller.frequency_hz`. Abbreviations and names without their unit count as
     similar. Among equally similar names, names of the same section are preferred.
     """
+    available = tuple(available)
+    if (renamed := current_name(text)) in available:
+        return f"; it is now called {renamed}"
     section, last = _split_name(text)
     similarity = {}
     for name in available:

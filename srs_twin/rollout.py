@@ -70,7 +70,7 @@ def rollout(
     duration: float,
     *,
     pose: Pose | None = None,
-    begin: PlaceFunction | None = None,
+    initial_state: PlaceFunction | None = None,
     resume: tuple[PlantState, SavedState] | None = None,
     seed: int = 0,
     record_hz: float = 100,
@@ -80,7 +80,7 @@ def rollout(
 ) -> Trajectory:
     """Simulate a plant under a controller and record the trajectory.
 
-    The snake starts at rest at `pose`, unless `begin` or `resume` is given. A
+    The snake starts at rest at `pose`, unless `initial_state` or `resume` is given. A
     controller without sensor input has a script of valve commands, which the plant
     simulates in chunks of many ticks. Otherwise, and with `until` or `observers`, plant
     and controller alternate every tick.
@@ -90,7 +90,7 @@ def rollout(
         controller: controller of the robot's valves.
         duration: simulated time, a multiple of the plant's tick, s.
         pose: initial centre of mass x, y (m) and mean heading (rad), zero by default.
-        begin: function of plant and seed that sets another initial state, such as
+        initial_state: function of plant and seed that sets another initial state, such as
             `Plant.place`.
         resume: saved states of plant and controller from which the run continues. The
             simulated time continues as well.
@@ -111,7 +111,7 @@ def rollout(
 
     Raises:
         InputError: the run is not possible. Duration, tick, time step and record_hz may
-            be incompatible, or several of pose, begin and resume are given. The
+            be incompatible, or several of pose, initial_state and resume are given. The
             controller may not fit the valve layout or the saved state, an obstacle may
             overlap the initial body, or another thread uses the plant or the
             controller.
@@ -119,9 +119,9 @@ def rollout(
             all samples recorded before.
     """
     check_types("rollout", rollout, locals())
-    if sum(start is not None for start in (pose, begin, resume)) > 1:
+    if sum(start is not None for start in (pose, initial_state, resume)) > 1:
         raise InputError(
-            "rollout: give only one of pose, begin and resume; each sets the initial"
+            "rollout: give only one of pose, initial_state and resume; each sets the initial"
             " state"
         )
     ticks = count_steps("duration", duration, "tick", plant.tick)
@@ -129,7 +129,7 @@ def rollout(
     _check_drives(controller, plant)
     with claim(plant), claim(controller):
         if resume is None:
-            state = _initial_state(plant, pose, begin, seed)
+            state = _initial_state(plant, pose, initial_state, seed)
             controller.reset(plant.spec, plant.tick, seed=seed)
         else:
             plant.reset(seed=seed)
@@ -154,13 +154,13 @@ def rollout(
 
 
 def _initial_state(
-    plant: Plant, pose: Pose | None, begin: PlaceFunction | None, seed: int
+    plant: Plant, pose: Pose | None, initial_state: PlaceFunction | None, seed: int
 ) -> SnakeState:
-    if begin is None:
+    if initial_state is None:
         state = plant.reset(pose=(0.0, 0.0, 0.0) if pose is None else pose, seed=seed)
         check_start(plant, state, TOUCHING_M)
     else:
-        state = begin(plant, seed)
+        state = initial_state(plant, seed)
         # The state of another run may already be in contact with an obstacle.
         check_start(plant, state, PENETRATION_M * plant.spec.scale.length)
     return state
@@ -356,10 +356,10 @@ class Recorder:
         has_energy = {
             "work": True,
             "internal_loss": self.plant.has_internal_loss,
-            "air": self.plant.metered,
+            "pneumatic_energy": self.plant.measures_air,
         }
         columns |= {name: values_of(name) for name, has in has_energy.items() if has}
-        if self.plant.touches:
+        if self.plant.has_contact:
             force = values_of("obstacle_force")
             for axis, name in enumerate("xy"):
                 columns |= _numbered_columns(
@@ -402,13 +402,13 @@ class Recorder:
             "gait_frequency_hz": self.controller.frequency,
             "control": self.controller.describe(),
             "ended_by": self.ended_by,
-            "valve_switches": plant.openings().tolist() if plant.metered else None,
+            "valve_switches": plant.openings().tolist() if plant.measures_air else None,
         }
 
 
 def _planar_columns(states: SnakeState) -> dict[str, np.ndarray]:
     columns: dict[str, np.ndarray] = {}
-    for name in ("theta", "bend", "sensed", "torque"):
+    for name in ("connector_heading", "bend", "measured_bend", "torque"):
         columns |= _numbered_columns(f"{name}_", getattr(states, name))
     for name, values in (("pressure", states.pressure), ("valve", states.valves)):
         chambers = np.asarray(values, dtype=float)
@@ -418,13 +418,17 @@ def _planar_columns(states: SnakeState) -> dict[str, np.ndarray]:
 
 
 def _spatial_columns(states: SpatialState) -> dict[str, np.ndarray]:
-    columns = _numbered_columns("theta_", states.theta) | _numbered_columns(
-        "z_", states.height
-    )
+    columns = _numbered_columns(
+        "connector_heading_", states.connector_heading
+    ) | _numbered_columns("z_", states.height)
     for k, axis in enumerate("wxyz"):
         columns |= _numbered_columns(f"quaternion_{axis}_", states.orientation[..., k])
     columns |= _numbered_columns("load_", states.load)
-    pairs = {"bend": "pitch", "sensed": "sensed_pitch", "torque": "torque_pitch"}
+    pairs = {
+        "bend": "pitch",
+        "measured_bend": "measured_pitch",
+        "torque": "torque_pitch",
+    }
     for left, up in pairs.items():
         values = getattr(states, left)
         columns |= _numbered_columns(f"{left}_", values[..., 0]) | _numbered_columns(
@@ -471,7 +475,7 @@ class Job:
         pose: initial centre of mass x, y (m) and mean heading (rad), zero by default.
         seed: random seed of plant and controller.
         record_hz: sampling rate, Hz.
-        begin: function that sets another initial state of the plant, instead of `pose`.
+        initial_state: function that sets another initial state of the plant, instead of `pose`.
     """
 
     plant: Plant | Callable[[], Plant]
@@ -480,7 +484,7 @@ class Job:
     pose: Pose | None = None
     seed: int = 0
     record_hz: float = 100
-    begin: PlaceFunction | None = None
+    initial_state: PlaceFunction | None = None
 
     def __post_init__(self) -> None:
         check_types("Job", Job, vars(self))
@@ -612,7 +616,7 @@ def _finish_batch(
     for recorder, openings, error in zip(
         recorders, batch.openings(), batch.errors, strict=True
     ):
-        switches = openings.tolist() if recorder.plant.metered else None
+        switches = openings.tolist() if recorder.plant.measures_air else None
         trajectory = recorder.trajectory(
             batch.describe() | {"valve_switches": switches}
         )

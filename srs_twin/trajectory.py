@@ -29,7 +29,7 @@ _COLUMNS_OF_UNIT = {
         " object_y"
     ),
     "rad": (
-        "heading theta bend pitch sensed sensed_pitch heading_error estimate_heading"
+        "heading connector_heading bend pitch measured_bend measured_pitch heading_error estimate_heading"
         " object_heading reference error target_plus target_minus amplitude_plus"
         " amplitude_minus grip phase_step"
     ),
@@ -97,9 +97,9 @@ class Trajectory(HtmlResult):
     The arrays must not be modified. Column names are fixed:
 
     - The body has ``time``, ``heading``, the centre of mass ``com_x`` and ``com_y``,
-      and the connector poses ``x_1…N``, ``y_1…N`` and ``theta_1…N``, head first. The
-      energies are ``work`` and, if the plant measures air, ``air``.
-    - Each segment has ``bend_1…``, ``sensed_1…`` and ``torque_1…``, and each chamber
+      and the connector poses ``x_1…N``, ``y_1…N`` and ``connector_heading_1…N``, head first. The
+      energies are ``work`` and, if the plant measures air, ``pneumatic_energy``.
+    - Each segment has ``bend_1…``, ``measured_bend_1…`` and ``torque_1…``, and each chamber
       has ``pressure_plus_1…``, ``pressure_minus_1…``, ``valve_plus_1…`` and
       ``valve_minus_1…``.
     - The controller adds its own signals, and the twin adds ``qpos_1…``.
@@ -107,7 +107,7 @@ class Trajectory(HtmlResult):
       ``object_heading_1…``. In a world with obstacles or objects, ``clearance`` is the
       distance from the body to the nearest one. A plant that allows contact with them
       has ``obstacle_force_x_1…`` and ``obstacle_force_y_1…``.
-    - A spatial robot also has ``pitch_1…`` (upward bends), ``sensed_pitch_1…``,
+    - A spatial robot also has ``pitch_1…`` (upward bends), ``measured_pitch_1…``,
       ``torque_pitch_1…``, ``z_1…``, ``quaternion_w_1…`` to ``quaternion_z_1…`` and
       ``load_1…``. Each chamber c has the columns ``pressure_c_1…`` and ``valve_c_1…``
       instead of the columns for plus and minus.

@@ -532,7 +532,7 @@ def test_main_cause_refers_to_the_time_before_the_contact():
 
 def test_variants_of_the_twin_run_without_obstacles():
     variants = PlantVariants(blocked(0.45))
-    assert not variants.twin().touches and not variants.stiff_twin().touches
+    assert not variants.twin().has_contact and not variants.stiff_twin().has_contact
 
 
 @pytest.mark.slow

@@ -57,7 +57,7 @@ def test_the_command_line_runs_a_file(tmp_path, srs_twin):
     ]
     assert (
         found["periods_to_converge"] <= 12
-        and found["box_left_m"] < 0 < found["box_right_m"]
+        and min(found["extent_left_m"], found["extent_right_m"]) > 0
     )
     assert len(found["duty"]) == len(found["amplitude_error_rad"]) == 11
     page = (tmp_path / "out/report.html").read_text("utf-8")
@@ -168,7 +168,7 @@ def test_a_run_that_a_fault_ends_still_gives_everything(stopped):
     assert {"report.html", "recording.rrd", "metrics.json", "twin.parquet"} <= names
     assert compare(ended, whole).time[-1] == ended.time[-1]
     again = Trajectory.from_parquet(Path(stopped.folder) / "analytical.parquet")
-    assert np.isnan(again["sensed_1"]).all() and again.events[-1].kind == "fault"
+    assert np.isnan(again["measured_bend_1"]).all() and again.events[-1].kind == "fault"
 
 
 @pytest.mark.slow

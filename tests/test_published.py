@@ -183,11 +183,13 @@ def test_docs_learning_shows_table_8_and_its_deviations():
         if row == "predicted":
             for k, plant in ((1, "analytical"), (2, "twin")):
                 for j, quantity in enumerate(("speed", "radius", "left", "right")):
-                    share = numbers[3 * j + k] / numbers[3 * j] - 1
-                    deviations[plant, quantity, run.offset] = share
+                    fraction = numbers[3 * j + k] / numbers[3 * j] - 1
+                    deviations[plant, quantity, run.offset] = fraction
     assert len(lines) == 7
     assert len(deviations) == 32
-    missed = {place: share for place, share in deviations.items() if abs(share) > 0.2}
+    missed = {
+        place: fraction for place, fraction in deviations.items() if abs(fraction) > 0.2
+    }
     assert missed == {
         ("analytical", "speed", 0.2): pytest.approx(0.38, abs=0.01),
         ("twin", "speed", 0.2): pytest.approx(0.21, abs=0.01),

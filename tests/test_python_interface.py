@@ -118,12 +118,12 @@ def test_an_interrupted_sweep_keeps_its_rows_and_resumes(place):
 
 def test_a_sweep_can_be_changed_by_name_but_not_when_loaded(place):
     loaded = load_sweep("small.yaml")
-    found = srs.sweep(loaded, without=["controller.offset=0.2"], engine=here)
+    found = srs.sweep(loaded, exclude=["controller.offset=0.2"], engine=here)
     assert (found.points, found.done) == (4, 2)
     changed = srs.sweep(
         "small.yaml",
         set={"robot.friction.mu_t": 0.1},
-        without=["controller.offset=0.2"],
+        exclude=["controller.offset=0.2"],
         engine=here,
     )
     assert (
@@ -320,10 +320,14 @@ def test_an_actuator_fit_is_that_of_the_command(command, place, capsys):
 def test_a_locomotion_fit_is_that_of_the_command(command, place):
     motion = EXAMPLES / "walk_straight.csv"
     found = srs.calibrate_locomotion(
-        [motion], "gen2", find=["friction.mu_t"], against="averages", starts=1
+        [motion],
+        "gen2",
+        parameters=["friction.mu_t"],
+        compare_signals="averages",
+        starts=1,
     )
     printed = command(
-        f"calibrate locomotion {motion} --robot gen2 --find friction.mu_t --against"
+        f"calibrate locomotion {motion} --robot gen2 --parameters friction.mu_t --compare-signals"
         " averages --starts 1 --json"
     )
     values = {
@@ -337,7 +341,9 @@ def test_a_locomotion_fit_is_that_of_the_command(command, place):
 @pytest.mark.slow
 def test_a_design_is_that_of_the_command(command):
     found = srs.calibrate_design("gen2", {"friction.mu_t": 0.2})
-    printed = command("calibrate design gen2 --want friction.mu_t=20% --json")
+    printed = command(
+        "calibrate design gen2 --target-accuracy friction.mu_t=20% --json"
+    )
     assert json.loads(json.dumps(found.document())) == printed
 
 
@@ -438,4 +444,4 @@ def test_unknown_values_to_leave_out_are_named(place):
     with pytest.raises(
         UnknownNameError, match="unknown varied field 'controller.ofset'"
     ):
-        srs.sweep("small.yaml", without=["controller.ofset=0.2"], engine=here)
+        srs.sweep("small.yaml", exclude=["controller.ofset=0.2"], engine=here)

@@ -69,18 +69,18 @@ class Clock(Plant):
             com_velocity=np.zeros(2),
             heading=time,
             position=np.arange(10.0).reshape(5, 2),
-            theta=connectors,
+            connector_heading=connectors,
             bend=segments + time,
             bend_rate=segments,
             pressure=np.arange(8.0).reshape(4, 2),
             valves=np.tile([1, -1], (4, 1)),
-            sensed=segments,
+            measured_bend=segments,
             contact_force=np.zeros((5, 2)),
             obstacle_force=np.zeros((5, 2)),
             torque=segments,
             work=0.0,
             internal_loss=0.0,
-            air=0.0,
+            pneumatic_energy=0.0,
             qpos=np.empty(0),
         )
 
@@ -181,10 +181,12 @@ def test_only_one_start_is_accepted():
         placed.append(seed)
         return plant.reset(seed=seed)
 
-    with pytest.raises(InputError, match="give only one of pose, begin and resume"):
-        rollout(Clock(), Scripted(), 0.2, pose=(1.0, 0.0, 0.0), begin=begin)
+    with pytest.raises(
+        InputError, match="give only one of pose, initial_state and resume"
+    ):
+        rollout(Clock(), Scripted(), 0.2, pose=(1.0, 0.0, 0.0), initial_state=begin)
     assert not placed
-    rollout(Clock(), Scripted(), 0.2, begin=begin, seed=3)
+    rollout(Clock(), Scripted(), 0.2, initial_state=begin, seed=3)
     assert placed == [3]
 
 
@@ -289,12 +291,14 @@ def test_pose_and_seed_are_passed_to_plant_and_controller():
 
 def test_columns_have_numbered_names_and_units():
     trajectory = rollout(Clock(), Scripted(), 0.1, record_hz=50)
-    per_connector = [f"{name}_{i}" for name in ("x", "y", "theta") for i in range(1, 6)]
+    per_connector = [
+        f"{name}_{i}" for name in ("x", "y", "connector_heading") for i in range(1, 6)
+    ]
     per_segment = [
         f"{name}_{j}"
         for name in (
             "bend",
-            "sensed",
+            "measured_bend",
             "torque",
             "pressure_plus",
             "pressure_minus",
@@ -307,7 +311,7 @@ def test_columns_have_numbered_names_and_units():
     assert list(trajectory.columns) == [
         *expected,
         "work",
-        "air",
+        "pneumatic_energy",
         "count",
         "reference_1",
         "reference_2",
@@ -320,12 +324,12 @@ def test_columns_have_numbered_names_and_units():
     assert trajectory["valve_plus_1"][1] == 1 and trajectory["valve_minus_1"][1] == -1
     units = {
         name: trajectory.unit(name)
-        for name in ("time", "com_x", "theta_2", "pressure_plus_1", "count")
+        for name in ("time", "com_x", "connector_heading_2", "pressure_plus_1", "count")
     }
     assert units == {
         "time": "s",
         "com_x": "m",
-        "theta_2": "rad",
+        "connector_heading_2": "rad",
         "pressure_plus_1": "Pa",
         "count": "1",
     }

@@ -124,7 +124,12 @@ def test_another_process_writes_the_same_bytes():
 def test_any_parquet_reader_finds_the_units():
     schema = pq.read_schema(io.BytesIO(written(Snake().trajectory())))
     units = {field.name: field.metadata[b"unit"].decode() for field in schema}
-    assert (units["time"], units["com_x"], units["theta_5"], units["bend_1"]) == (
+    assert (
+        units["time"],
+        units["com_x"],
+        units["connector_heading_5"],
+        units["bend_1"],
+    ) == (
         "s",
         "m",
         "rad",
@@ -139,8 +144,8 @@ def test_numbered_columns_are_stacked():
     assert np.array_equal(run.position[:, 2, 1], run["y_3"])
     assert np.array_equal(run.com[:, 1], run["com_y"])
     assert run.has("bend") and run.has("com_x") and not run.has("pressure_plus")
-    with pytest.raises(KeyError, match="sensed"):
-        run.stack("sensed")
+    with pytest.raises(KeyError, match="measured_bend"):
+        run.stack("measured_bend")
 
 
 @pytest.mark.parametrize(

@@ -36,16 +36,16 @@ SNAKE = {
     "heading": "rad",
     "x": "m",
     "y": "m",
-    "theta": "rad",
+    "connector_heading": "rad",
     "bend": "rad",
-    "sensed": "rad",
+    "measured_bend": "rad",
     "torque": "N·m",
     "pressure_plus": "Pa",
     "pressure_minus": "Pa",
     "valve_plus": "1",
     "valve_minus": "1",
     "work": "J",
-    "air": "J",
+    "pneumatic_energy": "J",
 }
 TWIN = {"qpos": "mixed", "internal_loss": "J"}
 TOUCHING = {"obstacle_force_x": "N", "obstacle_force_y": "N"}
@@ -105,7 +105,7 @@ def test_every_column_of_a_run_has_the_unit_written_here(kind, plant):
 
 METRICS = {
     "m": (
-        """path_length_m turning_radius_m path_radius_m box_left_m box_right_m plan_length_m arrival_error_m
+        """path_length_m turning_radius_m path_radius_m extent_left_m extent_right_m plan_length_m arrival_error_m
         cross_track_rms_m cross_track_max_m clearance_m measured_shape_rms_m measured_path_rms_m
         body_height_m object_moved_m"""
     ),
@@ -113,9 +113,9 @@ METRICS = {
     "m/s": "com_speed_m_s path_speed_m_s travel_speed_m_s",
     "rad": (
         """mean_bend_amplitude_rad final_bend_rad overshoot_rad steady_error_rad steady_rms_rad
-        ripple_pp_rad ripple_rms_rad sensed_ripple_pp_rad error_rms_rad phase_lag_rad phase_lag_spread_rad
+        ripple_pp_rad ripple_rms_rad measured_ripple_pp_rad error_rms_rad phase_lag_rad phase_lag_spread_rad
         fit_residual_rad amplitude_error_end_rad heading_drift_rad reading_error_rad reading_backstep_rad
-        reading_backstep_at_rad plan_kink_rad arrival_heading_error_rad measured_bend_rms_rad
+        reading_backstep_at_rad plan_max_heading_jump_rad arrival_heading_error_rad measured_bend_rms_rad
         measured_heading_rms_rad travel_direction_rad"""
     ),
     "rad/s": "yaw_rate_rad_s measured_yaw_rate_abs",
@@ -129,8 +129,8 @@ METRICS = {
         """cost_of_transport pneumatic_cost_of_transport overshoot_rel amplitude_rel amplitude_spread_rel
         inlet_openings outlet_openings amplitude_growth_rel periods_to_converge amplitude_error_end_rel
         path_bend_left_rel path_radius_spread_rel duty_lowest duty_highest reading_r_squared plan_found
-        plan_nodes goal_reached inside_share inside_50mm_share contacts replans measured_com_speed_rel
-        realtime_factor contact_share supports roll_turns"""
+        plan_nodes goal_reached inside_fraction inside_50mm_fraction contacts replans measured_com_speed_rel
+        realtime_factor contact_fraction supports roll_turns"""
     ),
 }
 LISTS = {
@@ -151,7 +151,7 @@ COMPARISON = {
 }
 PLANNING = {
     "m": "plan_length_m",
-    "rad": "plan_kink_rad",
+    "rad": "plan_max_heading_jump_rad",
     "s": "plan_s",
     "1": "plan_found plan_nodes",
 }

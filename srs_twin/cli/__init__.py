@@ -16,9 +16,11 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 from srs_twin.cli.console import INTERRUPTED, as_started, launcher, say, show_traceback
 from srs_twin.errors import (
+    RENAMED,
     CacheWarning,
     EngineWarning,
     InputError,
+    RenamedWarning,
     SessionWarning,
     SrsError,
     TaskFailedError,
@@ -36,6 +38,13 @@ With Python's default of 700, garbage collection takes a sixth of the processor 
 `compare`. This value increases the memory use by 3 %.
 """
 
+_SHORT_WARNINGS = (
+    CacheWarning,
+    EngineWarning,
+    RenamedWarning,
+    SessionWarning,
+    UnitWarning,
+)
 _PYTHON_FORMATWARNING = warnings.formatwarning
 
 # Errors of the file system that earlier checks cannot exclude, such as a full disk or
@@ -75,6 +84,7 @@ def main(argv: list[str] | None = None) -> None:
         arguments = sys.argv[1:] if argv is None else argv
         for argument in arguments:
             check_printable(argument)
+        arguments = [_with_current_option(argument) for argument in arguments]
         _check_current_folder()
         from srs_twin.cli.app import command
 
@@ -84,7 +94,7 @@ def main(argv: list[str] | None = None) -> None:
             started = "srs-twin" if completes else f"{launcher()}srs-twin"
             named = next((each for each in arguments if each != "--debug"), "")
             command(named)(
-                args=argv, prog_name=started, complete_var="_SRS_TWIN_COMPLETE"
+                args=arguments, prog_name=started, complete_var="_SRS_TWIN_COMPLETE"
             )
         finally:
             if sys.stdout is not None:
@@ -114,6 +124,15 @@ def main(argv: list[str] | None = None) -> None:
             " traceback"
         )
         sys.exit(SrsError.exit_code)
+
+
+def _with_current_option(argument: str) -> str:
+    """Return an argument with the current name of its option; warn about a former name."""
+    option, equals, value = argument.partition("=")
+    if not option.startswith("--") or option not in RENAMED:
+        return argument
+    warnings.warn(f"{option} is now called {RENAMED[option]}", RenamedWarning, 2)
+    return RENAMED[option] + equals + value
 
 
 def _check_current_folder() -> None:
@@ -167,7 +186,7 @@ def _without_broken_pipes(stream: TextIO) -> TextIO:
 
 
 def _format_warning(message: Any, category: type[Warning], *location: Any) -> str:
-    if category in (CacheWarning, EngineWarning, SessionWarning, UnitWarning):
+    if category in _SHORT_WARNINGS:
         return as_started(f"warning: {message}\n")
     return _PYTHON_FORMATWARNING(message, category, *location)
 

@@ -160,7 +160,10 @@ def _add_outcome(test: TestCase, row: ExpectationRow, fails: Set[str]) -> TestCa
             "allowed": row["allowed"],
             "source": row["source"] or "ours",
         }
-        for key, remark in (("reason", row.get("reason")), ("known", row.get("known"))):
+        for key, remark in (
+            ("reason", row.get("reason")),
+            ("expected failure", row.get("expected_failure")),
+        ):
             if remark:
                 values[key] = remark
         text = "\n".join(f"{key}: {value}" for key, value in values.items())
@@ -169,7 +172,7 @@ def _add_outcome(test: TestCase, row: ExpectationRow, fails: Set[str]) -> TestCa
             outcome="failure", message=message, kind="expectation", text=text
         )
     skipped = {
-        "known": f"known: {row.get('known')}",
+        "expected_failure": f"expected failure: {row.get('expected_failure')}",
         "not_judged": f"not judged: {row.get('reason')}",
     }
     if state in skipped:

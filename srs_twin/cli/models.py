@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from srs_twin.cli.options import (
-    Bounds,
+    OptionRange,
     argument,
     expand_option_groups,
 )
@@ -25,7 +25,7 @@ def export(
     names: Annotated[list[str] | None, argument("NAME", shipped=["robot"])] = None,
     out: str = "models",
     contact: str = "preloaded",
-    pressure: Annotated[float, Bounds(0.0, 2000.0)] = 0.0,
+    pressure: Annotated[float, OptionRange(0.0, 2000.0)] = 0.0,
     linear: bool = False,
 ) -> None:
     """Write MJCF models of robots, one folder per robot.

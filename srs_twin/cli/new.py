@@ -16,7 +16,7 @@ from typing import Annotated, Any, NamedTuple
 import typer
 
 from srs_twin.cli.console import launcher, say
-from srs_twin.cli.options import Bounds, argument, expand_option_groups, option
+from srs_twin.cli.options import OptionRange, argument, expand_option_groups, option
 from srs_twin.errors import InputError, InputFileError
 from srs_twin.extensions import LOADERS, allow_plugin, load
 
@@ -50,7 +50,7 @@ _BEND_RAD = 1.57
 _SERVO_BEND_RAD = 0.6
 """Default maximum angle of a servo joint, rad."""
 
-_JOINT_SHARE = 1 / 15
+_JOINT_FRACTION = 1 / 15
 """Length of a servo joint as a fraction of the distance between joints.
 
 The remaining length is a rigid link.
@@ -67,7 +67,7 @@ _SUFFIXES = {".yaml": ".yaml", ".txt": ".py"}
 
 
 @dataclass(frozen=True)
-class RobotOptions:
+class NewRobotOptions:
     """Size and kind of a robot.
 
     Options:
@@ -84,7 +84,7 @@ class RobotOptions:
 
     length: float | None = None
     mass: float | None = None
-    segments: Annotated[int | None, Bounds(max=63)] = None
+    segments: Annotated[int | None, OptionRange(max=63)] = None
     pressure: float | None = None
     bend: float | None = None
     skin: bool = False
@@ -181,11 +181,11 @@ def _default_mass(segments: int, length: float) -> float:
     return float(f"{_MASS_KG / 5 * (segments + 1) * scale**3:.3g}")
 
 
-_DEFAULT_ROBOT = RobotOptions()
+_DEFAULT_ROBOT = NewRobotOptions()
 
 
 def robot(
-    name: NameArgument, options: RobotOptions = _DEFAULT_ROBOT, out: OutOption = None
+    name: NameArgument, options: NewRobotOptions = _DEFAULT_ROBOT, out: OutOption = None
 ) -> None:
     """Write a robot file with values scaled from generation 2.
 
@@ -235,18 +235,18 @@ def _robot_values(size: RobotSize, *, servo: bool) -> dict[str, Any]:
     count, length, mass, supply, bend = size
     scale = length / count / _PITCH_M
     air = _AIR_ML * scale**3
-    share = 0.037 / _PITCH_M
+    fraction = 0.037 / _PITCH_M
     plane = 0.1 * scale**4
     sources = _CHAMBER_SOURCES
     if servo:
-        share = _JOINT_SHARE
+        fraction = _JOINT_FRACTION
         plane = _SERVO_PLANE_RATIO * GRAVITY * mass * length
         sources = _SERVO_SOURCES
     return {
         "segments": count,
         "connectors": count + 1,
-        "segment": share * scale * _PITCH_M,
-        "gap": (1 - share) * scale * _PITCH_M,
+        "segment": fraction * scale * _PITCH_M,
+        "gap": (1 - fraction) * scale * _PITCH_M,
         "track": 0.015 * scale,
         "radius": 0.008 * scale,
         "height": 0.015 * scale,

@@ -32,7 +32,7 @@ def option(declaration: str, text: str | None = None, **settings: Any) -> Any:
     return typer.Option(*flags, metavar=metavar or None, help=text, **settings)
 
 
-class Bounds(NamedTuple):
+class OptionRange(NamedTuple):
     """Minimum and maximum of an option that is declared in a docstring.
 
     See `expand_option_groups`.
@@ -67,7 +67,7 @@ def argument(
     return typer.Argument(metavar=metavar, help=text, autocompletion=completion)
 
 
-def jobs_option(declaration: str) -> Any:
+def workers_option(declaration: str) -> Any:
     """Return the option for the number of parallel runs."""
     return option(
         declaration,
@@ -106,7 +106,7 @@ StrictOption = Annotated[bool, option("--strict", _STRICT)]
 QuietOption = Annotated[
     bool, option("--quiet -q", "Print only errors, without tables and progress.")
 ]
-JobsOption = Annotated[int | None, jobs_option("--jobs -j N")]
+WorkersOption = Annotated[int | None, workers_option("--workers -j N")]
 JsonOption = Annotated[
     bool, option("--json", "Print the result as a JSON document instead of tables.")
 ]

@@ -27,12 +27,12 @@ from srs_twin.cli.options import (
     NO_CHANGES,
     ChangeOptions,
     CheckOption,
-    JobsOption,
     JsonOption,
     OneOutOption,
     QuietOption,
     ScenarioArgument,
     StrictOption,
+    WorkersOption,
     argument,
     parse_plants,
     print_json,
@@ -66,7 +66,7 @@ class ReportOptions:
     def fails(self) -> frozenset[str]:
         """States (`scenario.expectation.verdict`) that set the exit code to 1."""
         if self.strict:
-            return frozenset({"missed", "known", "holds", "not_judged"})
+            return frozenset({"missed", "expected_failure", "holds", "not_judged"})
         if self.check:
             return frozenset({"missed"})
         return frozenset()
@@ -370,7 +370,7 @@ def run(
     scenarios: Annotated[list[str], argument("SCENARIO", shipped=["scenario"])],
     out: str | None = None,
     report: ReportOptions = DEFAULT_REPORT,
-    jobs: JobsOption = None,
+    jobs: WorkersOption = None,
     plants: str | None = None,
     changed: ChangeOptions = NO_CHANGES,
 ) -> None:

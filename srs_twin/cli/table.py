@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 STATE_LABELS = {
     "met": "met",
     "missed": "MISSED",
-    "known": "known",
+    "expected_failure": "expected",
     "holds": "HOLDS",
     "not_judged": "not judged",
 }
@@ -176,7 +176,7 @@ def needs_explanation(metrics: Mapping[str, Any]) -> bool:
     missed = {
         row["metric"]
         for row in metrics["expectations"]
-        if verdict(row) in ("missed", "known")
+        if verdict(row) in ("missed", "expected_failure")
     }
     return bool(missed & _EXPLAINABLE) and "attribution" not in metrics
 
@@ -185,7 +185,10 @@ def _expectation_line(row: ExpectationRow) -> str:
     source = f" ({row['source']})" if row.get("source") else ""
     remarks = "".join(
         f"; {key}: {text}"
-        for key, text in (("reason", row.get("reason")), ("known", row.get("known")))
+        for key, text in (
+            ("reason", row.get("reason")),
+            ("expected failure", row.get("expected_failure")),
+        )
         if text
     )
     return (

@@ -17,7 +17,7 @@ import typer
 
 from srs_twin.cli.catalogue import is_robot
 from srs_twin.cli.console import ScenarioProgress, handle_signals
-from srs_twin.cli.options import Bounds, ChangeOptions, QuietOption, argument
+from srs_twin.cli.options import ChangeOptions, OptionRange, QuietOption, argument
 from srs_twin.errors import InputError
 from srs_twin.io.files import display_path, escape_unprintable
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 def view(
     runs: Annotated[list[str], argument("RUN")],
     web: bool = False,
-    port: Annotated[int | None, Bounds(1, 65535)] = None,
+    port: Annotated[int | None, OptionRange(1, 65535)] = None,
 ) -> None:
     """Open the recordings of finished runs in the Rerun viewer.
 
@@ -236,8 +236,8 @@ class PictureOptions:
     ghost: bool = False
     out: str | None = None
     size: str = "1280x720"
-    fps: Annotated[int, Bounds(1, 120)] = 30
-    speed: Annotated[float, Bounds(0.001, 1000)] = 1.0
+    fps: Annotated[int, OptionRange(1, 120)] = 30
+    speed: Annotated[float, OptionRange(0.001, 1000)] = 1.0
     from_: float | None = None
     to: float | None = None
 

@@ -17,7 +17,7 @@ from srs_twin.trajectory import Trajectory
 _MIN_OVERLAP = 0.25
 """Minimum overlap that is reported, body widths.
 
-Smaller overlaps may be artefacts: the hulls of the twin are chords, up to 3 mm inside
+Smaller overlaps may be artefacts: the collision geoms of the twin are chords, up to 3 mm inside
 the arcs, and contacts are not perfectly rigid.
 """
 _MAX_SAMPLES = 200
@@ -42,7 +42,7 @@ def centre_lines(
     Returns:
         Centre lines, shape (samples, segments, divisions + 3, 2), m.
     """
-    theta = trajectory.stack("theta")
+    theta = trajectory.stack("connector_heading")
     front = trajectory.position[:, :-1]
     rear = trajectory.position[:, 1:]
     bend = (theta[:, :-1] - theta[:, 1:])[..., None]
@@ -61,7 +61,7 @@ def centre_lines(
 
 def body_sides(trajectory: Trajectory, geometry: Geometry, divisions: int = 8) -> Array:
     """Return points on both sides of the body, shape (samples, points, 2), m."""
-    theta = trajectory.stack("theta")
+    theta = trajectory.stack("connector_heading")
     front = theta[:, :-1, None]
     rear = theta[:, 1:, None]
     arc = front - (front - rear) * np.linspace(0.0, 1.0, divisions + 1)
@@ -93,7 +93,9 @@ def body_overlap(trajectory: Trajectory, geometry: Geometry) -> float:
     along the body exceeds twice the body width. Overlaps below a quarter of the width
     give 0.
     """
-    curled = np.flatnonzero(np.ptp(trajectory.stack("theta"), axis=1) > np.pi)
+    curled = np.flatnonzero(
+        np.ptp(trajectory.stack("connector_heading"), axis=1) > np.pi
+    )
     if trajectory.has("z") or not len(curled):
         return 0.0
     rows = curled[:: -(-len(curled) // _MAX_SAMPLES)]

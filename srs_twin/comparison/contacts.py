@@ -39,7 +39,7 @@ _MAX_INTERRUPTION_S = 0.1
 
 
 @dataclass(frozen=True)
-class Touch:
+class ContactInterval:
     """Contact with an obstacle.
 
     Attributes:
@@ -56,7 +56,7 @@ class Touch:
     connector: int
 
 
-def touches(trajectory: Trajectory) -> list[Touch]:
+def touches(trajectory: Trajectory) -> list[ContactInterval]:
     """Return contacts in order."""
     force = obstacle_force(trajectory)
     if force is None:
@@ -66,7 +66,9 @@ def touches(trajectory: Trajectory) -> list[Touch]:
         largest = force[group].max(axis=0)
         connector = int(largest.argmax())
         begin, end = map(float, trajectory.time[group[[0, -1]]])
-        contacts.append(Touch(begin, end, float(largest[connector]), connector + 1))
+        contacts.append(
+            ContactInterval(begin, end, float(largest[connector]), connector + 1)
+        )
     return contacts
 
 
@@ -96,7 +98,7 @@ def _duration(begin: float, end: float) -> str:
 def contact_metrics(trajectory: Trajectory) -> dict[str, float | None]:
     """Return the metrics in `CONTACT_UNITS`; all are None in a world without obstacles.
 
-    The clearance is the minimum distance of the collision hull from obstacles and
+    The clearance is the minimum distance of the collision collision geom from obstacles and
     objects at the samples (`plants.clearance`). After a contact the clearance is at
     most 0, even if the contact occurred between two samples.
     """

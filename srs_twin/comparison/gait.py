@@ -292,7 +292,7 @@ def energy_metrics(
         metrics["internal_power_w"] = _mean_rate(trajectory, window, "internal_loss")
     for source, power, cost in (
         ("work", "mechanical_power_w", "cost_of_transport"),
-        ("air", "pneumatic_power_w", "pneumatic_cost_of_transport"),
+        ("pneumatic_energy", "pneumatic_power_w", "pneumatic_cost_of_transport"),
     ):
         if trajectory.has(source):
             metrics[power] = _mean_rate(trajectory, window, source)
@@ -312,7 +312,7 @@ SPATIAL_MEANINGS = meanings_of("""
 travel_speed_m_s: speed of a spatial snake in any direction, mean over whole gait periods
 travel_direction_rad: direction of travel relative to the mean heading; positive to the left
 body_height_m: largest height of a connector of a spatial snake
-contact_share: mean share of connectors that press on the floor
+contact_fraction: mean share of connectors that press on the floor
 supports: mean number of separate parts of the body that press on the floor
 roll_turns: turns of the body about its axis over the whole run, mean over the connectors
 """)
@@ -347,14 +347,14 @@ def spatial_metrics(trajectory: Trajectory) -> dict[str, float | None]:
         _, velocity = window.running_mean(trajectory, trajectory.com)
         c = np.cos(heading)
         s = np.sin(heading)
-        ahead = float((c * velocity[:, 0] + s * velocity[:, 1]).mean())
+        forward = float((c * velocity[:, 0] + s * velocity[:, 1]).mean())
         left = float((c * velocity[:, 1] - s * velocity[:, 0]).mean())
-        metrics["travel_speed_m_s"] = math.hypot(ahead, left)
-        metrics["travel_direction_rad"] = math.atan2(left, ahead)
+        metrics["travel_speed_m_s"] = math.hypot(forward, left)
+        metrics["travel_direction_rad"] = math.atan2(left, forward)
         used = slice(int(np.searchsorted(trajectory.time, window.start)), None)
     metrics["body_height_m"] = float(trajectory.stack("z")[used].max())
     touches = trajectory.stack("load")[used] > 0.0
-    metrics["contact_share"] = float(touches.mean())
+    metrics["contact_fraction"] = float(touches.mean())
     metrics["supports"] = float(
         (np.diff(touches, axis=1, prepend=False) & touches).sum(axis=1).mean()
     )

@@ -65,19 +65,19 @@ class PeriodAmplitudes:
             InputError: the metadata lack the start times of filling or the gait
                 frequency.
         """
-        sensed = trajectory.stack("sensed")
-        period, fill_starts = _chamber_periods(trajectory, sensed.shape[-1])
+        measured_bend = trajectory.stack("measured_bend")
+        period, fill_starts = _chamber_periods(trajectory, measured_bend.shape[-1])
         time = trajectory.time
         whole = int(
             math.floor(((time[-1] - fill_starts) / period).min() + _PERIOD_ROUNDING)
         )
-        shape = (max(whole, 0), sensed.shape[-1], 2)
+        shape = (max(whole, 0), measured_bend.shape[-1], 2)
         result = cls(*np.full((3, *shape), math.nan))
         for side, name in enumerate(("plus", "minus")):
             target = trajectory.stack(f"target_{name}")
             duty = trajectory.stack(f"duty_{name}")
             for j in range(shape[1]):
-                bend = sensed[:, j] if side == 0 else -sensed[:, j]
+                bend = measured_bend[:, j] if side == 0 else -measured_bend[:, j]
                 edges = fill_starts[j, side] + period * (
                     np.arange(shape[0] + 1) - _PERIOD_ROUNDING
                 )
@@ -187,7 +187,7 @@ def box_edges(
     inside = (trajectory.time >= window.start - 1e-9) & (
         trajectory.time <= window.end + 1e-9
     )
-    theta = trajectory.stack("theta")[inside]
+    theta = trajectory.stack("connector_heading")[inside]
     position = trajectory.position[inside]
     half = (positive_number(trajectory, "body_width_m") or 0.0) / 2
     offset = path.right_offset(offset_to_sides(position, theta, half))
@@ -213,8 +213,8 @@ path_radius_m: radius of the path in the last five periods
 path_radius_spread_rel: range of the radii of these periods, divided by their mean
 heading_drift_rad: turn of the heading per period, mean over the last five
 heading_drift_by_period_rad: turn of the heading in each period
-box_left_m: extent of the body to the left of its path; negative
-box_right_m: extent of the body to the right of its path
+extent_left_m: extent of the body to the left of its path
+extent_right_m: extent of the body to the right of its path
 """)
 LEARNING_LIST_UNITS = units_of(
     ["amplitude_error_rad", "duty", "heading_drift_by_period_rad"]
@@ -240,7 +240,9 @@ _MIN_CURVATURE = 1e-3
 
 def is_learning(trajectory: Trajectory) -> bool:
     """Return whether a run has iterative learning."""
-    return all(trajectory.has(name) for name in ("sensed", "duty_plus", "target_plus"))
+    return all(
+        trajectory.has(name) for name in ("measured_bend", "duty_plus", "target_plus")
+    )
 
 
 def learning_metrics(trajectory: Trajectory) -> dict[str, object]:
@@ -257,11 +259,11 @@ def learning_metrics(trajectory: Trajectory) -> dict[str, object]:
     periods give four values. The curvature is 2 sin(turn/2)/chord. The curvature before
     learning is a mean over the two periods before the first update of a duty. It is
     None if these periods would begin less than half a period after the start.
-    ``box_left_m`` and ``box_right_m`` are measured from the circle or line that is
+    ``extent_left_m`` and ``extent_right_m`` are measured from the circle or line that is
     fitted to the path of the last five periods.
 
     Args:
-        trajectory: run with ``sensed``, ``duty_…`` and ``target_…``.
+        trajectory: run with ``measured_bend``, ``duty_…`` and ``target_…``.
 
     Raises:
         InputError: columns or metadata are missing or unusable.
@@ -355,7 +357,9 @@ def _path(trajectory: Trajectory, period: float) -> dict[str, float | None]:
             np.ptp(np.array(radii, dtype=float)) / abs(mean)
         )
     metrics["path_radius_m"] = mean
-    metrics["box_left_m"], metrics["box_right_m"] = box_edges(trajectory, window, path)
+    left, right = box_edges(trajectory, window, path)
+    metrics["extent_left_m"] = -left
+    metrics["extent_right_m"] = right
     return metrics
 
 

@@ -84,7 +84,7 @@ RELATIVE = {
     "settling_5_s",
     "ripple_pp_rad",
     "ripple_rms_rad",
-    "sensed_ripple_pp_rad",
+    "measured_ripple_pp_rad",
     "steady_rms_rad",
     "error_rms_rad",
     "amplitude_rel",
@@ -567,7 +567,7 @@ _MEASURED = (
 )
 _GAIT = f"""
     com_speed_m_s yaw_rate_rad_s turning_radius_m path_length_m mean_bend_amplitude_rad
-    travel_speed_m_s travel_direction_rad body_height_m contact_share supports roll_turns object_moved_m
+    travel_speed_m_s travel_direction_rad body_height_m contact_fraction supports roll_turns object_moved_m
     contacts contact_time_s clearance_m
     periods_to_converge amplitude_error_end_rel path_speed_m_s path_curvature_before_per_m
     path_curvature_per_m mechanical_power_w cost_of_transport pneumatic_power_w {_MEASURED} realtime_factor

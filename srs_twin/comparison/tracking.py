@@ -180,7 +180,7 @@ steady_error_rad: mean error in the second half of the time in which the referen
 steady_rms_rad: RMS error in that time
 ripple_pp_rad: peak-to-peak of the bend in that time
 ripple_rms_rad: RMS of the bend about its mean in that time
-sensed_ripple_pp_rad: peak-to-peak of the sensor reading in that time
+measured_ripple_pp_rad: peak-to-peak of the sensor reading in that time
 error_rms_rad: RMS of reference minus bend over the run
 amplitude_rel: amplitude of the bend divided by that of a sine reference
 amplitude_spread_rel: standard deviation of that ratio between periods
@@ -247,8 +247,10 @@ def _step_metrics(trajectory: Trajectory, begin: int) -> dict[str, float | None]
         "ripple_pp_rad": float(np.ptp(steady)),
         "ripple_rms_rad": float(steady.std()),
     }
-    if trajectory.has("sensed_1"):
-        metrics["sensed_ripple_pp_rad"] = float(np.ptp(trajectory["sensed_1"][tail]))
+    if trajectory.has("measured_bend_1"):
+        metrics["measured_ripple_pp_rad"] = float(
+            np.ptp(trajectory["measured_bend_1"][tail])
+        )
     if abs(target - before) >= _MIN_STEP:
         metrics |= step_response(time, bend[begin:], before, target)
     return metrics
@@ -350,17 +352,19 @@ class ReadingCurve:
             InputError: columns are missing or unusable.
         """
         kind = _sensor(trajectory).get("kind", "ideal")
-        if kind == "ideal" or not trajectory.has("sensed_1"):
+        if kind == "ideal" or not trajectory.has("measured_bend_1"):
             return None
         check_columns(trajectory, "bend_1")
-        read = np.isfinite(trajectory["sensed_1"])
+        read = np.isfinite(trajectory["measured_bend_1"])
         bend = trajectory["bend_1"][read]
-        sensed = trajectory["sensed_1"][read]
+        measured_bend = trajectory["measured_bend_1"][read]
         # Rounding centres a bin at 0, so that bends to both sides are treated equally.
         _, bins, samples = np.unique(
             np.round(bend / BIN_RAD), return_inverse=True, return_counts=True
         )
-        means = [np.bincount(bins, values) / samples for values in (bend, sensed)]
+        means = [
+            np.bincount(bins, values) / samples for values in (bend, measured_bend)
+        ]
         return cls(*means)
 
     @property
@@ -393,7 +397,7 @@ def reading_metrics(trajectory: Trajectory) -> dict[str, float | None]:
     run, but not on their cause.
 
     Args:
-        trajectory: run with ``bend_1``, ``sensed_1`` and the sensor in its metadata.
+        trajectory: run with ``bend_1``, ``measured_bend_1`` and the sensor in its metadata.
 
     Raises:
         InputError: columns are missing or unusable.

@@ -27,8 +27,8 @@ _ENERGY = {
     "mechanical_power_w": "work",
     "internal_power_w": "internal_loss",
     "cost_of_transport": "work",
-    "pneumatic_power_w": "air",
-    "pneumatic_cost_of_transport": "air",
+    "pneumatic_power_w": "pneumatic_energy",
+    "pneumatic_cost_of_transport": "pneumatic_energy",
 }
 _OF_A_GAIT = {
     "com_speed_m_s",
@@ -165,7 +165,7 @@ def _tracking(
         )
     if metric in _OPENINGS:
         return Undefined("the run does not record these openings")
-    if metric == "sensed_ripple_pp_rad" and values.get("ripple_pp_rad") is not None:
+    if metric == "measured_ripple_pp_rad" and values.get("ripple_pp_rad") is not None:
         return Undefined("the run has no sensor")
     return Undefined("the reference is not a single step")
 

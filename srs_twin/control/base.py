@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 class Controller(Claimable, Stateful, ABC):
     """Controller that computes the valve commands of one control tick.
 
-    A controller reads the sensed bends in `SnakeState.sensed` and poses from a camera.
+    A controller reads the sensed bends in `SnakeState.measured_bend` and poses from a camera.
     It never reads the true `bend`, and it does not know which plant it controls.
 
     Attributes:
@@ -141,16 +141,16 @@ class SensorReadings(Stateful):
         self.value: np.ndarray = np.zeros(segments)
         self.lost: np.ndarray = np.zeros(segments, dtype=bool)
 
-    def update(self, time: float, sensed: np.ndarray) -> list[Event]:
+    def update(self, time: float, measured_bend: np.ndarray) -> list[Event]:
         """Store the readings of one tick, and return loss and recovery events.
 
         Args:
             time: time of the readings, s.
-            sensed: bends reported by the sensors, shape (segments,), rad.
+            measured_bend: bends reported by the sensors, shape (segments,), rad.
         """
-        sensed = np.asarray(sensed, dtype=float)
-        lost = ~(np.abs(sensed) <= MAX_READING_RAD)
-        self.value = np.where(lost, self.value, sensed)
+        measured_bend = np.asarray(measured_bend, dtype=float)
+        lost = ~(np.abs(measured_bend) <= MAX_READING_RAD)
+        self.value = np.where(lost, self.value, measured_bend)
         if (lost == self.lost).all():
             return []
         events = []

@@ -65,7 +65,7 @@ class PitchWave:
     """Wave that bends a spatial robot upwards and downwards; see the module docstring.
 
     Attributes:
-        share: pitch fraction s, the amplitude of the pitch wave divided by the sum of
+        fraction: pitch fraction s, the amplitude of the pitch wave divided by the sum of
             both amplitudes, 0 to 1.
         lag_rad: phase lag λ behind the wave to the left and right, rad.
         frequency_ratio: ratio ρ of the pitch wave's frequency to the gait frequency,
@@ -74,15 +74,15 @@ class PitchWave:
             upwards.
     """
 
-    share: float = 0.5
+    fraction: float = 0.5
     lag_rad: float = math.pi / 2
     frequency_ratio: float = 1.0
     lifted_segments: int = 0
 
     def __post_init__(self) -> None:
-        if not 0 <= self.share <= 1:
+        if not 0 <= self.fraction <= 1:
             raise InputError(
-                f"pitch share {self.share!r} is not allowed; it must be 0 to 1"
+                f"pitch share {self.fraction!r} is not allowed; it must be 0 to 1"
             )
         if not math.isfinite(self.lag_rad):
             raise InputError(
@@ -114,7 +114,7 @@ class PitchWave:
     @property
     def rest_levels(self) -> tuple[float, float]:
         """Levels sin(π r/2) below which the lateral wave and the pitch wave rest."""
-        ratio = self.share / (1 - self.share) if self.share < 1 else math.inf
+        ratio = self.fraction / (1 - self.fraction) if self.fraction < 1 else math.inf
         left = 1 / max(ratio, 1.0)
         up = min(ratio, 1.0)
         return _rest_level(left), _rest_level(up)
@@ -151,7 +151,7 @@ class Gait(Controller):
         phase: float = 0.0,
         phase_step: float | None = None,
         phases: Sequence[float] | None = None,
-        rest_share: float | None = None,
+        rest_fraction: float | None = None,
         pitch: PitchWave | None = None,
     ) -> None:
         """Create the gait.
@@ -164,7 +164,7 @@ class Gait(Controller):
                 robot.
             phases: additional phase lags α, rad, one value per segment; None means
                 zeros.
-            rest_share: fraction r of the period at rest, at least 0 and below 1; None
+            rest_fraction: fraction r of the period at rest, at least 0 and below 1; None
                 means 0.
             pitch: pitch wave of a spatial robot, or None.
 
@@ -173,10 +173,10 @@ class Gait(Controller):
                 frequency is not above 0, or the offset or the rest fraction is out of
                 range. Setting `offset` later raises this error as well.
         """
-        rest_share = rest_share or 0.0
-        if not 0 <= rest_share < 1:
+        rest_fraction = rest_fraction or 0.0
+        if not 0 <= rest_fraction < 1:
             raise InputError(
-                f"gait rest {rest_share!r} is not allowed; it must be at least 0 and"
+                f"gait rest {rest_fraction!r} is not allowed; it must be at least 0 and"
                 " below 1"
             )
         self.frequency = _checked_frequency(frequency)
@@ -184,11 +184,11 @@ class Gait(Controller):
         self.phase = phase
         self._phase_step = phase_step
         self._phases = phases or ()
-        self.rest_level = math.sin(math.pi / 2 * rest_share)
-        if pitch is not None and rest_share:
+        self.rest_level = math.sin(math.pi / 2 * rest_fraction)
+        if pitch is not None and rest_fraction:
             raise InputError(
-                "rest_share is not allowed for a gait with a pitch wave, because the"
-                " pitch share sets how long the gait rests; remove rest_share"
+                "rest_fraction is not allowed for a gait with a pitch wave, because the"
+                " pitch share sets how long the gait rests; remove rest_fraction"
             )
         self.pitch = pitch
 
@@ -303,7 +303,7 @@ class Gait(Controller):
         assert self._axes is not None
         angle = 2 * math.pi * self.frequency * time[:, None] - self.phase_lag
         if self.pitch is None:
-            pitch = PitchWave(share=0.0)
+            pitch = PitchWave(fraction=0.0)
             rest_left = self.rest_level
             rest_up = 1.0
         else:

@@ -30,7 +30,7 @@ from srs_twin.trajectory import Event
 if TYPE_CHECKING:
     from srs_twin.plants.base import SnakeState
 
-MODES = ("open_loop", "sensed")
+MODES = ("open_loop", "measured_bend")
 SIDES = ("left", "right")
 _SLOTS = 20  # slots per tick, which resolve the duty of the curl
 _SETTLED_RAD_PER_S = 0.3  # bend rate below which the curl has ended
@@ -123,7 +123,7 @@ class Grasp(Controller):
         self,
         frequency: float,
         *,
-        mode: str = "sensed",
+        mode: str = "measured_bend",
         side: str = "left",
         hold: int = 4,
         curl_s: float = 1.5,
@@ -189,7 +189,7 @@ class Grasp(Controller):
     def step(self, state: SnakeState) -> np.ndarray:
         """Return the valve states of the next tick, shape (slots, segments, 2)."""
         time = float(state.time)
-        self._events += self._readings.update(time, state.sensed)
+        self._events += self._readings.update(time, state.measured_bend)
         toward = 1.0 if self.side == "left" else -1.0
         bends = toward * self._readings.value[-self.hold :]
         self._past = [*self._past, bends][-max(round(_SETTLING_S / self._tick), 2) :]
@@ -213,7 +213,7 @@ class Grasp(Controller):
         if self.phase is Phase.CURL and time >= self.curl_s:
             change = np.abs(self._past[-1] - self._past[0]).max()
             rate = change / (self._tick * (len(self._past) - 1))
-            is_sensed = self.mode == "sensed"
+            is_sensed = self.mode == "measured_bend"
             has_settled = is_sensed and rate < _SETTLED_RAD_PER_S
             if not (has_settled or time >= self.drag_after_s):
                 return

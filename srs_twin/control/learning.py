@@ -191,7 +191,7 @@ class ILC(Controller):
         """Return the valve states of the next tick, shape (slots, segments, 2)."""
         time = float(state.time)
         self._steer_wave()
-        self._events += self._readings.update(time, state.sensed)
+        self._events += self._readings.update(time, state.measured_bend)
         self._periods.update(self._readings.value, self._readings.lost)
         if self.faults.tested.any():
             self.faults.update_tests(time, self._readings.value)

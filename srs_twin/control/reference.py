@@ -139,7 +139,7 @@ class Staircase(Reference):
 
 
 @dataclass(frozen=True)
-class Step(Reference):
+class StepReference(Reference):
     """Step from one bend to another.
 
     Attributes:

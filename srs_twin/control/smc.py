@@ -208,7 +208,7 @@ class SlidingMode(Controller):
 
     def _read_sensors(self, state: SnakeState) -> float:
         time = float(state.time)
-        self._events += self._readings.update(time, state.sensed)
+        self._events += self._readings.update(time, state.measured_bend)
         next_reference = float(self.reference.value(time + self._tick))
         self._next_reference = np.full(self._readings.value.shape, next_reference)
         clipped = bool(self.reference.is_clipped(time))

@@ -295,8 +295,8 @@ class SpatialCrawlEpisode(CrawlEpisode):
     """Pitch fraction (dimensionless) and lag (rad) of the last pitch wave."""
 
     def _command(self, action: list[float]) -> tuple[GaitCommand, PitchWave | None]:
-        share, lag = self._pitch = action[3], action[4]
-        return super()._command(action[:3])[0], PitchWave(share, lag)
+        fraction, lag = self._pitch = action[3], action[4]
+        return super()._command(action[:3])[0], PitchWave(fraction, lag)
 
     def _last_command(self) -> list[float]:
         return [*super()._last_command(), *self._pitch]
@@ -474,7 +474,7 @@ class SpatialCrawlTask(CrawlTask):
         return (
             *super()._action_signals(),
             Signal(
-                "pitch_share",
+                "pitch_fraction",
                 "1",
                 0.0,
                 1.0,

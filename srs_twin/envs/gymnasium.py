@@ -137,7 +137,7 @@ class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
         # refused.
         episode = self.task.begin(rng, None if checked else self.episode)
         if "snake" in checked:
-            episode.place(checked["snake"], checked.get("yaw_rate", 0.0))
+            episode.set_state(checked["snake"], checked.get("yaw_rate", 0.0))
         if "goal" in checked:
             episode.set_goal(checked["goal"])
         if "state" in checked:

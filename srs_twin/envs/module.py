@@ -31,7 +31,7 @@ STEP_S = 0.05
 HOLD_S = 1.0
 """Time for which the reference is constant, s."""
 
-REACH_SHARE = 0.8
+REACH_FRACTION = 0.8
 """Maximum reference as a fraction of the free bend at the nominal supply pressure."""
 
 TIMESTEP_S = 0.00025
@@ -79,7 +79,7 @@ class ModuleTask(Task):
                 f"robot '{spec.name}' has {spec.segments} segments; this task needs a"
                 " robot with one segment"
             )
-        self.reach = REACH_SHARE * largest_bend(spec, spec.supply.nominal)
+        self.reach = REACH_FRACTION * largest_bend(spec, spec.supply.nominal)
         plus = f"duty of the + chamber at {CARRIER_HZ:g} Hz; it bends to the left"
         minus = f"duty of the − chamber at {CARRIER_HZ:g} Hz; it bends to the right"
         self.actions = (
@@ -150,7 +150,7 @@ class ModuleEpisode(Episode):
 
     def _measure(self) -> dict[str, list[float]]:
         before = float(self._readings.value[0])
-        self._readings.update(float(self.state.time), self.state.sensed)
+        self._readings.update(float(self.state.time), self.state.measured_bend)
         bends = [float(self._readings.value[0]), before, self._reference()]
         return {"bends": bends, "command": self._duties}
 

@@ -56,18 +56,18 @@ class ObservedEpisode(Episode):
     ) -> None:
         """Initialise; see `Episode.__init__`."""
         self._frames = CameraFrames(task.camera, seed)
-        self._readings = SensorReadings(state.sensed.size)
-        self._air = float(state.air)
+        self._readings = SensorReadings(state.measured_bend.size)
+        self._air = float(state.pneumatic_energy)
         super().__init__(task, twin, state)
 
     def _initialise_from_state(self) -> None:
         self._frames.restart()
-        self._air = float(self.state.air)
+        self._air = float(self.state.pneumatic_energy)
 
     def _observe(self) -> tuple[Pose, dict[str, Sequence[float]]]:
         seen = self._frames.capture(self.state)
         assert seen is not None, "the camera has one frame per step"
-        bends = self.state.sensed.T.ravel()  # to the left, then upwards
+        bends = self.state.measured_bend.T.ravel()  # to the left, then upwards
         self._readings.update(float(self.state.time), bends)
         angle = self._gait_angle()
         return seen, {
@@ -87,7 +87,7 @@ class ObservedEpisode(Episode):
 
     def _costs(self) -> dict[str, float]:
         before = self._air
-        self._air = float(self.state.air)
+        self._air = float(self.state.pneumatic_energy)
         return {"time_s": self._task.step_s, "air_j": self._air - before}
 
     def _info(self) -> dict[str, Any]:

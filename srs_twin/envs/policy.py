@@ -36,7 +36,7 @@ from srs_twin.planning.follower import Conditions, Follower
 from srs_twin.planning.footprint_file import load_footprint
 from srs_twin.planning.planner import plan
 from srs_twin.planning.problem import Problem, Settings
-from srs_twin.planning.steering import PathLaw
+from srs_twin.planning.steering import PathTracking
 from srs_twin.plants.base import SnakeState
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import Circle, Goal, Pose, World
@@ -168,7 +168,7 @@ PEGS_FREQUENCY_HZ = 1.0
 
 # The next four values are taken from scenario follow_fig57. docs/course.md describes
 # how they were chosen.
-TURN_SHARE = 0.7
+TURN_FRACTION = 0.7
 """Fraction of the curvature range for planning; the steering law needs the rest."""
 
 SETTLE_M = 0.035
@@ -251,12 +251,14 @@ class PathFollowing(_Baseline):
         world = World(tuple(_circles(values, pose)), self._arena.room, goal)
         measured = load_footprint(FOOTPRINT)
 
-        def replan(start: Pose, share: float = 1.0) -> Any:
-            footprint = measured.reduced(TURN_SHARE, share * MARGIN_M)
+        def replan(start: Pose, fraction: float = 1.0) -> Any:
+            footprint = measured.reduced(TURN_FRACTION, fraction * MARGIN_M)
             return plan(Problem(start, goal, world, footprint), _PLANNER_SETTINGS)
 
-        law = PathLaw(measured, LOOKAHEAD_M, SETTLE_M)
-        conditions = Conditions(Camera(1 / STEP_S), settle=SETTLE_M, stray=STRAY_M)
+        law = PathTracking(measured, LOOKAHEAD_M, SETTLE_M)
+        conditions = Conditions(
+            Camera(1 / STEP_S), response_length=SETTLE_M, max_cross_track_error=STRAY_M
+        )
         follower = Follower(
             self._offset, law, replan(pose), goal, measured, conditions, replan=replan
         )
@@ -310,7 +312,7 @@ class SensedGrasp(_Baseline):
         bends = np.array(
             [values[f"bend_{k + 1}_rad"] for k in range(self._task.robot.segments)]
         )
-        self._grasp.step(replace(self._state(values), sensed=bends))
+        self._grasp.step(replace(self._state(values), measured_bend=bends))
         return [self._grasp.duty, float(self._grasp.phase is Phase.DRAG), 0.0]
 
 

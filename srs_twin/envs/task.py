@@ -297,10 +297,10 @@ class Task(ABC):
                 f"action {abbreviate(action)} is not allowed; "
                 f"give {len(names)} finite numbers: {', '.join(names)}"
             )
-        shares = (np.clip(given, -1.0, 1.0) + 1) / 2
+        fractions = (np.clip(given, -1.0, 1.0) + 1) / 2
         return [
-            signal.low + share * (signal.high - signal.low)
-            for share, signal in zip(shares.tolist(), self.actions, strict=True)
+            signal.low + fraction * (signal.high - signal.low)
+            for fraction, signal in zip(fractions.tolist(), self.actions, strict=True)
         ]
 
     def from_physical(self, values: Sequence[float]) -> np.ndarray:
@@ -335,7 +335,7 @@ class Task(ABC):
         if (
             last is not None
             and last.twin.spec == spec
-            and not (solid or last.twin.touches)
+            and not (solid or last.twin.has_contact)
         ):
             return last.twin
         return TwinSnake(
@@ -410,13 +410,13 @@ class Episode(Stateful, ABC):
         self.load_state_dict(state.content)
         self._set_first(self._last_observation.copy())
 
-    def place(self, snake: SnakeState, yaw_rate: float = 0.0) -> None:
+    def set_state(self, snake: SnakeState, yaw_rate: float = 0.0) -> None:
         """Start from a given physical state, as `Plant.place` does.
 
         Raises:
             InputError: the twin cannot be in this state.
         """
-        self.state = self.twin.place(snake, yaw_rate=yaw_rate, seed=self.twin.seed)
+        self.state = self.twin.set_state(snake, yaw_rate=yaw_rate, seed=self.twin.seed)
         self._initialise_from_state()
         self._set_first(self._observation())
 
@@ -529,7 +529,7 @@ class Episode(Stateful, ABC):
         """Return diagnostics by name, where names end in the unit."""
         return {
             "time_s": float(self.state.time),
-            "air_j": float(self.state.air),
+            "air_j": float(self.state.pneumatic_energy),
             "ending": self.ending,
             **{f"reward_{name}": value for name, value in self._rewards.items()},
         }

@@ -177,7 +177,7 @@ def calibrate_actuator(
     valves: Paths = (),
     validate: Paths = (),
     supply_pa: float | None = None,
-    find: Sequence[str] | None = None,
+    parameters: Sequence[str] | None = None,
     static: bool = False,
     starts: int = 1,
     reader: RecordingReader = _READER,
@@ -195,7 +195,7 @@ def calibrate_actuator(
             beside the recordings.
         validate: recordings or tables for validation, not used by the fit.
         supply_pa: supply pressure, Pa, by default the nominal pressure of the robot.
-        find: names of the parameters to fit, by default all that the data can
+        parameters: names of the parameters to fit, by default all that the data can
             determine.
         static: whether plateaus of constant pressure in recordings are fitted.
         starts: number of searches.
@@ -212,10 +212,10 @@ def calibrate_actuator(
         why = "tables of constant pressures"
         _refuse_option(valves, "--valves", f"{why} have no log")
         _refuse_option(static, "--static", f"{why} already contain plateaus")
-        return task.calibrate(_STATIC_TABLES, names=find)
+        return task.calibrate(_STATIC_TABLES, names=parameters)
     if static:
-        return task.calibrate(_PLATEAUS, names=find)
-    return task.calibrate(_RESPONSES, names=find, starts=starts)
+        return task.calibrate(_PLATEAUS, names=parameters)
+    return task.calibrate(_RESPONSES, names=parameters, starts=starts)
 
 
 @checked
@@ -226,11 +226,11 @@ def calibrate_locomotion(
     valves: Paths = (),
     validate: Paths = (),
     supply_pa: float | None = None,
-    find: Sequence[str] = LOCOMOTION,
+    parameters: Sequence[str] = LOCOMOTION,
     plant: str = "analytical",
     model: str | None = None,
     law: str | None = None,
-    against: str = "both",
+    compare_signals: str = "both",
     starts: int | None = None,
     reader: RecordingReader = _READER,
     out: StrPath | None = None,
@@ -249,11 +249,11 @@ def calibrate_locomotion(
             beside the recordings.
         validate: recordings for validation, not used by the fit.
         supply_pa: supply pressure, Pa, by default the nominal pressure of the robot.
-        find: names of the parameters to fit.
+        parameters: names of the parameters to fit.
         plant: simulated plant, "analytical" or "twin".
         model: analytical model, by default "compliant".
         law: friction law of the analytical plant, by default "wheel".
-        against: compared signals ("averages", "shapes" or "both").
+        compare_signals: compared signals ("averages", "shapes" or "both").
         starts: number of searches, by default 3, or 1 with shapes of the twin.
         reader: see `calibrate_friction`.
         out: see `calibrate_friction`.
@@ -265,12 +265,12 @@ def calibrate_locomotion(
     """
     task = _Task(calibrate_locomotion, locals())
     reference = None if plant == "twin" else PlantModel("twin")
-    default_starts = 1 if plant == "twin" and against != "averages" else 3
+    default_starts = 1 if plant == "twin" and compare_signals != "averages" else 3
     return task.calibrate(
         _GAIT_RUNS,
-        names=find,
+        names=parameters,
         model=PlantModel(plant, _plant_settings(plant, model, law)),
-        against=against,
+        compare_signals=compare_signals,
         starts=starts or default_starts,
         reference=reference,
     )

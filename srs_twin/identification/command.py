@@ -12,9 +12,9 @@ import typer
 
 from srs_twin.cli.console import interruptible, say
 from srs_twin.cli.options import (
-    Bounds,
     FloorOption,
     JsonOption,
+    OptionRange,
     OverwriteOption,
     QuietOption,
     RobotArgument,
@@ -27,9 +27,9 @@ from srs_twin.errors import InputError
 from srs_twin.identification.fitting import (
     DataOptions,
     FilesArgument,
-    FindOption,
     FitOptions,
     FitOutput,
+    ParametersOption,
     RobotOption,
     ValidateOption,
     parse_names,
@@ -123,7 +123,7 @@ def friction(
 @with_options
 def design(
     robot: RobotArgument,
-    want: str,
+    target_accuracy: str,
     as_json: JsonOption = False,
 ) -> None:
     """Choose experiments that reach a target accuracy.
@@ -132,12 +132,12 @@ def design(
     pressure steps and gait runs.
 
     Options:
-        --want NAMES: Parameters with the target half-width of each 95 % interval, for
+        --target-accuracy NAMES: Parameters with the target half-width of each 95 % interval, for
             example friction.mu_t=5%,bending.stiffness_nm_per_rad=10%.
     """
     from srs_twin.identification.design import calibrate_design
 
-    targets = _parse_targets(want)
+    targets = _parse_targets(target_accuracy)
     with interruptible("nothing was chosen"):
         plan = calibrate_design(robot, targets)
     if as_json:
@@ -168,14 +168,14 @@ def design(
 def _parse_targets(text: str) -> dict[str, float]:
     targets = {}
     for entry in text.split(","):
-        name, _, share = entry.strip().partition("=")
+        name, _, fraction = entry.strip().partition("=")
         try:
-            targets[name] = float(share.removesuffix("%") or 10) / 100
+            targets[name] = float(fraction.removesuffix("%") or 10) / 100
         except ValueError:
             targets[name] = math.nan
         if not 0 < targets[name] < math.inf:
             raise InputError(
-                f"--want {entry}: must be NAME=PERCENT, as in friction.mu_t=5%"
+                f"--target-accuracy {entry}: must be NAME=PERCENT, as in friction.mu_t=5%"
             )
     return targets
 
@@ -185,10 +185,10 @@ def actuator(
     context: typer.Context,
     files: FilesArgument,
     data: DataOptions,
-    find: FindOption = None,
+    parameters: ParametersOption = None,
     offset: OffsetOption = None,
     static: bool = False,
-    starts: Annotated[int, Bounds(1, 100)] = 1,
+    starts: Annotated[int, OptionRange(1, 100)] = 1,
     markers: ReadingOptions = _DEFAULT_READING,
     fit: FitOptions = _DEFAULT_OUTPUT,
 ) -> None:
@@ -209,12 +209,12 @@ def locomotion(
     context: typer.Context,
     files: FilesArgument,
     data: DataOptions,
-    find: FindOption = _LOCOMOTION,
+    parameters: ParametersOption = _LOCOMOTION,
     plant: str = "analytical",
     model: str | None = None,
     law: FloorOption = None,
-    against: str = "both",
-    starts: Annotated[int | None, Bounds(1, 100)] = None,
+    compare_signals: str = "both",
+    starts: Annotated[int | None, OptionRange(1, 100)] = None,
     frequency: FrequencyOption = None,
     offset: OffsetOption = None,
     markers: ReadingOptions = _DEFAULT_READING,
@@ -229,7 +229,7 @@ def locomotion(
         --plant NAME: Model whose parameters are fitted: analytical or twin.
         --model NAME: Kind of analytical model: complete, simplified, compliant or
             quasistatic. [default: compliant]
-        --against WHAT: Signals that are fitted: averages (speed and yaw rate), shapes
+        --compare-signals WHAT: Signals that are fitted: averages (speed and yaw rate), shapes
             (path, heading and bends over time) or both.
         --starts N: Number of searches, each from a different starting point. [default:
             3; 1 with the twin's shapes]
@@ -242,10 +242,10 @@ def damping(
     files: FilesArgument,
     robot: RobotOption,
     valves: str = "open",
-    mass_kg: Annotated[float | None, Bounds(1e-4, 50)] = None,
+    mass_kg: Annotated[float | None, OptionRange(1e-4, 50)] = None,
     inertia_kg_m2: InertiaOption = None,
-    leak_per_s: Annotated[float | None, Bounds(0, 30)] = None,
-    noise_rad: Annotated[float | None, Bounds(1e-7, 1)] = None,
+    leak_per_s: Annotated[float | None, OptionRange(0, 30)] = None,
+    noise_rad: Annotated[float | None, OptionRange(1e-7, 1)] = None,
     from_s: float | None = None,
     fit: FitOptions = _DEFAULT_OUTPUT,
 ) -> None:

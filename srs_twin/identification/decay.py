@@ -45,7 +45,7 @@ _MIN_SIZE = 12.0
 Noise alone has a range of about 6 standard deviations.
 """
 
-_MIN_TURN_SHARE = 0.02
+_MIN_TURN_FRACTION = 0.02
 """Minimum visible half swing, as a fraction of the range of the bends."""
 
 _LEAST_DECREMENT = 0.01
@@ -241,7 +241,7 @@ def free_swing(
 
 def _visible_turns(name: str, bend: np.ndarray, first: int, noise: float) -> list[int]:
     size = float(np.ptp(bend[max(first - 1, 0) :]))
-    threshold = max(_MIN_TURN * noise, _MIN_TURN_SHARE * size)
+    threshold = max(_MIN_TURN * noise, _MIN_TURN_FRACTION * size)
     if size <= _MIN_SIZE * noise:
         raise InputError(
             f"{name}: the amplitude is within the noise ({noise:.2g} rad); release the"

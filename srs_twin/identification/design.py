@@ -42,7 +42,7 @@ from srs_twin.robot.file import load_robot_file
 from srs_twin.robot.spec import GRAVITY, RobotSpec
 from srs_twin.rollout import rollout
 
-PULL_SHARE = 0.015
+PULL_FRACTION = 0.015
 """Relative standard error of the mean of ten pulls (0.0015/0.0966, Section 3.4.1)."""
 
 LENGTH_STD_M = 4e-4
@@ -102,8 +102,8 @@ def _constant_noise(std: float) -> Callable[[Array], Array]:
     return lambda predicted: np.full(len(predicted), std)
 
 
-def _relative_noise(share: float) -> Callable[[Array], Array]:
-    return lambda predicted: share * np.maximum(np.abs(predicted), 1e-6)
+def _relative_noise(fraction: float) -> Callable[[Array], Array]:
+    return lambda predicted: fraction * np.maximum(np.abs(predicted), 1e-6)
 
 
 def _measurements(spec: RobotSpec) -> Iterator[CandidateExperiment]:
@@ -142,7 +142,7 @@ def _pulls(spec: RobotSpec) -> Iterator[CandidateExperiment]:
         def across(robot: RobotSpec, load: float = load) -> Array:
             return np.array([robot.friction.mu_n * (robot.mass.total + load) * GRAVITY])
 
-        noise = _relative_noise(PULL_SHARE)
+        noise = _relative_noise(PULL_FRACTION)
         yield CandidateExperiment(
             f"10 pulls along{words}, hoses as in use, moving", 10, along, noise
         )
@@ -272,29 +272,31 @@ class ExperimentDesign:
 
 
 @checked
-def calibrate_design(robot: StrPath, want: Mapping[str, float]) -> ExperimentDesign:
+def calibrate_design(
+    robot: StrPath, target_accuracy: Mapping[str, float]
+) -> ExperimentDesign:
     """Choose recordings for a requested accuracy, as `srs-twin calibrate design` does.
 
     Args:
         robot: name or path of the robot, whose file states what is known.
-        want: half width of the requested 95 % interval of each parameter, relative to
+        target_accuracy: half width of the requested 95 % interval of each parameter, relative to
             the value (0.05 is 5 %).
 
     Raises:
         InputError: the robot is not valid, or no parameter is requested.
     """
     file = load_robot_file(robot)
-    shares = (np.arange(64) + 0.5) / 64
+    fractions = (np.arange(64) + 0.5) / 64
     has_priors = any(record.uncertain for record in file.records().values())
     if has_priors:
         priors = Priors.from_robot(file).parameters
     else:
         priors = ()
     known = {
-        prior.path: (prior.value, float(prior.quantile(shares).std()))
+        prior.path: (prior.value, float(prior.quantile(fractions).std()))
         for prior in priors
     }
-    return choose_experiments(file.spec(), known, want)
+    return choose_experiments(file.spec(), known, target_accuracy)
 
 
 def choose_experiments(
@@ -315,7 +317,7 @@ def choose_experiments(
     """
     if not targets:
         raise InputError(
-            "--want contains no parameters; give one or more, such as friction.mu_t=5%"
+            "--target-accuracy contains no parameters; give one or more, such as friction.mu_t=5%"
         )
     zero_scale = 0.1 * spec.friction.mu_t * spec.mass.total * GRAVITY
     names = list(dict.fromkeys([*targets, *known]))
@@ -379,5 +381,5 @@ def _information(
             experiment.predict(with_values(spec, {name: value})) for value in (up, down)
         ]
         columns.append((ends[0] - ends[1]) / ((up - down) / size))
-    slopes = np.stack(columns, axis=1) / experiment.noise(predicted)[:, None]
-    return np.asarray(slopes.T @ slopes)
+    derivatives = np.stack(columns, axis=1) / experiment.noise(predicted)[:, None]
+    return np.asarray(derivatives.T @ derivatives)

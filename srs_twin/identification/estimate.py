@@ -323,7 +323,7 @@ MIN_CORRELATED_SAMPLES = 20
 _ITERATIONS = 5
 """Number of iterations of the correction for fitted parameters (three suffice)."""
 
-_MAX_REMOVED_SHARE = 0.5
+_MAX_REMOVED_FRACTION = 0.5
 """Maximum value of c, above which the residuals no longer represent the noise."""
 
 
@@ -353,7 +353,7 @@ def correlation_time(series: Sequence[np.ndarray], unknowns: int = 0) -> float:
     samples = sum(len(residuals) for residuals in long)
     time = uncorrected
     for _ in range(_ITERATIONS):
-        removed = min(unknowns * time / samples, _MAX_REMOVED_SHARE)
+        removed = min(unknowns * time / samples, _MAX_REMOVED_FRACTION)
         correlations = (float(kept.sum()) - 1 + lags * removed) / (1 + removed)
         time = max(1.0, 1.0 + 2 * correlations)
     return time

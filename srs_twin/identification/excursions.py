@@ -1,7 +1,7 @@
 """Excursions of a path follower, measured on random paths.
 
 An excursion is the maximum distance of the body beyond the footprint. The runs have the
-conditions of a scenario. After the straight run-up of the scenario, the robot follows a
+conditions of a scenario. After the straight lead-in of the scenario, the robot follows a
 random path of length `LENGTH_M` without obstacles. The seed of a run determines the
 modules, the camera noise and the path.
 """
@@ -31,7 +31,7 @@ from srs_twin.planning.footprint_file import (
 )
 from srs_twin.planning.metrics import beyond, following
 from srs_twin.planning.path import path_from_arcs
-from srs_twin.planning.problem import Outcome, Plan
+from srs_twin.planning.problem import Plan, PlanOutcome
 from srs_twin.robot.file import RobotFile
 from srs_twin.robot.world import Goal, Pose, World
 from srs_twin.rollout import rollout
@@ -54,7 +54,7 @@ _MAX_HEADING = 1.4
 Beyond this heading a path might cross itself.
 """
 
-_SLOWEST_SHARE = 0.5
+_SLOWEST_FRACTION = 0.5
 """Mean speed below which a run counts as failed, relative to the footprint.
 
 The reference is the minimum speed over all offsets of the footprint.
@@ -70,16 +70,16 @@ class FollowerRun:
 
     Attributes:
         document: scenario with a straight path to follow, as plain data.
-        run_up: length of the straight start of the path, m.
+        lead_in: length of the straight start of the path, m.
     """
 
     document: dict[str, object]
-    run_up: float
+    lead_in: float
     plant: str
     seed: int
 
     def run(self) -> tuple[float, float]:
-        """Return the maximum excursions during the run-up and afterwards, m."""
+        """Return the maximum excursions during the lead-in and afterwards, m."""
         scenario = parse_scenario(self.document | {"seed": self.seed})
         planner = scenario.planner
         follower = scenario.build_controller()
@@ -90,15 +90,19 @@ class FollowerRun:
         rng = np.random.default_rng([self.seed, 0x5EED])
         arcs = _random_arcs(rng, body.curvatures[0], body.curvatures[-1])
 
-        def plan_from(start: Pose, *run_up: tuple[float, float]) -> Plan:
+        def plan_from(start: Pose, *lead_in: tuple[float, float]) -> Plan:
             return Plan(
-                Outcome.FOUND, "drawn", path_from_arcs(start, [*run_up, *arcs], body)
+                PlanOutcome.FOUND,
+                "drawn",
+                path_from_arcs(start, [*lead_in, *arcs], body),
             )
 
-        run_up = [(0.0, self.run_up)] if self.run_up else []
-        plan = plan_from(Pose(*scenario.pose), *run_up)
+        lead_in = [(0.0, self.lead_in)] if self.lead_in else []
+        plan = plan_from(Pose(*scenario.pose), *lead_in)
         assert plan.end is not None, "it has segments"
-        conditions = replace(follower.conditions, stray=math.inf, run_up=self.run_up)
+        conditions = replace(
+            follower.conditions, max_cross_track_error=math.inf, lead_in=self.lead_in
+        )
         controller = replace(
             follower,
             plan=plan,
@@ -106,9 +110,9 @@ class FollowerRun:
             world=World(),
             conditions=conditions,
             body=body,
-            replan=lambda pose, share: plan_from(pose),
+            replan=lambda pose, fraction: plan_from(pose),
         )
-        longest = (self.run_up + LENGTH_M + 1) / (_SLOWEST_SHARE * min(body.speeds))
+        longest = (self.lead_in + LENGTH_M + 1) / (_SLOWEST_FRACTION * min(body.speeds))
         # A multiple of the duration of the scenario is a whole number of ticks.
         duration = scenario.duration * math.ceil(longest / scenario.duration)
         trajectory = rollout(
@@ -124,12 +128,12 @@ class FollowerRun:
         start = metadata["plans"][-1]["time"]
         excess = beyond(trajectory)
         is_after = trajectory.time >= start
-        during_run_up = 0.0
-        if self.run_up:
-            during_run_up = float(excess[~is_after].max(initial=0.0))
+        during_lead_in = 0.0
+        if self.lead_in:
+            during_lead_in = float(excess[~is_after].max(initial=0.0))
         if metadata["ending"] != next(iter(ENDINGS)):  # the robot did not arrive
-            return during_run_up, LOST_M
-        return during_run_up, float(excess[is_after].max())
+            return during_lead_in, LOST_M
+        return during_lead_in, float(excess[is_after].max())
 
 
 def _random_arcs(
@@ -262,7 +266,7 @@ def measure_excursions(
     chambers = scenario.file.pneumatics.kind
     conditions = controller.conditions(plant, contact, chambers, robot, planner)
     straight = {"kind": "given", "turns_rad": [0.0], "step_m": 1.0}
-    footprint = {"footprint": planner.footprint, "turn_share": planner.turn_share}
+    footprint = {"footprint": planner.footprint, "turn_fraction": planner.turn_fraction}
     document = {
         **scenario.document,
         "world": {},
@@ -271,22 +275,22 @@ def measure_excursions(
         "plants": settings,
     }
     jobs = [
-        FollowerRun(document, conditions.run_up_m, plant, seed) for seed in range(runs)
+        FollowerRun(document, conditions.lead_in_m, plant, seed) for seed in range(runs)
     ]
-    run_up = []
+    lead_in = []
     path = []
     for done in run_tasks(FollowerRun.run, jobs, workers=workers):
         if done.result is None:
             raise InputError(f"{scenario.name}, seed {done.number}: {done.error}")
-        during_run_up, after = done.result
-        run_up.append(round(during_run_up, _DIGITS))
+        during_lead_in, after = done.result
+        lead_in.append(round(during_lead_in, _DIGITS))
         path.append(round(after, _DIGITS))
         progress()
     command = f"`srs-twin calibrate margin {scenario.name}`"
-    sorted_run_up = sorted(run_up) if conditions.run_up_m else None
+    sorted_lead_in = sorted(lead_in) if conditions.lead_in_m else None
     return ExcursionsFile(
         conditions=conditions,
         source=f"{command}: {runs} drawn ways of {LENGTH_M:g} m",
         path_m=sorted(path),
-        run_up_m=sorted_run_up,
+        lead_in_m=sorted_lead_in,
     )

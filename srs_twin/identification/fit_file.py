@@ -145,7 +145,7 @@ Count = Annotated[int, bounded(0, 10**9)]
 Text = Annotated[str, Field(min_length=1, max_length=200)]
 Long = Annotated[str, Field(max_length=1000)]
 Averages = Annotated[dict[str, Number], Field(max_length=20)]
-Share = Annotated[float, bounded(-1.0, 1.0)]
+Fraction = Annotated[float, bounded(-1.0, 1.0)]
 Size = Annotated[float, bounded(0.0, 1e12)]
 Method = Literal[
     "pulls",
@@ -267,11 +267,12 @@ class FitFile(StrictModel, HtmlResult):
     parameters: Annotated[list[ParameterEntry], Field(min_length=1, max_length=100)]
     """Fitted parameters."""
     correlation: Annotated[
-        list[Annotated[list[Share], Field(max_length=100)]], Field(max_length=100)
+        list[Annotated[list[Fraction], Field(max_length=100)]], Field(max_length=100)
     ]
     """Correlation matrix of the parameters that have a value, in their order."""
     cancels: Annotated[
-        list[Annotated[dict[str, Share], Field(max_length=100)]], Field(max_length=100)
+        list[Annotated[dict[str, Fraction], Field(max_length=100)]],
+        Field(max_length=100),
     ]
     """Unidentifiable directions, each with components by parameter name."""
     derived: Annotated[list[ParameterEntry], Field(max_length=20)] | None = None

@@ -49,8 +49,8 @@ _VALIDATE = (
 )
 ValidateOption = Annotated[list[str] | None, option("--validate FILE", _VALIDATE)]
 
-_FIND = "Names of the parameters to fit, for example friction.mu_t,friction.mu_n."
-FindOption = Annotated[str | None, option("--find NAMES", _FIND)]
+_PARAMETERS = "Names of the parameters to fit, for example friction.mu_t,friction.mu_n."
+ParametersOption = Annotated[str | None, option("--parameters NAMES", _PARAMETERS)]
 
 
 @dataclass(frozen=True)
@@ -346,7 +346,7 @@ def parse_names(text: str | None) -> list[str] | None:
     names = [name.strip() for name in text.split(",") if name.strip()]
     if not names:
         raise InputError(
-            f"--find '{text}' contains no parameters; give one or more, such as"
+            f"--parameters '{text}' contains no parameters; give one or more, such as"
             " friction.mu_t,friction.mu_n"
         )
     return names

@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 from srs_twin.cli.console import RunCounter, interruptible, say
 from srs_twin.cli.options import (
     NO_CHANGES,
-    Bounds,
     ChangeOptions,
-    JobsOption,
     JsonOption,
+    OptionRange,
     OverwriteOption,
     PressureOption,
     QuietOption,
     RobotArgument,
     ScenarioArgument,
-    jobs_option,
+    WorkersOption,
     parse_plants,
     print_json,
+    workers_option,
 )
 from srs_twin.errors import InputError
 from srs_twin.identification.fitting import NOTHING_WRITTEN, print_table
@@ -67,7 +67,7 @@ class MeasurementOptions:
     transients: bool = True
     periods: int = 6
     phases: int = 4
-    threads: Annotated[int | None, jobs_option("--threads -j N")] = None
+    threads: Annotated[int | None, workers_option("--workers -j N")] = None
 
     def given(self) -> dict[str, Any]:
         """Return the arguments of `calibrate_footprint`.
@@ -143,9 +143,9 @@ def footprint(
 
 def margin(
     scenario: ScenarioArgument,
-    runs: Annotated[int, Bounds(20, 10_000)] = 100,
+    runs: Annotated[int, OptionRange(20, 10_000)] = 100,
     plants: str | None = None,
-    jobs: JobsOption = None,
+    jobs: WorkersOption = None,
     out: str = FOOTPRINTS,
     changes: ChangeOptions = NO_CHANGES,
     quiet: QuietOption = False,
@@ -188,7 +188,9 @@ def margin(
         rows = []
         for result in measured:
             path = result.path_m
-            quantiles = (excursion_quantile(path, share) for share in (0.5, 0.9, 0.95))
+            quantiles = (
+                excursion_quantile(path, fraction) for fraction in (0.5, 0.9, 0.95)
+            )
             widths = (f"{1000 * value:.0f}" for value in (*quantiles, path[-1]))
             rows.append((result.conditions.plant, *widths))
         print_table(

@@ -69,7 +69,7 @@ from srs_twin.identification.fit_file import (
 from srs_twin.identification.least_squares import Watch, least_squares
 from srs_twin.identification.parameters import FreeParameter, free_parameters
 from srs_twin.io.files import StrPath
-from srs_twin.plants.analytical.floor import slide, spin_share
+from srs_twin.plants.analytical.floor import slide, spin_fraction
 from srs_twin.recordings.body.trajectories import moving_slope
 from srs_twin.recordings.csv_table import (
     CsvColumn,
@@ -503,8 +503,8 @@ def fit_coasting(
             f"friction law '{law}' is not allowed here; allowed: {', '.join(allowed)}"
         )
     assign_roles("coasting tests", runs, validation)
-    share = spin_share(spec) if wheel_inertia else 0.0
-    model = _CoastingModel(spec, law, share)
+    fraction = spin_fraction(spec) if wheel_inertia else 0.0
+    model = _CoastingModel(spec, law, fraction)
     estimate = model.fit(runs, 0.0, watch)
     if "friction.mu_n" not in estimate.values:
         # The drag of a bent body depends on μ_n, which these runs do not determine.
@@ -569,13 +569,13 @@ def _widened(parameter: Parameter, ends: Sequence[FitEstimate]) -> Parameter:
 class _CoastingModel:
     """Prediction of coasting tests.
 
-    `share` is the fraction s of `floor.slide`. `mu_n` is the coefficient for lateral
+    `fraction` is the fraction s of `floor.slide`. `mu_n` is the coefficient for lateral
     slip of a bent body, by default the fitted μ_n.
     """
 
     spec: RobotSpec
     law: str
-    share: float
+    fraction: float
     mu_n: float | None = None
 
     def fit(
@@ -594,7 +594,7 @@ class _CoastingModel:
         motions = [unknown for k, run in enumerate(runs) for unknown in _motion(run, k)]
         unknowns = [*free_parameters(self.spec, _NAMES), *motions]
         return least_squares(
-            residuals, unknowns, held={"spin_share": self.share}, watch=watch
+            residuals, unknowns, held={"spin_fraction": self.fraction}, watch=watch
         )
 
     def _misalignment(self, run: CoastingTest, side: float) -> float:
@@ -619,7 +619,12 @@ class _CoastingModel:
         )
         drag = -along - angle * across
         path = slide(
-            velocity, run.time, law=self.law, mu_t=drag, mu_n=mu_n, share=self.share
+            velocity,
+            run.time,
+            law=self.law,
+            mu_t=drag,
+            mu_n=mu_n,
+            fraction=self.fraction,
         )
         turned = path @ [1.0, 1.0j] * np.exp(1j * values.get(f"roll_{k}", 0.0))
         difference = run.position - np.stack([turned.real, turned.imag], axis=1)

@@ -67,7 +67,7 @@ NO_BRANCHES = np.empty((0, 2))
 _BRANCH_RATIOS = 10.0 ** np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
 """Relaxation times of the branches as multiples of 1/ω."""
 
-_SMALLEST_RELAXED_SHARE = 0.02
+_SMALLEST_RELAXED_FRACTION = 0.02
 """Minimum fraction of the stiffness that remains after all branches have relaxed."""
 
 
@@ -117,19 +117,21 @@ class Material(NamedTuple):
 @kernel_only
 def _acceleration(moment, bend, rate, segment):  # type: ignore[no-untyped-def]
     terms = _half_angle_terms(bend)
-    chord, slope, curvature = _chord(terms, segment.length, segment.gap)
-    inertia = segment.mass * (slope * slope + chord * chord / 4) + segment.inertia
-    change = segment.mass * slope * (2 * curvature + chord / 2)
-    weight = segment.mass * GRAVITY * (slope * terms[0] - chord * terms[1] / 2)
+    chord, derivative, curvature = _chord(terms, segment.length, segment.gap)
+    inertia = (
+        segment.mass * (derivative * derivative + chord * chord / 4) + segment.inertia
+    )
+    change = segment.mass * derivative * (2 * curvature + chord / 2)
+    weight = segment.mass * GRAVITY * (derivative * terms[0] - chord * terms[1] / 2)
     return (moment + weight - change * rate * rate / 2) / inertia
 
 
 @kernel_only
-def _slopes(state, creep, creep_slope, material, segment, branches, result):  # type: ignore[no-untyped-def]
+def _derivatives(state, creep, creep_derivative, material, segment, branches, result):  # type: ignore[no-untyped-def]
     bend = state[0]
     rate = state[1]
     deviation = creep - bend
-    deviation_rate = creep_slope - rate
+    deviation_rate = creep_derivative - rate
     result[2] = result[3] = 0.0
     if segment.encloses_air:
         x = x_rate = 0.0
@@ -140,9 +142,9 @@ def _slopes(state, creep, creep_slope, material, segment, branches, result):  # 
             gain = segment.gain_minus if side else -segment.gain_plus
             x -= gain * (pressure - AMBIENT_PA)
             x_rate -= gain * (result[2 + side] - pressure * growth * rate) / size
-        air, air_slope, _ = apply_bend_law(x, segment.law)
+        air, air_derivative, _ = apply_bend_law(x, segment.law)
         deviation += air
-        deviation_rate += air_slope * x_rate
+        deviation_rate += air_derivative * x_rate
     moment = material.stiffness * (deviation + material.damping_time * deviation_rate)
     for i in range(len(branches)):
         moment += state[4 + i]
@@ -175,7 +177,7 @@ def swing(time, start, rest, frequency, material, segment, branches):  # type: i
     state = start.copy()
     trial = start.copy()
     total = np.empty_like(start)
-    slopes = np.empty_like(start)
+    derivatives = np.empty_like(start)
     result[0] = state[0]
     for k in range(len(time) - 1):
         interval = time[k + 1] - time[k]
@@ -187,17 +189,17 @@ def swing(time, start, rest, frequency, material, segment, branches):  # type: i
             trial[:] = state
             for stage in range(4):
                 since = (j + 0.5 * ((stage + 1) // 2)) * h
-                _slopes(
+                _derivatives(
                     trial,
                     rest[k] + rise * since,
                     rise,
                     material,
                     segment,
                     branches,
-                    slopes,
+                    derivatives,
                 )
-                total += slopes * (2.0 if stage in (1, 2) else 1.0)
-                trial[:] = state + slopes * (h if stage == 2 else h / 2)
+                total += derivatives * (2.0 if stage in (1, 2) else 1.0)
+                trial[:] = state + derivatives * (h if stage == 2 else h / 2)
             state += total * (h / 6)
         result[k + 1] = state[0]
     return result, state
@@ -205,8 +207,8 @@ def swing(time, start, rest, frequency, material, segment, branches):  # type: i
 
 def weight_moment(segment: HangingSegment, bend: float) -> float:
     """Return the moment due to weight, which is negative for a positive bend, N·m."""
-    chord, slope, _ = chord_derivatives(bend, segment.length, segment.gap)
-    change = slope * math.cos(bend / 2) - chord * math.sin(bend / 2) / 2
+    chord, derivative, _ = chord_derivatives(bend, segment.length, segment.gap)
+    change = derivative * math.cos(bend / 2) - chord * math.sin(bend / 2) / 2
     return segment.mass * GRAVITY * change
 
 
@@ -254,31 +256,31 @@ def ringing(
     gains = (segment.gain_plus, -segment.gain_minus)
 
     def air_bend(bend: float) -> tuple[float, float]:
-        x = x_slope = 0.0
+        x = x_derivative = 0.0
         for side, gain in enumerate(gains if segment.encloses_air else ()):
             size, growth = volume(segment.dead_volume, segment.displacement, bend, side)
             x += gain * (air[side] / size - AMBIENT_PA)
-            x_slope -= gain * air[side] / size * growth / size
-        value, slope, _ = apply_bend_law(x, segment.law)
-        return value, -slope * x_slope
+            x_derivative -= gain * air[side] / size * growth / size
+        value, derivative, _ = apply_bend_law(x, segment.law)
+        return value, -derivative * x_derivative
 
     def moment(bend: float) -> float:
         return k * (rest + air_bend(bend)[0] - bend) + weight_moment(segment, bend)
 
     hang = brentq(moment, -_LARGEST_REST_RAD, _LARGEST_REST_RAD)
-    chord, slope, _ = chord_derivatives(hang, segment.length, segment.gap)
-    inertia = segment.mass * (slope**2 + chord**2 / 4) + segment.inertia
+    chord, derivative, _ = chord_derivatives(hang, segment.length, segment.gap)
+    inertia = segment.mass * (derivative**2 + chord**2 / 4) + segment.inertia
     step = _SMALL_BEND_RAD
     stiffening = -(
         weight_moment(segment, hang + step) - weight_moment(segment, hang - step)
     ) / (2 * step)
-    share = air_bend(hang or step)[1]
+    fraction = air_bend(hang or step)[1]
 
     def stiffness(s: complex) -> complex:
         branched: complex = sum(
             strength * s * tau / (1 + s * tau) for strength, tau in branches
         )
-        return (k * (1 + s * damping_time) + branched) * (1 + share * s / (s + leak))
+        return (k * (1 + s * damping_time) + branched) * (1 + fraction * s / (s + leak))
 
     undamped = math.sqrt((stiffness(1j / _SHORTEST_S).real + stiffening) / inertia)
     guess = 1j * undamped
@@ -290,7 +292,7 @@ def ringing(
     )
     pulsation = max(abs(complex(root).imag), _SLOWEST_RAD_S)
     total = stiffness(1j * pulsation)
-    return Ringing(pulsation / (2 * math.pi), total.imag / total.real, k * share)
+    return Ringing(pulsation / (2 * math.pi), total.imag / total.real, k * fraction)
 
 
 class Branches(NamedTuple):
@@ -323,7 +325,7 @@ def constant_loss(material: Material, pulsation: float, rate: float) -> Branches
     storage = x**2 / (1 + x**2)
     loss = x / (1 + x**2)
     wanted = material.stiffness * material.damping_time * pulsation
-    strongest = material.stiffness * (1 - _SMALLEST_RELAXED_SHARE) / storage.sum()
+    strongest = material.stiffness * (1 - _SMALLEST_RELAXED_FRACTION) / storage.sum()
     strength = min(wanted / loss.sum(), strongest)
     viscous = (wanted - strength * loss.sum()) / pulsation
     relaxed = material.stiffness - strength * storage.sum()

@@ -30,7 +30,7 @@ from srs_twin.identification.estimate import (
 )
 from srs_twin.identification.parameters import FreeParameter
 
-MAX_UNIDENTIFIABLE_SHARE = 0.1
+MAX_UNIDENTIFIABLE_FRACTION = 0.1
 """Maximum component in unidentifiable directions of an identifiable parameter."""
 
 _DERIVATIVE_ERRORS = 2.0
@@ -51,12 +51,12 @@ class Identifiability:
 
     Attributes:
         covariance: covariance of the n parameters, shape (n, n).
-        share: component of each parameter in the unidentifiable directions, shape (n,).
+        fraction: component of each parameter in the unidentifiable directions, shape (n,).
         directions: unidentifiable directions, shape (directions, n).
     """
 
     covariance: np.ndarray
-    share: np.ndarray
+    fraction: np.ndarray
     directions: np.ndarray
     names: tuple[str, ...]
 
@@ -68,7 +68,7 @@ class Identifiability:
     def is_unidentifiable(self, i: int) -> bool:
         """Return whether parameter i is not identifiable."""
         return bool(
-            self.share[i] > MAX_UNIDENTIFIABLE_SHARE
+            self.fraction[i] > MAX_UNIDENTIFIABLE_FRACTION
             or self.errors[i] >= UNIDENTIFIABLE_ERROR
         )
 
@@ -130,8 +130,8 @@ def identifiability(
     # bounds, with the variance width²/12.
     prior_std = (np.abs(unidentifiable) @ widths) / np.sqrt(12)
     covariance += (unidentifiable.T * prior_std**2) @ unidentifiable
-    share = np.linalg.norm(unidentifiable, axis=0)
-    return Identifiability(covariance, share, unidentifiable, tuple(names))
+    fraction = np.linalg.norm(unidentifiable, axis=0)
+    return Identifiability(covariance, fraction, unidentifiable, tuple(names))
 
 
 @dataclass(frozen=True)
@@ -186,7 +186,7 @@ class Accuracy:
         half = self.quantile * error
         low = unknown.value(z - half)
         high = unknown.value(z + half)
-        std = unknown.slope(value) * error
+        std = unknown.derivative(value) * error
         return Parameter(
             unknown.name, unknown.unit, verdict, value, std, low, high, why
         )

@@ -128,7 +128,7 @@ def measured_length(
         parameter.value(parameter.coordinate(v))
         for v in (value, value - half, value + half)
     )
-    verdict = verdict_on(error, parameter.slope(value))
+    verdict = verdict_on(error, parameter.derivative(value))
     return Parameter(
         parameter.name, parameter.unit, verdict, value, error, low, high, FROM_MARKERS
     )
@@ -225,7 +225,7 @@ class PlantModel:
         if self.plant not in PLANTS:
             raise UnknownNameError("plant", self.plant, PLANTS)
 
-    def search_options(self, against: str) -> SearchOptions:
+    def search_options(self, compare_signals: str) -> SearchOptions:
         """Return the settings of a search with this plant.
 
         The motion of the twin is smooth down to steps of 1e-3 in z. Path and heading
@@ -244,7 +244,7 @@ class PlantModel:
                 target_rms=1e-2,
                 max_runs=MAX_TWIN_RUNS,
             )
-            if against == "averages":
+            if compare_signals == "averages":
                 return replace(options, first_stage=None)
             return options
         if self.settings.get("model") == "compliant":
@@ -305,10 +305,10 @@ class _Data(NamedTuple):
 class _Comparison:
     model: PlantModel
     spec: RobotSpec
-    against: str
+    compare_signals: str
 
     def data(self, run: GaitRun, role: Role) -> _Data:
-        measured = signals(run.trajectory, None, self.against, run.name)
+        measured = signals(run.trajectory, None, self.compare_signals, run.name)
         return _Data(run, measured, role)
 
     def simulated(
@@ -328,7 +328,9 @@ class _Comparison:
         for run, measured, role in data:
             try:
                 simulation = self.model.simulate(run, robot)
-                predicted = signals(simulation, run.trajectory, self.against, run.name)
+                predicted = signals(
+                    simulation, run.trajectory, self.compare_signals, run.name
+                )
                 differences = {
                     name: measured[name] - predicted[name] for name in measured
                 }
@@ -355,7 +357,7 @@ def fit_locomotion(
     names: Iterable[str],
     *,
     model: PlantModel | None = None,
-    against: str = "averages",
+    compare_signals: str = "averages",
     validation: Sequence[GaitRun] = (),
     starts: int = 3,
     watch: Watch | None = None,
@@ -369,7 +371,7 @@ def fit_locomotion(
         spec: robot with the initial values and the fixed values.
         names: names of the free parameters, as in `parameters`.
         model: plant that simulates the robot, by default the analytical plant.
-        against: compared signals ("averages", "shapes" or "both").
+        compare_signals: compared signals ("averages", "shapes" or "both").
         validation: runs for validation.
         starts: number of searches. A single search may end in a local minimum, except
             with shapes of the twin.
@@ -383,12 +385,12 @@ def fit_locomotion(
             parameters, a run has no complete gait period, or a validation run is also
             fitted.
     """
-    if against not in AGAINST:
-        raise UnknownNameError("residual", against, AGAINST)
+    if compare_signals not in AGAINST:
+        raise UnknownNameError("residual", compare_signals, AGAINST)
     fixed = {parameter.name: parameter.value or 0.0 for parameter in known}
     spec = with_values(spec, fixed)
     unknowns = free_parameters(spec, [name for name in names if name not in fixed])
-    comparison = _Comparison(model or PlantModel(), spec, against)
+    comparison = _Comparison(model or PlantModel(), spec, compare_signals)
     data = [
         comparison.data(run, role)
         for run, role in assign_roles("gait runs", runs, validation)
@@ -399,7 +401,7 @@ def fit_locomotion(
         return FitEstimate(
             (), np.zeros((0, 0)), tuple(comparison.residuals(data, {}))
         ).with_fixed(known)
-    options = comparison.model.search_options(against)
+    options = comparison.model.search_options(compare_signals)
 
     def refit(values: Mapping[str, float]) -> dict[str, float]:
         assert reference is not None
@@ -424,7 +426,7 @@ def fit_locomotion(
 
 
 def signals(
-    trajectory: Trajectory, measured: Trajectory | None, against: str, name: str
+    trajectory: Trajectory, measured: Trajectory | None, compare_signals: str, name: str
 ) -> dict[str, np.ndarray]:
     """Return the signals by which runs are compared, each of shape (samples,).
 
@@ -432,14 +434,14 @@ def signals(
         trajectory: measured or simulated run.
         measured: measured run that the times and the pose of a simulated run are
             aligned with, or None for a measured run.
-        against: compared signals, one of `AGAINST`.
+        compare_signals: compared signals, one of `AGAINST`.
         name: name of the run.
 
     Raises:
         InputError: averages are requested, but the run has no complete gait period.
     """
     result: dict[str, np.ndarray] = {}
-    if against != "shapes":
+    if compare_signals != "shapes":
         metrics = plant_metrics(trajectory)
         if metrics["com_speed_m_s"] is None:
             raise InputError(
@@ -448,7 +450,7 @@ def signals(
             )
         result["speed"] = np.array([metrics["com_speed_m_s"]])
         result["yaw_rate"] = np.array([metrics["yaw_rate_rad_s"]])
-    if against != "averages":
+    if compare_signals != "averages":
         result |= _shapes(
             trajectory, measured or trajectory, is_aligned=measured is not None
         )

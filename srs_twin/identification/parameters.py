@@ -19,7 +19,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from srs_twin.errors import InputError, UnknownNameError
-from srs_twin.robot.rules import WHEEL_SHARE
+from srs_twin.robot.rules import WHEEL_FRACTION
 from srs_twin.robot.spec import Modules, RobotSpec
 
 
@@ -65,7 +65,7 @@ class FreeParameter:
             value = coordinate * self.scale
         return min(max(value, self.low), self.high)
 
-    def slope(self, value: float) -> float:
+    def derivative(self, value: float) -> float:
         """Return the derivative of the value with respect to z."""
         if self.scale is None:
             return value
@@ -246,7 +246,7 @@ def _set_mass(spec: RobotSpec, value: float, k: int) -> RobotSpec:
 
 def _lightest(spec: RobotSpec) -> float:
     """Return the minimum mass of a connector, kg, slightly above the wheel mass."""
-    return 2.01 * spec.mass.wheel / WHEEL_SHARE
+    return 2.01 * spec.mass.wheel / WHEEL_FRACTION
 
 
 def _mean_sensor_bias(spec: RobotSpec, k: int) -> float:
@@ -299,11 +299,13 @@ _ACCESSORS: dict[str, _Accessor] = {
         _set_bend,
     ),
     "actuator.bend_limit_rad": _scalar("actuator", "bend_limit", "rad", 0.1, 6.3),
-    "actuator.onset_share": _scalar(
-        "actuator", "onset_share", "1", 0.0, 1.0, scale=0.5
+    "actuator.onset_fraction": _scalar(
+        "actuator", "onset_fraction", "1", 0.0, 1.0, scale=0.5
     ),
-    "actuator.onset_rad": _scalar("actuator", "onset", "rad", 0.02, 6.2),
-    "actuator.onset_width_rad": _scalar("actuator", "onset_width", "rad", 0.02, 6.2),
+    "actuator.dead_zone_rad": _scalar("actuator", "dead_zone", "rad", 0.02, 6.2),
+    "actuator.dead_zone_transition_rad": _scalar(
+        "actuator", "dead_zone_transition", "rad", 0.02, 6.2
+    ),
     "modules.gain_plus_N": _module("gain", 0, "1", 0.11, 9.0),
     "modules.gain_minus_N": _module("gain", 1, "1", 0.11, 9.0),
     "modules.tau_fill_plus_N": _module("tau_fill", 0, "1", 0.11, 9.0),

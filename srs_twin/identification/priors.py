@@ -70,12 +70,12 @@ class Priors:
     correlation: Array
 
     @classmethod
-    def from_robot(cls, robot: RobotFile, *, without: Collection[str] = ()) -> Priors:
+    def from_robot(cls, robot: RobotFile, *, exclude: Collection[str] = ()) -> Priors:
         """Return the prior distribution in a robot file.
 
         Args:
             robot: robot file.
-            without: paths of parameters that are treated as exact.
+            exclude: paths of parameters that are treated as exact.
 
         Raises:
             UnknownNameError: a path does not belong to an uncertain parameter.
@@ -87,12 +87,12 @@ class Priors:
             for path, record in robot.records().items()
             if record.uncertain is not None
         }
-        for path in without:
+        for path in exclude:
             if path not in records:
                 raise UnknownNameError("uncertain number", path, records)
         parameters = []
         for path, record in records.items():
-            if path not in without:
+            if path not in exclude:
                 section, key = path.split(".")
                 bounds = getattr(robot, section).bounds[key]
                 prior = record.uncertain

@@ -77,10 +77,10 @@ _MAX_BEND_RAD = 2 * math.pi
 """Maximum plausible bend, rad. A larger bend is in a wrong unit."""
 
 _BEND_LIMIT = "actuator.bend_limit_rad"
-_ONSET_SHARE = "actuator.onset_share"
-_ONSET = "actuator.onset_rad"
-_ONSET_WIDTH = "actuator.onset_width_rad"
-_DEAD_ZONE = (_ONSET, _ONSET_WIDTH, _ONSET_SHARE)
+_ONSET_FRACTION = "actuator.onset_fraction"
+_ONSET = "actuator.dead_zone_rad"
+_ONSET_WIDTH = "actuator.dead_zone_transition_rad"
+_DEAD_ZONE = (_ONSET, _ONSET_WIDTH, _ONSET_FRACTION)
 
 _SHARP_WIDTH_RAD = 0.02
 """Width of a dead zone that the data do not determine, rad (minimum of robot files).
@@ -437,7 +437,7 @@ def fit_static(
     points = sum(np.isfinite(table.bend).sum() for table in tables)
     if (
         names is not None
-        or spec.actuator.onset_share
+        or spec.actuator.onset_fraction
         or points <= len(searched) + len(_DEAD_ZONE)
     ):
         return linear
@@ -470,11 +470,11 @@ def _fit_dead_zone(
         return search(names, sharp, {**starts, _ONSET: zone_starts[_ONSET]})
 
     complete = with_dead_zone(
-        {_ONSET: 0.4 * largest, _ONSET_WIDTH: 0.2 * largest}, {_ONSET_SHARE: 1.0}
+        {_ONSET: 0.4 * largest, _ONSET_WIDTH: 0.2 * largest}, {_ONSET_FRACTION: 1.0}
     )
     if not _is_significant(complete, linear):
         return linear
-    partial = with_dead_zone({_ONSET_SHARE: 0.8} | complete.values, {})
+    partial = with_dead_zone({_ONSET_FRACTION: 0.8} | complete.values, {})
     best = partial if _is_significant(partial, complete) else complete
     why = (
         f"a straight line leaves {linear.rms('fit'):.3g} times the noise, a dead zone"

@@ -8,6 +8,7 @@ import json
 import math
 import re
 import sys
+import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from itertools import pairwise
@@ -16,7 +17,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from srs_twin.errors import MAX_LISTED_NAMES, did_you_mean, format_names
+from srs_twin.errors import (
+    MAX_LISTED_NAMES,
+    RENAMED,
+    RenamedWarning,
+    did_you_mean,
+    format_names,
+)
 from srs_twin.io.documents import (
     Document,
     Loc,
@@ -152,6 +159,8 @@ def validate(
     try:
         file = model.model_validate_json(json.dumps(data), strict=True)
     except ValidationError as error:
+        if _adopt_current_names(error, data):
+            return validate(model, document, data, prefix=prefix)
         schema = _schema_of(model)
         elsewhere = getattr(model, "elsewhere", {})
         for item in error.errors(include_url=False):
@@ -180,6 +189,29 @@ def validate(
     if valid:
         return file
     return None
+
+
+def _adopt_current_names(error: ValidationError, data: Any) -> bool:
+    """Rename renamed keys and kinds in the data, with a warning; return whether there were any."""
+    adopted: dict[str, str] = {}
+    for item in error.errors(include_url=False):
+        *parents, key = _existing_path(item["loc"], data) or ("",)
+        block = data
+        for parent in parents:
+            block = child(block, parent)
+        if item["type"] == "literal_error":
+            former = item["input"]
+            current = RENAMED.get(former) if isinstance(former, str) else None
+            if current is not None and repr(current) in item["ctx"]["expected"]:
+                block[key] = adopted[former] = current
+        elif item["type"] == "extra_forbidden":
+            current = RENAMED.get(str(key))
+            if current is not None and not has_child(block, current):
+                block[current] = block.pop(key)
+                adopted[str(key)] = current
+    for former, current in adopted.items():
+        warnings.warn(f"{former} is now called {current}", RenamedWarning, 2)
+    return bool(adopted)
 
 
 @cache

@@ -34,7 +34,7 @@ import numpy as np
 
 from srs_twin.io.saved_state import Stateful
 from srs_twin.live.fault_hypotheses import Inflow
-from srs_twin.live.uncertain import Uncertain
+from srs_twin.live.uncertain import Estimates
 from srs_twin.pneumatics.chambers import AMBIENT_PA, volume
 from srs_twin.pneumatics.flow import REFERENCE_PA, conductances, flow
 from srs_twin.pneumatics.orifice import CRITICAL_RATIO
@@ -49,9 +49,9 @@ WALK = 0.02
 SENSOR_SD = 0.01
 """Standard deviation of the supply sensor, fraction of the nominal pressure."""
 STARVED_BELOW = 0.6
-"""Fraction of the nominal pressure below which `starved` is reported."""
+"""Fraction of the nominal pressure below which `low_supply_pressure` is reported."""
 RECOVERED_ABOVE = 0.7
-"""Fraction of the nominal pressure above which `starved` is cleared."""
+"""Fraction of the nominal pressure above which `low_supply_pressure` is cleared."""
 SUDDEN = 0.12
 """Pressure change that is followed at once, fraction of the nominal supply pressure."""
 _SUDDEN_SD = 3.0
@@ -83,7 +83,7 @@ class SupplyFilter(Stateful):
         self.variance = (PRIOR_SD * nominal) ** 2
 
     @property
-    def share(self) -> float:
+    def fraction(self) -> float:
         """Estimated pressure as a fraction of the nominal pressure."""
         return self.pressure / self.nominal
 
@@ -172,9 +172,9 @@ class SupplyFilter(Stateful):
         self.variance *= 1 - gain
         self._set(self.pressure + gain * (pressure - self.pressure))
 
-    def jump(self, share: float) -> None:
+    def jump(self, fraction: float) -> None:
         """Multiply the estimate by a fraction and increase the variance."""
-        self._set(share * self.pressure)
+        self._set(fraction * self.pressure)
         self.variance = (LARGEST_SD * self.pressure) ** 2
 
     def _set(self, pressure: float) -> None:
@@ -228,7 +228,7 @@ _flow = np.vectorize(
 _OUTFLOW = 0
 _SOUND_INFLOW = 1
 _INFLOWS = slice(1, -1)
-_SLOPE = -1
+_DERIVATIVE = -1
 # Columns of the supply pressures at the start of a stroke and at the last message.
 _FIRST = 0
 _LAST = 1
@@ -240,13 +240,13 @@ class SupplyResidual(NamedTuple):
     Attributes:
         residual: excess over the expected amount of air, shape (segments, 2), NaN
             where it is unknown.
-        slope: derivative of the amount with respect to the supply pressure, 1/Pa,
+        derivative: derivative of the amount with respect to the supply pressure, 1/Pa,
             shape (segments, 2).
         sd: standard deviation of the residual, shape (segments, 2).
     """
 
     residual: np.ndarray
-    slope: np.ndarray
+    derivative: np.ndarray
     sd: np.ndarray
 
 
@@ -325,7 +325,7 @@ class LeakDetector(Stateful):
         self._nominal = supply_pa
         self._unit = capacity * supply_pa
         self._conductance = conductance * REFERENCE_PA / self._unit
-        self._leaks, self._shares = np.array(variants, dtype=float).T
+        self._leaks, self._fractions = np.array(variants, dtype=float).T
         shape = (spec.segments, 2)
         count = len(variants)
         self.fit = np.tile([1.0, 0.0], (*shape, 1))
@@ -341,7 +341,7 @@ class LeakDetector(Stateful):
         # amount.
         self._begun = np.zeros((*shape, 2))
         self._reached = np.zeros((*shape, 2))
-        # The last axis runs from `_OUTFLOW` to `_SLOPE`.
+        # The last axis runs from `_OUTFLOW` to `_DERIVATIVE`.
         self._rates = np.zeros((*shape, count + 2))
         self._sums = np.zeros((*shape, count + 2))
         self._supply = np.zeros((*shape, 2))
@@ -376,7 +376,7 @@ class LeakDetector(Stateful):
         residual = self._residual().sound()
         return SupplyResidual(
             np.where(used, residual.value, np.nan),
-            self.fit[..., 0] * self._sums[..., _SLOPE],
+            self.fit[..., 0] * self._sums[..., _DERIVATIVE],
             np.sqrt(residual.variance),
         )
 
@@ -384,7 +384,7 @@ class LeakDetector(Stateful):
         self,
         time: float,
         pressure: np.ndarray,
-        bend: Uncertain,
+        bend: Estimates,
         filled: np.ndarray,
         sound: np.ndarray,
         supply: SupplyFilter,
@@ -410,8 +410,8 @@ class LeakDetector(Stateful):
         change = np.where(continues, supply.pressure - self._supply[..., _LAST], 0.0)
         # Correct the inflow of the stroke for the change of the estimated supply
         # pressure.
-        missed = (self._sums[..., _SLOPE] * change)[..., None]
-        self._sums[..., _INFLOWS] += np.where(self._shares == 1.0, missed, 0.0)
+        missed = (self._sums[..., _DERIVATIVE] * change)[..., None]
+        self._sums[..., _INFLOWS] += np.where(self._fractions == 1.0, missed, 0.0)
         self._supply[seen, _LAST] = supply.pressure
         self._supply_sd = supply.sd
         # A lost command may have closed the valve before the last message. Therefore a
@@ -445,7 +445,7 @@ class LeakDetector(Stateful):
         time: float,
         filling: np.ndarray,
         pressure: np.ndarray,
-        bend: Uncertain,
+        bend: Estimates,
         supply: SupplyFilter,
     ) -> None:
         chamber = self._chamber
@@ -461,14 +461,14 @@ class LeakDetector(Stateful):
         self._reached[filling] = reached[filling]
         line = supply.pressure
         sd = max(supply.sd, 1.0)
-        lines = np.append(self._shares * line, [line + sd, line - sd])
+        lines = np.append(self._fractions * line, [line + sd, line - sd])
         flows = self._conductance * _flow(lines + AMBIENT_PA, inside[..., None])
-        flows[..., :-2] *= self._shares > 0.0
+        flows[..., :-2] *= self._fractions > 0.0
         # A difference quotient is used because the derivative diverges at equal
         # pressures.
-        slope = (flows[..., -2:-1] - flows[..., -1:]) / (2 * sd)
+        derivative = (flows[..., -2:-1] - flows[..., -1:]) / (2 * sd)
         gauge = np.nan_to_num(pressure)[..., None] / self._nominal
-        rates = np.concatenate([gauge, flows[..., :-2], slope], axis=-1)
+        rates = np.concatenate([gauge, flows[..., :-2], derivative], axis=-1)
         begins = np.isnan(self._time)
         since = np.where(filling & ~begins, time - self._time, 0.0)
         # The trapezoidal rule integrates all rates over the time since the last
@@ -492,8 +492,8 @@ class LeakDetector(Stateful):
         read = self._reached[..., 1] ** 2 + self._begun[..., 1] ** 2 + AMOUNT_SD**2
         # The time at which the supply pressure changed within the stroke is unknown.
         change = self._supply[..., _LAST] - self._supply[..., _FIRST]
-        slope = self.fit[..., 0] * self._sums[..., _SLOPE]
-        read += (change**2 + self._supply_sd**2) * slope**2
+        derivative = self.fit[..., 0] * self._sums[..., _DERIVATIVE]
+        read += (change**2 + self._supply_sd**2) * derivative**2
         variance = learnt + read[..., None] + self.scatter[..., None] * inflow**2
         return _Residual(residual, variance, learnt)
 
@@ -502,7 +502,7 @@ class LeakDetector(Stateful):
         outflow = self._sums[..., [_OUTFLOW]]
         weak_sd = WEAK_INFLOW_SD * self._sums[..., _INFLOWS]
         variance += (LEAK_RATE_SD * self._leaks * outflow) ** 2
-        variance += (self._shares < 1.0) * weak_sd**2
+        variance += (self._fractions < 1.0) * weak_sd**2
         return np.asarray(
             -np.log1p(residual**2 / variance / TAILS) * (TAILS + 1) / 2
             - np.log(variance) / 2
@@ -532,8 +532,8 @@ class LeakDetector(Stateful):
         learnt = np.minimum(self.learnt[chambers] + 1, MOST_STROKES)
         # Residuals of the first strokes include the error of the initial supply
         # pressure.
-        share = np.where(learnt > SCATTER_STROKES, 1 / learnt, 0.0)
-        scatter = self.scatter[chambers] + share * excess
+        fraction = np.where(learnt > SCATTER_STROKES, 1 / learnt, 0.0)
+        scatter = self.scatter[chambers] + fraction * excess
         self.learnt[chambers] = learnt
         self.scatter[chambers] = np.maximum(scatter, LEAST_SCATTER**2)
         information = FORGETTING * self._information[chambers]

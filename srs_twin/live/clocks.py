@@ -151,10 +151,10 @@ class SenderClock:
         # the true offset.
         self.offset = self._least[0].delay
 
-    def delay_quantile(self, share: float) -> float:
+    def delay_quantile(self, fraction: float) -> float:
         """Return a quantile of the jitter, s."""
         if self._seen:
-            return float(np.quantile(self._excess(), share))
+            return float(np.quantile(self._excess(), fraction))
         return 0.0
 
     @property

@@ -86,7 +86,7 @@ _CORRELATION = 2.0
 """Factor on the variance of the model error that accounts for correlation in time."""
 
 
-class Interval(NamedTuple):
+class CredibleInterval(NamedTuple):
     """Interval with the probability `COVERAGE`. Its ends are NaN without a contact."""
 
     low: float = math.nan
@@ -112,9 +112,9 @@ class ContactEstimate:
     touched: bool
     score: float
     force: float = math.nan
-    force_interval: Interval = Interval()
+    force_interval: CredibleInterval = CredibleInterval()
     place: float = math.nan
-    place_interval: Interval = Interval()
+    place_interval: CredibleInterval = CredibleInterval()
 
 
 @dataclass(frozen=True)
@@ -297,14 +297,14 @@ class ContactObserver(Stateful):
         self._samples += max(samples - self._past - 1, 0)
 
     def update(
-        self, command: np.ndarray, pressure: np.ndarray, sensed: np.ndarray
+        self, command: np.ndarray, pressure: np.ndarray, measured_bend: np.ndarray
     ) -> ContactEstimate | None:
         """Process one sample.
 
         Args:
             command: mean valve states since the last sample, shape (segments, 2).
             pressure: measured gauge pressures, shape (segments, 2), Pa.
-            sensed: bend readings, shape (segments,), rad. Missing readings are NaN.
+            measured_bend: bend readings, shape (segments,), rad. Missing readings are NaN.
 
         Returns:
             Contact estimate, or None while the observer learns.
@@ -326,10 +326,10 @@ class ContactObserver(Stateful):
             self._compare(None)
             return None
         self._changed = 0
-        if not np.isfinite(sensed).all() or not np.isfinite(free).all():
+        if not np.isfinite(measured_bend).all() or not np.isfinite(free).all():
             self._compare(None)
             return None
-        sample = np.stack([sensed, free, *np.asarray(command, dtype=float).T])
+        sample = np.stack([measured_bend, free, *np.asarray(command, dtype=float).T])
         # Some samples may be missing, but enough are needed to estimate the variance.
         learnt = self._bins.all() and self._count >= (self._learnt - self._settled) / 2
         estimate = None
@@ -380,10 +380,10 @@ class ContactObserver(Stateful):
         mean = self._sums[k]
         # The mean of n samples is uncertain itself, so the variance of the deviation is
         # larger by the factor 1 + 1/n.
-        share = math.sqrt(self._bins[k] / (self._bins[k] + 1))
+        fraction = math.sqrt(self._bins[k] / (self._bins[k] + 1))
         error = _deviation(sample, mean)
         pattern = self._learnt_gait().patterns[k]
-        weighted = pattern * share**2 / self._variance
+        weighted = pattern * fraction**2 / self._variance
         self._window.append(_Fit(weighted @ error, (weighted * pattern).sum(axis=1)))
         moment = np.sum([fit.moment for fit in self._window], axis=0)
         information = np.sum([fit.information for fit in self._window], axis=0)
@@ -462,15 +462,15 @@ class ContactObserver(Stateful):
             touched=True,
             score=score,
             force=float((weight * now.force)[same].sum() / weight[same].sum()),
-            force_interval=Interval(low, high),
+            force_interval=CredibleInterval(low, high),
             place=float(self.stations[now.station[best]]),
-            place_interval=Interval(places.low - step, places.high + step),
+            place_interval=CredibleInterval(places.low - step, places.high + step),
         )
 
 
-def _interval(values: np.ndarray, weight: np.ndarray) -> Interval:
+def _interval(values: np.ndarray, weight: np.ndarray) -> CredibleInterval:
     order = np.argsort(values)
-    share = np.cumsum(weight[order]) / weight.sum()
-    low, high = np.searchsorted(share, [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2])
+    fraction = np.cumsum(weight[order]) / weight.sum()
+    low, high = np.searchsorted(fraction, [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2])
     last = min(high, len(values) - 1)
-    return Interval(float(values[order[low]]), float(values[order[last]]))
+    return CredibleInterval(float(values[order[low]]), float(values[order[last]]))

@@ -74,7 +74,7 @@ def interruption() -> threading.Event:
 
 
 @dataclass(frozen=True)
-class RobotOptions:
+class EmulationOptions:
     """Options of the simulated robot.
 
     Options:
@@ -130,7 +130,7 @@ class MessageOptions:
     Options:
         loss: Fraction of the messages that are lost.
         jitter: Maximum delay of a message in seconds.
-        tell_supply: Also publish the supply pressure.
+        publish_supply: Also publish the supply pressure.
         duration: Stop after this many seconds. [default: run until Ctrl-C]
         user: User name at the MQTT broker.
         ca: PEM file with the CA certificate of the MQTT broker. This option enables
@@ -139,8 +139,8 @@ class MessageOptions:
 
     loss: Annotated[float, option("--loss SHARE", min=0.0, max=0.99)] = 0.0
     jitter: Annotated[float, option("--jitter-s S", min=0.0, max=5.0)] = 0.0
-    tell_supply: Annotated[bool, option("--tell-supply")] = False
-    duration: Annotated[float | None, option("--duration-s S", min=0.02)] = None
+    publish_supply: Annotated[bool, option("--publish-supply")] = False
+    duration: Annotated[float | None, option("--duration S", min=0.02)] = None
     user: Annotated[str | None, option("--user NAME")] = None
     ca: Annotated[Path | None, option("--ca FILE")] = None
 
@@ -150,7 +150,7 @@ def emulate(
     mqtt: Annotated[str, option("--mqtt HOST:PORT")] = "127.0.0.1:1883",
     natnet: Annotated[str | None, option("--natnet HOST:PORT")] = None,
     name: Annotated[str | None, option("--name NAME")] = None,
-    simulated: RobotOptions = RobotOptions(),
+    simulated: EmulationOptions = EmulationOptions(),
     messages: MessageOptions = MessageOptions(),
     quiet: QuietOption = False,
     as_json: JsonOption = False,
@@ -202,7 +202,7 @@ def emulate(
             transport=Transport(messages.loss, messages.jitter, simulated.seed),
             stop=over.is_set,
             duration=messages.duration or math.inf,
-            tells_supply=messages.tell_supply,
+            publishes_supply=messages.publish_supply,
         )
     if as_json:
         print_json(result)

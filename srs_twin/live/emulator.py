@@ -63,7 +63,7 @@ KINDS = {
     "leak": FaultKind("chamber", {"slow": 2, "fast": 8}),
     "dead_sensor": FaultKind("segment", {"silent": 1, "frozen": 0}),
     "drifting_sensor": FaultKind("segment", {"up": 1, "down": -1}),
-    "starved": FaultKind("", {"half": 0.5, "empty": 0.1}),
+    "low_supply_pressure": FaultKind("", {"half": 0.5, "empty": 0.1}),
     "lost_marker": FaultKind("connector", {"gone": 1}),
 }
 _EXAMPLES = {"chamber": ":2+@5", "segment": ":2@5", "connector": ":2@5", "": "@5"}
@@ -234,7 +234,7 @@ class EmulatedRobot:
         self._rng = np.random.default_rng((seed, 0xE0))
         self._noise = noise_rad
         self.supply_pa = self.supply_now_pa = scenario.supply_pa
-        self._share = self._left = 1.0
+        self._fraction = self._left = 1.0
         self.faults = tuple(Fault.parse(fault, spec.segments) for fault in faults)
         self._inject_faults()
         self._pulses = PulseWidthModulator(
@@ -253,7 +253,9 @@ class EmulatedRobot:
     def _inject_faults(self) -> None:
         stuck = [fault for fault in self.faults if fault.kind == "stuck_valve"]
         leaks = [fault for fault in self.faults if fault.kind == "leak"]
-        starved = [fault for fault in self.faults if fault.kind == "starved"]
+        low_supply_pressure = [
+            fault for fault in self.faults if fault.kind == "low_supply_pressure"
+        ]
         if stuck:
             self.twin.spec.require_planar(
                 "fault stuck_valve, which names a + or − chamber,"
@@ -267,7 +269,7 @@ class EmulatedRobot:
             StuckValve(fault.number, fault.side, int(fault.how), fault.since)
             for fault in stuck
         )
-        self._pending = [*leaks, *starved]
+        self._pending = [*leaks, *low_supply_pressure]
 
     def step(self, command: np.ndarray | None) -> SnakeState:
         """Advance by one tick.
@@ -282,7 +284,7 @@ class EmulatedRobot:
                 self._air.leak(fault.number, fault.side, fault.how)
             else:
                 self._left = fault.how
-                self.regulate(self._share)
+                self.regulate(self._fraction)
         wanted = np.full(self.valves.shape, -1.0)
         if command is not None:
             wanted = np.asarray(command, dtype=float)
@@ -295,13 +297,13 @@ class EmulatedRobot:
         self.state = self.twin.step(obeyed)
         return self.state
 
-    def regulate(self, share: float) -> None:
+    def regulate(self, fraction: float) -> None:
         """Set the supply pressure to a fraction of the nominal pressure.
 
         A fault of the supply lowers the pressure further.
         """
-        self._share = share
-        self.supply_now_pa = share * self._left * self.supply_pa
+        self._fraction = fraction
+        self.supply_now_pa = fraction * self._left * self.supply_pa
         self._air.set_supply_pressure(self.supply_now_pa)
 
     def bends(self) -> np.ndarray:
@@ -345,7 +347,9 @@ class EmulatedRobot:
                 turn = (a, c, -b, w)
             else:
                 height = _HEIGHT_M
-                half = (float(self.state.theta[i]) + dz / _MARKER_DISTANCE_M) / 2
+                half = (
+                    float(self.state.connector_heading[i]) + dz / _MARKER_DISTANCE_M
+                ) / 2
                 turn = (0.0, math.sin(half), 0.0, math.cos(half))
             place = (float(x) + dx, height, -(float(y) + dy))
             bodies[i + 1] = RigidBody(place, turn, tracked=i + 1 not in lost)
@@ -427,7 +431,7 @@ def emulate(
     transport: Transport | None = None,
     duration: float = math.inf,
     stop: Callable[[], bool] = lambda: False,
-    tells_supply: bool = False,
+    publishes_supply: bool = False,
 ) -> dict[str, float]:
     """Run an emulated robot in real time.
 
@@ -439,7 +443,7 @@ def emulate(
             once.
         duration: duration of the run, s.
         stop: function called in every tick, which returns whether the run ends.
-        tells_supply: whether the supply pressure is published.
+        publishes_supply: whether the supply pressure is published.
 
     Returns:
         Number of ticks (``ticks``) and number of ticks that began more than one tick
@@ -469,7 +473,7 @@ def emulate(
                 PRESSURES: state.pressure,
                 VALVES: robot.valves,
             }
-            if tells_supply:
+            if publishes_supply:
                 messages[SUPPLY] = np.array(robot.supply_now_pa)
             for kind, values in messages.items():
                 transport.add(due, link.send, kind, values, at=due)

@@ -31,7 +31,7 @@ from srs_twin.compute.compiled import allocating, compiled
 from srs_twin.live.member_dynamics import STEP_S, Air, MemberDynamics, ValveInput
 from srs_twin.live.odometry import LocalConnection, Odometry
 from srs_twin.live.pressure_table import PressureRates
-from srs_twin.live.uncertain import Uncertain
+from srs_twin.live.uncertain import Estimates
 from srs_twin.pneumatics.chambers import AMBIENT_PA
 from srs_twin.robot.geometry import body_shape, measured_bend, relative_headings
 from srs_twin.robot.spec import RobotSpec
@@ -152,7 +152,7 @@ class EnsembleFilter:
         self._dynamics = MemberDynamics(spec)
         self.members = np.zeros((members, int(ends[-1])))
         self._draws = {name: self._random(name) for name in ("gain", "bias")}
-        self._modules = Uncertain(np.tile([1.0, 1.0, 0.0], (n, 1)), np.zeros((n, 3)))
+        self._modules = Estimates(np.tile([1.0, 1.0, 0.0], (n, 1)), np.zeros((n, 3)))
         self._masks = self._localisation()
         self.rates = PressureRates(n, spec.supply.nominal, error.pressure)
         self._frame_noise: dict[str, float] = {
@@ -168,7 +168,7 @@ class EnsembleFilter:
         """Ratio of the estimated to the assumed heading noise of motion capture."""
         return self._frame_noise["heading"] / self.noise.heading
 
-    def set_modules(self, modules: Uncertain) -> None:
+    def set_modules(self, modules: Estimates) -> None:
         """Set the gains and biases of the members according to an estimate.
 
         Each member keeps its deviations from the mean in standard deviations.
@@ -216,7 +216,9 @@ class EnsembleFilter:
         """
         variances = np.full(self._segments, self.noise.bend**2)
         predicted = self._of("bend").copy()
-        return self._correct(predicted, readings, variances, self._masks["bend"])
+        return self._measurement_update(
+            predicted, readings, variances, self._masks["bend"]
+        )
 
     def update_pressures(self, pressure: np.ndarray) -> np.ndarray:
         """Correct the members with measured pressures.
@@ -234,7 +236,9 @@ class EnsembleFilter:
         self.rates.update(innovation, self.noise.pressure)
         variances = np.full(pressure.size, self.noise.pressure**2)
         measured = pressure.ravel()
-        return self._correct(predicted, measured, variances, self._masks["pressure"])
+        return self._measurement_update(
+            predicted, measured, variances, self._masks["pressure"]
+        )
 
     def update_poses(self, poses: np.ndarray) -> np.ndarray:
         """Correct the members with a frame of motion capture.
@@ -263,7 +267,7 @@ class EnsembleFilter:
         before = poses - predicted.mean(axis=0)
         place = self._frame_noise["place"]
         noise = np.square([place, place, self._frame_noise["heading"]])
-        innovation = self._correct(
+        innovation = self._measurement_update(
             predicted.reshape(len(self.members), -1),
             poses.ravel(),
             np.tile(noise, len(poses)),
@@ -393,7 +397,7 @@ class EnsembleFilter:
             "pose": np.tile(pose, (3 * (n + 1), 1)),
         }
 
-    def _correct(
+    def _measurement_update(
         self,
         predicted: np.ndarray,
         measured: np.ndarray,
@@ -402,7 +406,7 @@ class EnsembleFilter:
         *,
         correlated: bool = False,
     ) -> np.ndarray:
-        normalised = correct(
+        normalised = measurement_update(
             self.members, predicted, measured, variances, masks, correlated
         )
         # A moving body can enlarge a closed chamber, so gauge pressures may be
@@ -498,7 +502,7 @@ class _Innovation(NamedTuple):
 
 
 @allocating
-def correct(members, predicted, measured, variances, masks, correlated):  # type: ignore[no-untyped-def]  # noqa: D417
+def measurement_update(members, predicted, measured, variances, masks, correlated):  # type: ignore[no-untyped-def]  # noqa: D417
     """Correct the members in place with one measurement after another.
 
     Args:
@@ -547,17 +551,17 @@ def _correct_members(members, mask, predicted, innovation):  # type: ignore[no-u
     for column in range(members.shape[1]):
         if mask[column] > 0.0:
             values = members[:, column]
-            covariance = _significant_covariance(values, predicted, innovation)
-            gain = mask[column] * covariance / innovation.total
-            _shift(values, gain, predicted, innovation)
+            cross_covariance = _significant_covariance(values, predicted, innovation)
+            kalman_gain = mask[column] * cross_covariance / innovation.total
+            _shift(values, kalman_gain, predicted, innovation)
 
 
 @compiled
 def _correct_predictions(others, predicted, innovation):  # type: ignore[no-untyped-def]
     for later in range(others.shape[1]):
         values = others[:, later]
-        covariance = _covariance(predicted, innovation.mean, values, 0.0)
-        _shift(values, covariance / innovation.total, predicted, innovation)
+        cross_covariance = _covariance(predicted, innovation.mean, values, 0.0)
+        _shift(values, cross_covariance / innovation.total, predicted, innovation)
 
 
 @compiled

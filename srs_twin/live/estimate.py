@@ -13,7 +13,7 @@ import numpy as np
 from srs_twin.live.commands import SLOT_S, CommandPeriod
 from srs_twin.live.contact_observer import ContactEstimate, ContactObserver
 from srs_twin.live.messages import BENDS, PRESSURES, VALVES, Message
-from srs_twin.live.uncertain import Uncertain
+from srs_twin.live.uncertain import Estimates
 from srs_twin.plants.base import SnakeState
 from srs_twin.robot.spec import RobotSpec
 
@@ -62,7 +62,7 @@ class Estimate:
     pose_sd: np.ndarray
     velocity: np.ndarray
     connectors: np.ndarray
-    parameters: Mapping[str, Uncertain]
+    parameters: Mapping[str, Estimates]
     faults: tuple[DetectedFault, ...]
     off: Mapping[str, float]
     lost: str
@@ -82,18 +82,18 @@ class Estimate:
             com_velocity=self.velocity[:2],
             heading=self.pose[2],
             position=self.connectors[:, :2],
-            theta=self.connectors[:, 2],
+            connector_heading=self.connectors[:, 2],
             bend=self.bend,
             bend_rate=still,
             pressure=pressure,
             valves=np.zeros_like(pressure, dtype=np.int8),
-            sensed=self.bend,
+            measured_bend=self.bend,
             contact_force=np.zeros((n, 2)),
             obstacle_force=np.zeros((n, 2)),
             torque=still,
             work=np.float64(0.0),
             internal_loss=np.float64(0.0),
-            air=np.float64(0.0),
+            pneumatic_energy=np.float64(0.0),
             qpos=np.empty(0),
         )
 
@@ -182,7 +182,7 @@ class PredictionCalibration:
         self._error = self._error + weight * (error**2 - self._error)
         self._stated = self._stated + weight * (past.pose_sd**2 - self._stated)
 
-    def widened(self, raw: Prediction) -> Prediction:
+    def inflate(self, raw: Prediction) -> Prediction:
         """Return the prediction with widened intervals, and store it for `observe`."""
         self._open.append(raw)
         if not self._count:
@@ -234,12 +234,12 @@ class IntervalCalibration:
         """Factor by which the standard deviation of each value is multiplied."""
         return np.repeat(np.sqrt(self._square), self._counts)
 
-    def predict(self, time: float, state: Uncertain) -> None:
+    def predict(self, time: float, state: Estimates) -> None:
         """Add a prediction for a time (s) with unscaled standard deviations."""
         self._open.append(_PredictedState(time, *state))
 
     def update(
-        self, time: float, estimate: Uncertain, measured: Sequence[bool]
+        self, time: float, estimate: Estimates, measured: Sequence[bool]
     ) -> None:
         """Compare a prediction with the estimate after the measurements.
 
@@ -258,12 +258,12 @@ class IntervalCalibration:
         predicted = before.value + weight * (after.value - before.value)
         limit = 1.96 * self.scale * (before.sd + weight * (after.sd - before.sd))
         outside = (predicted - estimate.value) ** 2 + estimate.sd**2 > limit**2
-        share = np.add.reduceat(outside.astype(float), self._starts) / self._counts
+        fraction = np.add.reduceat(outside.astype(float), self._starts) / self._counts
         dt = np.where(
             measured, np.minimum(time - self._compared, _LONGEST_COMPARED_S), 0.0
         )
         self._compared = np.where(measured, time, self._compared)
-        square = self._square * np.exp(_ADAPTATION_RATE * dt * (share - 0.05))
+        square = self._square * np.exp(_ADAPTATION_RATE * dt * (fraction - 0.05))
         self._square = np.clip(square, _LEAST_SQUARE, _LARGEST_SQUARE)
 
 

@@ -33,7 +33,7 @@ first-order law (`pressure_table`). Leaks are detected from balances of air
 All pressures are relative to the estimated supply pressure (`air_balance`), so a slowly
 decreasing supply pressure is not reported as a fault of a segment. After a sudden loss
 of supply pressure, all segments seem weak or leaking at once, and the detector corrects
-the supply estimate. It reports the fault `starved` if the supply pressure is below the
+the supply estimate. It reports the fault `low_supply_pressure` if the supply pressure is below the
 fraction `STARVED_BELOW` of the nominal pressure.
 """
 
@@ -59,17 +59,17 @@ from srs_twin.live.fault_hypotheses import (
     LEAK_RATES,
     SENSORS,
     START_S,
-    SUPPLY_SHARES,
+    SUPPLY_FRACTIONS,
     WEAK,
-    Chamber,
-    FaultNaming,
-    Sensor,
+    ChamberBehaviour,
+    FaultDecision,
+    SensorBehaviour,
     valve_duty,
 )
 from srs_twin.live.pressure_table import PressureLevels
-from srs_twin.live.uncertain import Uncertain
+from srs_twin.live.uncertain import Estimates
 from srs_twin.pneumatics.chambers import chamber_gains, free_bends, largest_bend
-from srs_twin.pneumatics.lag import followed, relaxation_of, relaxed
+from srs_twin.pneumatics.lag import lag_response, relax, relaxation_of
 from srs_twin.robot.spec import RobotSpec
 
 _FAULT_RATE = 1e-3
@@ -120,8 +120,8 @@ _AT_REST_RAD = 1e-6
 _LEAST_PROBABILITY = 1e-12
 _FROZEN_NOISE = 0.1
 """Standard deviation of changes of a frozen reading, relative to the sensor noise."""
-_SUPPLY_EXPLAINS = (SUPPLY_SHARES < 1.0) | np.isin(
-    CHAMBERS, (Chamber.LEAKS, Chamber.VENTS)
+_SUPPLY_EXPLAINS = (SUPPLY_FRACTIONS < 1.0) | np.isin(
+    CHAMBERS, (ChamberBehaviour.LEAKS, ChamberBehaviour.VENTS)
 ).any(axis=1)
 """Hypotheses that look like a low supply pressure while chambers fill."""
 
@@ -148,7 +148,7 @@ class FaultDetector(Stateful):
         mean: estimated states (b, g⁺, g⁻, d, s, e), shape (segments, hypotheses, 6).
         supply: filter for the supply pressure.
         leaks: leak detector based on balances of air.
-        naming: detected faults.
+        decision: detected faults.
         time: time since the start of the robot, s.
     """
 
@@ -188,7 +188,9 @@ class FaultDetector(Stateful):
         self.mean[..., _State.PLUS] = self.mean[..., _State.MINUS] = 1.0
         self._largest = largest_bend(spec, supply_pa)
         self._load = _LOAD_SD * self._largest
-        self._obeys = np.isin(CHAMBERS, (Chamber.OBEYS, Chamber.LEAKS))
+        self._obeys = np.isin(
+            CHAMBERS, (ChamberBehaviour.OBEYS, ChamberBehaviour.LEAKS)
+        )
         inflows = [h.inflow(chamber) for h in HYPOTHESES for chamber in h.chambers]
         variants = list(dict.fromkeys(inflows))
         self._variant = np.reshape(list(map(variants.index, inflows)), (kinds, 2))
@@ -202,12 +204,12 @@ class FaultDetector(Stateful):
         self._level = math.nan
         self._last = np.full(count, np.nan)
         self.time = 0.0
-        self.naming = FaultNaming(count)
+        self.decision = FaultDecision(count)
 
     @property
-    def named(self) -> dict[int, str]:
+    def detected_faults(self) -> dict[int, str]:
         """Detected fault per segment number, counted from 1; key 0 is the supply."""
-        return self.naming.named
+        return self.decision.detected_faults
 
     def clear_fault(self, number: int) -> None:
         """Clear a detected fault, for example after a repair.
@@ -215,7 +217,7 @@ class FaultDetector(Stateful):
         Args:
             number: segment number, counted from 1, or 0 for the supply.
         """
-        self.naming.clear(number)
+        self.decision.clear(number)
         if number == 0:
             self.supply = SupplyFilter(self.supply.nominal)
         else:
@@ -242,18 +244,18 @@ class FaultDetector(Stateful):
 
     def most_likely(self) -> np.ndarray:
         """Return the most likely hypothesis of each segment, given detected faults."""
-        return self.naming.most_likely(self.probability)
+        return self.decision.most_likely(self.probability)
 
-    def modules(self) -> Uncertain:
+    def modules(self) -> Estimates:
         """Return estimates of g⁺, g⁻ and b (rad) per module, shape (segments, 3)."""
         values = self.mean[..., _MODULE]
         variances = np.einsum("smii->smi", self._covariance)[..., _MODULE]
         mean = np.einsum("sm,smi->si", self.probability, values)
         square = variances + (values - mean[:, None]) ** 2
         variance = np.einsum("sm,smi->si", self.probability, square)
-        return Uncertain(mean, np.sqrt(variance))
+        return Estimates(mean, np.sqrt(variance))
 
-    def corrected(self, readings: np.ndarray) -> Uncertain:
+    def corrected(self, readings: np.ndarray) -> Estimates:
         """Correct bend readings (rad) for estimated offsets and scale errors."""
         mean = np.einsum("sm,smk->sk", self.probability, self.mean)
         bends = (readings - mean[:, _State.OFFSET]) / (1 + mean[:, _State.SCALE])
@@ -263,14 +265,14 @@ class FaultDetector(Stateful):
         variance = np.einsum(
             "sm,sk,smkl,sl->s", self.probability, rows, self._covariance, rows
         )
-        return Uncertain(bends, np.sqrt(variance))
+        return Estimates(bends, np.sqrt(variance))
 
-    def parameters(self) -> dict[str, Uncertain]:
+    def parameters(self) -> dict[str, Estimates]:
         """Return estimated gains and biases (rad) in a dictionary."""
         mean, sd = self.modules()
         return {
-            "gain": Uncertain(mean[:, :2], sd[:, :2]),
-            "bias_rad": Uncertain(mean[:, 2], sd[:, 2]),
+            "gain": Estimates(mean[:, :2], sd[:, :2]),
+            "bias_rad": Estimates(mean[:, 2], sd[:, 2]),
         }
 
     def predict(self, duty: np.ndarray, dt: float) -> None:
@@ -330,7 +332,7 @@ class FaultDetector(Stateful):
         weight /= weight.sum(axis=1, keepdims=True)
         self.probability = np.maximum(weight, _LEAST_PROBABILITY)
         self._judge_supply()
-        self.naming.update(self.time, self.probability)
+        self.decision.update(self.time, self.probability)
 
     def update_supply(self, pressure: float) -> None:
         """Update the supply estimate with a measured gauge pressure (Pa)."""
@@ -341,15 +343,15 @@ class FaultDetector(Stateful):
 
     def _advance_chambers(self, duty: np.ndarray, dt: float) -> None:
         duty = valve_duty(duty[:, None], CHAMBERS)
-        leak = np.where(CHAMBERS == Chamber.LEAKS, LEAK_RATES[:, None], 0.0)
-        supply = self.supply.pressure * SUPPLY_SHARES[:, None]
+        leak = np.where(CHAMBERS == ChamberBehaviour.LEAKS, LEAK_RATES[:, None], 0.0)
+        supply = self.supply.pressure * SUPPLY_FRACTIONS[:, None]
         relaxation = relaxation_of(
             duty / self._fill, (1 - duty) / self._vent, supply, leak
         )
-        self._delayed = followed(
+        self._delayed = lag_response(
             self._delayed, self._pressure, relaxation, self._tau, dt
         )
-        self._pressure = relaxed(self._pressure, *relaxation, dt)
+        self._pressure = relax(self._pressure, *relaxation, dt)
 
     def _bend_rows(self) -> np.ndarray:
         """Return the Jacobian of the bends, shape (segments, hypotheses, 6)."""
@@ -380,34 +382,34 @@ class FaultDetector(Stateful):
         load = self._load * math.sqrt(1 - decay[_State.LOAD] ** 2)
         sound = np.diag([bias, gain, gain, load, offset, 0.0]) ** 2
         noise = np.tile(sound, (len(HYPOTHESES), 1, 1))
-        drifts = SENSORS == Sensor.DRIFTS
+        drifts = SENSORS == SensorBehaviour.DRIFTS
         noise[drifts, _State.OFFSET, _State.OFFSET] = (_DRIFT_WALK * root) ** 2
         # `joint` is the probability that hypothesis i was true before and j is true
-        # now. `share` is the probability of i, given that j is true now.
+        # now. `fraction` is the probability of i, given that j is true now.
         joint = self.probability[:, :, None] * transition
         predicted = joint.sum(axis=1)
-        share = joint / np.maximum(predicted[:, None, :], 1e-300)
-        mean = np.einsum("sij,sik->sjk", share, self.mean)
+        fraction = joint / np.maximum(predicted[:, None, :], 1e-300)
+        mean = np.einsum("sij,sik->sjk", fraction, self.mean)
         difference = self.mean[:, :, None, :] - mean[:, None, :, :]
-        covariance = np.einsum("sij,sikl->sjkl", share, self._covariance)
-        covariance += np.einsum("sij,sijk,sijl->sjkl", share, difference, difference)
+        covariance = np.einsum("sij,sikl->sjkl", fraction, self._covariance)
+        covariance += np.einsum("sij,sijk,sijl->sjkl", fraction, difference, difference)
         self.mean = mean * decay
         self._covariance = covariance * np.outer(decay, decay) + noise
-        self._pressure = np.einsum("sij,sik->sjk", share, self._pressure)
-        self._delayed = np.einsum("sij,sik->sjk", share, self._delayed)
+        self._pressure = np.einsum("sij,sik->sjk", fraction, self._pressure)
+        self._delayed = np.einsum("sij,sik->sjk", fraction, self._delayed)
         self.probability = predicted
 
     def _correct_by_readings(
         self, rows: np.ndarray, readings: np.ndarray
     ) -> np.ndarray:
-        sensed = rows.copy()
+        measured_bend = rows.copy()
         # The reading (1 + e) q + s has the derivative 1 with respect to s, and q with
         # respect to e.
-        sensed[..., _State.OFFSET] = 1.0
-        sensed[..., _State.SCALE] = np.einsum("smk,smk->sm", rows, self.mean)
+        measured_bend[..., _State.OFFSET] = 1.0
+        measured_bend[..., _State.SCALE] = np.einsum("smk,smk->sm", rows, self.mean)
         self._last = np.where(np.isnan(readings), self._last, readings)
-        reads = np.isin(SENSORS, (Sensor.READS, Sensor.DRIFTS))
-        return self._correct(sensed, readings, _NOISE_RAD, reads)
+        reads = np.isin(SENSORS, (SensorBehaviour.READS, SensorBehaviour.DRIFTS))
+        return self._correct(measured_bend, readings, _NOISE_RAD, reads)
 
     def _correct(
         self,
@@ -447,8 +449,8 @@ class FaultDetector(Stateful):
         """Return log-likelihoods of missing (silent) and equal (frozen) readings."""
         log_likelihood = np.zeros(self.probability.shape)
         lost = np.isnan(readings)[:, None]
-        silent = SENSORS == Sensor.SILENT
-        frozen = SENSORS == Sensor.FROZEN
+        silent = SENSORS == SensorBehaviour.SILENT
+        frozen = SENSORS == SensorBehaviour.FROZEN
         usual = np.where(lost, math.log(_LOSS), math.log(1 - _LOSS))
         log_likelihood[:, ~silent] = usual
         log_likelihood[:, silent] = np.where(
@@ -464,7 +466,7 @@ class FaultDetector(Stateful):
     def _pressure_log_likelihood(self, pressures: np.ndarray, dt: float) -> np.ndarray:
         """Return log-likelihoods of pressures, scaled down for correlated residuals."""
         usual, sd = self._levels.read()
-        self._update_supply(pressures, Uncertain(usual, sd + _LEAST_PRESSURE_SD))
+        self._update_supply(pressures, Estimates(usual, sd + _LEAST_PRESSURE_SD))
         residual = pressures[:, None] - self._pressure
         residual = np.nan_to_num(residual / self.supply.pressure)
         # Usual residuals were learnt from valves that obey commands, so they apply only
@@ -475,18 +477,18 @@ class FaultDetector(Stateful):
         log = np.where(np.isnan(pressures)[:, None], 0.0, log)
         # With enough strokes, the balance of air replaces this evidence for leaks.
         balanced = (self.leaks.learnt >= _BALANCED_STROKES)[:, None]
-        replaced = balanced & (CHAMBERS == Chamber.LEAKS)
+        replaced = balanced & (CHAMBERS == ChamberBehaviour.LEAKS)
         log = np.where(replaced, log.max(axis=1, keepdims=True), log)
         learns = ~np.isnan(pressures) & (self.probability[:, :1] > 0.9)
         self._levels.update(residual[:, 0], learns)
         return np.asarray(log.sum(axis=-1) * min(dt / _PRESSURE_TIME_S, 1.0))
 
-    def _update_supply(self, pressures: np.ndarray, usual: Uncertain) -> None:
+    def _update_supply(self, pressures: np.ndarray, usual: Estimates) -> None:
         before = self.supply.pressure
         response = self._pressure[:, 0] / before + usual.value
         sd = before * usual.sd
         obeys = np.einsum("sm,mc->sc", self.probability, self._obeys)
-        obeys[self.naming.faulty] = 0.0
+        obeys[self.decision.faulty] = 0.0
         filled = self._levels.ages.filled_s
         residual = pressures - before * response
         settled = (filled > _SETTLED_S) & ~np.isnan(pressures) & (obeys > 0.5)
@@ -505,7 +507,7 @@ class FaultDetector(Stateful):
         balance = self.leaks.residuals(self.time, pressures, filled)
         self.supply.update(
             np.where(balanced, balance.residual, residual),
-            np.where(balanced, balance.slope, response),
+            np.where(balanced, balance.derivative, response),
             np.where(balanced, balance.sd, sd),
             np.where(balanced | settled, obeys, 0.0),
             MESSAGES_PER_INDEPENDENT,
@@ -521,33 +523,33 @@ class FaultDetector(Stateful):
             self._attribute_to_supply(_SUPPLY_EXPLAINS, likely)
 
     def _rescale(self, before: float) -> None:
-        share = self.supply.pressure / before
-        self._pressure *= share
-        self._delayed *= share
+        fraction = self.supply.pressure / before
+        self._pressure *= fraction
+        self._delayed *= fraction
 
     def _judge_supply(self) -> None:
-        """Correct the supply estimate if most segments seem weak; update `starved`."""
-        weak = SUPPLY_SHARES < 1.0
+        """Correct the supply estimate if most segments seem weak; update `low_supply_pressure`."""
+        weak = SUPPLY_FRACTIONS < 1.0
         weak_or_leaks = weak | (LEAK_RATES > 0.0)
         kind = np.flatnonzero(weak)[self.probability[:, weak].sum(axis=0).argmax()]
         if math.isnan(self._level):
-            share = SUPPLY_SHARES[kind]
+            fraction = SUPPLY_FRACTIONS[kind]
             common = weak
         else:
             # With low pressures, a failed supply is more likely than several
             # simultaneous leaks.
-            share = self._level
+            fraction = self._level
             common = weak_or_leaks
         suspect = self.probability[:, common].sum(axis=1) > 0.5
-        if share < _FAILED_BELOW and suspect.mean() > 0.5:
+        if fraction < _FAILED_BELOW and suspect.mean() > 0.5:
             before = self.supply.pressure
-            self.supply.jump(share)
+            self.supply.jump(fraction)
             self._rescale(before)
             self._attribute_to_supply(common, np.full(len(self.probability), kind))
             self.leaks.drop_all()
         if self.time < START_S:
             return
-        if self.naming.starved:
+        if self.decision.low_supply_pressure:
             # A segment with a low supply pressure seems to leak. Without this
             # correction, the false leak would remain after the supply has recovered.
             likely = np.where(weak_or_leaks, self.probability, 0.0).argmax(axis=1)
@@ -556,9 +558,9 @@ class FaultDetector(Stateful):
         # decreases, so the thresholds ignore it.
         sd = 0.0 if math.isnan(self._level) else self.supply.sd
         if self.supply.pressure + sd < STARVED_BELOW * self.supply.nominal:
-            self.naming.pairs[0, 0] = WEAK
+            self.decision.pairs[0, 0] = WEAK
         elif self.supply.pressure - sd > RECOVERED_ABOVE * self.supply.nominal:
-            self.naming.clear(0)
+            self.decision.clear(0)
 
     def _attribute_to_supply(self, common: np.ndarray, kind: np.ndarray) -> None:
         """Move the probability of the hypotheses `common` to "no fault".
@@ -583,7 +585,7 @@ class FaultDetector(Stateful):
         log_likelihood = self.leaks.update(
             self.time,
             pressures,
-            Uncertain(bend, sd),
+            Estimates(bend, sd),
             self._levels.ages.filled_s,
             self.probability[:, 0],
             self.supply,

@@ -1,6 +1,6 @@
 """Fault hypotheses of a segment, and the decision which faults are detected.
 
-`FaultNaming` detects a fault when the probability of its hypotheses stays above a
+`FaultDecision` detects a fault when the probability of its hypotheses stays above a
 threshold for long enough.
 """
 
@@ -13,11 +13,11 @@ import numpy as np
 
 from srs_twin.io.saved_state import Stateful
 
-STARVED = "starved"
+STARVED = "low_supply_pressure"
 """Name of the fault "supply pressure too low"."""
 
 
-class Chamber(IntEnum):
+class ChamberBehaviour(IntEnum):
     """Behaviour of a chamber."""
 
     OBEYS = 0
@@ -26,7 +26,7 @@ class Chamber(IntEnum):
     LEAKS = 3
 
 
-class Sensor(IntEnum):
+class SensorBehaviour(IntEnum):
     """Behaviour of a bend sensor."""
 
     READS = 0
@@ -40,12 +40,12 @@ class Inflow(NamedTuple):
 
     Attributes:
         leak: relative rate at which the chamber loses pressure, 1/s.
-        share: supply pressure of the chamber as a fraction of the robot's supply
+        fraction: supply pressure of the chamber as a fraction of the robot's supply
             pressure, or 0 if no air flows in.
     """
 
     leak: float
-    share: float
+    fraction: float
 
 
 class Hypothesis(NamedTuple):
@@ -59,36 +59,42 @@ class Hypothesis(NamedTuple):
     """
 
     name: str
-    plus: Chamber = Chamber.OBEYS
-    minus: Chamber = Chamber.OBEYS
-    sensor: Sensor = Sensor.READS
+    plus: ChamberBehaviour = ChamberBehaviour.OBEYS
+    minus: ChamberBehaviour = ChamberBehaviour.OBEYS
+    sensor: SensorBehaviour = SensorBehaviour.READS
     leak: float = 0.0
     weak: float = 1.0
 
     @property
-    def chambers(self) -> tuple[Chamber, Chamber]:
+    def chambers(self) -> tuple[ChamberBehaviour, ChamberBehaviour]:
         """Behaviour of both chambers."""
         return self.plus, self.minus
 
-    def inflow(self, chamber: Chamber) -> Inflow:
+    def inflow(self, chamber: ChamberBehaviour) -> Inflow:
         """Return the inflow of a chamber that behaves as given."""
-        leak = self.leak if chamber == Chamber.LEAKS else 0.0
-        share = 0.0 if chamber == Chamber.VENTS else self.weak
-        return Inflow(leak, share)
+        leak = self.leak if chamber == ChamberBehaviour.LEAKS else 0.0
+        fraction = 0.0 if chamber == ChamberBehaviour.VENTS else self.weak
+        return Inflow(leak, fraction)
 
 
 HYPOTHESES = (
     Hypothesis(""),
-    Hypothesis("stuck_valve +=open", plus=Chamber.FILLS),
-    Hypothesis("stuck_valve +=closed", plus=Chamber.VENTS),
-    Hypothesis("stuck_valve -=open", minus=Chamber.FILLS),
-    Hypothesis("stuck_valve -=closed", minus=Chamber.VENTS),
-    *(Hypothesis("leak +", plus=Chamber.LEAKS, leak=rate) for rate in (2.0, 6.0)),
-    *(Hypothesis("leak -", minus=Chamber.LEAKS, leak=rate) for rate in (2.0, 6.0)),
-    *(Hypothesis("weak", weak=share) for share in (0.5, 0.15)),
-    Hypothesis("dead_sensor", sensor=Sensor.SILENT),
-    Hypothesis("dead_sensor frozen", sensor=Sensor.FROZEN),
-    Hypothesis("drifting_sensor", sensor=Sensor.DRIFTS),
+    Hypothesis("stuck_valve +=open", plus=ChamberBehaviour.FILLS),
+    Hypothesis("stuck_valve +=closed", plus=ChamberBehaviour.VENTS),
+    Hypothesis("stuck_valve -=open", minus=ChamberBehaviour.FILLS),
+    Hypothesis("stuck_valve -=closed", minus=ChamberBehaviour.VENTS),
+    *(
+        Hypothesis("leak +", plus=ChamberBehaviour.LEAKS, leak=rate)
+        for rate in (2.0, 6.0)
+    ),
+    *(
+        Hypothesis("leak -", minus=ChamberBehaviour.LEAKS, leak=rate)
+        for rate in (2.0, 6.0)
+    ),
+    *(Hypothesis("weak", weak=fraction) for fraction in (0.5, 0.15)),
+    Hypothesis("dead_sensor", sensor=SensorBehaviour.SILENT),
+    Hypothesis("dead_sensor frozen", sensor=SensorBehaviour.FROZEN),
+    Hypothesis("drifting_sensor", sensor=SensorBehaviour.DRIFTS),
 )
 
 NAMES = tuple(dict.fromkeys(hypothesis.name for hypothesis in HYPOTHESES))
@@ -109,7 +115,7 @@ The effects are equal only while the two chambers of the segment fill alternatel
 CHAMBERS = np.array([hypothesis.chambers for hypothesis in HYPOTHESES])
 SENSORS = np.array([hypothesis.sensor for hypothesis in HYPOTHESES])
 LEAK_RATES = np.array([hypothesis.leak for hypothesis in HYPOTHESES])
-SUPPLY_SHARES = np.array([hypothesis.weak for hypothesis in HYPOTHESES])
+SUPPLY_FRACTIONS = np.array([hypothesis.weak for hypothesis in HYPOTHESES])
 
 
 def valve_duty(duty: np.ndarray, chambers: np.ndarray) -> np.ndarray:
@@ -117,8 +123,8 @@ def valve_duty(duty: np.ndarray, chambers: np.ndarray) -> np.ndarray:
 
     A duty cycle is the fraction of time in which a valve fills its chamber.
     """
-    duty = np.where(chambers == Chamber.VENTS, 0.0, duty)
-    return np.where(chambers == Chamber.FILLS, 1.0, duty)
+    duty = np.where(chambers == ChamberBehaviour.VENTS, 0.0, duty)
+    return np.where(chambers == ChamberBehaviour.FILLS, 1.0, duty)
 
 
 _THRESHOLD = 0.97
@@ -140,7 +146,7 @@ _PATIENCE_FACTOR = 3.0
 """Factor by which the required time grows while another segment is suspect."""
 
 
-class FaultNaming(Stateful):
+class FaultDecision(Stateful):
     """Detected faults of the segments and the supply.
 
     Attributes:
@@ -160,16 +166,16 @@ class FaultNaming(Stateful):
         self._either_since = np.full((segments, len(INDISTINGUISHABLE)), np.inf)
 
     @property
-    def named(self) -> dict[int, str]:
+    def detected_faults(self) -> dict[int, str]:
         """Names of the detected faults by segment number, where 0 is the supply."""
-        named = {0: STARVED} if self.starved else {}
+        detected = {0: STARVED} if self.low_supply_pressure else {}
         for j in np.flatnonzero(self.faulty) + 1:
             names = [NAMES[m] for m in self.pairs[j] if m >= 0]
-            named[int(j)] = " or ".join(names)
-        return named
+            detected[int(j)] = " or ".join(names)
+        return detected
 
     @property
-    def starved(self) -> bool:
+    def low_supply_pressure(self) -> bool:
         """Whether a low supply pressure is detected."""
         return bool(self.pairs[0, 0] >= 0)
 
@@ -218,7 +224,7 @@ class FaultNaming(Stateful):
             other_weak = (weak.sum() - weak) / (count - 1)
             likely[:, WEAK] = weak * np.minimum(2 * other_weak, 1.0)
             likely /= likely.sum(axis=1, keepdims=True)
-        starved = self.starved
+        low_supply_pressure = self.low_supply_pressure
         self._since = np.where(
             likely > threshold, np.minimum(self._since, time), np.inf
         )
@@ -228,7 +234,7 @@ class FaultNaming(Stateful):
         self._either_since = np.where(
             np.transpose(either), np.minimum(self._either_since, time), np.inf
         )
-        if not starved:
+        if not low_supply_pressure:
             for j, m in np.argwhere(time - self._since >= patience):
                 # Later evidence may decide between the two faults of a detected pair.
                 is_new = pairs[j + 1, 0] < 0 or m in pairs[j + 1]

@@ -14,7 +14,7 @@ from srs_twin.plants.analytical.compliant_kernels import CompliantModel, WorkArr
 from srs_twin.plants.analytical.floor import floor_friction
 from srs_twin.plants.analytical.kinematics import BodyParameters
 from srs_twin.pneumatics.chambers import apply_bend_law, bend_law
-from srs_twin.pneumatics.lag import followed, relaxation_of, relaxed
+from srs_twin.pneumatics.lag import lag_response, relax, relaxation_of
 from srs_twin.robot.spec import RobotSpec
 
 STEP_S = 0.0025
@@ -152,9 +152,9 @@ class MemberDynamics:
             )
             pressure = pressures[-1][-1]
             lagged = lags[-1][-1]
-            pressures.append(relaxed(pressure, *relaxation, after))
+            pressures.append(relax(pressure, *relaxation, after))
             lags.append(
-                followed(lagged, pressure, relaxation, actuator.tau_mode, after)
+                lag_response(lagged, pressure, relaxation, actuator.tau_mode, after)
             )
         whole = np.concatenate(pressures)
         behind = np.concatenate(lags)
@@ -191,8 +191,8 @@ class MemberDynamics:
         states[:, [kernels.STATE_X, kernels.STATE_Y, kernels.HEADING]] = pose
         bends = states[:, compliant_kernels.BENDS :][:, :n]
         bends[:] = bend
-        work = WorkArrays.of(n + 1, states.shape[1])
-        _set_momenta(states, velocity, self._model, work)
+        workspace = WorkArrays.of(n + 1, states.shape[1])
+        _set_momenta(states, velocity, self._model, workspace)
         free = _free_bends(
             np.ascontiguousarray(drive.bend),
             np.ascontiguousarray(drive.rate),
@@ -200,7 +200,7 @@ class MemberDynamics:
             bend_law(self._spec),
         )
         steps = np.full(len(drive.bend) // 2, drive.step)
-        complete = _advance(states, velocity, steps, free, self._model, work)
+        complete = _advance(states, velocity, steps, free, self._model, workspace)
         # A diverged member would distort the ensemble mean, so it is reported as
         # invalid although the integrator has finished.
         slow = (np.abs(velocity[:, :3]) <= _LARGEST_VELOCITY).all(axis=1)
@@ -219,14 +219,14 @@ def _free_bends(linear, speed, bias, law):  # type: ignore[no-untyped-def]
     for m in range(members):
         for t in range(times):
             for j in range(segments):
-                free, slope, _ = apply_bend_law(linear[t, m, j], law)
+                free, derivative, _ = apply_bend_law(linear[t, m, j], law)
                 bends[m, t, j] = bias[m, j] + free
-                rates[m, t, j] = slope * speed[t, m, j]
+                rates[m, t, j] = derivative * speed[t, m, j]
     return kernels.Bends(bends, rates)
 
 
 @allocating
-def _advance(states, velocities, steps, free, model, work):  # type: ignore[no-untyped-def]
+def _advance(states, velocities, steps, free, model, workspace):  # type: ignore[no-untyped-def]
     complete = np.empty(states.shape[0], dtype=np.bool_)
     marks = np.empty(0, dtype=np.int64)
     seen = kernels.Samples(
@@ -235,18 +235,20 @@ def _advance(states, velocities, steps, free, model, work):  # type: ignore[no-u
     for m in range(states.shape[0]):
         now = compliant_kernels.CompliantState(states[m], velocities[m])
         bends = kernels.Bends(free.bend[m], free.rate[m])
-        done = compliant_kernels.advance(now, steps, bends, marks, model, seen, work)
+        done = compliant_kernels.advance(
+            now, steps, bends, marks, model, seen, workspace
+        )
         complete[m] = done == steps.shape[0]
     return complete
 
 
 @compiled
-def _set_momenta(states, velocities, model, work):  # type: ignore[no-untyped-def]
+def _set_momenta(states, velocities, model, workspace):  # type: ignore[no-untyped-def]
     """Fill velocities and momenta from velocities in the frame of the mean heading."""
-    segments = work.bend.shape[0]
+    segments = workspace.bend.shape[0]
     ahead = compliant_kernels.BENDS
-    momentum = work.momentum
-    moment = work.bend  # arbitrary: moments due to air do not enter the momenta
+    momentum = workspace.momentum
+    moment = workspace.bend  # arbitrary: moments due to air do not enter the momenta
     for m in range(states.shape[0]):
         state = states[m]
         u = velocities[m]
@@ -255,7 +257,7 @@ def _set_momenta(states, velocities, model, work):  # type: ignore[no-untyped-de
         state[kernels.STATE_VX] = c * u[0] - s * u[1]
         state[kernels.STATE_VY] = s * u[0] + c * u[1]
         bend = state[ahead : ahead + segments]
-        compliant_kernels.balance(bend, u, moment, 0.0, model, model.floor, work)
+        compliant_kernels.balance(bend, u, moment, 0.0, model, model.floor, workspace)
         state[kernels.MOMENT] = momentum[2]
         for j in range(segments):
             state[ahead + segments + j] = momentum[3 + j]

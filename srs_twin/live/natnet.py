@@ -389,7 +389,7 @@ def unit_quaternion(turn: Sequence[float]) -> tuple[float, ...] | None:
     return tuple(component / length for component in turn)
 
 
-def turned(body: RigidBody, up: str) -> np.ndarray:
+def rotate(body: RigidBody, up: str) -> np.ndarray:
     """Return x, y, z (m, z up) and heading (rad) of a body.
 
     The x axis of the body points forwards. All values are NaN if the orientation is
@@ -405,7 +405,7 @@ def turned(body: RigidBody, up: str) -> np.ndarray:
     x, y, z = body.place
     i, j, k, w = turn
     # Component of the x axis of the body along the x axis of the frame.
-    ahead = 1 - 2 * (j * j + k * k)
+    forward = 1 - 2 * (j * j + k * k)
     if up == "y":
-        return np.array([x, -z, y, math.atan2(-2 * (i * k - j * w), ahead)])
-    return np.array([x, y, z, math.atan2(2 * (i * j + k * w), ahead)])
+        return np.array([x, -z, y, math.atan2(-2 * (i * k - j * w), forward)])
+    return np.array([x, y, z, math.atan2(2 * (i * j + k * w), forward)])

@@ -132,11 +132,13 @@ class LocalConnection(Stateful):
         place = shapes[0]
         moves = (shapes[1:] - shapes[0]) / _DIFFERENCE_RAD
         heading = relative_headings(bends)
-        ahead = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-        aside = ahead[:, ::-1] * [-1.0, 1.0]
+        forward = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+        lateral = forward[:, ::-1] * [-1.0, 1.0]
         # The square roots of the friction coefficients turn the minimum of dissipation
         # into a least-squares problem.
-        directions = np.stack([math.sqrt(mu.mu_t) * ahead, math.sqrt(mu.mu_n) * aside])
+        directions = np.stack(
+            [math.sqrt(mu.mu_t) * forward, math.sqrt(mu.mu_n) * lateral]
+        )
         turns = np.stack([-place[:, 1], place[:, 0]], axis=-1)
         levers = np.sum(directions * turns, axis=-1, keepdims=True)
         body = np.concatenate([directions, levers], axis=-1).reshape(-1, 3)

@@ -235,7 +235,7 @@ class NatNetLink(_UdpLink):
     def _message(self, frame: natnet.Frame, arrived: float) -> Message:
         # A body that the cameras have lost has no measured pose in this frame.
         seen = {key: body for key, body in frame.bodies.items() if body.tracked}
-        poses = [natnet.turned(body, self._up) for body in seen.values()]
+        poses = [natnet.rotate(body, self._up) for body in seen.values()]
         values = np.array(poses).reshape(-1, 4)
         names = tuple(self.names.get(key, str(key)) for key in seen)
         return Message(POSES, "natnet", frame.time, arrived, values, names)

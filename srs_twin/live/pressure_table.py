@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from srs_twin.io.saved_state import Stateful
-from srs_twin.live.uncertain import Uncertain
+from srs_twin.live.uncertain import Estimates
 
 BinIndex = tuple[np.ndarray, ...]
 """Index of the current bin of each chamber."""
@@ -136,18 +136,19 @@ class PressureRates:
         times = self._time_in_bin
         since = times.sum(axis=(2, 3), keepdims=True)
         measured = ~np.isnan(innovation)[..., None, None]
-        share = np.where(
+        fraction = np.where(
             measured & (since < self._LONGEST_S), times / np.maximum(since, 1e-9), 0.0
         )
         known = np.nan_to_num(innovation)[..., None, None]
         # The difference of two pressures contains the noise of both.
         variance = np.maximum(known**2 - 2 * noise**2, 0.0) / np.maximum(since, 1e-9)
         self.wander = np.maximum(
-            self.wander + share / self._MEMORY * (variance - self.wander), self._least
+            self.wander + fraction / self._MEMORY * (variance - self.wander),
+            self._least,
         )
         squares = np.maximum((times**2).sum(axis=(2, 3), keepdims=True), 1e-12)
         self.rate = self.rate + np.where(
-            share > 0, self._GAIN * known * times / squares, 0.0
+            fraction > 0, self._GAIN * known * times / squares, 0.0
         )
         # Without a measurement the time accumulates until the next measurement.
         self._time_in_bin = np.where(measured, 0.0, times)
@@ -174,10 +175,10 @@ class PressureLevels(Stateful):
         self._mean = np.zeros(self.ages.shape)
         self._variance = np.full(self.ages.shape, sd**2)
 
-    def read(self) -> Uncertain:
+    def read(self) -> Estimates:
         """Return mean and standard deviation per current bin, shape (segments, 2)."""
         index = self.ages.index()
-        return Uncertain(self._mean[index], np.sqrt(self._variance[index]))
+        return Estimates(self._mean[index], np.sqrt(self._variance[index]))
 
     def update(self, residual: np.ndarray, learns: np.ndarray) -> None:
         """Learn from pressures that were measured in the current bins.

@@ -49,15 +49,15 @@ class _Motion(NamedTuple):
 
     Attributes:
         place: positions of the connectors, m.
-        ahead: unit vectors along the connectors.
-        aside: unit vectors to the left of the connectors.
+        forward: unit vectors along the connectors.
+        lateral: unit vectors to the left of the connectors.
         rate: time derivatives of the positions, m/s.
         spin: time derivatives of the headings, shape (steps, N), rad/s.
     """
 
     place: np.ndarray
-    ahead: np.ndarray
-    aside: np.ndarray
+    forward: np.ndarray
+    lateral: np.ndarray
     rate: np.ndarray
     spin: np.ndarray
 
@@ -110,9 +110,9 @@ class PushedBody:
         q = spline(np.arange(count) * self._h)
         place = body_shape(q, self._mass, g.segment_length, g.rigid_gap)
         angle = relative_headings(q)
-        ahead = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-        aside = np.stack([-ahead[..., 1], ahead[..., 0]], axis=-1)
-        motion = _Motion(place, ahead, aside, self._rate(place), self._rate(angle))
+        forward = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        lateral = np.stack([-forward[..., 1], forward[..., 0]], axis=-1)
+        motion = _Motion(place, forward, lateral, self._rate(place), self._rate(angle))
         self._tabulate_wheels(motion)
         squares = self._mass * (place**2).sum(axis=-1)
         self._inertia = (squares + spec.yaw_inertia()).sum(axis=-1)
@@ -144,12 +144,12 @@ class PushedBody:
         arm = self._spec.geometry.half_track
         jacobian = []
         drift = []
-        for direction in (motion.ahead, motion.aside):
+        for direction in (motion.forward, motion.lateral):
             for side in (arm, -arm):
-                turn = _cross(motion.place + side * motion.aside, direction)
+                turn = _cross(motion.place + side * motion.lateral, direction)
                 jacobian.append(np.concatenate([direction, turn[..., None]], axis=-1))
                 speed = (motion.rate * direction).sum(axis=-1)
-                if direction is motion.ahead:
+                if direction is motion.forward:
                     speed -= motion.spin * side
                 drift.append(speed)
         self._jacobian = np.concatenate(jacobian, axis=1)
@@ -188,9 +188,11 @@ class PushedBody:
         g = self._spec.geometry
         n = self._spec.segments
         j = np.minimum((stations / g.pitch).astype(int), n - 1)
-        share = (stations / g.pitch - j)[:, None]
-        point = (1 - share) * motion.place[:, j] + share * motion.place[:, j + 1]
-        normal = (1 - share) * motion.aside[:, j] + share * motion.aside[:, j + 1]
+        fraction = (stations / g.pitch - j)[:, None]
+        point = (1 - fraction) * motion.place[:, j] + fraction * motion.place[:, j + 1]
+        normal = (1 - fraction) * motion.lateral[:, j] + fraction * motion.lateral[
+            :, j + 1
+        ]
         normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
         self._push = np.concatenate([normal, _cross(point, normal)[..., None]], axis=-1)
         arms = (
@@ -201,7 +203,7 @@ class PushedBody:
         # Mean lever arm max(c - s, 0) over the cross-sections c of the arc.
         begin = g.rigid_gap / 2
         end = g.rigid_gap / 2 + g.segment_length
-        behind = share[:, 0] * g.pitch
+        behind = fraction[:, 0] * g.pitch
         at = np.clip(behind, begin, end)
         lever = (end - at) ** 2 / (2 * g.segment_length)
         lever += np.maximum(begin - behind, 0.0)
@@ -243,9 +245,9 @@ class PushedBody:
                 axis=-1,
             )
             push = force[:, None] * self._push[g, station]
-            wheels, slope = self._friction(g, u)
+            wheels, derivative = self._friction(g, u)
             # This is a linearly implicit Euler step: (M - h df/du) Δu = h f.
-            matrix = np.diag([total, total, inertia[g]]) - h * slope
+            matrix = np.diag([total, total, inertia[g]]) - h * derivative
             impulse = h * (wheels @ self._jacobian[g] + push)
             u = u + np.linalg.solve(matrix, impulse[..., None])[..., 0]
         wheels, _ = self._friction(g, u)
@@ -273,6 +275,6 @@ class PushedBody:
         load = np.tile(self._mass, 2) * GRAVITY / 2
         mu_t = mu.mu_t + mu.drag / (self._mass.sum() * GRAVITY)
         slip_speed = SLIP_SPEED_M_S * spec.scale.speed
-        t, n, *slopes = law(along, across, load, mu_t, mu.mu_n, slip_speed)
-        sum_of_slopes = np.concatenate(slopes, axis=-1) @ self._products[g]
-        return np.concatenate([t, n], axis=-1), sum_of_slopes.reshape(-1, 3, 3)
+        t, n, *derivatives = law(along, across, load, mu_t, mu.mu_n, slip_speed)
+        sum_of_derivatives = np.concatenate(derivatives, axis=-1) @ self._products[g]
+        return np.concatenate([t, n], axis=-1), sum_of_derivatives.reshape(-1, 3, 3)

@@ -225,7 +225,7 @@ def warm_up(spec: RobotSpec) -> None:
     shadow.predict()
 
 
-class Interval:
+class PeriodicTimer:
     """Interval between two runs of periodic work."""
 
     def __init__(self, seconds: float) -> None:
@@ -319,7 +319,7 @@ class Session:
         self._stopped = False
         self._slow = False
         self._intervals = {
-            work: Interval(seconds) for work, seconds in INTERVALS_S.items()
+            work: PeriodicTimer(seconds) for work, seconds in INTERVALS_S.items()
         }
         self._skipped = 0.0
         self._behind = 0.0
@@ -476,7 +476,7 @@ class Session:
             self._report(f"a forecast failed: {error!r}")
             return
         calibration = self.shadow.prediction_calibration
-        self._prediction = calibration.widened(predicting.result())
+        self._prediction = calibration.inflate(predicting.result())
 
     def _report(self, problem: str) -> None:
         if problem not in self.problems and len(self.problems) < _MOST_PROBLEMS:
@@ -596,7 +596,7 @@ class Session:
             "overruns": sum(tick > TICK_S for tick in self.ticks),
             "lag_s": self.lag,
             "skipped_s": self.shadow.skipped,
-            "view_share": self.view_s / max(seconds, 1e-9),
+            "view_fraction": self.view_s / max(seconds, 1e-9),
         }
         if self._steering is not None:
             document["following"] = self._steering.summary()

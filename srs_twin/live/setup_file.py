@@ -67,7 +67,7 @@ class LimitsFile(Section):
 
     duration_s: float | None = quantity(0.02, 1e7, None)
     """Maximum duration of a session (default: until it is stopped)."""
-    press_on: bool = False
+    allow_zero_margin: bool = False
     """Whether the robot continues without any margin to obstacles instead of stopping.
     """
 
@@ -117,7 +117,7 @@ class SetupFile(Section):
                 and [f"{body}={number}" for body, number in capture.bodies.items()]
             ),
             "duration": self.limits.duration_s,
-            "press_on": self.limits.press_on,
+            "allow_zero_margin": self.limits.allow_zero_margin,
         }
         return {name: value for name, value in values.items() if value is not None}
 

@@ -35,8 +35,8 @@ from srs_twin.live.fault_hypotheses import (
     LEAK_RATES,
     SENSORS,
     STARVED,
-    Chamber,
-    Sensor,
+    ChamberBehaviour,
+    SensorBehaviour,
     valve_duty,
 )
 from srs_twin.live.member_dynamics import STEP_S, ValveInput
@@ -49,7 +49,7 @@ from srs_twin.live.messages import (
     VALVES,
     Message,
 )
-from srs_twin.live.uncertain import Uncertain
+from srs_twin.live.uncertain import Estimates
 from srs_twin.robot.geometry import measured_bend
 from srs_twin.robot.spec import RobotSpec
 
@@ -208,7 +208,7 @@ class Shadow:
 
     def predict(self) -> Prediction:
         """Predict the path during the next second with repeated commands."""
-        return self.prediction_calibration.widened(self.prediction_task()())
+        return self.prediction_calibration.inflate(self.prediction_task()())
 
     def prediction_task(self) -> Callable[[], Prediction]:
         """Return a function that computes a prediction in another thread."""
@@ -406,17 +406,19 @@ class Shadow:
     def _valve_input(self, duties: np.ndarray) -> ValveInput:
         likely = self.faults.most_likely()
         chambers = CHAMBERS[likely]
-        leak = np.where(chambers == Chamber.LEAKS, LEAK_RATES[likely][:, None], 0.0)
+        leak = np.where(
+            chambers == ChamberBehaviour.LEAKS, LEAK_RATES[likely][:, None], 0.0
+        )
         supply = np.full(len(likely), self.faults.supply.pressure)
         return ValveInput(valve_duty(duties, chambers), supply, leak)
 
     def _working_sensors(self) -> np.ndarray:
-        return np.asarray(SENSORS[self.faults.most_likely()] == Sensor.READS)
+        return np.asarray(SENSORS[self.faults.most_likely()] == SensorBehaviour.READS)
 
     def detected(self) -> Iterator[DetectedFault]:
         """Yield the detected faults."""
         sound = self.faults.probability[:, 0]
-        for number, name in self.faults.named.items():
+        for number, name in self.faults.detected_faults.items():
             if number:
                 probability = float(1 - sound[number - 1])
                 yield DetectedFault(f"segment {number}", name, probability)
@@ -465,9 +467,9 @@ class Shadow:
         )
 
 
-def _state(ensemble: EnsembleFilter) -> Uncertain:
+def _state(ensemble: EnsembleFilter) -> Estimates:
     names = "bend", "x", "y", "heading"
-    return Uncertain(
+    return Estimates(
         np.concatenate([ensemble.mean(name) for name in names]),
         np.concatenate([ensemble.sd(name) for name in names]),
     )

@@ -49,7 +49,7 @@ class LabOptions:
         local: Network address of this machine at which the motion capture frames
             arrive.
         up: Axis of the motion capture frames that points upwards: y or z.
-        press_on: If there is no path with a margin to the obstacles, continue without a
+        allow_zero_margin: If there is no path with a margin to the obstacles, continue without a
             margin instead of stopping (see docs/live.md#steering).
         duration: Stop after this many seconds. [default: run until Ctrl-C]
         user: User name at the MQTT broker.
@@ -65,8 +65,8 @@ class LabOptions:
     local: Annotated[str, option("--local ADDRESS")] = "127.0.0.1"
     up: Annotated[str, option("--up AXIS")] = "y"
     pressure: PressureOption = None
-    press_on: Annotated[bool, option("--press-on")] = False
-    duration: Annotated[float | None, option("--duration-s S", min=0.02)] = None
+    allow_zero_margin: Annotated[bool, option("--allow-zero-margin")] = False
+    duration: Annotated[float | None, option("--duration S", min=0.02)] = None
     user: Annotated[str | None, option("--user NAME")] = None
     ca: Annotated[Path | None, option("--ca FILE")] = None
 
@@ -230,7 +230,10 @@ def _twin(
     steering = None
     if options.follow:
         steering = EstimateSteering(
-            load_scenario(options.follow), twin, TICK_S, press_on=lab.press_on
+            load_scenario(options.follow),
+            twin,
+            TICK_S,
+            allow_zero_margin=lab.allow_zero_margin,
         )
     warm_up(spec)
     return twin, steering

@@ -10,7 +10,7 @@ import numpy as np
 from srs_twin.errors import InputError
 from srs_twin.live.commands import DELAY_S
 from srs_twin.live.estimate import Estimate
-from srs_twin.live.fault_hypotheses import CHAMBERS, Chamber
+from srs_twin.live.fault_hypotheses import CHAMBERS, ChamberBehaviour
 from srs_twin.live.messages import GO, PAUSE, VENT
 from srs_twin.live.shadow import Shadow
 from srs_twin.planning.camera import Camera
@@ -107,7 +107,12 @@ class EstimateSteering:
     """
 
     def __init__(
-        self, scenario: Scenario, shadow: Shadow, tick: float, *, press_on: bool = False
+        self,
+        scenario: Scenario,
+        shadow: Shadow,
+        tick: float,
+        *,
+        allow_zero_margin: bool = False,
     ) -> None:
         """Prepare the follower.
 
@@ -115,7 +120,7 @@ class EstimateSteering:
             scenario: scenario whose controller follows a plan.
             shadow: live twin of the robot.
             tick: control period of the robot, s.
-            press_on: whether the robot continues without any margin to obstacles
+            allow_zero_margin: whether the robot continues without any margin to obstacles
                 instead of stopping (`LEAST_MARGIN`).
 
         Raises:
@@ -135,7 +140,7 @@ class EstimateSteering:
                 f"{scenario.name} is for robot '{scenario.robot.name}', not for"
                 f" '{shadow.spec.name}'; they differ in {listed}"
             )
-        controller.least_margin = 0.0 if press_on else LEAST_MARGIN
+        controller.min_margin_fraction = 0.0 if allow_zero_margin else LEAST_MARGIN
         self.follower = controller
         self._start = Pose(*scenario.pose)
         self._tick = tick
@@ -233,18 +238,24 @@ class EstimateSteering:
         if not self._steps:
             self._begin(estimate, shadow)
         self._empty_s += self._tick
-        if shadow.faults.supply.share >= _EMPTY_BELOW:
+        if shadow.faults.supply.fraction >= _EMPTY_BELOW:
             self._empty_s = 0.0
         if self._empty_s > PATIENCE_S:
             self.give_up(EMPTY)
             return self.vented()
         # Segments with a leak still bend, so only stuck valves change the gait.
         chambers = CHAMBERS[shadow.faults.most_likely()]
-        stuck = np.where((chambers == Chamber.FILLS).any(axis=1), Chamber.FILLS, 0)
-        stuck = np.where((chambers == Chamber.VENTS).any(axis=1), Chamber.VENTS, stuck)
+        stuck = np.where(
+            (chambers == ChamberBehaviour.FILLS).any(axis=1), ChamberBehaviour.FILLS, 0
+        )
+        stuck = np.where(
+            (chambers == ChamberBehaviour.VENTS).any(axis=1),
+            ChamberBehaviour.VENTS,
+            stuck,
+        )
         if (stuck != self._stuck).any():
             self._stuck = stuck
-            self.follower.renew("fault")
+            self.follower.request_replan("fault")
         state = estimate.state(self._steps * self._tick, self._pressure)
         valves = self.follower.step(state)
         self._steps += 1
@@ -256,8 +267,8 @@ class EstimateSteering:
             valves = valves.mean(axis=0)
         duty = valves / 2 + 0.5
         # Equal pressures on both sides keep a segment with a stuck valve straight.
-        duty[stuck == Chamber.FILLS] = 1.0
-        duty[stuck == Chamber.VENTS] = 0.0
+        duty[stuck == ChamberBehaviour.FILLS] = 1.0
+        duty[stuck == ChamberBehaviour.VENTS] = 0.0
         if np.isin(duty, (0.0, 1.0)).all():
             return 2 * duty - 1
         return duty
@@ -278,4 +289,4 @@ class EstimateSteering:
         distance = math.hypot(x - self._start.x, y - self._start.y)
         turn = math.remainder(heading - self._start.heading, 2 * math.pi)
         if distance > _NEAR_M or abs(turn) > _NEAR_RAD:
-            follower.renew("start")
+            follower.request_replan("start")

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 
-class Uncertain(NamedTuple):
+class Estimates(NamedTuple):
     """Estimates of several values.
 
     Attributes:

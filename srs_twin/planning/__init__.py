@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from srs_twin.planning.footprint_file import load_footprint as load_footprint
     from srs_twin.planning.path import Segment as Segment
     from srs_twin.planning.problem import (
-        Outcome as Outcome,
+        PlanOutcome as PlanOutcome,
         Problem as Problem,
         Settings as Settings,
     )

@@ -82,7 +82,7 @@ class Extent(NamedTuple):
     right: float
 
 
-class Frame(NamedTuple):
+class PathFrame(NamedTuple):
     """Position and direction of a point of an arc.
 
     Attributes:
@@ -114,13 +114,13 @@ class Region(NamedTuple):
     left: float
     right: float
     reach: float
-    end: Frame
+    end: PathFrame
 
 
 @kernel_only
 def _frame(x, y, heading, curvature, s):  # type: ignore[no-untyped-def]
     x, y, heading = arc_end(x, y, heading, curvature, s)
-    return Frame(x, y, heading, np.cos(heading), np.sin(heading))
+    return PathFrame(x, y, heading, np.cos(heading), np.sin(heading))
 
 
 @kernel_only

@@ -27,9 +27,13 @@ from srs_twin.planning.guidance import (
     find_passages,
     grid_heuristic,
 )
-from srs_twin.planning.moves import MoveSet, make_move_set, shorten_path
 from srs_twin.planning.path import Segment, path_from_arcs
-from srs_twin.planning.problem import Outcome, Plan, Problem, Settings
+from srs_twin.planning.primitives import (
+    MotionPrimitives,
+    make_motion_primitives,
+    shorten_path,
+)
+from srs_twin.planning.problem import Plan, PlanOutcome, Problem, Settings
 from srs_twin.planning.search_kernels import SearchSpec
 from srs_twin.planning.search_tree import (
     SearchTree,
@@ -43,7 +47,7 @@ _CURVATURES = 5
 """Number of curvatures at the coarsest level."""
 _COARSEST_TURN = 0.5
 """Maximum turn of an arc at the coarsest level, rad."""
-_CELL_SHARE = 0.35
+_CELL_FRACTION = 0.35
 """Side of a cell divided by the length of an arc.
 
 With this ratio the children of a node lie in different cells.
@@ -87,16 +91,16 @@ def best_first(problem: Problem, settings: Settings) -> Plan:
         spec = trees[0].spec
         result = search.search_level(trees, _path_length(best), prove=level == 0)
         if result.path is not None:
-            best = search.finish(result.path, spec.moves)
+            best = search.finish(result.path, spec.primitives)
         if result.proven or search.is_spent:
             break
         if best is not None and not settings.improve:
             break
     expanded = settings.nodes - search.nodes
     if best is not None:
-        return Plan(Outcome.FOUND, "a free path", best, expanded)
+        return Plan(PlanOutcome.FOUND, "a free path", best, expanded)
     if result.proven:
-        return Plan(Outcome.PROVEN_IMPOSSIBLE, result.reason, (), expanded)
+        return Plan(PlanOutcome.PROVEN_IMPOSSIBLE, result.reason, (), expanded)
     resolution = (
         f"at cells of {1000 * spec.cell:.3g} mm and {math.degrees(spec.sector):.3g}"
         " degrees"
@@ -110,7 +114,7 @@ def best_first(problem: Problem, settings: Settings) -> Plan:
             f"neither a path nor a proof after {expanded} nodes, {resolution}; give"
             " more nodes or seconds"
         )
-    return Plan(Outcome.NOT_FOUND, reason, (), expanded)
+    return Plan(PlanOutcome.NOT_FOUND, reason, (), expanded)
 
 
 @dataclass
@@ -145,12 +149,12 @@ class _Search:
         )
         number = first.count if level < 2 else 2 * first.count - 1
         arcs = Primitives(number, first.turn / factor, first.length / factor)
-        cell = _CELL_SHARE * arcs.length
+        cell = _CELL_FRACTION * arcs.length
         sector = 2 * math.pi / (_SECTORS * factor)
         target = make_target(problem.goal, body)
         weight = self.settings.weight
         spec = SearchSpec(
-            make_move_set(arcs, body),
+            make_motion_primitives(arcs, body),
             target,
             self.checker.grid,
             cell,
@@ -171,7 +175,7 @@ class _Search:
             # The tree from the goal has the obstacles of the tree from the start, but
             # another target and the reversed body.
             backward = spec._replace(
-                moves=make_move_set(arcs, body.backward), target=home
+                primitives=make_motion_primitives(arcs, body.backward), target=home
             )
             trees.append(SearchTree(roots, backward, backward=True))
         return trees
@@ -237,7 +241,9 @@ class _Search:
             )
         return ""
 
-    def finish(self, arcs: ArcSequence, moves: MoveSet) -> tuple[Segment, ...]:
+    def finish(
+        self, arcs: ArcSequence, primitives: MotionPrimitives
+    ) -> tuple[Segment, ...]:
         start = self.problem.start
         body = self.problem.footprint
         path = path_from_arcs(start, arcs, body)
@@ -245,7 +251,9 @@ class _Search:
             return path
         radius = 1 / min(body.tightest)
         shorter = path_from_arcs(
-            start, shorten_path(start, arcs, moves, self.checker.grid, radius), body
+            start,
+            shorten_path(start, arcs, primitives, self.checker.grid, radius),
+            body,
         )
         # Merged segments change the transients, so the shortened path is checked again.
         is_better = _path_length(shorter) < _path_length(

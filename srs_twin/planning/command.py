@@ -92,7 +92,7 @@ def _print_plan(planned: ScenarioPlan) -> None:
         print(
             f"length {result.length:.3f} m, {result.duration:.1f} s at the footprint's"
             f" speeds, {_counted(len(result.segments), 'segment')}, kink"
-            f" {result.kink:.3g} rad"
+            f" {result.max_heading_jump:.3g} rad"
         )
         if result.touches is None:
             edges = "the footprint and margin"

@@ -12,7 +12,7 @@ from srs_twin.planning.camera import Camera
 from srs_twin.planning.follower import Conditions, Follower
 from srs_twin.planning.footprint_file import SPREADS, ConditionsFile
 from srs_twin.planning.scenario import PlannerSection, ScenarioPlanner
-from srs_twin.planning.steering import BearingLaw, PathLaw, Steering
+from srs_twin.planning.steering import PathTracking, Steering, WaypointSteering
 from srs_twin.robot.file import RobotFile
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.scenario.controllers import (
@@ -43,10 +43,10 @@ class FollowFile(ControllerSection):
     The scenario needs a planner.
     """
 
-    constructors = (PathLaw, BearingLaw, Conditions)
+    constructors = (PathTracking, WaypointSteering, Conditions)
     only = {
         ("follower", "bearing"): ("gain_per_rad", "node_m", "near_m"),
-        ("follower", "path"): ("lookahead_m", "settle_m"),
+        ("follower", "path"): ("lookahead_m", "response_length_m"),
     }
 
     kind: Literal["follow"]
@@ -68,13 +68,13 @@ class FollowFile(ControllerSection):
     """Distance at which a node counts as reached (bearing; default {default:g})."""
     lookahead_m: float | None = quantity(0.001, 100.0, None)
     """Path length over which a cross-track error decays (path; default {default:g})."""
-    settle_m: float | None = quantity(0.0, 100.0, None)
+    response_length_m: float | None = quantity(0.0, 100.0, None)
     """Response length of the curvature to a change of offset (path; default:
     computed from the transients of the footprint, or {default:g} without
     transients)."""
     replan_beyond_m: float | None = quantity(0.001, 100.0, None)
     """Cross-track error at which a new plan is requested (default: no new plans)."""
-    replans: int = quantity(0, 1000)
+    max_replans: int = quantity(0, 1000)
     """Maximum number of new plans."""
 
     @model_validator(mode="after")
@@ -110,12 +110,16 @@ class FollowFile(ControllerSection):
         planner: ScenarioPlanner = context.products["planner"]
         body = planner.footprint
         problem = planner.problem
-        settle = self.settle_m
-        if settle is None:
-            settle = body.settle or self.parameters["settle"].default
-        law: Steering = PathLaw(body, **self.arguments(PathLaw) | {"settle": settle})
+        response_length = self.response_length_m
+        if response_length is None:
+            response_length = (
+                body.response_length or self.parameters["response_length"].default
+            )
+        law: Steering = PathTracking(
+            body, **self.arguments(PathTracking) | {"response_length": response_length}
+        )
         if self.follower == "bearing":
-            law = BearingLaw(**self.arguments(BearingLaw))
+            law = WaypointSteering(**self.arguments(WaypointSteering))
         return Follower(
             self.gait.controller(context),
             law,
@@ -125,15 +129,15 @@ class FollowFile(ControllerSection):
             Conditions(
                 self.camera.build(),
                 self.delay_s,
-                settle,
+                response_length,
                 self.replan_beyond_m,
-                self.replans,
-                getattr(planner.file, "run_up_m", 0.0),
+                self.max_replans,
+                getattr(planner.file, "lead_in_m", 0.0),
             ),
             body=problem.footprint,
             world=problem.world,
             replan=None if planner.file.kind == "given" else planner.plan_from,
-            leans=planner.touch_limits is not None,
+            allows_contact=planner.touch_limits is not None,
         )
 
     def conditions(
@@ -165,11 +169,11 @@ class FollowFile(ControllerSection):
                 "contact": contact,
                 "chambers": chambers,
                 "follower": self.follower,
-                "turn_share": planner.turn_share,
+                "turn_fraction": planner.turn_fraction,
                 "delay_s": self.delay_s,
                 "position_noise_m": self.camera.position_noise_m,
                 "heading_noise_rad": self.camera.heading_noise_rad,
-                "run_up_m": getattr(planner, "run_up_m", 0.0),
+                "lead_in_m": getattr(planner, "lead_in_m", 0.0),
             }
         )
 

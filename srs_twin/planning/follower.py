@@ -13,7 +13,7 @@ Symbols:
     s: position along the path from its start, m.
     n: cross-track error, i.e. signed distance from the path, positive to the left, m.
     κ: path curvature, positive to the left, 1/m.
-    ℓ: response length of the curvature to a change of offset, m (`Conditions.settle`).
+    ℓ: response length of the curvature to a change of offset, m (`Conditions.response_length`).
     d, g: disturbance (1/m) and gain of the turning, estimated by the `Predictor`.
 """
 
@@ -56,7 +56,7 @@ ENDINGS = {
 }
 """Endings of a run with their explanations. Only the first ending is a success."""
 
-STUCK_SHARE = 0.1
+STUCK_FRACTION = 0.1
 """Fraction of the footprint's speed below which a snake counts as slow.
 
 A snake that is slow for `STUCK_PERIODS` is stuck.
@@ -83,32 +83,32 @@ Replan = Callable[[Pose, float], Plan]
 """Function that plans from a pose with a fraction of the margin."""
 
 
-class Renewal(NamedTuple):
+class ReplanResult(NamedTuple):
     """Result of a request for a new plan.
 
     Attributes:
         plan: new plan, if one was found.
         reason: reason why there is no plan with the full margin.
-        share: fraction of the margin that the new plan keeps.
+        fraction: fraction of the margin that the new plan keeps.
     """
 
     plan: Plan | None
     reason: str
-    share: float
+    fraction: float
 
 
 _HORIZON_M = 0.6
 """Length of path ahead on which the body is checked for obstacles, m."""
 _CHECKED_PIECES = 8
 """Number of pieces into which `_HORIZON_M` is divided."""
-_RESERVE_SHARE = 0.3
+_RESERVE_FRACTION = 0.3
 """Clearance below which a new plan is requested, as a fraction of the margin."""
-_MARGIN_SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
+_MARGIN_FRACTIONS = (1.0, 0.75, 0.5, 0.25, 0.0)
 """Fractions of the margin that are tried in turn for a new plan."""
 _OPTIONAL = ("close", "run_up", "fault", "start")
 """Reasons for a new plan without which the snake may continue along the old plan."""
 _UNCOUNTED = ("run_up", "fault", "start")
-"""Reasons for a new plan that does not count as one of `Conditions.replans`."""
+"""Reasons for a new plan that does not count as one of `Conditions.max_replans`."""
 
 _PLANNED_IN = ("obstacles", "bounds", "goal", "polygons")
 """Fields of a world that affect plans. The floor affects only the plants."""
@@ -121,12 +121,12 @@ class Conditions:
     Attributes:
         camera: motion capture.
         delay: command delay, s.
-        settle: response length ℓ of the curvature, m.
-        stray: cross-track error at which a new plan is requested, or None for no
+        response_length: response length ℓ of the curvature, m.
+        max_cross_track_error: cross-track error at which a new plan is requested, or None for no
             request, m.
-        replans: maximum number of new plans.
-        run_up: length of the straight run-up of the first path, m. At the end of the
-            run-up, the rest of the path is planned again from the actual pose, if
+        max_replans: maximum number of new plans.
+        lead_in: length of the straight lead-in of the first path, m. At the end of the
+            lead-in, the rest of the path is planned again from the actual pose, if
             possible.
         lag: transport delay of the robot, after which the frames show the effect of a
             command, s.
@@ -134,10 +134,10 @@ class Conditions:
 
     camera: Camera
     delay: float = 0.0
-    settle: float = 0.0
-    stray: float | None = None
-    replans: int = 3
-    run_up: float = 0.0
+    response_length: float = 0.0
+    max_cross_track_error: float | None = None
+    max_replans: int = 3
+    lead_in: float = 0.0
     lag: float = 0.0
 
 
@@ -147,7 +147,7 @@ class Follower(Controller):
 
     Attributes:
         gait: controller with an `offset`: a `Gait` or an `ILC`.
-        law: steering law.
+        steering: steering law.
         plan: plan to follow. A plan without a path ends the run at once.
         goal: goal of the centre of mass.
         footprint: footprint of the snake, which limits the offset.
@@ -158,10 +158,10 @@ class Follower(Controller):
         replan: planner for new plans, or None.
         submit: function that runs the planner in another thread. Without it, the snake
             waits for the planner.
-        least_margin: minimum fraction of the margin in a new plan. If it is above 0, a
+        min_margin_fraction: minimum fraction of the margin in a new plan. If it is above 0, a
             run ends (`no_room`) when no such plan is found, or when the body approaches
             an obstacle and no new plan is left.
-        leans: whether the body may lean on obstacles, so that approaching an obstacle
+        allows_contact: whether the body may lean on obstacles, so that approaching an obstacle
             requires no new plan.
         finished: whether the run has ended.
         ending: key of `ENDINGS`, or None before the end.
@@ -197,7 +197,7 @@ class Follower(Controller):
     )
 
     gait: Controller
-    law: Steering
+    steering: Steering
     plan: Plan
     goal: Goal
     footprint: Footprint
@@ -206,9 +206,9 @@ class Follower(Controller):
     body: Footprint | None = None
     world: World = World()
     replan: Replan | None = None
-    submit: Callable[[Callable[[], Renewal]], Future[Renewal]] | None = None
-    least_margin: float = 0.0
-    leans: bool = False
+    submit: Callable[[Callable[[], ReplanResult]], Future[ReplanResult]] | None = None
+    min_margin_fraction: float = 0.0
+    allows_contact: bool = False
 
     def __post_init__(self) -> None:
         if not hasattr(self.gait, "offset") or not self.gait.frequency:
@@ -234,9 +234,11 @@ class Follower(Controller):
         self._frames = CameraFrames(conditions.camera, seed)
         self._mean = PeriodMean(period)
         shows = conditions.delay + conditions.lag
-        self._predictor = Predictor(self.footprint, period, shows, conditions.settle)
+        self._predictor = Predictor(
+            self.footprint, period, shows, conditions.response_length
+        )
         # A snake is stuck if it moves less than this distance per gait period.
-        self._stuck_distance = STUCK_SHARE * min(self.footprint.speeds) * period
+        self._stuck_distance = STUCK_FRACTION * min(self.footprint.speeds) * period
         self._moved_at = 0.0
         self._pending: deque[tuple[float, float]] = deque()
         self._commanded = 0.0
@@ -244,9 +246,10 @@ class Follower(Controller):
         self._tries = 0
         self._not_before = 0.0
         self._requested = ""
-        self._coming: tuple[str, Future[Renewal]] | None = None
-        self._running_up = (
-            self.conditions.run_up > 0 and self.conditions.stray is not None
+        self._coming: tuple[str, Future[ReplanResult]] | None = None
+        self._leading_in = (
+            self.conditions.lead_in > 0
+            and self.conditions.max_cross_track_error is not None
         )
         self._events: list[Event] = []
         self.finished = False
@@ -254,7 +257,7 @@ class Follower(Controller):
         self.plans = []
         body = (self.body or self.footprint).at(0.0)
         own = self.footprint.at(0.0)
-        self._reserve = _RESERVE_SHARE * max(body.left - own.left, 0.0)
+        self._reserve = _RESERVE_FRACTION * max(body.left - own.left, 0.0)
         self._checker = Checker(self.world, self.footprint)
         self._s = 0.0
         self._start_plan(0.0, self.plan)
@@ -280,7 +283,7 @@ class Follower(Controller):
             self._finish(time, "gait_ended")
         return valves
 
-    def renew(self, reason: str) -> None:
+    def request_replan(self, reason: str) -> None:
         """Request a new plan at the next frame.
 
         If no new plan is found, the snake continues along the old plan.
@@ -295,7 +298,7 @@ class Follower(Controller):
         segments = memory["plans"][-1][1].segments
         if segments:
             self._path = ReferencePath(segments)
-            self.law.begin(self._path)
+            self.steering.begin(self._path)
         super().load_state_dict(memory)
 
     def signals(self) -> dict[str, Any]:
@@ -305,7 +308,7 @@ class Follower(Controller):
             "offset_commanded": self._commanded,
             "cross_track": point.n,
             "heading_error": math.remainder(pose.heading - point.heading, 2 * math.pi),
-            "node": float(self.law.node),
+            "node": float(self.steering.node),
             "estimate_x": pose.x,
             "estimate_y": pose.y,
             "estimate_heading": pose.heading,
@@ -324,7 +327,7 @@ class Follower(Controller):
         return self.gait.describe() | {
             "gait": self.gait.kind,
             "following": {
-                "law": type(self.law).__name__,
+                "law": type(self.steering).__name__,
                 "plans": [_recorded(time, plan) for time, plan in self.plans],
                 "footprint": asdict(self.body or self.footprint),
                 "world": {
@@ -348,17 +351,17 @@ class Follower(Controller):
         self._check_progress(time, here)
         if self.finished:
             return
-        law = self.law
+        steering = self.steering
         later = time + self.conditions.delay
         # The law needs the pose at the time when the frames show the effect of the
         # command.
         shows = later + self.conditions.lag
-        if law.predicts:
+        if steering.predicts:
             pose = predictor.predict(mean.time, mean.pose, shows)
         else:
             pose = mean.pose
         turning = predictor.turning, predictor.disturbance, predictor.gain
-        offset = law.offset(SteeringInput(pose, self._locate(pose), *turning))
+        offset = steering.offset(SteeringInput(pose, self._locate(pose), *turning))
         offset = min(max(offset, self._low), self._high)
         # An offset at its limit is sent even after a small change.
         if abs(offset - self._commanded) >= _MIN_CHANGE or offset in (
@@ -375,7 +378,7 @@ class Follower(Controller):
         self._position = (here, point)
         moved = self._predictor.moved
         goal = self.goal
-        stray = self.conditions.stray
+        max_cross_track_error = self.conditions.max_cross_track_error
         # Only distances over whole periods show progress, because a snake moves back
         # and forth within each period.
         if moved is None or moved > self._stuck_distance:
@@ -391,19 +394,19 @@ class Follower(Controller):
             reason = self._requested
             self._requested = ""
             self._request_plan(time, here, reason)
-        elif self._running_up and point.s >= self.conditions.run_up:
-            self._running_up = False
+        elif self._leading_in and point.s >= self.conditions.lead_in:
+            self._leading_in = False
             # The estimates are discarded, because the gait was still learning.
             self._predictor.reset_turning()
             self._request_plan(time, here, "run_up")
-        elif stray is not None and time >= self._not_before:
-            if abs(point.n) > stray:
+        elif max_cross_track_error is not None and time >= self._not_before:
+            if abs(point.n) > max_cross_track_error:
                 self._request_plan(time, here, "strayed")
             elif self._approaches_obstacle(here, point):
                 self._request_plan(time, here, "close")
 
     def _approaches_obstacle(self, here: Pose, point: PathPoint) -> bool:
-        if not self.world.has_obstacles or self._reserve == 0 or self.leans:
+        if not self.world.has_obstacles or self._reserve == 0 or self.allows_contact:
             return False
         slope = math.remainder(here.heading - point.heading, 2 * math.pi)
         piece = (
@@ -414,7 +417,7 @@ class Follower(Controller):
             # Each piece of the expected return is approximated by an arc with the
             # curvature of the path.
             first, last = (
-                self.law.predict_cross_track(point.n, slope, (k + i) * piece)
+                self.steering.predict_cross_track(point.n, slope, (k + i) * piece)
                 for i in (0, 1)
             )
             heading = on.heading + math.atan2(last - first, piece)
@@ -437,20 +440,20 @@ class Follower(Controller):
         """
         if self._coming:
             return
-        if self.replan is None or self._tries >= self.conditions.replans:
+        if self.replan is None or self._tries >= self.conditions.max_replans:
             if reason not in _OPTIONAL:
                 self._finish(time, reason)
-            elif reason == "close" and self.least_margin:
+            elif reason == "close" and self.min_margin_fraction:
                 self._finish(
                     time,
                     "no_room",
                     f"{ENDINGS['no_room']}: {reason}, and no new plan is left",
                 )
-            elif self._tries == self.conditions.replans:
+            elif self._tries == self.conditions.max_replans:
                 # One more try ensures that the event occurs only once.
                 self._tries += 1
                 text = (
-                    f"{reason}: keeping the old plan, all {self.conditions.replans} new"
+                    f"{reason}: keeping the old plan, all {self.conditions.max_replans} new"
                     " plans are used"
                 )
                 self._events.append(Event(time, "no_new_plan", text))
@@ -459,23 +462,23 @@ class Follower(Controller):
         # A new plan changes the motion only after some gait periods, so an earlier
         # request would be useless.
         self._not_before = time + RETRY_PERIODS * self._period
-        job = partial(_new_plan, self.replan, pose, self.least_margin)
+        job = partial(_new_plan, self.replan, pose, self.min_margin_fraction)
         if self.submit is None:
             self._receive_plan(time, reason, job())
         else:
             self._coming = reason, self.submit(job)
 
-    def _receive_plan(self, time: float, reason: str, renewal: Renewal) -> None:
+    def _receive_plan(self, time: float, reason: str, renewal: ReplanResult) -> None:
         plan = renewal.plan
         if plan is not None:
-            if renewal.share == 1:
+            if renewal.fraction == 1:
                 margin = ""
             else:
-                margin = f", {renewal.share:.0%} of the margin"
+                margin = f", {renewal.fraction:.0%} of the margin"
             text = f"new plan {len(self.plans)}, {plan.length:.3g} m ({reason}{margin})"
             self._events.append(Event(time, "replanned", text))
             self._start_plan(time, plan)
-        elif self.least_margin:
+        elif self.min_margin_fraction:
             self._finish(
                 time, "no_room", f"{ENDINGS['no_room']}: {reason}; {renewal.reason}"
             )
@@ -495,7 +498,7 @@ class Follower(Controller):
             )
             return
         self._path = ReferencePath(plan.segments)
-        self.law.begin(self._path)
+        self.steering.begin(self._path)
         self._s = 0.0
 
     def _locate(self, pose: Pose) -> PathPoint:
@@ -512,18 +515,18 @@ class Follower(Controller):
         self.gait.offset = offset  # type: ignore[attr-defined]  # checked in __post_init__
 
 
-def _new_plan(replan: Replan, pose: Pose, least: float) -> Renewal:
+def _new_plan(replan: Replan, pose: Pose, least: float) -> ReplanResult:
     reasons = []
-    for share in [share for share in _MARGIN_SHARES if share >= least]:
+    for fraction in [fraction for fraction in _MARGIN_FRACTIONS if fraction >= least]:
         try:
-            plan = replan(pose, share)
+            plan = replan(pose, fraction)
         except InputError as error:
             reasons.append(str(error))
             continue
         if plan.segments:
-            return Renewal(plan, "", share)
+            return ReplanResult(plan, "", fraction)
         reasons.append(plan.reason)
-    return Renewal(None, reasons[0], 0.0)
+    return ReplanResult(None, reasons[0], 0.0)
 
 
 def _recorded(time: float, plan: Plan) -> dict[str, object]:

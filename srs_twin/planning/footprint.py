@@ -158,18 +158,18 @@ class Footprint:
             transients=(),
         )
 
-    def reduced(self, turn_share: float = 1.0, margin: float = 0.0) -> Footprint:
+    def reduced(self, turn_fraction: float = 1.0, margin: float = 0.0) -> Footprint:
         """Return the footprint with a smaller range of curvatures and wider edges.
 
         A follower corrects errors with the turns that a plan does not use. The margin
         allows for the remaining errors.
 
         Args:
-            turn_share: fraction of the tightest curvatures that is kept, at most 1.
+            turn_fraction: fraction of the tightest curvatures that is kept, at most 1.
             margin: width added to both edges, m.
         """
-        low = turn_share * self.curvatures[0]
-        high = turn_share * self.curvatures[-1]
+        low = turn_fraction * self.curvatures[0]
+        high = turn_fraction * self.curvatures[-1]
         # Rows too close to the new limits would give intervals of almost no width.
         inner = [
             k
@@ -228,7 +228,7 @@ class Footprint:
         )
 
     @property
-    def settle(self) -> float | None:
+    def response_length(self) -> float | None:
         """Response length ℓ of the curvature to a change of offset, or None, m.
 
         After a change Δκ of the curvature, a first-order response lags in heading by Δκ

@@ -32,7 +32,7 @@ from srs_twin.robot.sourced import Record, Status, bounded
 MEASURED_ON_TWIN = "measured on the twin"
 """First words of the source of curvatures that were measured on a twin."""
 
-Share = Annotated[float, bounded(0.0, 1.0)]
+Fraction = Annotated[float, bounded(0.0, 1.0)]
 Excursion = Annotated[float, bounded(-10.0, 1e3)]
 Runs = Annotated[list[Excursion], Field(min_length=1, max_length=10_000)]
 LOST_M = 1e3
@@ -70,22 +70,22 @@ class ConditionsFile(StrictModel):
     """Model of the chambers."""
     follower: Literal["bearing", "path"]
     """Steering law."""
-    gain_spread: Share = 0.0
+    gain_spread: Fraction = 0.0
     """Spread of the modules' gains, 0 to 1."""
-    tau_spread: Share = 0.0
+    tau_spread: Fraction = 0.0
     """Spread of the modules' time constants, 0 to 1."""
-    bias_spread_rad: Share = 0.0
+    bias_spread_rad: Fraction = 0.0
     """Spread of the modules' rest bends, rad, 0 to 1."""
-    turn_share: Share
+    turn_fraction: Fraction
     """Fraction of the tightest turns in plans, 0 to 1."""
     delay_s: Annotated[float, bounded(0.0, 10.0)]
     """Command delay, s, 0 to 10."""
-    position_noise_m: Share
+    position_noise_m: Fraction
     """Position noise of the camera, m, 0 to 1."""
     heading_noise_rad: Annotated[float, bounded(0.0, 3.0)]
     """Heading noise of the camera, rad, 0 to 3."""
-    run_up_m: Annotated[float, bounded(0.0, 100.0)]
-    """Length of the straight run-up, m, 0 to 100."""
+    lead_in_m: Annotated[float, bounded(0.0, 100.0)]
+    """Length of the straight lead-in, m, 0 to 100."""
 
     @model_validator(mode="before")
     @classmethod
@@ -110,10 +110,10 @@ class ConditionsFile(StrictModel):
     def covers(self, other: ConditionsFile) -> bool:
         """Return whether results under these conditions are bounds for others.
 
-        Plant, contact, chambers, follower and run-up must agree, and no number of the
+        Plant, contact, chambers, follower and lead-in must agree, and no number of the
         other conditions may make following more difficult.
         """
-        same = ("plant", "contact", "chambers", "follower", "run_up_m")
+        same = ("plant", "contact", "chambers", "follower", "lead_in_m")
         return all(
             getattr(self, name) == getattr(other, name) for name in same
         ) and all(
@@ -136,7 +136,7 @@ SPREADS = ("gain_spread", "tau_spread", "bias_spread_rad")
 """Keys of the standard deviations of module parameters, as in a robot file."""
 _DIFFICULTIES = (
     *SPREADS,
-    "turn_share",
+    "turn_fraction",
     "delay_s",
     "position_noise_m",
     "heading_noise_rad",
@@ -153,8 +153,8 @@ class ExcursionsFile(StrictModel):
     """Source of the measurements."""
     path_m: Runs
     """Maximum excursion of each run in ascending order, m."""
-    run_up_m: Runs | None = None
-    """Maximum excursion of each run on the straight run-up in ascending order, m."""
+    lead_in_m: Runs | None = None
+    """Maximum excursion of each run on the straight lead-in in ascending order, m."""
 
 
 class TransientFile(StrictModel):
@@ -343,11 +343,11 @@ class Margin:
 
     Attributes:
         path: margin on all of the path.
-        run_up: margin on the straight run-up.
+        lead_in: margin on the straight lead-in.
     """
 
     path: float = 0.0
-    run_up: float = 0.0
+    lead_in: float = 0.0
 
 
 def excursion_quantile(excursions: Sequence[float], probability: float) -> float:
@@ -391,7 +391,7 @@ def margin_for(
             runs.
     """
     paths = [0.0]
-    run_ups = [0.0]
+    lead_ins = [0.0]
     for condition in conditions:
         covering = [block for block in measured if block.conditions.covers(condition)]
         if not covering:
@@ -407,7 +407,9 @@ def margin_for(
             covering, key=lambda block: block.conditions.excess_difficulty(condition)
         )
         paths.append(excursion_quantile(block.path_m, probability))
-        run_ups.append(
-            excursion_quantile(block.run_up_m or [0.0] * len(block.path_m), probability)
+        lead_ins.append(
+            excursion_quantile(
+                block.lead_in_m or [0.0] * len(block.path_m), probability
+            )
         )
-    return Margin(max(paths), max(run_ups))
+    return Margin(max(paths), max(lead_ins))

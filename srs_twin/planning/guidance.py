@@ -292,13 +292,13 @@ def _entry_poses(
             heading = math.atan2(-sign * across_x, sign * across_y)
             c = math.cos(heading)
             s = math.sin(heading)
-            run_ups = {
+            lead_ins = {
                 ahead,
                 ahead + transient,
                 ahead + transient + _ROUND_CLEARANCE * width,
             }
-            for run_up in sorted(run_ups):
-                entry_x = x - run_up * c - lateral * s
-                entry_y = y - run_up * s + lateral * c
-                passages.append((entry_x, entry_y, heading, run_up + body.behind))
+            for lead_in in sorted(lead_ins):
+                entry_x = x - lead_in * c - lateral * s
+                entry_y = y - lead_in * s + lateral * c
+                passages.append((entry_x, entry_y, heading, lead_in + body.behind))
     return np.array(passages).reshape(-1, 4)

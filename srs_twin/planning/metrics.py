@@ -19,7 +19,9 @@ if TYPE_CHECKING:
     from srs_twin.planning.footprint import Footprint
     from srs_twin.planning.path import Segment
 
-PLAN_UNITS = units_of(("plan_found", "plan_length_m", "plan_nodes", "plan_kink_rad"))
+PLAN_UNITS = units_of(
+    ("plan_found", "plan_length_m", "plan_nodes", "plan_max_heading_jump_rad")
+)
 """Units of the metrics of a plan without a run."""
 
 PLANNING_UNITS = PLAN_UNITS | units_of(["plan_s"])
@@ -29,7 +31,7 @@ _MEANINGS = {
     "plan_found": "1 if a path was found, else 0",
     "plan_length_m": "length of the planned path",
     "plan_nodes": "number of nodes that the search expanded",
-    "plan_kink_rad": "largest change of direction between two arcs of the path",
+    "plan_max_heading_jump_rad": "largest change of direction between two arcs of the path",
     "goal_reached": (
         "1 if the snake reached its goal without passing through an obstacle, else 0"
     ),
@@ -39,10 +41,10 @@ _MEANINGS = {
     ),
     "cross_track_rms_m": "RMS distance of the centre of mass from the planned path",
     "cross_track_max_m": "largest distance of the centre of mass from the planned path",
-    "inside_share": (
+    "inside_fraction": (
         "fraction of the time in which the whole body is inside the planned footprint"
     ),
-    "inside_50mm_share": (
+    "inside_50mm_fraction": (
         "fraction of the time in which the whole body is inside the 50 mm box of the"
         " dissertation"
     ),
@@ -131,11 +133,11 @@ def following_metrics(trajectory: Trajectory) -> dict[str, float | None]:
 
     - ``cross_track_rms_m`` and ``cross_track_max_m``: distance of the centre of mass
       from the path.
-    - ``inside_share``: fraction of samples at which the whole body is between the edges
+    - ``inside_fraction``: fraction of samples at which the whole body is between the edges
       of the planned footprint. Connectors and middles of segments represent the body,
       with half the body width to both sides. The path is extended by straight lines for
       head and tail.
-    - ``inside_50mm_share``: fraction of samples at which the body is inside the 50 mm
+    - ``inside_50mm_fraction``: fraction of samples at which the body is inside the 50 mm
       box of the dissertation.
 
     Metrics at the end of the run:
@@ -168,14 +170,14 @@ def plan_metrics(
     found: bool, segments: tuple[Segment, ...], nodes: int
 ) -> dict[str, float | None]:
     """Return the metrics of a plan without a run."""
-    from srs_twin.planning.problem import Outcome, Plan
+    from srs_twin.planning.problem import Plan, PlanOutcome
 
-    plan = Plan(Outcome.FOUND, "", segments)
+    plan = Plan(PlanOutcome.FOUND, "", segments)
     return {
         "plan_found": int(found),
         "plan_length_m": plan.length if found else None,
         "plan_nodes": nodes,
-        "plan_kink_rad": plan.kink if found else None,
+        "plan_max_heading_jump_rad": plan.max_heading_jump if found else None,
     }
 
 
@@ -218,8 +220,8 @@ def _deviation(
             (
                 "cross_track_rms_m",
                 "cross_track_max_m",
-                "inside_share",
-                "inside_50mm_share",
+                "inside_fraction",
+                "inside_50mm_fraction",
             )
         )
     deviation, outline, curvature = (
@@ -230,8 +232,8 @@ def _deviation(
     return {
         "cross_track_rms_m": rms(deviation),
         "cross_track_max_m": float(np.abs(deviation).max()),
-        "inside_share": float((beyond(trajectory) <= 0).mean()),
-        "inside_50mm_share": float(
+        "inside_fraction": float((beyond(trajectory) <= 0).mean()),
+        "inside_50mm_fraction": float(
             (np.abs(outline - shift) <= DISSERTATION_HALF_WIDTH_M).all(axis=1).mean()
         ),
     }
@@ -296,7 +298,7 @@ def body_points(trajectory: Trajectory) -> np.ndarray:
 def centre_points(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     """Return connectors and middles of segments, m, and the headings there."""
     position = trajectory.position
-    theta = trajectory.stack("theta")
+    theta = trajectory.stack("connector_heading")
     chord = position[:, :-1] - position[:, 1:]
     # A positive bend turns the head end to the left, as the glossary defines.
     bend = np.diff(-theta, axis=1)
@@ -338,8 +340,8 @@ METRICS = MetricGroup(
         *(
             "cross_track_rms_m",
             "cross_track_max_m",
-            "inside_share",
-            "inside_50mm_share",
+            "inside_fraction",
+            "inside_50mm_fraction",
         ),
         *(
             "contacts",

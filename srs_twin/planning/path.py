@@ -86,7 +86,7 @@ def path_from_arcs(
     return tuple(segments)
 
 
-class Steps(NamedTuple):
+class PathSteps(NamedTuple):
     """Short steps along a path, for integrals over its length.
 
     Attributes:
@@ -103,7 +103,7 @@ class Steps(NamedTuple):
 
 def path_steps(
     segments: Sequence[Segment], footprint: Footprint, spacing: float
-) -> Steps:
+) -> PathSteps:
     """Return steps of at most `spacing` (m) along a path."""
     rows: list[tuple[float, ...]] = []
     for segment in segments:
@@ -112,15 +112,15 @@ def path_steps(
         middles = ((k + 0.5) / count for k in range(count))
         rows += [
             (
-                *segment.pose(share * segment.length),
+                *segment.pose(fraction * segment.length),
                 segment.length / count,
                 row.left,
                 row.right,
             )
-            for share in middles
+            for fraction in middles
         ]
     table = np.array(rows, dtype=float).reshape(-1, 6)
-    return Steps(table[:, :3], *table[:, 3:].T)
+    return PathSteps(table[:, :3], *table[:, 3:].T)
 
 
 class PathPoint(NamedTuple):

@@ -82,9 +82,9 @@ def _lowest_cost(first: Plan, problem: Problem, settings: Settings) -> Plan:
     width = straight.left + straight.right
     short = replace(settings, nodes=min(settings.nodes, _MAX_WIDER_NODES))
     plans = [first]
-    for share in _WIDTH_STEPS:
+    for fraction in _WIDTH_STEPS:
         wider = replace(
-            problem, footprint=problem.footprint.reduced(margin=share * width)
+            problem, footprint=problem.footprint.reduced(margin=fraction * width)
         )
         result = best_first(wider, short)
         if not result.found:

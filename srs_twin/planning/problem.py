@@ -49,7 +49,7 @@ class TouchLimits:
 
 
 @dataclass(frozen=True)
-class Touch:
+class PlannedContact:
     """Part of a path on which the footprint overlaps an obstacle.
 
     Attributes:
@@ -220,7 +220,7 @@ def _check_world(world: World) -> None:
         )
 
 
-class Outcome(StrEnum):
+class PlanOutcome(StrEnum):
     """Outcome of planning, explained by `Plan.reason`.
 
     - FOUND: a collision-free path was found.
@@ -251,11 +251,11 @@ class Plan(HtmlResult):
 
     page: ClassVar[str] = "plan"
 
-    outcome: Outcome
+    outcome: PlanOutcome
     reason: str
     segments: tuple[Segment, ...] = ()
     expanded: int = 0
-    touches: tuple[Touch, ...] | None = None
+    touches: tuple[PlannedContact, ...] | None = None
     seconds: float = field(default=0.0, compare=False)
     problem: Problem | None = field(default=None, compare=False, repr=False)
 
@@ -271,7 +271,7 @@ class Plan(HtmlResult):
     @property
     def found(self) -> bool:
         """Whether a path was found."""
-        return self.outcome is Outcome.FOUND
+        return self.outcome is PlanOutcome.FOUND
 
     @property
     def length(self) -> float:
@@ -291,7 +291,7 @@ class Plan(HtmlResult):
         return None
 
     @property
-    def kink(self) -> float:
+    def max_heading_jump(self) -> float:
         """Maximum heading jump between segments, or 0 without jumps, rad."""
         pairs = zip(self.segments, self.segments[1:], strict=False)
         jumps = (

@@ -25,7 +25,7 @@ from srs_twin.planning.footprint_file import (
 )
 from srs_twin.planning.path import Segment, path_from_arcs
 from srs_twin.planning.planner import plan, plan_with_transitions
-from srs_twin.planning.problem import Outcome, Plan, Problem, Settings, TouchLimits
+from srs_twin.planning.problem import Plan, PlanOutcome, Problem, Settings, TouchLimits
 from srs_twin.planning.touch import touch_limits
 from srs_twin.robot.world import Goal, Pose
 from srs_twin.scenario.fields import (
@@ -65,7 +65,7 @@ class PlannerSection(ExtensionSection):
 
     footprint: PathOrName
     """Footprint of the body, as a shipped name or the path of a footprint file."""
-    turn_share: float = quantity(0.05, 1.0, 1.0)
+    turn_fraction: float = quantity(0.05, 1.0, 1.0)
     """Fraction of the tightest curvature that plans use. The follower needs the rest
     for corrections."""
     margin_m: float | None = quantity(0.0, 10.0, None)
@@ -127,7 +127,7 @@ class PlannerSection(ExtensionSection):
                 self.margin_probability,
                 self._conditions(loading),
             )
-        reduced = validate_footprint(robot.reduced(self.turn_share, margin.path))
+        reduced = validate_footprint(robot.reduced(self.turn_fraction, margin.path))
         goal = self.goal(start, world.goal, reduced)
         problem = Problem(start, goal, world, reduced)
         return ScenarioPlanner(self, robot, problem, margin)
@@ -164,7 +164,7 @@ class PlannerSection(ExtensionSection):
 
         Args:
             problem: planning problem.
-            wider: additional width of the footprint on the straight run-up, m.
+            wider: additional width of the footprint on the straight lead-in, m.
             limits: limits of leaning on obstacles, or None to keep clear of them.
 
         Raises:
@@ -173,15 +173,15 @@ class PlannerSection(ExtensionSection):
 
 
 class BestFirstFile(PlannerSection):
-    """Best-first search from start and goal, with an optional straight run-up."""
+    """Best-first search from start and goal, with an optional straight lead-in."""
 
     constructors = (Settings,)
 
-    touch: Literal["allowed"] | None = None
+    contact: Literal["allowed"] | None = None
     """With allowed, the path may lean on obstacles where the body can pass (default:
     keep clear)."""
-    run_up_m: float = quantity(0.0, 100.0, 0.0)
-    """Length of a straight run-up at the start of the path, over which the gait
+    lead_in_m: float = quantity(0.0, 100.0, 0.0)
+    """Length of a straight lead-in at the start of the path, over which the gait
     becomes steady."""
     primitives: PrimitivesFile | None = None
     """Motion primitives (default: chosen by the planner)."""
@@ -212,9 +212,9 @@ class BestFirstFile(PlannerSection):
     @model_validator(mode="after")
     def _leans_alone(self) -> BestFirstFile:
         for name in ("clearance_weight", "shape_changes"):
-            if self.touch and getattr(self, name):
+            if self.contact and getattr(self, name):
                 raise ValueError(
-                    f"touch: allowed and {name} exclude each other; remove one"
+                    f"contact: allowed and {name} exclude each other; remove one"
                 )
         return self
 
@@ -226,10 +226,10 @@ class BestFirstFile(PlannerSection):
                 ("planner",), "kind: best_first needs world.goal", at_key=True
             )
         analytical = file.plants.analytical
-        if self.touch and analytical and not analytical.touch:
+        if self.contact and analytical and not analytical.contact:
             text = (
-                "touch: allowed needs plants that touch obstacles; set model: compliant"
-                " and touch: true, or remove analytical"
+                "contact: allowed needs plants that touch obstacles; set model: compliant"
+                " and contact: true, or remove analytical"
             )
             yield Contradiction(("plants", "analytical"), text, at_key=True)
 
@@ -238,7 +238,7 @@ class BestFirstFile(PlannerSection):
         if self.primitives:
             problem = replace(planner.problem, primitives=self.primitives.build())
             planner = replace(planner, problem=problem)
-        if self.touch:
+        if self.contact:
             limits = touch_limits(loading.robot.spec(), planner.footprint)
             planner = replace(planner, touch_limits=limits)
         return planner
@@ -247,15 +247,17 @@ class BestFirstFile(PlannerSection):
         self, problem: Problem, wider: float = 0.0, limits: TouchLimits | None = None
     ) -> Plan:
         """See `PlannerSection.find`."""
-        begin = path_from_arcs(problem.start, [(0.0, self.run_up_m)], problem.footprint)
+        begin = path_from_arcs(
+            problem.start, [(0.0, self.lead_in_m)], problem.footprint
+        )
         if begin:
             checker = Checker(problem.world, problem.footprint)
-            if hit := checker.first_collision(problem.start, self.run_up_m, wider):
+            if hit := checker.first_collision(problem.start, self.lead_in_m, wider):
                 raise InputError(
-                    f"the straight run-up of {self.run_up_m:g} m touches {hit}; set a"
-                    " shorter run_up_m"
+                    f"the straight lead-in of {self.lead_in_m:g} m touches {hit}; set a"
+                    " shorter lead_in_m"
                 )
-            # The run-up is fixed, so the search starts at its end.
+            # The lead-in is fixed, so the search starts at its end.
             problem = replace(problem, start=begin[-1].end)
         settings = replace(self.build(), touch_limits=limits)
         if self.shape_changes:
@@ -287,7 +289,7 @@ class GivenFile(PlannerSection):
     ) -> Plan:
         """See `PlannerSection.find`. The path ignores obstacles."""
         return Plan(
-            Outcome.FOUND,
+            PlanOutcome.FOUND,
             "the path is given",
             self._path(problem.start, problem.footprint),
         )
@@ -336,15 +338,15 @@ class ScenarioPlanner:
 
     def plan_uncached(self) -> Plan:
         """Compute the plan without the cache; see `plan`."""
-        wider = max(self.margin.run_up - self.margin.path, 0.0)
+        wider = max(self.margin.lead_in - self.margin.path, 0.0)
         return self.file.find(self.problem, wider, self.touch_limits)
 
-    def plan_from(self, pose: Pose, share: float = 1.0) -> Plan:
+    def plan_from(self, pose: Pose, fraction: float = 1.0) -> Plan:
         """Return a plan from another pose, with a fraction of the margin."""
-        # A new plan needs no run-up, because the gait is already steady.
-        file = self.file.model_copy(update={"run_up_m": 0.0})
+        # A new plan needs no lead-in, because the gait is already steady.
+        file = self.file.model_copy(update={"lead_in_m": 0.0})
         body = validate_footprint(
-            self.footprint.reduced(file.turn_share, share * self.margin.path)
+            self.footprint.reduced(file.turn_fraction, fraction * self.margin.path)
         )
         return _plan(
             replace(

@@ -25,7 +25,12 @@ from srs_twin.planning.arcs import arc_end
 from srs_twin.planning.collision import ObstacleGrid
 from srs_twin.planning.dubins import dubins_path
 from srs_twin.planning.guidance import GridHeuristic, grid_distance
-from srs_twin.planning.moves import ArcState, MoveSet, follow_arc, follow_dubins_path
+from srs_twin.planning.primitives import (
+    ArcState,
+    MotionPrimitives,
+    follow_arc,
+    follow_dubins_path,
+)
 
 NODES = 0
 """Index of the number of created nodes in `Frontier.counts`."""
@@ -245,7 +250,7 @@ class SearchSpec(NamedTuple):
     """Parameters of a search.
 
     Attributes:
-        moves: arcs that the snake can follow.
+        primitives: arcs that the snake can follow.
         target: goal of the search.
         grid: obstacles and bounds.
         cell: side of a cell of poses, m.
@@ -256,7 +261,7 @@ class SearchSpec(NamedTuple):
             `guidance.find_passages`.
     """
 
-    moves: MoveSet
+    primitives: MotionPrimitives
     target: Target
     grid: ObstacleGrid
     cell: float
@@ -293,7 +298,7 @@ def add_root(frontier, x, y, heading, spec):  # type: ignore[no-untyped-def]
     bound = lower_bound(x, y, heading, spec.target)
     if frontier.owners[slot] == 0:
         node = Node(x, y, heading, 0.0, bound, 0.0, 0.0, 0.0)
-        root = _add_node(frontier, slot, -1, len(spec.moves.curvatures), node)
+        root = _add_node(frontier, slot, -1, len(spec.primitives.curvatures), node)
         push(frontier, root, bound)
 
 
@@ -308,15 +313,15 @@ def expand(frontier, spec, best, count):  # type: ignore[no-untyped-def]
             plan are dropped.
         count: maximum number of nodes.
     """
-    moves = spec.moves
+    primitives = spec.primitives
     until = frontier.counts[EXPANDED] + count
     while frontier.counts[OPEN] > 0:
         if frontier.counts[EXPANDED] >= until:
             return PAUSED, -1
         # A node may leave the heap only if all its children fit into the arrays.
         children = (
-            moves.primitives.shape[0]
-            + moves.dubins_moves.shape[0] * spec.passages.shape[0]
+            primitives.children.shape[0]
+            + primitives.dubins_moves.shape[0] * spec.passages.shape[0]
         )
         if frontier.counts[NODES] + children > frontier.nodes.shape[0]:
             return FULL, -1
@@ -331,7 +336,7 @@ def expand(frontier, spec, best, count):  # type: ignore[no-untyped-def]
             return ARRIVED, node
         if _connects_to_goal(frontier, node, spec, best):
             return CONNECTED, node
-        for move in moves.primitives:
+        for move in primitives.children:
             _try_arc(frontier, node, move, spec, best)
         if frontier.counts[EXPANDED] % _PASSAGE_INTERVAL == 1:
             _try_passages(frontier, node, spec, best)
@@ -340,15 +345,17 @@ def expand(frontier, spec, best, count):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _try_arc(frontier, node, move, spec, best):  # type: ignore[no-untyped-def]
-    moves = spec.moves
-    state, cost = _arc_state(frontier, node, moves)
-    curvature = moves.curvatures[move]
-    x, y, heading = arc_end(state.x, state.y, state.heading, curvature, moves.length)
+    primitives = spec.primitives
+    state, cost = _arc_state(frontier, node, primitives)
+    curvature = primitives.curvatures[move]
+    x, y, heading = arc_end(
+        state.x, state.y, state.heading, curvature, primitives.length
+    )
     slot = cell_slot(frontier, x, y, heading, spec.cell, spec.sector)
-    cost += moves.length
+    cost += primitives.length
     if _is_taken(frontier, slot, cost):
         return
-    free, state = follow_arc(state, move, moves.length, moves, spec.grid)
+    free, state = follow_arc(state, move, primitives.length, primitives, spec.grid)
     if not free:
         return
     bound = lower_bound(x, y, heading, spec.target)
@@ -361,7 +368,7 @@ def _try_arc(frontier, node, move, spec, best):  # type: ignore[no-untyped-def]
 @kernel_only
 def _try_passages(frontier, node, spec, best):  # type: ignore[no-untyped-def]
     for passage in range(len(spec.passages)):
-        for factor in range(len(spec.moves.radius_factors)):
+        for factor in range(len(spec.primitives.radius_factors)):
             _try_passage(frontier, node, passage, factor, spec, best)
 
 
@@ -372,9 +379,9 @@ def _try_passage(frontier, node, passage, factor, spec, best):  # type: ignore[n
     The move of the child is −1 − passage n − factor, where n is the number of radius
     factors.
     """
-    moves = spec.moves
+    primitives = spec.primitives
     target = spec.target
-    state, cost = _arc_state(frontier, node, moves)
+    state, cost = _arc_state(frontier, node, primitives)
     entry_x, entry_y, entry_heading, through = spec.passages[passage]
     dx = entry_x - state.x
     dy = entry_y - state.y
@@ -383,7 +390,7 @@ def _try_passage(frontier, node, passage, factor, spec, best):  # type: ignore[n
         return
     x, y, heading = arc_end(entry_x, entry_y, entry_heading, 0.0, through)
     slot = cell_slot(frontier, x, y, heading, spec.cell, spec.sector)
-    radius = target.dubins_radius * moves.radius_factors[factor]
+    radius = target.dubins_radius * primitives.radius_factors[factor]
     path = dubins_path(
         state.x,
         state.y,
@@ -398,13 +405,13 @@ def _try_passage(frontier, node, passage, factor, spec, best):  # type: ignore[n
     bound = lower_bound(x, y, heading, target)
     if _is_taken(frontier, slot, cost) or cost + bound >= best:
         return
-    free, state = follow_dubins_path(state, path, factor, moves, spec.grid)
+    free, state = follow_dubins_path(state, path, factor, primitives, spec.grid)
     if free:
-        straight = moves.dubins_moves[factor, 1]
-        free, state = follow_arc(state, straight, through, moves, spec.grid)
+        straight = primitives.dubins_moves[factor, 1]
+        free, state = follow_arc(state, straight, through, primitives, spec.grid)
     if not free:
         return
-    move = -1 - passage * len(moves.radius_factors) - factor
+    move = -1 - passage * len(primitives.radius_factors) - factor
     child = Node(x, y, heading, cost, bound, state.left, state.right, state.lasting)
     _open_node(frontier, slot, node, move, child, spec)
 
@@ -444,12 +451,12 @@ def _node(frontier, node):  # type: ignore[no-untyped-def]
 
 
 @kernel_only
-def _arc_state(frontier, node, moves):  # type: ignore[no-untyped-def]
+def _arc_state(frontier, node, primitives):  # type: ignore[no-untyped-def]
     at = _node(frontier, node)
     move = np.int64(frontier.links[node, 1])
     if move < 0:
         # A passage ends with a straight line.
-        move = np.int64(moves.dubins_moves[0, 1])
+        move = np.int64(primitives.dubins_moves[0, 1])
     return (
         ArcState(at.x, at.y, at.heading, move, at.left, at.right, at.lasting),
         at.cost,
@@ -469,9 +476,9 @@ def _in_goal(node, target):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _connects_to_goal(frontier, node, spec, best):  # type: ignore[no-untyped-def]
-    state, cost = _arc_state(frontier, node, spec.moves)
+    state, cost = _arc_state(frontier, node, spec.primitives)
     target = spec.target
     path = _path_to_goal(state.x, state.y, state.heading, target, target.dubins_radius)
     if cost + path.length >= best:
         return False
-    return follow_dubins_path(state, path, 0, spec.moves, spec.grid)[0]
+    return follow_dubins_path(state, path, 0, spec.primitives, spec.grid)[0]

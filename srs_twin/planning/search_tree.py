@@ -105,7 +105,7 @@ class SearchTree:
         return arcs
 
     def _path(self, node: int, *, connected: bool) -> ArcSequence:
-        moves = self.spec.moves
+        primitives = self.spec.primitives
         target = self.spec.target
         # The arcs are collected from the goal to the root.
         arcs: ArcSequence = []
@@ -119,9 +119,9 @@ class SearchTree:
         while (parent := int(self.frontier.links[node, 0])) >= 0:
             move = int(self.frontier.links[node, 1])
             if move >= 0:
-                arcs.append((float(moves.curvatures[move]), moves.length))
+                arcs.append((float(primitives.curvatures[move]), primitives.length))
             else:
-                passage, factor = divmod(-1 - move, len(moves.radius_factors))
+                passage, factor = divmod(-1 - move, len(primitives.radius_factors))
                 x, y, heading, through = map(float, self.spec.passages[passage])
                 begin = Pose(*map(float, self.frontier.nodes[parent, :3]))
                 entry = shortest_path(
@@ -129,7 +129,7 @@ class SearchTree:
                     x,
                     y,
                     heading,
-                    target.dubins_radius * moves.radius_factors[factor],
+                    target.dubins_radius * primitives.radius_factors[factor],
                 )
                 arcs += [(0.0, through), *entry[::-1]]
             node = parent
@@ -146,10 +146,11 @@ def goal_poses(goal: Goal, sector: float) -> list[Pose]:
         headings = list(np.arange(0.0, 2 * math.pi, sector))
     else:
         headings = [
-            goal.heading + share * goal.heading_tolerance for share in (0.0, -1.0, 1.0)
+            goal.heading + fraction * goal.heading_tolerance
+            for fraction in (0.0, -1.0, 1.0)
         ]
     x, y = (
-        [centre + share * goal.radius for share in _GOAL_SPREAD]
+        [centre + fraction * goal.radius for fraction in _GOAL_SPREAD]
         for centre in (goal.x, goal.y)
     )
     return [

@@ -3,7 +3,7 @@ r"""Steering along a path: a Smith predictor for the pose, and the steering laws
 The mean pose over a gait period T lags by T/2, and a command takes effect after a
 delay. The predictor extrapolates the pose over both times with a unicycle model. The
 curvature of the model follows the footprint's curvature at the commanded offset φ, with
-a first-order response over the path length ℓ (`Footprint.settle`),
+a first-order response over the path length ℓ (`Footprint.response_length`),
 
 $$ \frac{dκ}{ds} = \frac{κ_{footprint}(φ) - κ}{ℓ}, \qquad \dot θ = v (g κ + d) . $$
 
@@ -11,11 +11,11 @@ The speed v is measured. A snake whose modules differ does not turn exactly like
 footprint. A Kalman filter estimates this difference as a gain g and a disturbance d
 (1/m).
 
-`BearingLaw` is the law of Section 5.2.2. The snake visits the nodes of the plan in
+`WaypointSteering` is the law of Section 5.2.2. The snake visits the nodes of the plan in
 turn. The offset is limited and proportional to the bearing of the next node minus the
 heading. When the snake is within a threshold of a node, it heads for the next node.
 
-`PathLaw` is a law of this project. Let n be the cross-track error and e the heading
+`PathTracking` is a law of this project. Let n be the cross-track error and e the heading
 error, both predicted for the time at which the command takes effect. The curvature
 
 $$ κ = \frac{κ_{plan}(s + ℓ)}{1 - κ_{plan} n}
@@ -46,7 +46,7 @@ from srs_twin.robot.world import Pose
 _SPEED_LIMITS = (0.2, 5.0)
 """Limits of the measured speed relative to the footprint's speed."""
 
-_MAX_DISTURBANCE_SHARE = 0.5
+_MAX_DISTURBANCE_FRACTION = 0.5
 """Maximum estimate of the disturbance relative to the tightest curvature."""
 _GAIN_LIMITS = (0.4, 2.5)
 """Minimum and maximum estimate of the gain."""
@@ -99,7 +99,7 @@ class Predictor(Stateful):
     )
 
     def __init__(
-        self, footprint: Footprint, period: float, delay: float, settle: float
+        self, footprint: Footprint, period: float, delay: float, response_length: float
     ) -> None:
         """Start a run.
 
@@ -107,13 +107,13 @@ class Predictor(Stateful):
             footprint: curvature and speed of each offset.
             period: gait period, s.
             delay: command delay, s.
-            settle: response length ℓ, m.
+            response_length: response length ℓ, m.
         """
         self._offsets = np.array(footprint.offsets)
         self._curvatures = np.array(footprint.curvatures)
         self._period = period
         self._delay = delay
-        self._settle = settle
+        self._response_length = response_length
         self._tightest = min(footprint.tightest)
         self._nominal = self.speed = float(
             np.interp(0.0, footprint.offsets, footprint.speeds)
@@ -146,11 +146,13 @@ class Predictor(Stateful):
         final = float(np.interp(offset, self._offsets, self._curvatures))
         length = self.speed * step
         # Over the length, dκ/ds = (κ_final - κ)/ℓ has an exponential solution.
-        if self._settle > 0:
-            decay = math.exp(-length / self._settle)
+        if self._response_length > 0:
+            decay = math.exp(-length / self._response_length)
         else:
             decay = 0.0
-        mean = final + (self.curvature - final) * (decay if self._settle > 0 else 1.0)
+        mean = final + (self.curvature - final) * (
+            decay if self._response_length > 0 else 1.0
+        )
         self.curvature = final + (self.curvature - final) * decay
         nominal_turn = length * (mean + self.curvature) / 2
         turn = self.gain * nominal_turn + length * self.disturbance
@@ -183,7 +185,7 @@ class Predictor(Stateful):
         _drop_before(means, since)
         self.moved = math.hypot(mean.x - x, mean.y - y)
         duration = middle - begin
-        low, high = (share * self._nominal for share in _SPEED_LIMITS)
+        low, high = (fraction * self._nominal for fraction in _SPEED_LIMITS)
         self.speed = min(max(self.moved / duration, low), high)
         # The nominal turn is the heading change due to the footprint in this interval.
         nominal = self._at(middle)[4] - self._at(begin)[4]
@@ -212,7 +214,7 @@ class Predictor(Stateful):
             row @ cross + (_CURVATURE_STD * self._tightest) ** 2 / periods
         )
         innovation = measured - self.disturbance - self.gain * nominal
-        limit = _MAX_DISTURBANCE_SHARE * self._tightest
+        limit = _MAX_DISTURBANCE_FRACTION * self._tightest
         self.disturbance = min(
             max(self.disturbance + float(weights[0]) * innovation, -limit), limit
         )
@@ -252,8 +254,8 @@ class Predictor(Stateful):
             return model[0 if k == 0 else -1]
         before = np.array(model[k - 1])
         after = np.array(model[k])
-        share = (time - before[0]) / (after[0] - before[0])
-        return tuple(before + share * (after - before))
+        fraction = (time - before[0]) / (after[0] - before[0])
+        return tuple(before + fraction * (after - before))
 
 
 def _drop_before(samples: list[_Sample], before: float) -> None:
@@ -295,7 +297,7 @@ class Steering(Stateful, ABC):
     Attributes:
         predicts: whether the input contains the predicted pose instead of the mean
             pose.
-        node: index of the next node (`BearingLaw`), or number of passed segments of the
+        node: index of the next node (`WaypointSteering`), or number of passed segments of the
             plan.
     """
 
@@ -323,7 +325,7 @@ class Steering(Stateful, ABC):
         return n + slope * ahead
 
 
-class BearingLaw(Steering):
+class WaypointSteering(Steering):
     """Steering law of the dissertation, from node to node."""
 
     predicts = False
@@ -366,25 +368,28 @@ class BearingLaw(Steering):
         return math.hypot(node.x - x, node.y - y)
 
 
-class PathLaw(Steering):
+class PathTracking(Steering):
     """Feedback of cross-track and heading error with curvature feedforward."""
 
     predicts = True
 
     def __init__(
-        self, footprint: Footprint, lookahead: float = 0.15, settle: float = 0.05
+        self,
+        footprint: Footprint,
+        lookahead: float = 0.15,
+        response_length: float = 0.05,
     ) -> None:
         """Set the parameters, whose defaults are explained in docs/course.md.
 
         Args:
             footprint: table of the offset for each curvature.
             lookahead: length L over which a cross-track error decays, m.
-            settle: response length ℓ, m.
+            response_length: response length ℓ, m.
         """
         self._offsets = np.array(footprint.offsets)
         self._curvatures = np.array(footprint.curvatures)
         self._length = lookahead
-        self._settle = settle
+        self._response_length = response_length
 
     def begin(self, path: ReferencePath) -> None:
         """See `Steering.begin`."""
@@ -399,7 +404,7 @@ class PathLaw(Steering):
             and s > self._path.arcs[self.node + 1, 4]
         ):
             self.node += 1
-        ahead = self._path.curvature(s + self._settle)
+        ahead = self._path.curvature(s + self._response_length)
         error = math.remainder(state.pose.heading - heading, 2 * math.pi)
         # The approach angle e_n is the desired heading relative to the path.
         approach = -min(
@@ -412,7 +417,12 @@ class PathLaw(Steering):
             - state.place.curvature
             + math.sin(error) / (2 * DAMPING * self._length)
         )
-        feedback = 2 * DAMPING / self._length * (error - approach + self._settle * rate)
+        feedback = (
+            2
+            * DAMPING
+            / self._length
+            * (error - approach + self._response_length * rate)
+        )
         # The lower limit of the denominator avoids a division by 0 at the centre of
         # curvature.
         curvature = ahead / max(1 - ahead * n, 0.5) - feedback - state.disturbance

@@ -1,4 +1,4 @@
-r"""Plans that lean on obstacles (`planner: {touch: allowed}`).
+r"""Plans that lean on obstacles (`planner: {contact: allowed}`).
 
 A footprint contains the side-to-side motion of the gait. Where an edge of the footprint
 overlaps an obstacle, the obstacle limits this motion, and the body presses against the
@@ -7,7 +7,7 @@ obstacle. The planner may therefore reduce the edges to
 $$ e_{hard} = c + (1 - σ)(e - c), $$
 
 where e is the edge of the footprint, c half the width of the body and σ =
-`TOUCH_SHARE`. Since e_hard ≥ c, the body itself never passes through an obstacle.
+`TOUCH_FRACTION`. Since e_hard ≥ c, the body itself never passes through an obstacle.
 
 The estimated contact force limits the overlap δ. A connector that is displaced by δ
 between two fixed neighbours bends both adjacent segments by 2δ/L, where L is the
@@ -34,11 +34,17 @@ import numpy as np
 from srs_twin.planning.collision import obstacle_shapes
 from srs_twin.planning.footprint import Footprint
 from srs_twin.planning.path import Segment, path_steps
-from srs_twin.planning.problem import Plan, Problem, Settings, Touch, TouchLimits
+from srs_twin.planning.problem import (
+    Plan,
+    PlannedContact,
+    Problem,
+    Settings,
+    TouchLimits,
+)
 from srs_twin.robot.spec import GRAVITY, RobotSpec
 from srs_twin.robot.world import Bounds
 
-TOUCH_SHARE = 0.5
+TOUCH_FRACTION = 0.5
 """Maximum fraction σ of the space between body and edge that may overlap an obstacle.
 
 Generation 2 passes gaps of 0.75 footprint widths on both plants, but does not reliably
@@ -61,7 +67,7 @@ def touch_limits(spec: RobotSpec, footprint: Footprint) -> TouchLimits:
     """Return the limits of leaning for a robot and its footprint without margin."""
     core = spec.geometry.width / 2
     hard_left, hard_right = (
-        tuple(core + (1 - TOUCH_SHARE) * max(edge - core, 0.0) for edge in edges)
+        tuple(core + (1 - TOUCH_FRACTION) * max(edge - core, 0.0) for edge in edges)
         for edges in (footprint.left, footprint.right)
     )
     stiffness = 8 * spec.bending.stiffness / spec.geometry.pitch**2
@@ -143,7 +149,7 @@ class _Overlaps:
     depth: np.ndarray
     force: np.ndarray
 
-    def touches(self) -> tuple[Touch, ...]:
+    def touches(self) -> tuple[PlannedContact, ...]:
         found = []
         for name, depth, force in zip(self.names, self.depth, self.force, strict=True):
             edges = np.flatnonzero(np.diff(np.r_[False, depth > _MIN_DEPTH_M, False]))
@@ -155,7 +161,9 @@ class _Overlaps:
                 )
                 mean = float(np.average(force[part], weights=self.steps[part]))
                 found.append(
-                    Touch(name, float(low), float(high), float(depth[part].max()), mean)
+                    PlannedContact(
+                        name, float(low), float(high), float(depth[part].max()), mean
+                    )
                 )
         return tuple(sorted(found, key=lambda touch: touch.begin))
 
@@ -182,12 +190,12 @@ def _overlaps(
         )
         depth[k] = np.maximum(edge - (np.hypot(dx, dy) - radius), 0.0)
         # The body touches the obstacle in this fraction of the gait period.
-        share = (
+        fraction = (
             np.arccos(
                 np.clip(1 - depth[k] / np.maximum(edge - limits.core, 1e-9), -1, 1)
             )
             / np.pi
         )
-        force[k] = share * np.minimum(limits.stiffness * depth[k], limits.floor)
+        force[k] = fraction * np.minimum(limits.stiffness * depth[k], limits.floor)
     names = [name for name, *_ in shapes]
     return _Overlaps(names, np.cumsum(lengths) - lengths / 2, lengths, depth, force)

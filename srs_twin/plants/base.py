@@ -127,12 +127,12 @@ class SnakeState:
         com_velocity: velocity of the centre of mass, shape (2,), m/s.
         heading: mean of the connector headings, unwrapped, rad.
         position: positions of the connectors, shape (N, 2), m.
-        theta: connector headings, unwrapped, shape (N,), rad.
+        connector_heading: connector headings, unwrapped, shape (N,), rad.
         bend: bends q_j = θ_j − θ_{j+1}, shape (segments,), rad.
         bend_rate: rates of the bends, shape (segments,), rad/s.
         pressure: gauge pressures of the + and − chambers, shape (segments, 2), Pa.
         valves: valve states during the preceding interval, shape (segments, 2).
-        sensed: sensor readings of `bend`, shape (segments,), rad.
+        measured_bend: sensor readings of `bend`, shape (segments,), rad.
         contact_force: horizontal force of the floor on each connector, shape (N, 2), N.
             The analytical model reports the instantaneous force. The twin reports the
             mean force since the previous sample, because its contact forces fluctuate
@@ -147,7 +147,7 @@ class SnakeState:
             the free bends, ∫ Σ T_j q̇_f,j dt.
         internal_loss: part of the work that the material of the segments has
             dissipated, J. The planar analytical models do not record it and report 0.
-        air: pneumatic energy drawn from the supply since the start (`Pneumatics.air`),
+        pneumatic_energy: pneumatic energy drawn from the supply since the start (`Pneumatics.pneumatic_energy`),
             J.
         qpos: generalised positions of the twin, or an empty array on other plants.
     """
@@ -157,18 +157,18 @@ class SnakeState:
     com_velocity: np.ndarray
     heading: float | np.ndarray
     position: np.ndarray
-    theta: np.ndarray
+    connector_heading: np.ndarray
     bend: np.ndarray
     bend_rate: np.ndarray
     pressure: np.ndarray
     valves: np.ndarray
-    sensed: np.ndarray
+    measured_bend: np.ndarray
     contact_force: np.ndarray
     obstacle_force: np.ndarray
     torque: np.ndarray
     work: float | np.ndarray
     internal_loss: float | np.ndarray
-    air: float | np.ndarray
+    pneumatic_energy: float | np.ndarray
     qpos: np.ndarray
 
     def at(self, k: int | slice) -> SnakeState:
@@ -197,9 +197,9 @@ class SnakeState:
 class SpatialState(SnakeState):
     """State of a snake whose segments bend in two directions.
 
-    The fields `bend`, `bend_rate`, `sensed` and `torque` have a last axis with the
+    The fields `bend`, `bend_rate`, `measured_bend` and `torque` have a last axis with the
     components to the left and upwards, shape (segments, 2). The fields `pressure` and
-    `valves` have one column per chamber. `theta` is the heading of the horizontal
+    `valves` have one column per chamber. `connector_heading` is the heading of the horizontal
     projection of a connector.
 
     Attributes:
@@ -250,14 +250,14 @@ class Plant(Claimable, Stateful, ABC):
     world: World | None = None
     """Floor, obstacles and objects around the snake, or None for a level floor.
     """
-    touches: bool = False
+    has_contact: bool = False
     """Whether the body touches obstacles or objects, whose forces are then recorded."""
     objects: int = 0
     """Number of movable objects.
 
     The last values of `qpos` are x, y (m) and heading (rad) of each object.
     """
-    metered: bool = True
+    measures_air: bool = True
     """Whether pneumatic energy and valve openings are known and recorded."""
     has_internal_loss: bool = False
     """Whether segments can dissipate energy without bending, which is then recorded."""
@@ -303,7 +303,7 @@ class Plant(Claimable, Stateful, ABC):
         self.load_state_dict(state.content)
         return self.state
 
-    def place(
+    def set_state(
         self, snake: SnakeState, *, yaw_rate: float = 0.0, seed: int = 0
     ) -> SnakeState:
         """Start at time 0 from a physical state, which may come from another plant.
@@ -432,7 +432,7 @@ class PneumaticPlant(Plant):
         )
         self.layout = self.pneumatics.layout
         self.sensor = make_sensor(sensor, self.spec)
-        self.metered = self.pneumatics.metered
+        self.measures_air = self.pneumatics.measures_air
         self._supply = supply
         return supply
 
@@ -480,7 +480,7 @@ class PneumaticPlant(Plant):
 _PA_PER_UNIT = {"kPa": 1e3, "bar": 1e5, "psi": 6894.76}
 """Units other than Pa in which a supply pressure may have been given by mistake."""
 
-_LEAST_SUPPLY_SHARE = 0.01
+_LEAST_SUPPLY_FRACTION = 0.01
 """Fraction of the nominal pressure below which a pressure is probably not in Pa."""
 
 
@@ -497,7 +497,7 @@ def _checked_supply(supply_pa: float, spec: RobotSpec) -> float:
             f"supply_pa {supply_pa!r} is not allowed; it must be finite and not"
             " negative, in Pa"
         )
-    if 0 < supply_pa < _LEAST_SUPPLY_SHARE * nominal:
+    if 0 < supply_pa < _LEAST_SUPPLY_FRACTION * nominal:
         # The most likely unit brings the pressure closest to the nominal pressure.
         unit = min(
             _PA_PER_UNIT,
@@ -555,7 +555,7 @@ def check_plausible(plant: str, state: SnakeState) -> SnakeState:
     """
     # All other fields of the state follow from the checked fields. Scalars are compared
     # in Python, because a NumPy call on a scalar takes as long as on an array.
-    scalars: tuple[Any, ...] = (state.heading, state.work, state.air)
+    scalars: tuple[Any, ...] = (state.heading, state.work, state.pneumatic_energy)
     single = not isinstance(state.time, np.ndarray)
     if single:
         scalars_plausible = all(abs(value) < LARGEST_PLAUSIBLE for value in scalars)

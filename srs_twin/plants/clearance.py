@@ -1,6 +1,6 @@
 r"""Distance of the body from obstacles and objects, and overlaps at the start of a run.
 
-On every plant the body is represented by the collision hull of the twin, which has a
+On every plant the body is represented by the collision collision geom of the twin, which has a
 capsule of the body's width between every two adjacent hinges (`mjcf.surroundings`). The
 axes of these capsules are computed from the recorded connectors. The pose of a
 connector determines the hinges next to it, so the axes are exact for one or two hinges
@@ -82,16 +82,16 @@ def solids(world: World) -> list[Solid]:
     return found
 
 
-def hull_lines(
-    position: np.ndarray, theta: np.ndarray, geometry: Geometry, hinges: int
+def collision_lines(
+    position: np.ndarray, connector_heading: np.ndarray, geometry: Geometry, hinges: int
 ) -> np.ndarray:
     """Return the axes of the collision capsules.
 
-    The axes are inside the hull by half the width of the body.
+    The axes are inside the collision geom by half the width of the body.
 
     Args:
         position: positions of the connectors, shape (samples, N, 2), m.
-        theta: headings of the connectors, shape (samples, N), rad.
+        connector_heading: headings of the connectors, shape (samples, N), rad.
         geometry: geometry of the robot.
         hinges: number of hinges per segment.
 
@@ -104,7 +104,10 @@ def hull_lines(
         hinge_stations(hinges, length, gap), prepend=0.0, append=length + gap
     )
     fraction = np.linspace(0.0, 1.0, hinges + 1)
-    headings = theta[:, :-1, None] + np.diff(theta, axis=1)[..., None] * fraction
+    headings = (
+        connector_heading[:, :-1, None]
+        + np.diff(connector_heading, axis=1)[..., None] * fraction
+    )
     directions = np.stack([np.cos(headings), np.sin(headings)], axis=-1)
     line = position[:, :-1, None] - np.cumsum(capsules[:, None] * directions, axis=2)
     # The rear connector determines the last hinge. The closing error is distributed
@@ -115,7 +118,7 @@ def hull_lines(
 
 
 def clearance(plant: Plant, states: SnakeState) -> np.ndarray:
-    """Return the distance of the hull from the nearest obstacle or object.
+    """Return the distance of the collision geom from the nearest obstacle or object.
 
     The distance is negative for an overlap. In a polygon or a box it is at least minus
     half the width of the body.
@@ -133,14 +136,16 @@ def clearance(plant: Plant, states: SnakeState) -> np.ndarray:
     found = solids(plant.world)
     count = len(plant.world.objects)
     fixed = found[: len(found) - count]
-    lines = _hull(plant, states)
-    hull = shapely.linestrings(lines)
+    lines = _collision_geom(plant, states)
+    collision_geom = shapely.linestrings(lines)
     least = np.full(len(lines), np.inf)
     for radius in {solid.radius for solid in fixed}:
         tree = shapely.STRtree(
             [solid.core for solid in fixed if solid.radius == radius]
         )
-        _, distance = tree.query_nearest(hull, all_matches=False, return_distance=True)
+        _, distance = tree.query_nearest(
+            collision_geom, all_matches=False, return_distance=True
+        )
         least = np.minimum(least, distance - radius)
     for k, solid in enumerate(found[len(fixed) :]):
         first = states.qpos.shape[1] + 3 * (k - count)
@@ -181,7 +186,7 @@ def start_overlaps(
 
     Args:
         world: obstacles and objects.
-        lines: axes of the hull (`hull_lines`), shape (1, points, 2), m.
+        lines: axes of the collision geom (`collision_lines`), shape (1, points, 2), m.
         half_width: half the width of the body, m.
         allowed: depth up to which overlaps are omitted, m.
     """
@@ -215,17 +220,19 @@ def check_start(plant: Plant, state: SnakeState, allowed: float = TOUCHING_M) ->
         InputError: the body overlaps an obstacle or object.
     """
     if plant.world is not None and plant.world.is_solid:
-        lines = _hull(plant, SnakeState.history([state]))
+        lines = _collision_geom(plant, SnakeState.history([state]))
         half_width = plant.spec.geometry.width / 2
         for overlap in start_overlaps(plant.world, lines, half_width, allowed=allowed):
             raise InputError(f"{overlap.name} {overlap.text}")
 
 
-def _hull(plant: Plant, states: SnakeState) -> np.ndarray:
+def _collision_geom(plant: Plant, states: SnakeState) -> np.ndarray:
     hinges: Any = plant.describe().get(
         "hinges_per_segment", ModelSettings.hinges_per_segment
     )
-    return hull_lines(states.position, states.theta, plant.spec.geometry, hinges)
+    return collision_lines(
+        states.position, states.connector_heading, plant.spec.geometry, hinges
+    )
 
 
 def _in_frame(points: np.ndarray, pose: np.ndarray) -> np.ndarray:

@@ -27,7 +27,7 @@ class Trace(NamedTuple):
         bend, bend_rate, bend_acceleration: free bend (rad) and its first two
             derivatives (rad/s, rad/s²), shape (times, segments) each.
         valves: valve states up to each time, shape (times, segments, 2).
-        air: pneumatic energy drawn from the supply since `reset`, shape (times,), J.
+        pneumatic_energy: pneumatic energy drawn from the supply since `reset`, shape (times,), J.
     """
 
     pressure: np.ndarray
@@ -35,7 +35,7 @@ class Trace(NamedTuple):
     bend_rate: np.ndarray
     bend_acceleration: np.ndarray
     valves: np.ndarray
-    air: np.ndarray
+    pneumatic_energy: np.ndarray
 
     @classmethod
     def empty(
@@ -70,10 +70,10 @@ class Pneumatics(Stateful, ABC):
             pressure.
         pressure: current gauge pressures, shape (segments, 2), Pa.
         bend: current free bends, shape (segments,), rad.
-        air: pneumatic energy drawn from the supply since `reset`, J. It is the gauge
+        pneumatic_energy: pneumatic energy drawn from the supply since `reset`, J. It is the gauge
             supply pressure times the volume of drawn air, measured at the supply
             pressure. Venting returns no energy.
-        metered: whether `air` and `openings` are counted. Otherwise they remain 0.
+        measures_air: whether `air` and `openings` are counted. Otherwise they remain 0.
         openings: number of openings of each inlet since `reset`, shape (segments, 2).
         valves: latest valve states, shape (segments, 2).
         stuck: valves with a fault, initially none.
@@ -83,7 +83,7 @@ class Pneumatics(Stateful, ABC):
     state_attributes: ClassVar[tuple[str, ...]] = (
         "pressure",
         "bend",
-        "air",
+        "pneumatic_energy",
         "_elapsed",
         "openings",
         "valves",
@@ -94,7 +94,7 @@ class Pneumatics(Stateful, ABC):
     stuck: tuple[StuckValve, ...] = ()
     depends_on_bend = False
     max_pressure_ratio = 1.0
-    metered = True
+    measures_air = True
     coupling_step_s = math.inf
     stiffness = 0.0
 
@@ -115,13 +115,13 @@ class Pneumatics(Stateful, ABC):
         shape = (self._segments, self._chambers)
         self.pressure = np.zeros(shape)
         self.bend = self.rest_bend.copy()
-        self.air = 0.0
+        self.pneumatic_energy = 0.0
         self._elapsed = 0.0
         self.openings = np.zeros(shape, dtype=int)
         self.valves = np.full(shape, -1, dtype=np.int8)
         self._pending = Schedule(self._delay, np.zeros(1), self.valves[None])
 
-    def place(self, pressure: np.ndarray, bend: np.ndarray) -> None:
+    def set_state(self, pressure: np.ndarray, bend: np.ndarray) -> None:
         """Set pressures and free bends, without changing valves and metered quantities.
 
         Args:
@@ -141,7 +141,7 @@ class Pneumatics(Stateful, ABC):
         trace.bend[0] = self.bend
         trace.valves[0] = self.valves
         trace.bend_rate[:] = trace.bend_acceleration[:] = 0.0
-        trace.air[:] = self.air
+        trace.pneumatic_energy[:] = self.pneumatic_energy
         return trace
 
     def _empty_trace(self, times: int) -> Trace:
@@ -242,12 +242,12 @@ class Pneumatics(Stateful, ABC):
         return trace
 
     def _check_state(self) -> None:
-        if is_plausible(self.pressure, self.bend, self.air):
+        if is_plausible(self.pressure, self.bend, self.pneumatic_energy):
             return
         for name, values in (
             ("pressure", self.pressure),
             ("free bend", self.bend),
-            ("air drawn", self.air),
+            ("air drawn", self.pneumatic_energy),
         ):
             wrong = first_implausible(values)
             if wrong is not None:

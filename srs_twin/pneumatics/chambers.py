@@ -80,15 +80,15 @@ class BendLaw(NamedTuple):
 
     Attributes:
         bend_limit: bend limit q_m, rad.
-        onset_share: lost fraction s of the derivative in the dead zone, dimensionless.
-        onset: end d of the dead zone, rad.
-        onset_width: width w of the transition, rad.
+        onset_fraction: lost fraction s of the derivative in the dead zone, dimensionless.
+        dead_zone: end d of the dead zone, rad.
+        dead_zone_transition: width w of the transition, rad.
     """
 
     bend_limit: float
-    onset_share: float
-    onset: float
-    onset_width: float
+    onset_fraction: float
+    dead_zone: float
+    dead_zone_transition: float
 
 
 def bend_law(spec: RobotSpec) -> BendLaw:
@@ -111,28 +111,28 @@ def apply_bend_law(x, law):  # type: ignore[no-untyped-def]
         law: `BendLaw`, or another record with its fields.
     """
     limit = law.bend_limit
-    share = law.onset_share
-    onset = law.onset
-    width = law.onset_width
+    fraction = law.onset_fraction
+    dead_zone = law.dead_zone
+    width = law.dead_zone_transition
     y = x
     rise = 1.0
     curve = 0.0
-    if share != 0.0:
-        above = (onset + x) / width
-        below = (onset - x) / width
+    if fraction != 0.0:
+        above = (dead_zone + x) / width
+        below = (dead_zone - x) / width
         up = math.tanh(above)
         down = math.tanh(below)
-        y = x - 0.5 * share * width * (log_cosh(above) - log_cosh(below))
-        rise = 1.0 - 0.5 * share * (up + down)
-        curve = 0.5 * share * (up * up - down * down) / width
+        y = x - 0.5 * fraction * width * (log_cosh(above) - log_cosh(below))
+        rise = 1.0 - 0.5 * fraction * (up + down)
+        curve = 0.5 * fraction * (up * up - down * down) / width
     if limit > NO_LIMIT_RAD:
         return y, rise, curve
     ratio = (y / limit) * (y / limit)
     grown = 1.0 + ratio * ratio
     root = grown**-0.25
-    slope = root / grown
+    derivative = root / grown
     bow = -5.0 * ratio / limit * (y / limit) * root / (grown * grown)
-    return y * root, slope * rise, bow * rise * rise + slope * curve
+    return y * root, derivative * rise, bow * rise * rise + derivative * curve
 
 
 def invert_bend_law(bends: Array, law: BendLaw) -> Array:
@@ -239,11 +239,11 @@ def equivalent_linear_pressure(spec: RobotSpec, pressure: Array) -> Array:
     if bends is linear:
         return pressure
     # For x → 0, φ(x)/x tends to the derivative at rest.
-    slope = apply_bend_law(0.0, bend_law(spec))[1]
+    derivative = apply_bend_law(0.0, bend_law(spec))[1]
     ratio = np.where(
         np.abs(linear) > _MIN_LINEAR_RAD,
         bends / np.where(linear == 0.0, 1.0, linear),
-        slope,
+        derivative,
     )
     return np.asarray(pressure * ratio[..., None])
 
@@ -261,13 +261,13 @@ def _linear_bend(spec: RobotSpec, pressure: Array) -> Array:
 
 def free_bends(spec: RobotSpec, linear: Array) -> Array:
     """Return φ(x) for linear bends x, rad. A linear law returns x itself."""
-    limit, share, d, w = bend_law(spec)
+    limit, fraction, d, w = bend_law(spec)
     y = linear
-    if share != 0.0:
+    if fraction != 0.0:
         above = (d + linear) / w
         below = (d - linear) / w
         log_ratio = np.logaddexp(above, -above) - np.logaddexp(below, -below)
-        y = linear - 0.5 * share * w * log_ratio
+        y = linear - 0.5 * fraction * w * log_ratio
     if np.isinf(limit):
         return y
     return np.asarray(y * (1.0 + (y / limit) ** 4) ** -0.25)

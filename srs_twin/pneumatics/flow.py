@@ -125,7 +125,7 @@ def _conductance(
     lag = min(spec.actuator.tau_mode, 0.1 * tau)
     step = 1e-3 * p
 
-    def slope(function: Callable[[float], float], at: float) -> float:
+    def derivative(function: Callable[[float], float], at: float) -> float:
         return (function(at + step) - function(at - step)) / (2 * step)
 
     def rate_without_lag(at: float) -> float:
@@ -135,13 +135,15 @@ def _conductance(
         # The volume follows the bend G (p − τ₂ ṗ), and the expansion is
         # (p + P_a) dV/dp.
         chamber_volume = dead + growth * (at - lag * rate_without_lag(at))
-        expansion = growth * (at + AMBIENT_PA) * (1 - lag * slope(rate_without_lag, at))
+        expansion = (
+            growth * (at + AMBIENT_PA) * (1 - lag * derivative(rate_without_lag, at))
+        )
         return REFERENCE_PA * c * passed(at) / (chamber_volume + expansion)
 
     # The rate is linear in C without the lag τ₂ and nearly linear with it, so a few
     # fixed-point iterations suffice.
     c = 1.0
-    c = -1 / (tau * slope(rate_without_lag, p))
+    c = -1 / (tau * derivative(rate_without_lag, p))
     for _ in range(8):
-        c /= -tau * slope(rate, p)
+        c /= -tau * derivative(rate, p)
     return c

@@ -74,14 +74,14 @@ def relaxation_of(
     return rate, (fill * supply + other) / np.where(rate == 0.0, 1.0, rate)
 
 
-def relaxed(
+def relax(
     pressure: np.ndarray, rate: np.ndarray, end: np.ndarray, time: np.ndarray | float
 ) -> np.ndarray:
     """Return the pressures after a time (s), Pa."""
     return np.asarray(end + (pressure - end) * np.exp(-rate * time))
 
 
-def followed(
+def lag_response(
     lagged: np.ndarray,
     pressure: np.ndarray,
     relaxation: tuple[np.ndarray, np.ndarray],
@@ -129,7 +129,7 @@ class Relaxation(NamedTuple):
         damping_time: damping time c/k of a segment, s.
         gain: gain of each chamber, shape (segments, 2), rad/Pa.
         bias: rest bends, shape (segments,), rad.
-        bend_limit, onset_share, onset, onset_width: see `BendLaw`.
+        bend_limit, onset_fraction, dead_zone, dead_zone_transition: see `BendLaw`.
         dead_volume, displacement: V₀ (m³) and A (m³/rad) of a chamber.
         worth: pneumatic energy per amount of drawn air, dimensionless.
     """
@@ -146,9 +146,9 @@ class Relaxation(NamedTuple):
     gain: np.ndarray
     bias: np.ndarray
     bend_limit: float
-    onset_share: float
-    onset: float
-    onset_width: float
+    onset_fraction: float
+    dead_zone: float
+    dead_zone_transition: float
     dead_volume: float
     displacement: float
     worth: float = 0.0
@@ -265,7 +265,7 @@ class LagPneumatics(LagChambers):
         super().reset()
         self._linear = np.zeros(self._segments)
 
-    def place(self, pressure: np.ndarray, bend: np.ndarray) -> None:
+    def set_state(self, pressure: np.ndarray, bend: np.ndarray) -> None:
         """See `Pneumatics.place`."""
         self._linear = invert_bend_law(bend - self.rest_bend, self._bend_law)
         self.pressure = check_pressure(pressure, self._max_supply)
@@ -306,10 +306,14 @@ class LagPneumatics(LagChambers):
         free = np.empty(self._segments)
         now = _Chambers(self.pressure.copy(), self._linear.copy(), free)
         drawn = _fill_trace(now, schedule, times, self._law, trace)
-        np.multiply(trace.air, self._energy_per_amount, out=trace.air)
-        np.add(trace.air, self.air, out=trace.air)
+        np.multiply(
+            trace.pneumatic_energy, self._energy_per_amount, out=trace.pneumatic_energy
+        )
+        np.add(
+            trace.pneumatic_energy, self.pneumatic_energy, out=trace.pneumatic_energy
+        )
         self.pressure, self._linear, self.bend = now
-        self.air = self.air + self._energy_per_amount * drawn
+        self.pneumatic_energy = self.pneumatic_energy + self._energy_per_amount * drawn
         return trace
 
 
@@ -345,7 +349,7 @@ def _fill_trace(now, schedule, times, law, trace):  # type: ignore[no-untyped-de
                 plus, minus, x = advance_segment(
                     state[j], j, now.pressure[j], now.linear[j], law
                 )
-                free, slope, curve = apply_bend_law(x, law)
+                free, derivative, curve = apply_bend_law(x, law)
                 free += law.bias[j]
                 content += filling_content(state[j], plus, minus, free, law, AMBIENT_PA)
                 if not requested:
@@ -359,9 +363,9 @@ def _fill_trace(now, schedule, times, law, trace):  # type: ignore[no-untyped-de
                 trace.pressure[row, j, 0] = plus
                 trace.pressure[row, j, 1] = minus
                 trace.bend[row, j] = free
-                trace.bend_rate[row, j] = slope * speed
+                trace.bend_rate[row, j] = derivative * speed
                 trace.bend_acceleration[row, j] = (
-                    slope * (rise - speed) / law.tau + curve * speed * speed
+                    derivative * (rise - speed) / law.tau + curve * speed * speed
                 )
                 trace.valves[row, j, 0] = state[j, 0]
                 trace.valves[row, j, 1] = state[j, 1]
@@ -369,7 +373,7 @@ def _fill_trace(now, schedule, times, law, trace):  # type: ignore[no-untyped-de
             if not requested:
                 drawn = amount
                 break
-            trace.air[row] = amount
+            trace.pneumatic_energy[row] = amount
             row += 1
     return drawn
 

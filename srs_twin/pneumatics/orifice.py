@@ -52,8 +52,8 @@ from srs_twin.pneumatics.orifice_kernels import (
     LINE,
     LOST,
     ActualBends,
+    OrificeParameters,
     OrificeState,
-    Plumbing,
     simulate,
 )
 from srs_twin.pneumatics.valves import Schedule
@@ -91,7 +91,7 @@ class OrificeKeywords(TypedDict, total=False):
     critical_ratio: float
     flow_limit: float | None
     line_volume: float
-    line_begins: float | None
+    initial_line_pressure: float | None
     leak_per_s: float
     substep: float | None
 
@@ -106,7 +106,7 @@ class OrificeOptions:
             None for no limit.
         line_volume: volume of the line between supply and inlets, m³. The volume
             matters only with a flow limit.
-        line_begins: initial gauge pressure in the line, Pa; the default is the supply
+        initial_line_pressure: initial gauge pressure in the line, Pa; the default is the supply
             pressure.
         leak_per_s: relative rate at which a held pressure falls, 1/s.
         substep: maximum step of the integrator, s; the default is 0.5 ms times the time
@@ -116,7 +116,7 @@ class OrificeOptions:
     critical_ratio: float = CRITICAL_RATIO
     flow_limit: float | None = None
     line_volume: float = LINE_VOLUME
-    line_begins: float | None = None
+    initial_line_pressure: float | None = None
     leak_per_s: float = 0.0
     substep: float | None = None
 
@@ -138,27 +138,31 @@ class OrificeOptions:
         Raises:
             InputError: the pressure is negative or above the supply pressure.
         """
-        begins = supply_pa if self.line_begins is None else self.line_begins
+        begins = (
+            supply_pa
+            if self.initial_line_pressure is None
+            else self.initial_line_pressure
+        )
         if not 0 <= begins <= supply_pa:
             raise InputError(
-                f"line_begins {begins!r} Pa is not allowed; it must be 0 to the"
+                f"initial_line_pressure {begins!r} Pa is not allowed; it must be 0 to the"
                 f" supply's {supply_pa:g}"
             )
         return begins
 
-    def describe(self, line_begins: float) -> dict[str, object]:
+    def describe(self, initial_line_pressure: float) -> dict[str, object]:
         """Return the settings for the provenance of a run."""
         settings: dict[str, object] = {
             "critical_ratio": self.critical_ratio,
             "flow_limit_l_per_min": None,
             "line_volume_ml": None,
-            "line_begins_kpa": None,
+            "initial_line_pressure_kpa": None,
             "leak_per_s": self.leak_per_s,
         }
         if self.flow_limit is not None:
             settings["flow_limit_l_per_min"] = self.flow_limit * 60_000
             settings["line_volume_ml"] = self.line_volume * 1e6
-            settings["line_begins_kpa"] = line_begins / 1000
+            settings["initial_line_pressure_kpa"] = initial_line_pressure / 1000
         return settings
 
 
@@ -219,7 +223,7 @@ class OrificePneumatics(Pneumatics):
         self._max_supply = supply_pa
         self._line_begins = begins + AMBIENT_PA
         fill, vent = self.conductances = _chamber_conductances(spec, critical)
-        self.plumbing = Plumbing(
+        self.plumbing = OrificeParameters(
             dead=spec.chamber.dead_volume,
             displacement=spec.chamber.displacement,
             gain=chamber_gains(spec),
@@ -259,7 +263,7 @@ class OrificePneumatics(Pneumatics):
             size, _ = volume(plumbing.dead, plumbing.displacement, bend[j], side)
             self._state[j, side] = (AMBIENT_PA + pressure[j, side]) * size
 
-    def place(self, pressure: np.ndarray, bend: np.ndarray) -> None:
+    def set_state(self, pressure: np.ndarray, bend: np.ndarray) -> None:
         """See `Pneumatics.place`. The actual bends are set to the free bends."""
         plumbing = self.plumbing
         linear = invert_bend_law(bend - self.rest_bend, plumbing.law)
@@ -328,9 +332,11 @@ class OrificePneumatics(Pneumatics):
             actual.bend[:] = bend
             actual.rate[:] = 0.0 if bend_rate is None else bend_rate
         simulate(now, schedule, times, self._substep, actual, self.plumbing, trace)
-        np.multiply(trace.air, self._energy_per_amount, out=trace.air)
+        np.multiply(
+            trace.pneumatic_energy, self._energy_per_amount, out=trace.pneumatic_energy
+        )
         self._state, self._amounts, self.pressure, self.bend = now
-        self.air = self._energy_per_amount * self.drawn
+        self.pneumatic_energy = self._energy_per_amount * self.drawn
         return trace
 
 

@@ -46,7 +46,7 @@ _FLOW_BY_BEND = 4
 _TERMS = 5
 
 
-class Plumbing(NamedTuple):
+class OrificeParameters(NamedTuple):
     """Parameters of the equations.
 
     Attributes:
@@ -112,7 +112,7 @@ class OrificeState(NamedTuple):
     bend: np.ndarray
 
 
-class _Work(NamedTuple):
+class _Workspace(NamedTuple):
     """Work arrays of a step.
 
     Attributes:
@@ -163,7 +163,7 @@ def chamber(n, bend, j, side, state, line, air):  # type: ignore[no-untyped-def]
         side: 0 for the + chamber, 1 for the − chamber.
         state: valve state.
         line: absolute pressure before the inlets, Pa.
-        air: `Plumbing`.
+        air: `OrificeParameters`.
     """
     size, growth = volume(air.dead, air.displacement, bend, side)
     pressure = n / size
@@ -208,7 +208,7 @@ def supply_flow(line, air):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _newton(y, amounts, line_base, weight, state, coupled, air, work):  # type: ignore[no-untyped-def]
+def _newton(y, amounts, line_base, weight, state, coupled, air, workspace):  # type: ignore[no-untyped-def]
     """Perform one Newton iteration for the stage equation y = base + weight · ẏ.
 
     The result is the maximum norm of the update. Chambers depend on each other only
@@ -217,23 +217,25 @@ def _newton(y, amounts, line_base, weight, state, coupled, air, work):  # type: 
     weight is γ h (s), and `line_base` contains the known terms of the amount of air in
     the line.
     """
-    base = work.base
-    linear = work.linear
-    terms = work.terms
+    base = workspace.base
+    linear = workspace.linear
+    terms = workspace.terms
     if air.limited:
         line = amounts[LINE] / air.line_volume
     else:
         line = air.supply
     supply, closing = supply_flow(line, air)
     line_residual = amounts[LINE] - line_base - weight * supply
-    line_slope = air.line_volume - weight * closing
+    line_derivative = air.line_volume - weight * closing
     for j in range(y.shape[0]):
         # The derivative of the bend with respect to x is 0 for a prescribed bend.
         q, bend_rate, _ = apply_bend_law(y[j, _X], air.law)
-        q, bend_rate = (work.bend[j], 0.0) if coupled else (air.bias[j] + q, bend_rate)
-        bend_slope = 1.0 + weight / air.tau
+        q, bend_rate = (
+            (workspace.bend[j], 0.0) if coupled else (air.bias[j] + q, bend_rate)
+        )
+        bend_derivative = 1.0 + weight / air.tau
         bend_by_line = 0.0
-        bend_residual = y[j, _X] * bend_slope - base[j, _X]
+        bend_residual = y[j, _X] * bend_derivative - base[j, _X]
         for side in range(2):
             c = chamber(y[j, side], q, j, side, state[j, side], line, air)
             # The chamber's amount of air n is eliminated by its linearised equation
@@ -247,7 +249,7 @@ def _newton(y, amounts, line_base, weight, state, coupled, air, work):  # type: 
             alone = rest / pivot
             by_line = weight * c.inflow_by_line / pivot
             bend_residual -= signed * (c.pressure - AMBIENT_PA + c.per_volume * alone)
-            bend_slope += signed * (squeeze + c.per_volume * coupling)
+            bend_derivative += signed * (squeeze + c.per_volume * coupling)
             bend_by_line += signed * c.per_volume * by_line
             linear[j, side, _ALONE] = alone
             linear[j, side, _BY_LINE] = by_line
@@ -257,17 +259,17 @@ def _newton(y, amounts, line_base, weight, state, coupled, air, work):  # type: 
             terms[j, side, _FLOW_BY_AMOUNT] = c.inflow_by_p * c.per_volume
             terms[j, side, _FLOW_BY_BEND] = c.inflow_by_p * squeeze
         # After both eliminations, the equation for x depends on the line only.
-        linear[j, _X, _ALONE] = -bend_residual / bend_slope
-        linear[j, _X, _BY_LINE] = bend_by_line / bend_slope
-        line_residual, line_slope = _add_segment_to_line(
-            j, line_residual, line_slope, weight, linear, terms
+        linear[j, _X, _ALONE] = -bend_residual / bend_derivative
+        linear[j, _X, _BY_LINE] = bend_by_line / bend_derivative
+        line_residual, line_derivative = _add_segment_to_line(
+            j, line_residual, line_derivative, weight, linear, terms
         )
-    line_change = -line_residual / line_slope if air.limited else 0.0
+    line_change = -line_residual / line_derivative if air.limited else 0.0
     return _apply_correction(y, amounts, linear, line_change, air)
 
 
 @inlined
-def _add_segment_to_line(j, residual, slope, weight, linear, terms):  # type: ignore[no-untyped-def]
+def _add_segment_to_line(j, residual, derivative, weight, linear, terms):  # type: ignore[no-untyped-def]
     """Correct a segment's chambers for its bend, and add their inflow to the line."""
     for side in range(2):
         coupling = terms[j, side, _COUPLING]
@@ -282,12 +284,12 @@ def _add_segment_to_line(j, residual, slope, weight, linear, terms):  # type: ig
             + by_amount * linear[j, side, _ALONE]
             - by_bend * linear[j, _X, _ALONE]
         )
-        slope += weight * (
+        derivative += weight * (
             inflow_by_line
             + by_amount * linear[j, side, _BY_LINE]
             - by_bend * linear[j, _X, _BY_LINE]
         )
-    return residual, slope
+    return residual, derivative
 
 
 @kernel_only
@@ -348,17 +350,17 @@ def _extrapolate_bends(bend, actual, time):  # type: ignore[no-untyped-def]
 
 
 @kernel_only
-def _step(now, h, begun, state, actual, air, work):  # type: ignore[no-untyped-def]
+def _step(now, h, begun, state, actual, air, workspace):  # type: ignore[no-untyped-def]
     """Advance y and amounts in place by one step of SDIRK2 from the time `begun` (s).
 
-    On entry `work.rates` contains ẏ at the beginning of the step, and on return ẏ at
+    On entry `workspace.rates` contains ẏ at the beginning of the step, and on return ẏ at
     the end. The result is the flow from the supply and the total inflow at the end,
     J/s.
     """
     y = now.y
     amounts = now.amounts
-    base = work.base
-    dy = work.rates
+    base = workspace.base
+    dy = workspace.rates
     coupled = actual.coupled
     for j in range(y.shape[0]):
         for k in range(3):
@@ -374,20 +376,20 @@ def _step(now, h, begun, state, actual, air, work):  # type: ignore[no-untyped-d
             # The line gains the supply's flow and loses the inflow of the chambers.
             line_base += (1 - GAMMA) * h * (drawn - inflow) if air.limited else 0.0
         at = GAMMA if stage == 0 else 1.0
-        _extrapolate_bends(work.bend, actual, begun + at * h)
+        _extrapolate_bends(workspace.bend, actual, begun + at * h)
         for _ in range(_MAX_NEWTON):
             largest = _newton(
-                y, amounts, line_base, GAMMA * h, state, coupled, air, work
+                y, amounts, line_base, GAMMA * h, state, coupled, air, workspace
             )
             if largest < _NEWTON_TOLERANCE:
                 break
-        flows = _rates(y, amounts[LINE], state, coupled, work.bend, air, dy)
+        flows = _rates(y, amounts[LINE], state, coupled, workspace.bend, air, dy)
         drawn = flows.supply
         inflow = flows.inflow
         # The weights of the two stages are 1 − γ and γ.
-        share = h * (1 - GAMMA if stage == 0 else GAMMA)
-        amounts[DRAWN] += share * drawn
-        amounts[LOST] += share * flows.outflow
+        fraction = h * (1 - GAMMA if stage == 0 else GAMMA)
+        amounts[DRAWN] += fraction * drawn
+        amounts[LOST] += fraction * flows.outflow
     return drawn, inflow
 
 
@@ -441,13 +443,13 @@ def simulate(now, schedule, times, substep, actual, air, trace):  # type: ignore
         times: ascending times, s.
         substep: maximum step, s.
         actual: actual bends.
-        air: `Plumbing`.
+        air: `OrificeParameters`.
         trace: output, whose field `air` is the amount drawn, J.
     """
     y = now.y
     starts = schedule.starts
     segments = y.shape[0]
-    work = _Work(
+    workspace = _Workspace(
         np.empty_like(y),
         np.empty_like(y),
         np.empty(segments),
@@ -455,7 +457,7 @@ def simulate(now, schedule, times, substep, actual, air, trace):  # type: ignore
         np.empty((segments, 2, _TERMS)),
     )
     begin = _End(np.empty_like(y), np.empty_like(y), np.empty(5))
-    end = _End(y, work.rates, np.empty(5))
+    end = _End(y, workspace.rates, np.empty(5))
     at_end = end.air
     _copy_amounts(now, at_end)
     row = 0
@@ -465,9 +467,15 @@ def simulate(now, schedule, times, substep, actual, air, trace):  # type: ignore
         stop = starts[run + 1] if run + 1 < runs else schedule.span
         count = max(1, math.ceil((stop - starts[run]) / substep * (1 - 1e-12)))
         h = (stop - starts[run]) / count
-        _extrapolate_bends(work.bend, actual, starts[run])
+        _extrapolate_bends(workspace.bend, actual, starts[run])
         flows = _rates(
-            y, now.amounts[LINE], state, actual.coupled, work.bend, air, work.rates
+            y,
+            now.amounts[LINE],
+            state,
+            actual.coupled,
+            workspace.bend,
+            air,
+            workspace.rates,
         )
         at_end[_SUPPLY_FLOW] = flows.supply
         at_end[_INFLOW] = flows.inflow
@@ -477,7 +485,7 @@ def simulate(now, schedule, times, substep, actual, air, trace):  # type: ignore
             finish = stop if is_last else begun + h
             _copy_end(end, begin)
             at_end[_SUPPLY_FLOW], at_end[_INFLOW] = _step(
-                now, h, begun, state, actual, air, work
+                now, h, begun, state, actual, air, workspace
             )
             _copy_amounts(now, at_end)
             until = _rows_until(times, row, finish, is_last and run + 1 == runs)
@@ -535,7 +543,7 @@ def _fill_rows(times, step, state, actual, air, trace):  # type: ignore[no-untyp
         flow_begin = at0[_SUPPLY_FLOW] - at0[_INFLOW]
         flow_end = at1[_SUPPLY_FLOW] - at1[_INFLOW]
         line += first * flow_begin + second * flow_end
-        trace.air[row] = (
+        trace.pneumatic_energy[row] = (
             at0[DRAWN]
             + blend * (at1[DRAWN] - at0[DRAWN])
             + first * at0[_SUPPLY_FLOW]
@@ -551,9 +559,9 @@ def _fill_rows(times, step, state, actual, air, trace):  # type: ignore[no-untyp
 def _fill_segment(trace, row, j, at, state, actual, air):  # type: ignore[no-untyped-def]
     y = at.y
     dy = at.rates
-    free, slope, curve = apply_bend_law(y[j, _X], air.law)
+    free, derivative, curve = apply_bend_law(y[j, _X], air.law)
     free = free + air.bias[j]
-    speed = slope * dy[j, _X]
+    speed = derivative * dy[j, _X]
     q = free
     rate = speed
     if actual.coupled:
@@ -570,5 +578,5 @@ def _fill_segment(trace, row, j, at, state, actual, air):  # type: ignore[no-unt
     trace.bend[row, j] = free
     trace.bend_rate[row, j] = speed
     trace.bend_acceleration[row, j] = (
-        slope * (rise - dy[j, _X]) / air.tau + curve * dy[j, _X] * dy[j, _X]
+        derivative * (rise - dy[j, _X]) / air.tau + curve * dy[j, _X] * dy[j, _X]
     )

@@ -17,7 +17,7 @@ import numpy as np
 
 from srs_twin.pneumatics.base import OptionalArray, Trace, check_supply
 from srs_twin.pneumatics.chambers import AMBIENT_PA, chamber_gains, vector_bends
-from srs_twin.pneumatics.lag import LagChambers, followed, relaxation_of, relaxed
+from srs_twin.pneumatics.lag import LagChambers, lag_response, relax, relaxation_of
 from srs_twin.pneumatics.valves import Schedule
 from srs_twin.robot.spec import RobotSpec
 
@@ -60,7 +60,7 @@ class SpatialLagPneumatics(LagChambers):
         bend_rate: OptionalArray,
     ) -> Trace:
         trace = self._empty_trace(len(times))
-        drawn = self.air
+        drawn = self.pneumatic_energy
         ends = np.append(schedule.starts[1:], schedule.span)
         rows = np.searchsorted(times, ends[:-1], side="right")
         bounds = [0, *rows, len(times)]
@@ -72,7 +72,7 @@ class SpatialLagPneumatics(LagChambers):
             air = drawn + self._drawn(state, after, pressure, free)
             trace.pressure[part] = pressure[:-1]
             trace.bend[part] = free[:-1]
-            trace.air[part] = air[:-1]
+            trace.pneumatic_energy[part] = air[:-1]
             trace.valves[part] = state
             rate, acceleration = self._rates(
                 state, pressure[:-1], lagged[:-1], free[:-1]
@@ -83,7 +83,7 @@ class SpatialLagPneumatics(LagChambers):
             self._lagged = lagged[-1]
             self.bend = free[-1]
             drawn = float(air[-1])
-        self.air = drawn
+        self.pneumatic_energy = drawn
         return trace
 
     def _relaxation(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -100,8 +100,8 @@ class SpatialLagPneumatics(LagChambers):
         relaxation = self._relaxation(state)
         tau = self._spec.actuator.tau_mode
         after = times[:, None, None]
-        pressure = relaxed(self.pressure, *relaxation, after)
-        lagged = followed(self._lagged, self.pressure, relaxation, tau, after)
+        pressure = relax(self.pressure, *relaxation, after)
+        lagged = lag_response(self._lagged, self.pressure, relaxation, tau, after)
         return pressure, lagged, self.rest_bend + vector_bends(self._spec, lagged)
 
     def _rates(
@@ -123,13 +123,15 @@ class SpatialLagPneumatics(LagChambers):
         linear = (gains * lagged) @ self._spec.chamber.axes
         # The secant of the bend law is the free bend divided by the linear bend.
         size = np.maximum(np.linalg.norm(linear, axis=-1, keepdims=True), 1e-9)
-        slope = np.where(
+        derivative = np.where(
             size > 1e-9,
             np.linalg.norm(free - self.rest_bend, axis=-1, keepdims=True) / size,
             1,
         )
         axes = self._spec.chamber.axes
-        return slope * ((gains * speed) @ axes), slope * ((gains * rise) @ axes)
+        return derivative * ((gains * speed) @ axes), derivative * (
+            (gains * rise) @ axes
+        )
 
     def _drawn(
         self,

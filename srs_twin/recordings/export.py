@@ -212,7 +212,7 @@ def _pose_messages(sample: _Sample) -> Iterator[_Message]:
     poses = zip(
         sample.numbered("x"),
         sample.numbered("y"),
-        sample.numbered("theta"),
+        sample.numbered("connector_heading"),
         strict=True,
     )
     bodies = {f"connector_{i}": pose for i, pose in enumerate(poses, start=1)}

@@ -25,7 +25,7 @@ class RecordedPressures(Pneumatics):
     """Chamber model that replays recorded pressures."""
 
     kind = "recorded"
-    metered = False
+    measures_air = False
 
     def __init__(
         self,
@@ -63,10 +63,12 @@ class RecordedPressures(Pneumatics):
         self._tau = spec.actuator.tau_mode
         self._law = bend_law(spec)
         self._drive = (self._measured * chamber_gains(spec) * [1.0, -1.0]).sum(axis=-1)
-        self._slope = np.zeros_like(self._drive)
-        self._slope[:-1] = np.diff(self._drive, axis=0) / np.diff(self._time)[:, None]
+        self._derivative = np.zeros_like(self._drive)
+        self._derivative[:-1] = (
+            np.diff(self._drive, axis=0) / np.diff(self._time)[:, None]
+        )
         self._linear = _linear_bend_at_samples(
-            self._time, self._drive, self._slope, self._tau
+            self._time, self._drive, self._derivative, self._tau
         )
         self.max_pressure_ratio = max(1.0, float(np.abs(pressure).max()) / supply_pa)
         super().__init__(spec, layout=layout)
@@ -105,12 +107,12 @@ class RecordedPressures(Pneumatics):
         )
         since = np.maximum(time - self._time[row], 0.0)[:, None]
         drive = self._drive[row]
-        slope = self._slope[row] * (time >= self._time[0])[:, None]
-        fade = (self._linear[row] - drive + slope * self._tau) * np.exp(
+        derivative = self._derivative[row] * (time >= self._time[0])[:, None]
+        fade = (self._linear[row] - drive + derivative * self._tau) * np.exp(
             -since / self._tau
         )
-        linear = drive + slope * (since - self._tau) + fade
-        speed = slope - fade / self._tau
+        linear = drive + derivative * (since - self._tau) + fade
+        speed = derivative - fade / self._tau
         acceleration = fade / self._tau**2
         _fill_bends((linear, speed, acceleration), self.rest_bend, self._law, trace)
         for j in range(trace.pressure.shape[1]):
@@ -119,12 +121,12 @@ class RecordedPressures(Pneumatics):
                     time, self._time, self._measured[:, j, side]
                 )
         trace.valves[:] = -1
-        trace.air[:] = 0.0
+        trace.pneumatic_energy[:] = 0.0
         return trace
 
 
 def _linear_bend_at_samples(
-    time: np.ndarray, drive: np.ndarray, slope: np.ndarray, tau: float
+    time: np.ndarray, drive: np.ndarray, derivative: np.ndarray, tau: float
 ) -> np.ndarray:
     """Return the linear bend at the samples of a log that starts in equilibrium."""
     linear = np.empty_like(drive)
@@ -132,7 +134,7 @@ def _linear_bend_at_samples(
     decay = np.exp(-np.diff(time) / tau)
     for k, factor in enumerate(decay):
         # This is the exact solution for a linearly changing drive.
-        lag = slope[k] * tau
+        lag = derivative[k] * tau
         linear[k + 1] = drive[k + 1] - lag + (linear[k] - drive[k] + lag) * factor
     return linear
 
@@ -142,10 +144,10 @@ def _fill_bends(motion, bias, law, trace):  # type: ignore[no-untyped-def]
     linear, speed, acceleration = motion
     for k in range(linear.shape[0]):
         for j in range(linear.shape[1]):
-            bend, slope, curve = apply_bend_law(linear[k, j], law)
+            bend, derivative, curve = apply_bend_law(linear[k, j], law)
             trace.bend[k, j] = bias[j] + bend
             # The chain rule gives the derivatives of the nonlinear bend.
-            trace.bend_rate[k, j] = slope * speed[k, j]
+            trace.bend_rate[k, j] = derivative * speed[k, j]
             trace.bend_acceleration[k, j] = (
-                slope * acceleration[k, j] + curve * speed[k, j] * speed[k, j]
+                derivative * acceleration[k, j] + curve * speed[k, j] * speed[k, j]
             )

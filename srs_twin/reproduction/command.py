@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from srs_twin.cli.console import RunCounter, interruptible, say
-from srs_twin.cli.options import JobsOption, JsonOption, QuietOption
+from srs_twin.cli.options import JsonOption, QuietOption, WorkersOption
 from srs_twin.io.files import display_path
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ def reproduce(
     only: list[str] | None = None,
     quick: bool = False,
     out: Path = OUT,
-    jobs: JobsOption = None,
+    jobs: WorkersOption = None,
     no_figures: bool = False,
     write_baseline: bool = False,
     scorecard: bool = False,

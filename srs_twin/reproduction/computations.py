@@ -89,8 +89,8 @@ def _analytical_coefficients(robot: str) -> tuple[float, float]:
     largest = np.zeros(2)
 
     def observe(state: SnakeState) -> None:
-        c = np.cos(state.theta)
-        s = np.sin(state.theta)
+        c = np.cos(state.connector_heading)
+        s = np.sin(state.connector_heading)
         x, y = state.contact_force.T
         ratio = np.abs([x * c + y * s, y * c - x * s]) / load
         np.maximum(largest, ratio.max(axis=1), out=largest)
@@ -206,14 +206,14 @@ def contact_force(
     best = (0.0, 0.0)
     body = twin.physics.model.body(f"connector_{k + 1}").id
     while state.time < 12.6:
-        heading = float(state.theta[k])
+        heading = float(state.connector_heading[k])
         left = np.array([-math.sin(heading), math.cos(heading)])
         pressed = 12.0 <= state.time < 12.5
         twin.physics.data.xfrc_applied[body, :2] = left * force_n * pressed
         valves = np.asarray(gait.step(state))
         state = twin.step(valves)
         mean = valves.reshape(-1, *valves.shape[-2:]).mean(axis=0)
-        estimate = observer.update(mean, state.pressure, state.sensed)
+        estimate = observer.update(mean, state.pressure, state.measured_bend)
         if estimate is not None and state.time > 12.0:
             best = max(best, (estimate.score, estimate.force / force_n))
     return {"twin.score": best[0], "twin.ratio": best[1]}
@@ -263,13 +263,13 @@ def primitive_error(count: int, turn_rad: float, length_m: float) -> Numbers:
         Primitives(count, turn_rad, length_m).children(start),
         strict=True,
     ):
-        theta = start.heading + alpha
+        connector_heading = start.heading + alpha
         if abs(alpha) < 1e-9:
-            x = start.x + length_m * math.cos(theta)
-            y = start.y + length_m * math.sin(theta)
+            x = start.x + length_m * math.cos(connector_heading)
+            y = start.y + length_m * math.sin(connector_heading)
         else:
             r = length_m / alpha
-            x = start.x + r * (math.sin(theta) - math.sin(start.heading))
-            y = start.y - r * (math.cos(theta) - math.cos(start.heading))
+            x = start.x + r * (math.sin(connector_heading) - math.sin(start.heading))
+            y = start.y - r * (math.cos(connector_heading) - math.cos(start.heading))
         worst = max(worst, math.hypot(end.x - x, end.y - y))
     return {"alone.error_m": worst}

@@ -166,7 +166,7 @@ def _over_time(
 
 def _tail(runs: Trajectories) -> Figure:
     return _over_time(
-        runs, lambda run: run.stack("theta")[:, -1], "tail's heading (rad)"
+        runs, lambda run: run.stack("connector_heading")[:, -1], "tail's heading (rad)"
     )
 
 
@@ -177,7 +177,7 @@ def _readings(runs: Trajectories) -> Figure:
         last_seconds = run.time >= run.time[-1] - 2.0
         time = run.time[last_seconds]
         for j, axes in enumerate(rows, start=1):
-            readings = run[f"sensed_{j}"][last_seconds]
+            readings = run[f"measured_bend_{j}"][last_seconds]
             bends = run[f"bend_{j}"][last_seconds]
             axes.plot(time, readings, color=style.color, linewidth=0.5, alpha=0.4)
             axes.plot(time, bends, **style.line)

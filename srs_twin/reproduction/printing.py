@@ -22,7 +22,7 @@ from srs_twin.reproduction.report import (
     summary_line,
     verdict_text,
 )
-from srs_twin.reproduction.verdicts import JudgedClaim, Outcome, load_baseline
+from srs_twin.reproduction.verdicts import ClaimOutcome, JudgedClaim, load_baseline
 from srs_twin.studies.uncertainty.metric_uncertainty import MIN_BOUNDING_SAMPLES
 
 _FORMAT = "{:<30} {:>9} {:>11} {:>11} {:>6}  {}"
@@ -117,7 +117,7 @@ def print_rows(rows: Sequence[JudgedClaim]) -> None:
     print(f"\n{summary_line(rows)}")
 
 
-def _short_text(outcome: Outcome | None) -> str:
+def _short_text(outcome: ClaimOutcome | None) -> str:
     """Return an outcome in at most 11 characters, shortening an ordering."""
     if outcome is None:
         return ""

@@ -35,8 +35,8 @@ from srs_twin.reproduction.verdicts import (
     MET,
     MISSED,
     Baseline,
+    ClaimOutcome,
     JudgedClaim,
-    Outcome,
     outcomes_document,
 )
 from srs_twin.robot.file import load_robot_file
@@ -148,8 +148,10 @@ def verification_grade(
         error = metric["u_num"]
         spread = metric["u_input"]
         if error is not None and error < _SMALL_NUMERICAL_ERROR * spread:
-            share = f"time step {100 * error / spread:.0f} % of the input uncertainty"
-            return Grade(3, f"{text}; {share}")
+            fraction = (
+                f"time step {100 * error / spread:.0f} % of the input uncertainty"
+            )
+            return Grade(3, f"{text}; {fraction}")
     return Grade(2, text)
 
 
@@ -176,8 +178,8 @@ def _pedigree(robots: Sequence[str]) -> Grade:
     if not records:
         return Grade(0, "no robot")
     measured = sum(record.status == "measured" for record in records)
-    share = measured / len(records)
-    grade = 1 + (share >= _MANY) + (share >= _MOST)
+    fraction = measured / len(records)
+    grade = 1 + (fraction >= _MANY) + (fraction >= _MOST)
     return Grade(grade, f"{measured} of {len(records)} numbers measured")
 
 
@@ -206,8 +208,8 @@ def _robustness(
         }
         if totals:
             largest = max(totals, key=totals.__getitem__)
-            share = 100 * totals[largest]
-            return Grade(2, f"most from {largest}, {share:.0f} %; {text}")
+            fraction = 100 * totals[largest]
+            return Grade(2, f"most from {largest}, {fraction:.0f} %; {text}")
     return Grade(1 if rows else 0, text)
 
 
@@ -336,7 +338,7 @@ def published_text(claim: Claim) -> str:
     return f"{sign}{number_text(claim.value)}"
 
 
-def outcome_text(outcome: Outcome | None) -> str:
+def outcome_text(outcome: ClaimOutcome | None) -> str:
     """Return the value of an outcome, or the values of an ordering, as text."""
     if outcome is None:
         return _NOTHING
@@ -357,7 +359,7 @@ def number_text(value: float) -> str:
     return f"{value:.3g}"
 
 
-def error_text(claim: Claim, outcome: Outcome | None) -> str:
+def error_text(claim: Claim, outcome: ClaimOutcome | None) -> str:
     """Return the relative error in per cent, or "" if it is undefined."""
     if outcome is None or claim.rule != "near" or not math.isfinite(outcome.error):
         return ""
@@ -501,7 +503,7 @@ def _cells(row: JudgedClaim) -> list[str]:
     ]
 
 
-def _colored_outcome(outcome: Outcome | None) -> str:
+def _colored_outcome(outcome: ClaimOutcome | None) -> str:
     if outcome is None:
         return ""
     note = {MET: "", EXPLAINED: " (explained)", MISSED: " (missed)"}[outcome.verdict]

@@ -24,8 +24,8 @@ from srs_twin.reproduction.report import outcome_text, write_html, write_json
 from srs_twin.reproduction.runs import HTML, JSON, JUNIT, open_store
 from srs_twin.reproduction.verdicts import (
     MET,
+    ClaimOutcome,
     JudgedClaim,
-    Outcome,
     judge,
     load_baseline,
 )
@@ -94,7 +94,7 @@ def reproduce(
 
 
 def _test_suites(rows: Sequence[JudgedClaim]) -> Iterator[tuple[str, list[TestCase]]]:
-    def test_case(claim: Claim, column: str, outcome: Outcome) -> TestCase:
+    def test_case(claim: Claim, column: str, outcome: ClaimOutcome) -> TestCase:
         if outcome.verdict == MET:
             return TestCase(claim.id, column)
         message = f"{claim.id}, {column}: {outcome_text(outcome)}, allowed {claim.allowed_text}"

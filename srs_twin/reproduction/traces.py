@@ -25,7 +25,7 @@ def tail_drift(run: Trajectory) -> float | None:
     window = GaitWindow.from_trajectory(run)
     if window is None:
         return None
-    _, slope = window.running_mean(run, run.stack("theta")[:, -1])
+    _, slope = window.running_mean(run, run.stack("connector_heading")[:, -1])
     return float(slope.mean())
 
 
@@ -55,20 +55,22 @@ def third_harmonic(run: Trajectory) -> float | None:
     time = run.time[in_window]
     bends = run.stack("bend")[in_window]
     frequency = 1 / window.period
-    shares = [
+    fractions = [
         fit_sine(time, bend, 3 * frequency).amplitude
         / fit_sine(time, bend, frequency).amplitude
         for bend in bends.T
     ]
-    return float(max(shares))
+    return float(max(fractions))
 
 
 def sensor_error(run: Trajectory) -> float | None:
     """Return the RMS of the sensor error relative to the RMS of the bends."""
-    if not run.has("sensed_1"):
+    if not run.has("measured_bend_1"):
         return None
     bend = run.stack("bend")
-    return float(np.sqrt(np.mean((run.stack("sensed") - bend) ** 2) / np.mean(bend**2)))
+    return float(
+        np.sqrt(np.mean((run.stack("measured_bend") - bend) ** 2) / np.mean(bend**2))
+    )
 
 
 def algorithm_1_error(run: Trajectory) -> float | None:
@@ -98,7 +100,7 @@ def algorithm_2_error(run: Trajectory) -> float | None:
 
 def _marker_headings(run: Trajectory) -> np.ndarray:
     """Return headings from two markers per connector."""
-    theta = run.stack("theta")
+    theta = run.stack("connector_heading")
     offset = _MARKER_M * np.stack([np.cos(theta), np.sin(theta)], axis=-1)
     return pair_heading(run.position - offset, run.position + offset)
 

@@ -46,7 +46,7 @@ Number = Annotated[
 
 
 @dataclass(frozen=True)
-class Outcome:
+class ClaimOutcome:
     """Outcome of a claim in one column.
 
     Attributes:
@@ -75,10 +75,10 @@ class JudgedClaim:
     """
 
     claim: Claim
-    outcomes: Mapping[str, Outcome] = field(default_factory=dict)
+    outcomes: Mapping[str, ClaimOutcome] = field(default_factory=dict)
 
 
-def judge_column(store: RunStore, claim: Claim, column: str) -> Outcome:
+def judge_column(store: RunStore, claim: Claim, column: str) -> ClaimOutcome:
     """Return the outcome of a claim in a column, computed from finished runs.
 
     Args:
@@ -88,17 +88,17 @@ def judge_column(store: RunStore, claim: Claim, column: str) -> Outcome:
     """
     values = tuple(_number(store, measure, column) for measure in claim.all_measures)
     if any(math.isnan(value) for value in values):
-        return Outcome(
+        return ClaimOutcome(
             MISSED, values, math.nan, math.nan, _missing_reason(store, claim)
         )
     if claim.rule == "ordering":
         is_met = all(a > b for a, b in zip(values, values[1:], strict=False))
-        return Outcome(MET if is_met else MISSED, values, math.nan, math.nan)
+        return ClaimOutcome(MET if is_met else MISSED, values, math.nan, math.nan)
     value = combine(claim.combine, values)
     assert claim.value is not None, "checked by the file's model"
     error = _ratio(value - claim.value, abs(claim.value))
     is_met = claim.allowed.holds(value)
-    return Outcome(MET if is_met else MISSED, values, value, error)
+    return ClaimOutcome(MET if is_met else MISSED, values, value, error)
 
 
 def _number(store: RunStore, measure: Measure, column: str) -> float:
@@ -178,7 +178,7 @@ def aggregate(name: str | None, values: np.ndarray) -> float:
     return float(values.mean())
 
 
-_OUTCOMES = TypeAdapter(Mapping[str, Mapping[str, Outcome]])
+_OUTCOMES = TypeAdapter(Mapping[str, Mapping[str, ClaimOutcome]])
 """Outcomes, keyed by row and column."""
 
 
@@ -191,7 +191,7 @@ class Baseline:
         versions: package versions.
     """
 
-    outcomes: Mapping[str, Mapping[str, Outcome]]
+    outcomes: Mapping[str, Mapping[str, ClaimOutcome]]
     versions: Mapping[str, str]
 
     def changes(self, rows: Sequence[JudgedClaim]) -> list[str]:
@@ -320,7 +320,9 @@ def _explained(store: RunStore, row: JudgedClaim) -> JudgedClaim:
     return replace(row, outcomes=outcomes)
 
 
-def _explain(store: RunStore, claim: Claim, column: str, outcome: Outcome) -> Outcome:
+def _explain(
+    store: RunStore, claim: Claim, column: str, outcome: ClaimOutcome
+) -> ClaimOutcome:
     causes = [cause for cause in claim.cause if column in cause.columns]
     if outcome.verdict == MET or not causes:
         return outcome

@@ -35,11 +35,11 @@ from srs_twin.robot.sections import (
     ContactFile,
     CorrelationFile,
     FrictionFile,
-    GaitFile,
+    GaitSection,
     GeometryFile,
     MassFile,
     ModulesFile,
-    SupplyFile,
+    SupplySection,
     TailFile,
 )
 from srs_twin.robot.sourced import Record, Records, replace_value, split_unit
@@ -137,10 +137,10 @@ class RobotFile(StrictModel):
     actuator: ActuatorFile
     chamber: ChamberFile | None = None
     """Air space of one chamber; only for the actuator kind pressure."""
-    supply: SupplyFile | None = None
+    supply: SupplySection | None = None
     """Gauge pressures of the supply and their limits; only for the actuator kind
     pressure."""
-    gait: GaitFile
+    gait: GaitSection
     modules: ModulesFile | None = None
     """Individual properties of the modules (default: identical nominal modules)."""
     tail: TailFile | None = None
@@ -202,8 +202,8 @@ class RobotFile(StrictModel):
         geometry = self.geometry.to_si()
         # The cross-section of a spatial robot is round and touches the floor along a
         # line.
-        share = 1 / _ROUND_TRACK if self.is_spatial else 2 * math.sqrt(3)
-        geometry["half_track"] = geometry["width"] / share
+        fraction = 1 / _ROUND_TRACK if self.is_spatial else 2 * math.sqrt(3)
+        geometry["half_track"] = geometry["width"] / fraction
         # The twin touches the floor with spheres around the centre of the body.
         geometry["wheel_radius"] = geometry["com_height"]
         return _Body(
@@ -227,8 +227,8 @@ class RobotFile(StrictModel):
             response["tau_mode"] = bending["damping_time"]
             response["tau_fill"] -= delay
             response["tau_vent"] -= delay
-        if response.keys() & {"onset", "onset_width"}:
-            response.setdefault("onset_share", 1.0)
+        if response.keys() & {"dead_zone", "dead_zone_transition"}:
+            response.setdefault("onset_fraction", 1.0)
         gain = response.pop("bend") / response.pop("at_pressure")
         directions = self.chamber.directions_deg
         if directions is None:

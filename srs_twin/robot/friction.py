@@ -1,25 +1,25 @@
 """Friction laws of a connector on the floor, with forces and their derivatives.
 
 Each law takes the contact velocity along (t) and across (n) the heading, the wheel load
-N and the two friction coefficients. It returns ``(f_t, f_n, df_t/dv_t, df_t/dv_n,
+N and the two friction coefficients. It returns ``(f_t, f_lat, df_t/dv_t, df_t/dv_n,
 df_n/dv_t, df_n/dv_n)``. The implicit integrator needs the derivatives. sgn v is
 regularised to v/√(v² + ε²) with a slip speed ε. The functions are elementwise, for
 arrays of any shape, and the kernels compile them.
 
 - `axis`: independent Coulomb friction along and across the heading, f = −N (μ_t sgn v_t,
-  μ_n sgn v_n). This is the law of the dissertation for one contact point.
+  μ_n sgn v_lat). This is the law of the dissertation for one contact point.
 - `wheel`: rolling wheel on a floor with the friction coefficient μ_n. The axial force
   is limited by the axle drag μ_t and by the friction cone of sliding: f_t = −N
   min(μ_t, μ_n |v_t|/|v|) sgn v_t. The remainder of the cone acts across the heading.
 - `ellipse`: sliding skid with maximum dissipation. The force lies in the ellipse
-  (f_t/μ_t)² + (f_n/μ_n)² ≤ N² and maximises the dissipated power: f = −N
-  (μ_t² v_t, μ_n² v_n)/√(μ_t² v_t² + μ_n² v_n²). Both directions share one root. With
+  (f_t/μ_t)² + (f_lat/μ_n)² ≤ N² and maximises the dissipated power: f = −N
+  (μ_t² v_t, μ_n² v_lat)/√(μ_t² v_t² + μ_n² v_n²). Both directions share one root. With
   μ² ε² under the root, ε is the slip speed for the direction of the larger μ.
 - `cosine`: sliding skin after Hu and Shelley (2012). Each component of the force is
-  proportional to the direction cosine of the slip, f = −N (μ_t v_t, μ_n v_n)/√(v_t² +
+  proportional to the direction cosine of the slip, f = −N (μ_t v_t, μ_n v_lat)/√(v_t² +
   v_n²). The force has no potential, so that df_t/dv_n ≠ df_n/dv_t. It lies on the
   ellipse of the law `ellipse`, in another direction.
-- `viscous`: linear drag f = −N (μ_t v_t, μ_n v_n)/v₁ with v₁ = 1 m/s, a law for tests.
+- `viscous`: linear drag f = −N (μ_t v_t, μ_n v_lat)/v₁ with v₁ = 1 m/s, a law for tests.
 """
 
 from __future__ import annotations
@@ -47,99 +47,99 @@ _MIN_COEFFICIENT = 1e-12
 friction."""
 
 
-def axis(v_t, v_n, load, mu_t, mu_n, slip):  # type: ignore[no-untyped-def]  # noqa: D417
+def axis(v_t, v_lat, load, mu_t, mu_lat, slip):  # type: ignore[no-untyped-def]  # noqa: D417
     """Return force (N) and derivatives (N·s/m) of the `axis` law.
 
     Args:
-        v_t, v_n: contact velocity along and across the heading, m/s.
+        v_t, v_lat: contact velocity along and across the heading, m/s.
         load: wheel load, N.
-        mu_t, mu_n: friction coefficients along and across the heading.
+        mu_t, mu_lat: friction coefficients along and across the heading.
         slip: slip speed ε, m/s.
     """
     # Reciprocal roots need one division each, and the derivatives reuse them.
     r_t = 1 / np.sqrt(v_t * v_t + slip * slip)
-    r_n = 1 / np.sqrt(v_n * v_n + slip * slip)
-    # The drag coefficients k_t and k_n are the forces divided by the velocities, N·s/m.
+    r_lat = 1 / np.sqrt(v_lat * v_lat + slip * slip)
+    # The drag coefficients k_t and k_lat are the forces divided by the velocities, N·s/m.
     k_t = load * mu_t * r_t
-    k_n = load * mu_n * r_n
+    k_lat = load * mu_lat * r_lat
     zero = 0.0 * v_t
     return (
         -k_t * v_t,
-        -k_n * v_n,
+        -k_lat * v_lat,
         -k_t * (slip * r_t) ** 2,
         zero,
         zero,
-        -k_n * (slip * r_n) ** 2,
+        -k_lat * (slip * r_lat) ** 2,
     )
 
 
-def wheel(v_t, v_n, load, mu_t, mu_n, slip):  # type: ignore[no-untyped-def]  # noqa: D417
+def wheel(v_t, v_lat, load, mu_t, mu_lat, slip):  # type: ignore[no-untyped-def]  # noqa: D417
     """Return force (N) and derivatives (N·s/m) of the `wheel` law, see `axis`."""
-    # The direction cosines a_t and a_n of the slip use the regularised speed 1/r.
-    r = 1 / np.sqrt(v_t * v_t + v_n * v_n + slip * slip)
-    r_n = 1 / np.sqrt(v_n * v_n + slip * slip)
+    # The direction cosines a_t and a_lat of the slip use the regularised speed 1/r.
+    r = 1 / np.sqrt(v_t * v_t + v_lat * v_lat + slip * slip)
+    r_lat = 1 / np.sqrt(v_lat * v_lat + slip * slip)
     a_t = v_t * r
-    a_n = v_n * r
-    slide_t = mu_n * a_t  # axial friction coefficient of a locked wheel
+    a_lat = v_lat * r
+    slide_t = mu_lat * a_t  # axial friction coefficient of a locked wheel
     # A rolling wheel uses μ_t of the friction cone, so this coefficient remains across.
-    rest = np.sqrt(np.maximum(mu_n * mu_n - mu_t * mu_t, 0.0))
+    rest = np.sqrt(np.maximum(mu_lat * mu_lat - mu_t * mu_t, 0.0))
     # A rolling wheel has the full axle drag along the heading and the remainder of the
     # cone across. A skidding wheel has the isotropic cone. Unlike np.where, this
     # arithmetic also compiles for scalars.
     roll = 1.0 * (np.abs(slide_t) > mu_t)
     skid = 1.0 - roll
-    iso = skid * load * mu_n * r
-    mixed = iso * a_t * a_n
+    iso = skid * load * mu_lat * r
+    mixed = iso * a_t * a_lat
     return (
         -load * (roll * mu_t * np.sign(v_t) + skid * slide_t),
-        -load * (roll * rest * v_n * r_n + skid * mu_n * a_n),
+        -load * (roll * rest * v_lat * r_lat + skid * mu_lat * a_lat),
         -iso * (1 - a_t * a_t),
         mixed,
         mixed,
-        -roll * load * rest * r_n * (slip * r_n) ** 2 - iso * (1 - a_n * a_n),
+        -roll * load * rest * r_lat * (slip * r_lat) ** 2 - iso * (1 - a_lat * a_lat),
     )
 
 
-def viscous(v_t, v_n, load, mu_t, mu_n, slip):  # type: ignore[no-untyped-def]  # noqa: D417
+def viscous(v_t, v_lat, load, mu_t, mu_lat, slip):  # type: ignore[no-untyped-def]  # noqa: D417
     """Return force (N) and derivatives (N·s/m) of the `viscous` law, without `slip`."""
     zero = 0.0 * v_t
     k_t = load * mu_t
-    k_n = load * mu_n
-    return -k_t * v_t, -k_n * v_n, zero - k_t, zero, zero, zero - k_n
+    k_lat = load * mu_lat
+    return -k_t * v_t, -k_lat * v_lat, zero - k_t, zero, zero, zero - k_lat
 
 
-def ellipse(v_t, v_n, load, mu_t, mu_n, slip):  # type: ignore[no-untyped-def]  # noqa: D417
+def ellipse(v_t, v_lat, load, mu_t, mu_lat, slip):  # type: ignore[no-untyped-def]  # noqa: D417
     """Return force (N) and derivatives (N·s/m) of the `ellipse` law, see `axis`."""
     # The weights μ² and the common root 1/r define the direction of the force.
     w_t = mu_t * mu_t
-    w_n = mu_n * mu_n
-    smooth = slip * np.maximum(np.maximum(mu_t, mu_n), _MIN_COEFFICIENT)
-    r = 1 / np.sqrt(w_t * v_t * v_t + w_n * v_n * v_n + smooth * smooth)
+    w_lat = mu_lat * mu_lat
+    smooth = slip * np.maximum(np.maximum(mu_t, mu_lat), _MIN_COEFFICIENT)
+    r = 1 / np.sqrt(w_t * v_t * v_t + w_lat * v_lat * v_lat + smooth * smooth)
     a_t = v_t * r
-    a_n = v_n * r
-    mixed = load * r * w_t * w_n * a_t * a_n
+    a_lat = v_lat * r
+    mixed = load * r * w_t * w_lat * a_t * a_lat
     return (
         -load * w_t * a_t,
-        -load * w_n * a_n,
+        -load * w_lat * a_lat,
         -load * r * w_t * (1 - w_t * a_t * a_t),
         mixed,
         mixed,
-        -load * r * w_n * (1 - w_n * a_n * a_n),
+        -load * r * w_lat * (1 - w_lat * a_lat * a_lat),
     )
 
 
-def cosine(v_t, v_n, load, mu_t, mu_n, slip):  # type: ignore[no-untyped-def]  # noqa: D417
+def cosine(v_t, v_lat, load, mu_t, mu_lat, slip):  # type: ignore[no-untyped-def]  # noqa: D417
     """Return force (N) and derivatives (N·s/m) of the `cosine` law, see `axis`."""
-    r = 1 / np.sqrt(v_t * v_t + v_n * v_n + slip * slip)
+    r = 1 / np.sqrt(v_t * v_t + v_lat * v_lat + slip * slip)
     a_t = v_t * r
-    a_n = v_n * r
+    a_lat = v_lat * r
     k_t = load * mu_t * r
-    k_n = load * mu_n * r
+    k_lat = load * mu_lat * r
     return (
         -k_t * v_t,
-        -k_n * v_n,
+        -k_lat * v_lat,
         -k_t * (1 - a_t * a_t),
-        k_t * a_t * a_n,
-        k_n * a_t * a_n,
-        -k_n * (1 - a_n * a_n),
+        k_t * a_t * a_lat,
+        k_lat * a_t * a_lat,
+        -k_lat * (1 - a_lat * a_lat),
     )

@@ -76,10 +76,10 @@ def chord_from_half_angle(
         length: segment length l, m.
         gap: rigid gap L_o, m.
     """
-    cosine, sine, arc, slope, curvature = terms
+    cosine, sine, arc, derivative, curvature = terms
     return (
         length * arc + gap * cosine,
-        length * slope - gap / 2 * sine,
+        length * derivative - gap / 2 * sine,
         length * curvature - gap / 4 * cosine,
     )
 

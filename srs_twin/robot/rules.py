@@ -12,7 +12,7 @@ import numpy as np
 
 from srs_twin.errors import InputError
 
-WHEEL_SHARE = 0.9
+WHEEL_FRACTION = 0.9
 """Maximum fraction of a connector's mass that its two wheels may have."""
 
 _MAX_GAP_DEG = 180.0 - 1e-6
@@ -90,11 +90,11 @@ def mass_violations(
 def wheel_violations(wheel: float, connectors: Sequence[float]) -> Iterator[Violation]:
     """Yield a violation if the wheels are too heavy for the lightest connector (kg)."""
     lightest = min(connectors)
-    if 2 * wheel > WHEEL_SHARE * lightest:
+    if 2 * wheel > WHEEL_FRACTION * lightest:
         yield Violation(
             "wheel",
             f"two wheels of {wheel:g} kg are too much for the lightest connector,"
-            f" {lightest:g} kg; {WHEEL_SHARE * lightest / 2:g} kg each at most",
+            f" {lightest:g} kg; {WHEEL_FRACTION * lightest / 2:g} kg each at most",
         )
 
 

@@ -339,13 +339,15 @@ class ActuatorFile(Records):
     """Pressure in one chamber that causes bend_rad; pressure only."""
     bend_limit_rad: Number | None = number_field(0.1, 6.3, only_for="pressure")
     """Limit of the free bend at high pressure (default: none, the gain is linear)."""
-    onset_share: Number | None = number_field(0.0, 1.0, only_for="pressure")
+    onset_fraction: Number | None = number_field(0.0, 1.0, only_for="pressure")
     """Fraction s of the gain that is missing in a dead zone around zero pressure
     (default: 1 if another onset key is present, otherwise 0)."""
-    onset_rad: Number | None = number_field(0.01, 6.3, only_for="pressure")
+    dead_zone_rad: Number | None = number_field(0.01, 6.3, only_for="pressure")
     """Bend of the linear law at the end of the dead zone (default: 0.3); beyond the
     dead zone, s times this bend is missing."""
-    onset_width_rad: Number | None = number_field(0.01, 6.3, only_for="pressure")
+    dead_zone_transition_rad: Number | None = number_field(
+        0.01, 6.3, only_for="pressure"
+    )
     """Width of the transition at the end of the dead zone, as a bend of the linear law
     (default: 0.1)."""
     extension_m_per_kpa: Number | None = number_field(0.0, 0.01, only_for="pressure")
@@ -366,7 +368,7 @@ class ChamberFile(Records, needed_by="pressure"):
     default, one chamber bends to the left and one to the right."""
 
 
-class SupplyFile(Records, needed_by="pressure"):
+class SupplySection(Records, needed_by="pressure"):
     """Gauge pressures of the supply and their limits."""
 
     nominal_kpa: Number = number_field(0.1, 2000.0)
@@ -377,7 +379,7 @@ class SupplyFile(Records, needed_by="pressure"):
     """Maximum supply pressure while chambers alternate (gait, PWM)."""
 
 
-class GaitFile(Records):
+class GaitSection(Records):
     """Parameters that all gaits of the robot share."""
 
     phase_step_rad: Number = number_field(-6.3, 6.3)

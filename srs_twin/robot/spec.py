@@ -341,10 +341,10 @@ class Actuator:
         gain: free bend C₀ divided by the chamber pressure that causes it, rad/Pa.
         bend_limit: q_m, limit of the free bend at high pressure, rad, infinite for a
             linear gain.
-        onset_share: s, fraction of the gain that is missing in the dead zone around
+        onset_fraction: s, fraction of the gain that is missing in the dead zone around
             zero pressure.
-        onset: d, free bend of the linear law at the end of the dead zone, rad.
-        onset_width: w, width of the transition at the end of the dead zone, rad.
+        dead_zone: d, free bend of the linear law at the end of the dead zone, rad.
+        dead_zone_transition: w, width of the transition at the end of the dead zone, rad.
         extension: e, extension of a spatial robot's segment per mean pressure of its
             chambers, m/Pa.
     """
@@ -354,19 +354,25 @@ class Actuator:
     tau_mode: float
     gain: float
     bend_limit: float = math.inf
-    onset_share: float = 0.0
-    onset: float = 0.3
-    onset_width: float = 0.1
+    onset_fraction: float = 0.0
+    dead_zone: float = 0.3
+    dead_zone_transition: float = 0.1
     extension: float = 0.0
 
     def __post_init__(self) -> None:
         _positive(
-            self, "tau_fill", "tau_vent", "tau_mode", "gain", "onset", "onset_width"
+            self,
+            "tau_fill",
+            "tau_vent",
+            "tau_mode",
+            "gain",
+            "dead_zone",
+            "dead_zone_transition",
         )
         _require(
-            0 <= self.onset_share <= 1,
-            "onset_share",
-            self.onset_share,
+            0 <= self.onset_fraction <= 1,
+            "onset_fraction",
+            self.onset_fraction,
             "it must be 0 to 1",
         )
         _require(
@@ -610,9 +616,11 @@ class RobotSpec:
             # By the lever rule, the mass on each axle is proportional to the distance
             # between the centre of mass and the other axle.
             last = axles.pop()
-            share = self.tail.com / self.tail.axle
-            axles.append(last._replace(mass=(1 - share) * last.mass))
-            axles.append(last._replace(mass=share * last.mass, behind=self.tail.axle))
+            fraction = self.tail.com / self.tail.axle
+            axles.append(last._replace(mass=(1 - fraction) * last.mass))
+            axles.append(
+                last._replace(mass=fraction * last.mass, behind=self.tail.axle)
+            )
         return tuple(axles)
 
     @property

@@ -124,7 +124,7 @@ class Floor:
 
 
 @dataclass(frozen=True)
-class Step:
+class FloorStep:
     """Step of the floor along a line of constant x.
 
     Attributes:
@@ -203,7 +203,7 @@ class World:
     goal: Goal | None = None
     polygons: tuple[Polygon, ...] = ()
     floor: Floor = Floor()
-    steps: tuple[Step, ...] = ()
+    steps: tuple[FloorStep, ...] = ()
     objects: tuple[MovableObject, ...] = ()
     friction: float = OBSTACLE_FRICTION
 
@@ -273,7 +273,7 @@ def fig54_world(count: int, seed: int) -> World:
 
 
 def peg_field(
-    pitch: float,
+    spacing: float,
     radius: float,
     rows: int,
     columns: int,
@@ -286,7 +286,7 @@ def peg_field(
     """Return the pegs of a square grid, which is symmetric about the line y = first[1].
 
     Args:
-        pitch: distance between neighbouring rows and columns, m.
+        spacing: distance between neighbouring rows and columns, m.
         radius: radius of all pegs, m.
         rows: number of pegs in a column, along y.
         columns: number of columns, along x.
@@ -294,24 +294,24 @@ def peg_field(
         seed: random seed of the displacements.
         jitter: maximum of the uniformly distributed displacement along x and along y,
             m.
-        staggered: whether every second column is shifted by half a pitch.
+        staggered: whether every second column is shifted by half the spacing.
 
     Raises:
         InputError: displaced pegs could overlap.
     """
-    if not 2 * (radius + jitter) < pitch:
+    if not 2 * (radius + jitter) < spacing:
         raise InputError(
             f"pegs of radius {radius:g} m that are displaced by up to {jitter:g} m"
-            f" overlap at a pitch of {pitch:g} m; the pitch must be above"
+            f" overlap at a spacing of {spacing:g} m; the spacing must be above"
             f" {2 * (radius + jitter):g} m"
         )
     shifts = np.random.default_rng(seed).uniform(-jitter, jitter, (columns, rows, 2))
     pegs = []
     for i in range(columns):
-        stagger = ((i + 1) % 2 - 0.5) / 2 * pitch if staggered else 0.0
+        stagger = ((i + 1) % 2 - 0.5) / 2 * spacing if staggered else 0.0
         for j in range(rows):
-            x = first[0] + i * pitch
-            y = first[1] + (j - (rows - 1) / 2) * pitch + stagger
+            x = first[0] + i * spacing
+            y = first[1] + (j - (rows - 1) / 2) * spacing + stagger
             pegs.append(
                 Circle(x + float(shifts[i, j, 0]), y + float(shifts[i, j, 1]), radius)
             )

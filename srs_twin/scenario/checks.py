@@ -25,7 +25,7 @@ from srs_twin.plants.base import refusals
 from srs_twin.plants.clearance import (
     PENETRATION_M,
     TOUCHING_M,
-    hull_lines,
+    collision_lines,
     start_overlaps,
 )
 from srs_twin.plants.twin.mjcf.numerics import ModelSettings
@@ -216,7 +216,7 @@ def check_robot(
 
 
 def check_start(
-    file: ScenarioFile, loading: Loading, begin: InitialState | None
+    file: ScenarioFile, loading: Loading, initial_state: InitialState | None
 ) -> None:
     """Report obstacles and objects that overlap the body at the start."""
     world = loading.world
@@ -232,8 +232,8 @@ def check_start(
         com = np.array([pose.x, pose.y])
         heading = pose.heading
         bend = spec.modules.array("bias")
-        if begin is not None:
-            state = begin.states[kind]
+        if initial_state is not None:
+            state = initial_state.states[kind]
             com = state.com
             heading = state.heading
             bend = state.bend
@@ -266,7 +266,7 @@ def _outline(
     sin = math.sin(heading)
     position = com + shape @ np.array([[cos, sin], [-sin, cos]])
     theta = heading + relative_headings(bend)
-    return hull_lines(position[None], theta[None], geometry, hinges)
+    return collision_lines(position[None], theta[None], geometry, hinges)
 
 
 def _kinds(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
@@ -428,10 +428,10 @@ def _world(file: ScenarioFile) -> Iterator[Contradiction]:
             ("world", "random"),
             "strewn needs an area; set area, or bounds of the world",
         )
-    if world.pegs and plants.analytical and not plants.analytical.touch:
+    if world.pegs and plants.analytical and not plants.analytical.contact:
         text = (
             "pegs need an analytical plant that touches them; set model: compliant and"
-            " touch: true"
+            " contact: true"
         )
         yield Contradiction(("plants", "analytical"), text)
 

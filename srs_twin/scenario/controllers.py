@@ -21,7 +21,7 @@ from srs_twin.control.reference import (
     Sine,
     Square,
     Staircase,
-    Step,
+    StepReference,
 )
 from srs_twin.control.replay import STATES, HoldValves, layouts_for
 from srs_twin.control.smc import DirectSMC, IterativeSMC
@@ -127,7 +127,7 @@ class PitchFile(Section):
 
     constructors = (PitchWave,)
 
-    share: float = quantity(0.0, 1.0)
+    fraction: float = quantity(0.0, 1.0)
     """Amplitude of the pitch wave as a fraction of the sum of both amplitudes (0:
     planar, 0.5: equal amplitudes, 1: pitch only)."""
     lag_rad: float = quantity(-6.3, 6.3)
@@ -157,7 +157,7 @@ class GaitFile(ControllerSection):
     the robot)."""
     phases_rad: _Phases | None = constructor_default()
     """Additional phase lag of each segment, one value per segment (default: none)."""
-    rest_share: float | None = quantity(0.0, 0.95)
+    rest_fraction: float | None = quantity(0.0, 0.95)
     """Fraction of the period in which both chambers of a segment vent, around the sign
     changes of the wave (default: none)."""
     pitch: PitchFile | None = None
@@ -250,7 +250,7 @@ class ConstantFile(Section):
 class StepFile(Section):
     """Step from one bend to another."""
 
-    constructors = (Step,)
+    constructors = (StepReference,)
 
     kind: Literal["step"]
     """Shape of the reference."""
@@ -407,7 +407,7 @@ class GraspFile(ControllerSection):
     """Kind of controller."""
     frequency_hz: float = _FREQUENCY
     """Gait frequency of the dragging segments."""
-    mode: Literal["open_loop", "sensed"] = constructor_default()
+    mode: Literal["open_loop", "measured_bend"] = constructor_default()
     """Condition for changing from one phase of the grasp to the next; either a given
     time, or the measured bends."""
     side: Literal["left", "right"] = constructor_default()

@@ -56,8 +56,8 @@ _UNIT = "the metric's unit"
 _TALLY = {
     "met": "met",
     "missed": "missed",
-    "known": "known to be missed",
-    "holds": "met though known to be missed (take `known` out)",
+    "expected_failure": "known to be missed",
+    "holds": "met though known to be missed (take `expected_failure` out)",
     "not_judged": "not judged",
 }
 _OUTSIDE_PROBABILITY = {"interval_50": 0.5, "interval_95": 0.05}
@@ -121,12 +121,12 @@ class ExpectationRow(TypedDict, total=False):
         value: value of the metric, or None.
         allowed: allowed values as text.
         met: whether the value is allowed, False without a value.
-        state: "met", "missed", "known" (missed for a known reason) or "not_judged";
+        state: "met", "missed", "expected_failure" (missed for a known reason) or "not_judged";
             None in rows of earlier versions.
         reason: reason why the expectation is not judged, or None.
         near: expected or published value.
         source: source of a published value.
-        known: known reason of a miss.
+        expected_failure: known reason of a miss.
         within: name of the interval that must contain the published value.
         verdict: "within", "undecided" or "outside".
         error: value minus published value, called E in ASME V&V 20.
@@ -152,7 +152,7 @@ class ExpectationRow(TypedDict, total=False):
     reason: str | None
     near: float | None
     source: str | None
-    known: str | None
+    expected_failure: str | None
     within: str
     verdict: str
     error: float
@@ -232,7 +232,7 @@ class Expectation(Section):
     """Minimum allowed value."""
     source: Words | None = None
     """Source of a published value; it is not set for bounds that we chose."""
-    known: Words | None = None
+    expected_failure: Words | None = None
     """Known reason why the expectation is missed; `--check` accepts such a miss,
     `--strict` does not."""
 
@@ -343,14 +343,14 @@ class Expectation(Section):
             row["met"] = allowed.holds(value)
         else:
             row |= self._judge_interval(value, metrics.get("intervals") or {})
-        row["state"] = "missed" if self.known is None else "known"
+        row["state"] = "missed" if self.expected_failure is None else "expected_failure"
         if row["reason"] is not None:
             row["state"] = "not_judged"
         elif row["met"]:
             row["state"] = "met"
         row["near"] = self.near if self.published is None else self.published
         row["source"] = self.source
-        row["known"] = self.known
+        row["expected_failure"] = self.expected_failure
         return row
 
     def _judge_interval(
@@ -508,15 +508,15 @@ def verdict(checked: ExpectationRow) -> str:
         checked: row returned by `Expectation.check`.
 
     Returns:
-        The state "met", "missed", "known" (missed for a known reason) or "not_judged".
-            The verdict is "holds" if the expectation is met although `known` is set.
+        The state "met", "missed", "expected_failure" (missed for a known reason) or "not_judged".
+            The verdict is "holds" if the expectation is met although `expected_failure` is set.
     """
-    known = checked.get("known") is not None
+    expected_failure = checked.get("expected_failure") is not None
     state = checked.get("state")
     if state is None:
-        missed = "known" if known else "missed"
+        missed = "expected_failure" if expected_failure else "missed"
         state = "met" if checked["met"] else missed
-    if state == "met" and known:
+    if state == "met" and expected_failure:
         return "holds"
     return state
 

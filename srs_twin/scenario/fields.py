@@ -251,7 +251,7 @@ class Loading:
         warnings: warnings for the user.
         supply_pa: supply pressure, gauge, Pa.
         layout: valve layout.
-        begin: initial state of the plants (`start.InitialState`), or None for straight
+        initial_state: initial state of the plants (`start.InitialState`), or None for straight
             and at rest.
     """
 
@@ -263,7 +263,7 @@ class Loading:
     warnings: list[str] = field(default_factory=list)
     supply_pa: float = 0.0
     layout: str = ""
-    begin: Any = None
+    initial_state: Any = None
 
 
 class ExtensionSection(Section):

@@ -175,7 +175,7 @@ class PneumaticsFile(PneumaticsSection):
             "critical_ratio",
             "flow_limit_l_per_min",
             "line_volume_ml",
-            "line_begins_kpa",
+            "initial_line_pressure_kpa",
         )
     }
 
@@ -195,7 +195,7 @@ class PneumaticsFile(PneumaticsSection):
     line_volume_ml: float | None = quantity(1.0, 1e6, None)
     """Volume of the line between a limited supply and the inlets (orifice only; default
     {default:g})."""
-    line_begins_kpa: float | None = quantity(0.0, 2000.0)
+    initial_line_pressure_kpa: float | None = quantity(0.0, 2000.0)
     """Initial gauge pressure of the line after a limited supply (orifice only; default:
     supply pressure)."""
 
@@ -203,7 +203,7 @@ class PneumaticsFile(PneumaticsSection):
     def _line_is_limited(self) -> PneumaticsFile:
         present = [
             key
-            for key in ("line_volume_ml", "line_begins_kpa")
+            for key in ("line_volume_ml", "initial_line_pressure_kpa")
             if getattr(self, key) is not None
         ]
         if present and self.flow_limit_l_per_min is None:

@@ -121,7 +121,7 @@ def _scenario(document: Document, name: str, overrides: Overrides) -> Scenario:
         record_hz=file.record_hz,
         supply_pa=loading.supply_pa,
         pose=(pose.x, pose.y, pose.heading),
-        begin=loading.begin,
+        initial_state=loading.initial_state,
         world=world,
         file=file,
         document=resolved,
@@ -171,10 +171,10 @@ def _build_parts(file: ScenarioFile, loading: Loading) -> None:
     if not document.problems:
         with document.report_errors("start"):
             segments = robot.spec(file.seed).segments
-            loading.begin = file.start.initial_state(
+            loading.initial_state = file.start.initial_state(
                 segments, loading.supply_pa, file.plants.running
             )
-            check_start(file, loading, loading.begin)
+            check_start(file, loading, loading.initial_state)
     for key, section in file.sections().items():
         products[key] = products[key] or section.prepare(loading)
 

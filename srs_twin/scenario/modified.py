@@ -46,7 +46,7 @@ STEADY = frozenset(
         "plan_found",
         "plan_length_m",
         "plan_nodes",
-        "plan_kink_rad",
+        "plan_max_heading_jump_rad",
     ]
 ).union(ENERGY_MEANINGS)
 """Metrics that do not depend on the duration, such as means over periods and plans."""
@@ -169,7 +169,9 @@ def invalidated_by(expectation: Expectation, changes: Changes) -> list[str]:
     An expectation with `source`, `published` or `known` refers to the unmodified
     scenario. Other expectations are bounds that apply to modified scenarios too.
     """
-    if (expectation.source, expectation.published, expectation.known) == (None,) * 3:
+    if (expectation.source, expectation.published, expectation.expected_failure) == (
+        None,
+    ) * 3:
         return []
     fields = (str(change["field"]) for change in changes)
     return [

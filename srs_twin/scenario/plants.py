@@ -99,11 +99,11 @@ class AnalyticalFile(_PlantFile):
     """Friction law; "axis" has one contact per connector (dissertation), "wheel" two
     wheels at the track. "ellipse" and "cosine" have two skids at the track, and
     "viscous" is a law for tests. A robot with skin has its own law."""
-    load: Literal["static", "momentary"] = constructor_default()
+    load: Literal["static", "instantaneous"] = constructor_default()
     """Load of a wheel or skid; "static" is half the weight of its connector.
-    "momentary" adds the load transfer by lateral forces (not with axis). A skin has
+    "instantaneous" adds the load transfer by lateral forces (not with axis). A skin has
     such contact pairs along the whole body."""
-    touch: bool | None = None
+    contact: bool | None = None
     """Whether the body touches obstacles; this needs the model compliant. By default,
     the body passes through them."""
     slip_speed_m_s: float = quantity(1e-9, 1.0, SLIP_SPEED_M_S)

@@ -41,7 +41,7 @@ from srs_twin.scenario.parts import PARTS
 NOT_PHYSICS = ("name", "title", "expect", "changes")
 """Keys of a scenario that name or judge results and do not affect a run."""
 
-WORDS = ("title", "source", "status", "known", "reason")
+WORDS = ("title", "source", "status", "expected_failure", "reason")
 """Keys at any depth whose texts explain a value and do not affect a run."""
 
 _VIEWING = "srs_twin.viewing"

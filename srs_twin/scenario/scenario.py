@@ -31,7 +31,7 @@ Fault = TypeVar("Fault", StuckValve, DeadSensor)
 
 IGNORED_OBSTACLES = (
     "plants.analytical: the model ignores the obstacles of this world and passes"
-    " through them; only model: compliant with touch: true touches them"
+    " through them; only model: compliant with contact: true touches them"
 )
 """Warning that the analytical plant ignores obstacles."""
 
@@ -40,7 +40,7 @@ def ignored_obstacles(
     file: ScenarioFile, world: World, plants: Iterable[str]
 ) -> tuple[str, ...]:
     """Return a warning if an analytical plant runs and ignores obstacles."""
-    touches = file.plants.analytical is not None and file.plants.analytical.touch
+    touches = file.plants.analytical is not None and file.plants.analytical.contact
     ignores = (
         "analytical" in plants and world.has_obstacles and not (touches or file.bench)
     )
@@ -81,7 +81,7 @@ class Scenario:
     record_hz: float
     supply_pa: float
     pose: tuple[float, float, float]
-    begin: InitialState | None = field(compare=False, repr=False)
+    initial_state: InitialState | None = field(compare=False, repr=False)
     world: World
     file: ScenarioFile
     document: Mapping[str, Any] = field(repr=False)
@@ -185,7 +185,7 @@ class Scenario:
         """Arguments of `rollout` and `Job` that the scenario sets."""
         names = (
             "duration",
-            "pose" if self.begin is None else "begin",
+            "pose" if self.initial_state is None else "initial_state",
             "seed",
             "record_hz",
         )

@@ -199,7 +199,7 @@ class InitialState:
         fields = {
             name: value for name, value in vars(moving).items() if name != "yaw_rate"
         }
-        return plant.place(
+        return plant.set_state(
             replace(resting, **fields), yaw_rate=moving.yaw_rate, seed=seed
         )
 

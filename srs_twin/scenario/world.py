@@ -15,11 +15,11 @@ from srs_twin.robot.world import (
     Bounds,
     Circle,
     Floor,
+    FloorStep,
     Goal,
     MovableObject,
     Polygon,
     Pose,
-    Step,
     World,
     fig54_world,
     peg_field,
@@ -168,7 +168,7 @@ class PegsFile(Section):
 
     constructors = (peg_field,)
 
-    pitch_m: float = quantity(1e-4, 100.0)
+    spacing_m: float = quantity(1e-4, 100.0)
     """Distance between neighbouring pegs."""
     radius_m: float = quantity(1e-5, 100.0)
     """Radius of the pegs."""
@@ -226,10 +226,10 @@ class FloorFile(Section):
     """Direction in which the floor rises (counter-clockwise from x)."""
 
 
-class StepFile(Section):
+class FloorStepFile(Section):
     """Step of the floor along a line of constant x."""
 
-    constructors = (Step,)
+    constructors = (FloorStep,)
 
     x_m: float = quantity(-1000.0, 1000.0)
     """x of the line."""
@@ -309,7 +309,7 @@ class WorldFile(Section):
     estimate)."""
     floor: FloorFile = FloorFile()
     """Slope of the floor."""
-    steps: Annotated[list[StepFile], Field(max_length=100)] = []
+    steps: Annotated[list[FloorStepFile], Field(max_length=100)] = []
     """Steps of the floor."""
     # The default is None, so that documents of scenarios without objects keep their
     # digests.

@@ -244,7 +244,7 @@ GAUSS = 1e-4
 SPAN = math.pi / 2
 """Maximum bend to both sides in the dissertation's design, rad (Section 2.2.2)."""
 
-RAIL_SHARE = 0.8
+RAIL_FRACTION = 0.8
 """Fraction of the rail-to-rail voltage that a trimmed amplifier uses over its span."""
 
 
@@ -314,7 +314,7 @@ class HallSensor:
     def trimmed(
         cls, strip: Strip, *, span: float = SPAN, **electronics: object
     ) -> HallSensor:
-        """Return a sensor whose gain uses `RAIL_SHARE` of the rails over ± span.
+        """Return a sensor whose gain uses `RAIL_FRACTION` of the rails over ± span.
 
         Args:
             strip: geometry and magnet.
@@ -327,7 +327,7 @@ class HallSensor:
         """
         unit = cls(strip, gain=1.0, **electronics)  # type: ignore[arg-type]
         low, high = unit.rails
-        allowed = RAIL_SHARE * (high - low) / 2 - abs((high + low) / 2 - unit.offset)
+        allowed = RAIL_FRACTION * (high - low) / 2 - abs((high + low) / 2 - unit.offset)
         swing = (
             abs(unit.sensitivity)
             * np.abs(unit.field_change(np.linspace(-span, span, 181))).max()
@@ -398,7 +398,7 @@ LEAST_R_SQUARED = 0.5
 
 
 @dataclass(frozen=True)
-class Calibration:
+class HallCalibration:
     """Straight line from voltage to bend, with its quality.
 
     Attributes:
@@ -427,7 +427,7 @@ class Calibration:
         return self.slope * np.asarray(voltage) + self.intercept
 
 
-def fit_line(voltage: Array, angle: Array) -> Calibration:
+def fit_line(voltage: Array, angle: Array) -> HallCalibration:
     """Fit a line to measured pairs of voltage and angle.
 
     Args:
@@ -459,7 +459,7 @@ def fit_line(voltage: Array, angle: Array) -> Calibration:
     slope = float(v @ q / (v @ v))
     intercept = float(angle.mean() - slope * voltage.mean())
     steps = np.diff(voltage)
-    return Calibration(
+    return HallCalibration(
         slope,
         intercept,
         r_squared=float((v @ q) ** 2 / ((v @ v) * (q @ q))),
@@ -470,7 +470,7 @@ def fit_line(voltage: Array, angle: Array) -> Calibration:
     )
 
 
-def calibrate(sensor: HallSensor, span: float = SPAN) -> Calibration:
+def calibrate(sensor: HallSensor, span: float = SPAN) -> HallCalibration:
     """Calibrate a sensor in the state before its drift.
 
     Args:

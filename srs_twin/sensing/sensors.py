@@ -26,7 +26,7 @@ from functools import lru_cache
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.sensing.hall import SPAN, Calibration, HallSensor, calibrate
+from srs_twin.sensing.hall import SPAN, HallCalibration, HallSensor, calibrate
 
 
 class Sensor(ABC):
@@ -158,7 +158,7 @@ class CurvatureSensor(Sensor):
     """
 
     hall: HallSensor
-    calibration: Calibration
+    calibration: HallCalibration
 
     kind = "hall"
 
@@ -285,14 +285,16 @@ class FaultySensor(_AlteredSensor):
 
     def read(self, bend: np.ndarray, time: np.ndarray | float, seed: int) -> np.ndarray:
         """See `Sensor.read`."""
-        sensed = self.sensor.read(bend, time, seed)
+        measured_bend = self.sensor.read(bend, time, seed)
         for fault in self.dead:
             # The start of a tick and a sum of steps may differ due to rounding.
             failed = np.asarray(time) >= fault.since - 1e-9
-            segments = sensed if self.axes == 1 else np.moveaxis(sensed, -1, 0)
+            segments = (
+                measured_bend if self.axes == 1 else np.moveaxis(measured_bend, -1, 0)
+            )
             reading = segments[..., fault.segment - 1]  # a view
             reading[...] = np.where(failed, fault.reading, reading)
-        return sensed
+        return measured_bend
 
     def describe(self) -> dict[str, object]:
         """See `Sensor.describe`."""

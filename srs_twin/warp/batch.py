@@ -63,7 +63,7 @@ class WarpBatch(Claimable):
     origins: np.ndarray
     state: SnakeState
     errors: list[DivergedError | None]
-    _theta: np.ndarray
+    _connector_heading: np.ndarray
 
     def __init__(
         self,
@@ -196,10 +196,12 @@ class WarpBatch(Claimable):
             self._begun = np.zeros(len(self))
             self._time = 0.0
             self._unobserved_steps = 0
-            self._theta = np.zeros((len(self), self.twins[0].spec.geometry.connectors))
+            self._connector_heading = np.zeros(
+                (len(self), self.twins[0].spec.geometry.connectors)
+            )
             self._engine.count.zero_()
         self._begun[chosen] = self._time
-        self._theta[chosen] = places[:, 2:]
+        self._connector_heading[chosen] = places[:, 2:]
         for k in chosen:
             self.errors[k] = None
         self.origins[chosen] = origins
@@ -221,7 +223,7 @@ class WarpBatch(Claimable):
     def _origins_of(self, places: np.ndarray, chosen: np.ndarray) -> np.ndarray:
         far = np.hypot(*places[:, :2].T) > _MAX_START_DISTANCE
         for place, k in zip(places[far], chosen[far], strict=True):
-            if self.twins[k].touches:
+            if self.twins[k].has_contact:
                 raise InputError(
                     f"run {k} starts at ({place[0]:g}, {place[1]:g}) m, but engine"
                     " 'warp' has single precision and needs starts within"
@@ -440,9 +442,11 @@ class WarpBatch(Claimable):
         connectors = cut["connectors"].reshape(*shape, -1, 4)
         chambers = cut["chambers"].reshape(*shape, -1, 7)
         bend, rate = physics.bends_and_rates(cut["qpos"], cut["qvel"])
-        theta = np.concatenate([self._theta[None], connectors[..., 3]])
-        theta = np.unwrap(theta, axis=0)[1:]
-        self._theta = theta[-1].copy()
+        connector_heading = np.concatenate(
+            [self._connector_heading[None], connectors[..., 3]]
+        )
+        connector_heading = np.unwrap(connector_heading, axis=0)[1:]
+        self._connector_heading = connector_heading[-1].copy()
         over = steps[:, None, None, None]
         force = cut["force"].reshape(*shape, -1, 3) / over
         obstacles = cut["obstacles"].reshape(*shape, -1, 3) / over
@@ -459,20 +463,20 @@ class WarpBatch(Claimable):
             time=times,
             com=cut["com"][..., :2] + self.origins,
             com_velocity=cut["com"][..., 3:5],
-            heading=theta.mean(axis=-1),
+            heading=connector_heading.mean(axis=-1),
             position=connectors[..., :2] + self.origins[:, None],
-            theta=theta,
+            connector_heading=connector_heading,
             bend=bend,
             bend_rate=rate,
             pressure=chambers[..., :2],
             valves=chambers[..., 2:4].astype(np.int8),
-            sensed=self._sensed(bend, times),
+            measured_bend=self._sensed(bend, times),
             contact_force=np.add.reduceat(floor, first_axles, axis=-2),
             obstacle_force=physics.connector_forces(obstacles)[..., :2],
             torque=torque,
             work=cut["energy"].sum(axis=-1) + stored,
             internal_loss=cut["energy"][..., 2],
-            air=chambers[..., 4].sum(axis=-1),
+            pneumatic_energy=chambers[..., 4].sum(axis=-1),
             qpos=qpos,
         )
 
@@ -502,11 +506,11 @@ class WarpBatch(Claimable):
         return torque, stored
 
     def _sensed(self, bend: np.ndarray, times: np.ndarray) -> np.ndarray:
-        sensed = bend.copy()
+        measured_bend = bend.copy()
         if self._robots[0].sensor.kind != "ideal":
             for k, twin in enumerate(self.twins):
-                sensed[:, k] = twin.sensor.read(bend[:, k], times, twin.seed + k)
-        return sensed
+                measured_bend[:, k] = twin.sensor.read(bend[:, k], times, twin.seed + k)
+        return measured_bend
 
 
 def _moved(qpos: np.ndarray, places: np.ndarray) -> np.ndarray:
@@ -544,14 +548,14 @@ def _check_supported(twin: TwinSnake, first: TwinSnake) -> None:
         "a floor that slopes or has steps": twin.uneven,
         "objects": twin.objects > 0,
         "obstacles with contact 'preloaded'": (
-            twin.touches and not isinstance(twin.contact, LoadedContact)
+            twin.has_contact and not isinstance(twin.contact, LoadedContact)
         ),
     }
     settings = twin.identity()
     first_settings = first.identity()
     same = settings.keys() - {"robot", "robot_digest", "supply_pa"}
     same -= (
-        set() if twin.touches or first.touches else {"world"}
+        set() if twin.has_contact or first.has_contact else {"world"}
     )  # Goals and bounds do not affect the motion.
     unsupported |= {
         f"runs that differ in {name}": settings[name] != first_settings[name]

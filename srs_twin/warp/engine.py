@@ -127,17 +127,17 @@ class DeviceEngine:
 
     def _copy_records(self, qpos: np.ndarray) -> dict[str, WarpStruct]:
         addresses = self._robots[0].physics.sensor_addresses
-        hulls = len(addresses.obstacle_force)
-        contacts = len(addresses.floor_force) + (hulls if self.loaded else 0)
+        collision_geoms = len(addresses.obstacle_force)
+        contacts = len(addresses.floor_force) + (collision_geoms if self.loaded else 0)
         forces = np.zeros((contacts, 3))
         records = self._chamber_records()
         records["accumulators"] = [
-            Accumulators(qpos, forces, forces, np.zeros((hulls, 3)))
+            Accumulators(qpos, forces, forces, np.zeros((collision_geoms, 3)))
         ]
         steppers = [twin.physics.stepper for twin in self._robots]
         solves = [stepper.records for stepper in steppers if stepper is not None]
         if self.loaded:
-            for name in ("contacts", "sparsity", "contact_state", "work"):
+            for name in ("contacts", "sparsity", "contact_state", "workspace"):
                 records[name] = [solve[name] for solve in solves]
         structs = {name: warp_struct(values[0]) for name, values in records.items()}
         # All robots share a single record, or each robot has its own.
@@ -164,7 +164,7 @@ class DeviceEngine:
             # The solve needs c(v₋) and c(v̄). c(v₋) is copied, because the engine
             # overwrites its array with c(v̄).
             self.structs["engine"].qfrc_bias = wp.zeros_like(self.data.qfrc_bias)
-            self.structs["work"].residual = self.data.qfrc_bias
+            self.structs["workspace"].residual = self.data.qfrc_bias
         # Columns of an observation (kernel `observe`).
         self.widths = {
             "qpos": len(qpos),
@@ -173,7 +173,7 @@ class DeviceEngine:
             "connectors": 4 * len(addresses.connectors),
             "chambers": 7 * self._segments,
             "force": 3 * contacts,
-            "obstacles": 3 * hulls,
+            "obstacles": 3 * collision_geoms,
             "energy": 3,
         }
         return structs
@@ -251,16 +251,16 @@ class DeviceEngine:
         k = self._kernels
         model = self._model
         data = self.data
-        names = "engine", "contacts", "sparsity", "contact_state", "work"
+        names = "engine", "contacts", "sparsity", "contact_state", "workspace"
         friction = [self.structs[name] for name in names]
         engine = self.structs["engine"]
-        work = self.structs["work"]
+        workspace = self.structs["workspace"]
         accumulators = self.structs["accumulators"]
-        self._start(k.begin_step, engine, work, accumulators)
+        self._start(k.begin_step, engine, workspace, accumulators)
         mjw.step1(model, data)
         self._start(k.apply_friction, *friction)
         mjw.step2(model, data)
-        self._start(k.return_to_middle, engine, work, accumulators, data.qfrc_bias)
+        self._start(k.return_to_middle, engine, workspace, accumulators, data.qfrc_bias)
         mjw.com_vel(model, data)
         mjw.rne(model, data)
         self._start(k.finish_step, *friction, accumulators, self._energy_loss)

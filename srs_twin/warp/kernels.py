@@ -92,10 +92,10 @@ class Accumulators(NamedTuple):
 
     Attributes:
         mid_qpos: qpos in the middle of the step, shape (nq,).
-        step_force, force_sum: forces on wheels and hulls in the latest step, and the
+        step_force, force_sum: forces on wheels and collision geoms in the latest step, and the
             sum of these forces since the latest sample, shape (contacts, 3), N.
         obstacle_sum: sum of the normal forces exerted by obstacles since the latest
-            sample, shape (hulls, 3), N.
+            sample, shape (collision geoms, 3), N.
     """
 
     mid_qpos: np.ndarray
@@ -122,11 +122,11 @@ def build_kernels(
     Args:
         structs: `relaxation`, `chambers`, `wave`, `accumulators`, `addresses` and
             `bodies`, and for loaded contacts `engine`, `contacts`, `sparsity`,
-            `contact_state` and `work`.
+            `contact_state` and `workspace`.
         settings: constants for all worlds.
     """
     functions = as_warp_functions(_PARTS, **warp_functions())
-    loaded = "work" in structs
+    loaded = "workspace" in structs
     kernels = _valve_kernels(structs["wave"], settings)
     kernels |= _chamber_kernel(
         structs["relaxation"], structs["chambers"], settings, functions
@@ -216,10 +216,10 @@ def _chamber_kernel(
         bend = air.bend[j] + law.bias[j]
         for s in range(SLOTS):
             bend = slot(law, air, valves[i, s, j], j, bend)
-        free, slope, _ = bend_law(air.linear[j], law)
+        free, derivative, _ = bend_law(air.linear[j], law)
         pull = law.gain[j, 0] * pressure[0] - law.gain[j, 1] * pressure[1]
         air.bend[j] = free
-        air.bend_rate[j] = slope * (pull - air.linear[j]) / law.tau
+        air.bend_rate[j] = derivative * (pull - air.linear[j]) / law.tau
         end = air.bend[j] + law.damping_time * air.bend_rate[j]
         driven += END_WEIGHT * (end - driven)
         # A control is the pressure of one chamber, so it cannot be negative.
@@ -351,9 +351,9 @@ def internal_power(air, at, qvel, damping):  # type: ignore[no-untyped-def]
     for j in range(at.hinges.shape[0]):
         # Dampers act on deviations from the free bend rate, which is divided equally
         # among the hinges.
-        share = air.bend_rate[j] / float(hinges)
+        fraction = air.bend_rate[j] / float(hinges)
         for n in range(hinges):
-            deviation = qvel[at.hinges[j, n]] - share
+            deviation = qvel[at.hinges[j, n]] - fraction
             power += damping[at.hinges[j, n]] * deviation * deviation
     for n in range(at.out_of_plane.shape[0]):
         speed = qvel[at.out_of_plane[n]]
@@ -494,20 +494,20 @@ def _middle_kernels(
 ) -> Kernels:
     Engines = structs["engine"].batched
     engine_of = structs["engine"].select
-    Workspaces = structs["work"].batched
-    work_of = structs["work"].select
+    Workspaces = structs["workspace"].batched
+    workspace_of = structs["workspace"].select
     AllAccumulators = structs["accumulators"].batched
     H = h
 
     @wp.kernel(**_OPTIONS)
     def begin_step(
-        engines: Engines, works: Workspaces, all_accumulators: AllAccumulators
+        engines: Engines, workspaces: Workspaces, all_accumulators: AllAccumulators
     ):
         i = wp.tid()
         engine = engine_of(engines, i)
-        work = work_of(works, i)
+        workspace = workspace_of(workspaces, i)
         for k in range(engine.qvel.shape[0]):
-            work.v_start[k] = engine.qvel[k]
+            workspace.v_start[k] = engine.qvel[k]
         integrate_position(engine.qpos, engine.qvel, 0.5 * H)
         for k in range(engine.qpos.shape[0]):
             all_accumulators.mid_qpos[i, k] = engine.qpos[k]
@@ -515,20 +515,20 @@ def _middle_kernels(
     @wp.kernel(**_OPTIONS)
     def return_to_middle(
         engines: Engines,
-        works: Workspaces,
+        workspaces: Workspaces,
         all_accumulators: AllAccumulators,
         bias: wp.array2d(dtype=float),
     ):
         """Take v̂ from the engine's step and restore the positions at mid-step."""
         i = wp.tid()
         engine = engine_of(engines, i)
-        work = work_of(works, i)
+        workspace = workspace_of(workspaces, i)
         for k in range(engine.qvel.shape[0]):
-            work.v_predicted[k] = engine.qvel[k]
+            workspace.v_predicted[k] = engine.qvel[k]
             engine.qfrc_bias[k] = bias[i, k]
         for k in range(engine.qpos.shape[0]):
             engine.qpos[k] = all_accumulators.mid_qpos[i, k]
-        set_mid_velocity(engine, work)
+        set_mid_velocity(engine, workspace)
 
     return {"begin_step": begin_step, "return_to_middle": return_to_middle}
 
@@ -539,11 +539,18 @@ def _friction_kernels(
     apply_stored_friction = functions["apply_stored_friction"]
     solve_friction = functions["solve_friction"]
     store_friction = functions["store_friction"]
-    names = "engine", "contacts", "sparsity", "contact_state", "work", "accumulators"
+    names = (
+        "engine",
+        "contacts",
+        "sparsity",
+        "contact_state",
+        "workspace",
+        "accumulators",
+    )
     Engines, AllContacts, Sparsities, ContactStates, Workspaces, AllAccumulators = (
         structs[name].batched for name in names
     )
-    engine_of, contacts_of, sparsity_of, state_of, work_of, accumulators_of = (
+    engine_of, contacts_of, sparsity_of, state_of, workspace_of, accumulators_of = (
         structs[name].select for name in names
     )
     H = h
@@ -554,14 +561,16 @@ def _friction_kernels(
         contacts: AllContacts,
         sparsities: Sparsities,
         states: ContactStates,
-        works: Workspaces,
+        workspaces: Workspaces,
     ):
         i = wp.tid()
         contact = contacts_of(contacts, i)
         sparsity = sparsity_of(sparsities, i)
         state = state_of(states, i)
-        work = work_of(works, i)
-        apply_stored_friction(engine_of(engines, i), contact, sparsity, state, work, H)
+        workspace = workspace_of(workspaces, i)
+        apply_stored_friction(
+            engine_of(engines, i), contact, sparsity, state, workspace, H
+        )
 
     @wp.kernel(**_OPTIONS)
     def finish_step(
@@ -569,7 +578,7 @@ def _friction_kernels(
         contacts: AllContacts,
         sparsities: Sparsities,
         states: ContactStates,
-        works: Workspaces,
+        workspaces: Workspaces,
         all_accumulators: AllAccumulators,
         energy_loss: wp.array(dtype=wp.float64),
     ):
@@ -577,10 +586,10 @@ def _friction_kernels(
         engine = engine_of(engines, i)
         contact = contacts_of(contacts, i)
         state = state_of(states, i)
-        work = work_of(works, i)
+        workspace = workspace_of(workspaces, i)
         sums = accumulators_of(all_accumulators, i)
-        solve_friction(engine, contact, sparsity_of(sparsities, i), state, work, H)
-        power = store_friction(contact, state, work, sums.step_force)
+        solve_friction(engine, contact, sparsity_of(sparsities, i), state, workspace, H)
+        power = store_friction(contact, state, workspace, sums.step_force)
         energy_loss[i] = energy_loss[i] + wp.float64(H * power)
         integrate_position(engine.qpos, engine.qvel, 0.5 * H)
 

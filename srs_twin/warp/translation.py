@@ -101,7 +101,7 @@ _OBJECT_FUNCTIONS = (
 """Functions of the friction solve that do nothing without movable objects."""
 
 
-def _no_objects(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
+def _no_objects(engine, sparsity, workspace, h):  # type: ignore[no-untyped-def]
     """Do nothing."""
     return
 

@@ -361,11 +361,11 @@ def test_headline_states_the_range_over_plausible_segments(speeds, said):
 )
 def test_percentages_of_the_headline_add_up(averaged, twin, effect):
     change = effect * (twin - 0.2)
-    share = {"name": "compliance", "value": [change, 0.0]}
+    fraction = {"name": "compliance", "value": [change, 0.0]}
     why = {
         "attribution": {
             "measures": ["com_speed_m_s", "yaw_rate_rad_s"],
-            "shares": [share],
+            "shares": [fraction],
         }
     }
     said = headline(

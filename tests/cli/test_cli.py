@@ -84,7 +84,7 @@ def marked(*numbers):
     """Return metrics in which the expectations with these numbers are marked as known misses."""
     expectations = METRICS["expectations"]
     known = [
-        each | {"known": REASON if k in numbers else None}
+        each | {"expected_failure": REASON if k in numbers else None}
         for k, each in enumerate(expectations)
     ]
     return {**METRICS, "expectations": known}
@@ -104,7 +104,7 @@ NOT_JUDGED = {
 GIVEN = {
     "met": MET,
     "missed": METRICS,
-    "known": marked(1),
+    "expected_failure": marked(1),
     "holds": marked(0, 1),
     "not_judged": NOT_JUDGED,
 }
@@ -263,12 +263,12 @@ def test_usage_error_exits_with_2(start, words, said):
         (["compare", "a", "--check"], "missed", 1),
         (["run", "a", "--strict"], "met", 0),
         (["run", "a", "--strict"], "missed", 1),
-        (["run", "a", "--check"], "known", 0),
+        (["run", "a", "--check"], "expected_failure", 0),
         (["run", "a", "--check"], "holds", 0),
-        (["run", "a", "--strict"], "known", 1),
+        (["run", "a", "--strict"], "expected_failure", 1),
         (["run", "a", "--strict"], "holds", 1),
-        (["compare", "a", "--check"], "known", 0),
-        (["compare", "a", "--strict"], "known", 1),
+        (["compare", "a", "--check"], "expected_failure", 0),
+        (["compare", "a", "--strict"], "expected_failure", 1),
         (["run", "a"], InputError("x.yaml:1:2: no"), 2),
         (["run", "a"], DivergedError("twin", 1.5, "qpos is not finite"), 3),
         (["run", "a"], RuntimeError("nobody foresaw this"), 4),
@@ -281,11 +281,11 @@ def test_exit_codes(start, words, ending, code):
 
 def test_invalid_scenario_is_reported_first_and_does_not_stop_the_rest(start):
     endings = {"a": "met", "bad": InputError("bad.yaml:3:1: wrong"), "c": "missed"}
-    left = start("run", "a", "bad", "c", "--jobs", "1", **endings)
+    left = start("run", "a", "bad", "c", "--workers", "1", **endings)
     assert left.log == ["load a", "load bad", "load c", "run a", "run c"]
     assert left.err.startswith("bad.yaml:3:1: wrong\n")
     assert left.code == 2
-    several = start("run", "a", "bad", "c", "--jobs", "2", **endings)
+    several = start("run", "a", "bad", "c", "--workers", "2", **endings)
     assert several.log == ["load a", "load bad", "load c", "run c", "run a"]
     assert (several.code, several.out, several.err) == (left.code, left.out, left.err)
 
@@ -306,7 +306,7 @@ def test_output_follows_the_order_of_the_scenarios(start):
         "b": DivergedError("twin", 1.5, "b flew")
     }
     one, many = (
-        start("run", *"abcd", "--jobs", jobs, **endings) for jobs in ("1", "4")
+        start("run", *"abcd", "--workers", jobs, **endings) for jobs in ("1", "4")
     )
     assert one.log == [
         *(f"load {name}" for name in "abcd"),
@@ -342,44 +342,44 @@ def test_unexpected_difference_needs_explanation(metric, met, more, asks):
     )
 
 
-KNOWN = f"comparison com_speed_rel = -0.2, allowed -0.12 to 0.12; known: {REASON}"
+KNOWN = f"comparison com_speed_rel = -0.2, allowed -0.12 to 0.12; expected failure: {REASON}"
 
 
 def test_known_misses_are_counted_separately(start):
-    left = start("run", *"abc", "--check", a="missed", b="known", c="holds")
+    left = start("run", *"abc", "--check", a="missed", b="expected_failure", c="holds")
     assert left.code == 1
     lines = [
         line
         for line in left.out.splitlines()
-        if line.startswith(("met", "MISSED", "known", "HOLDS"))
+        if line.startswith(("met", "MISSED", "expected_failure", "HOLDS"))
     ]
     assert [line.split()[0] for line in lines] == [
         "met",
         "MISSED",
         "met",
-        "known",
+        "expected_failure",
         "HOLDS",
-        "known",
+        "expected_failure",
     ]
     summary = (
         "expectations: 2 met, 1 missed, 2 known to be missed, 1 met though known to be"
         " missed"
     )
-    assert f"{summary} (take `known` out)\n" in left.err
+    assert f"{summary} (take `expected_failure` out)\n" in left.err
 
 
 def test_quiet_prints_failed_and_newly_met_expectations(start):
-    left = start("run", *"ab", "--check", "-q", a="known", b="holds")
+    left = start("run", *"ab", "--check", "-q", a="expected_failure", b="holds")
     assert (left.code, left.out) == (0, "")
     holds = (
-        "twin com_speed_m_s = 0.2, allowed 0.1819 to 0.2461 (Table 10); known:"
+        "twin com_speed_m_s = 0.2, allowed 0.1819 to 0.2461 (Table 10); expected failure:"
         f" {REASON}"
     )
     assert left.err == f"HOLDS  {holds}\n"
-    left = start("run", *"ab", "--strict", "-q", a="known", b="holds")
+    left = start("run", *"ab", "--strict", "-q", a="expected_failure", b="holds")
     assert (left.code, left.err) == (
         1,
-        f"known  {KNOWN}\nHOLDS  {holds}\nknown  {KNOWN}\n",
+        f"expected {KNOWN}\nHOLDS  {holds}\nexpected {KNOWN}\n",
     )
 
 
@@ -405,7 +405,7 @@ def test_worker_death_and_internal_error_affect_only_their_scenario(start):
         "c": RuntimeError("nobody foresaw this"),
         "d": "met",
     }
-    left = start("run", *"abcd", "--jobs", "2", **endings)
+    left = start("run", *"abcd", "--workers", "2", **endings)
     assert left.code == 4
     assert (
         "b: the worker process was killed by SIGKILL, 3 times in a row; the machine ran"
@@ -420,7 +420,7 @@ def test_worker_death_and_internal_error_affect_only_their_scenario(start):
 
 def test_interrupt_names_complete_runs(start):
     endings = {"a": "met", "b": KeyboardInterrupt(), "c": "met"}
-    left = start("run", "a", "b", "c", "--jobs", "1", **endings)
+    left = start("run", "a", "b", "c", "--workers", "1", **endings)
     assert left.code == 130
     assert "interrupted; complete runs: runs/a\n" in left.err
     assert "run c" not in left.log
@@ -433,9 +433,9 @@ def test_interrupt_names_complete_runs(start):
 
 @pytest.mark.parametrize("jobs", ["0", "-1", "two", "1.5"])
 def test_an_impossible_number_of_jobs_is_a_usage_error(start, jobs):
-    left = start("run", "a", f"--jobs={jobs}", a="met")
+    left = start("run", "a", f"--workers={jobs}", a="met")
     assert left.code == 2
-    assert "--jobs" in left.err
+    assert "--workers" in left.err
     assert left.log == []
 
 
@@ -448,7 +448,7 @@ def test_junit_report_is_written_for_every_outcome(start, tmp_path, jobs):
             for t in tests
         ]
 
-    words = ("run", "a", "bad", "c", "--junit", "r.xml", "--jobs", jobs)
+    words = ("run", "a", "bad", "c", "--junit", "r.xml", "--workers", jobs)
     bad = InputError("bad.yaml:3:1: wrong")
     assert start(*words, a="met", bad=bad, c="missed").code == 2
     ran = outcomes()
@@ -520,7 +520,7 @@ def test_internal_error_is_one_line_with_contact(start, monkeypatch):
 def test_several_runs_get_subfolders(start):
     assert "files in out;" in start("run", "a", "--out", "out", a="met").err
     several = start(
-        "run", "a", "b", "--out", "out", "--jobs", "1", a="met", b="met"
+        "run", "a", "b", "--out", "out", "--workers", "1", a="met", b="met"
     ).err
     assert "files in out/a;" in several
     assert "files in out/b;" in several
@@ -654,7 +654,7 @@ def test_closed_pipe_stops_output_but_not_the_runs(tmp_path, last, code, closed)
         "./b.yaml",
         "./c.yaml",
         "--check",
-        "--jobs",
+        "--workers",
         "2",
         "--junit",
         "r.xml",

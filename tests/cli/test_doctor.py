@@ -66,9 +66,9 @@ FAILURES = [
         checks.processors_check(8, 1.5),
         "missing",
         "limits the time to that of 1.5",
-        "--jobs 2",
+        "--workers 2",
     ),
-    (checks.memory_check(300 << 20), "missing", "300 MB", "--jobs 1"),
+    (checks.memory_check(300 << 20), "missing", "300 MB", "--workers 1"),
     (checks.disk_check(Path("runs"), free=5 << 20), "missing", "5 MB", "--out"),
 ]
 

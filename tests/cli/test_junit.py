@@ -167,7 +167,8 @@ def test_each_outcome_becomes_its_junit_element(tmp_path):
 
 def test_known_miss_is_skipped_and_fails_with_strict(tmp_path):
     known = tuple(
-        each.model_copy(update={"known": "never <measured>"}) for each in EXPECT
+        each.model_copy(update={"expected_failure": "never <measured>"})
+        for each in EXPECT
     )
     scenario = SimpleNamespace(label="ran", expect=(*EXPECT, *known))
     rows = [each.check(FOUND) for each in scenario.expect]
@@ -176,7 +177,10 @@ def test_known_miss_is_skipped_and_fails_with_strict(tmp_path):
     )
     for fails, of_known in (
         (frozenset({"missed"}), ["passed", "skipped", "passed"]),
-        (frozenset({"missed", "known", "holds"}), ["failure", "failure", "failure"]),
+        (
+            frozenset({"missed", "expected_failure", "holds"}),
+            ["failure", "failure", "failure"],
+        ),
     ):
         write_junit(tmp_path / "r.xml", [Case("ran", scenario, result=result)], fails)
         found = read(tmp_path / "r.xml")["ran"]
@@ -185,10 +189,10 @@ def test_known_miss_is_skipped_and_fails_with_strict(tmp_path):
         assert (
             words
             == {
-                "skipped": "known: never <measured>\n",
+                "skipped": "expected failure: never <measured>\n",
                 "failure": (
                     "comparison com_speed_rel (3) = -0.2, allowed -0.12 to 0.12\nvalue:"
-                    " -0.2\nallowed: -0.12 to 0.12\nsource: ours\nknown: never"
+                    " -0.2\nallowed: -0.12 to 0.12\nsource: ours\nexpected failure: never"
                     " <measured>"
                 ),
             }[of_known[1]]
@@ -274,7 +278,7 @@ def both(tmp_path_factory, srs_twin):
     many = srs_twin(
         "run",
         ".",
-        "--jobs",
+        "--workers",
         "2",
         "--out",
         "many",
@@ -390,7 +394,7 @@ def test_report_after_an_interrupt_marks_unfinished_runs(tmp_path, end):
     )
     (tmp_path / "r.xml").write_text("of an earlier run")
     script = str(Path(sys.executable).with_name("srs-twin"))
-    words = ["run", "./long.yaml", "./brief.yaml", "--junit", "r.xml", "--jobs", "2"]
+    words = ["run", "./long.yaml", "./brief.yaml", "--junit", "r.xml", "--workers", "2"]
     child = subprocess.Popen(
         [script, *words],
         cwd=tmp_path,

@@ -248,7 +248,7 @@ def test_command_keeps_ignored_interrupts(tmp_path):
         "run",
         "./brief.yaml",
         "./long.yaml",
-        "--jobs",
+        "--workers",
         "2",
     ]
     with on_interrupt(signal.SIG_IGN):

@@ -17,7 +17,7 @@ from pathlib import Path
 import browser
 import psutil
 import pytest
-from browser import share, shows_a_snake
+from browser import fraction, shows_a_snake
 from conftest import exists, wait_until
 from matplotlib.image import imread
 from screenshot import screenshots
@@ -85,7 +85,7 @@ def test_viewer_shows_runs_side_by_side(recordings, tmp_path):
     for half in (picture[:below, :middle], picture[:below, middle:]):
         assert shows_a_snake(half)
     for half in (picture[below:, :middle], picture[below:, middle:]):
-        assert share(half, STYLES["twin"].rgb) > 0.001, "its speed is plotted below"
+        assert fraction(half, STYLES["twin"].rgb) > 0.001, "its speed is plotted below"
 
 
 def test_names_are_those_of_the_folders(tmp_path):
@@ -216,12 +216,12 @@ def test_browser_shows_recording_offline(recordings, srs_twin):
         blue = STYLES["twin"].rgb
         _, shown = browser.picture(
             chromium,
-            lambda page: shows_a_snake(page) and share(page[:, -200:], blue) > 0.001,
+            lambda page: shows_a_snake(page) and fraction(page[:, -200:], blue) > 0.001,
         )
         assert shows_a_snake(shown), (
             f"nothing to see after {time.monotonic() - begun:.0f} s"
         )
-        assert share(shown[:, -200:], blue) > 0.001, "plots stand on the right"
+        assert fraction(shown[:, -200:], blue) > 0.001, "plots stand on the right"
         asked = browser.requested(chromium)
     assert len(asked) >= 4
     assert not [

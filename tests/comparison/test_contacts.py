@@ -173,8 +173,8 @@ def test_headline_explains_the_difference_before_the_contact_only():
     )
     # The attribution of the same part takes precedence; one of another part explains
     # nothing here.
-    shares = [{"name": "rigid gaps", "value": [-0.02, 0.0]}]
-    measured = {"measures": ["com_speed_m_s", "yaw_rate_rad_s"], "shares": shares}
+    fractions = [{"name": "rigid gaps", "value": [-0.02, 0.0]}]
+    measured = {"measures": ["com_speed_m_s", "yaw_rate_rad_s"], "shares": fractions}
     same, other = (
         headline(
             compared(

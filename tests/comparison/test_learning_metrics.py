@@ -40,7 +40,7 @@ def learnt(
     sensors.
     """
     run = snake.trajectory()
-    sensed = np.zeros((len(run), SEGMENTS))
+    measured_bend = np.zeros((len(run), SEGMENTS))
     duty = np.ones((len(run), SEGMENTS, 2))
     for n, periods in enumerate(amplitude):
         for j, sides in enumerate(periods):
@@ -48,16 +48,16 @@ def learnt(
                 begin = BEGINS[j, side] + n / FREQUENCY
                 own = (run.time > begin - 1e-6) & (run.time <= begin + 0.5 + 1e-6)
                 middle = np.abs(run.time - begin - 0.25) < 0.02
-                sensed[middle, j] = peak if side == 0 else -peak
+                measured_bend[middle, j] = peak if side == 0 else -peak
                 # A sample is taken at the end of its tick, so the samples of a period
                 # begin after its start.
                 duty[own, j, side] = 1.0 if n < 3 else 0.5 + 0.01 * n
     columns = {
-        **numbered("sensed", sensed),
+        **numbered("measured_bend", measured_bend),
         **numbered("duty_plus", duty[..., 0]),
         **numbered("duty_minus", duty[..., 1]),
-        **numbered("target_plus", np.full(sensed.shape, target[0])),
-        **numbered("target_minus", np.full(sensed.shape, target[1])),
+        **numbered("target_plus", np.full(measured_bend.shape, target[0])),
+        **numbered("target_minus", np.full(measured_bend.shape, target[1])),
     }
     about = {"control": {"fill_begins_s": BEGINS.tolist()}, "body_width_m": width}
     return with_metadata(with_columns(run, **columns), **about)
@@ -121,7 +121,7 @@ def test_every_chamber_with_a_target_must_converge():
 def test_lost_readings_are_ignored():
     run = learnt(RUN, amplitudes(FADING))
     gone = with_columns(
-        run, sensed_3=np.where(run.time > 3.0, math.nan, run["sensed_3"])
+        run, measured_bend_3=np.where(run.time > 3.0, math.nan, run["measured_bend_3"])
     )
     found = learning_metrics(gone)
     assert (
@@ -195,15 +195,15 @@ def test_box_edges_of_a_body_on_a_circle(yaw_rate, width):
         heading=yaw_rate * time,
         **numbered("x", position[..., 0]),
         **numbered("y", position[..., 1]),
-        **numbered("theta", angle),
+        **numbered("connector_heading", angle),
         **numbered("bend", np.full((601, 4), bend)),
     )
     half = (width or 0.0) / 2
     found = learning_metrics(run)
-    assert found["box_left_m"] == pytest.approx(-0.03 - half, abs=1e-6)
-    assert found["box_right_m"] == pytest.approx(half, abs=1e-6)
+    assert found["extent_left_m"] == pytest.approx(0.03 + half, abs=1e-6)
+    assert found["extent_right_m"] == pytest.approx(half, abs=1e-6)
     other = learning_metrics(moved(run, 2.0, -1.0, 2.5))
-    assert other["box_left_m"] == pytest.approx(found["box_left_m"], abs=1e-9)
+    assert other["extent_left_m"] == pytest.approx(found["extent_left_m"], abs=1e-9)
 
 
 @pytest.fixture(scope="module")
@@ -221,7 +221,7 @@ def test_mirroring_swaps_the_sides(real):
         for j in range(1, 5):
             columns[f"{name}_plus_{j}"] = real[f"{name}_minus_{j}"]
             columns[f"{name}_minus_{j}"] = real[f"{name}_plus_{j}"]
-        columns |= numbered("sensed", -real.stack("sensed"))
+        columns |= numbered("measured_bend", -real.stack("measured_bend"))
     begins = np.array(real.metadata["control"]["fill_begins_s"])[:, ::-1]
     about = {"control": {"fill_begins_s": begins.tolist()}}
     ours = learning_metrics(real)
@@ -243,7 +243,7 @@ def test_mirroring_swaps_the_sides(real):
         "heading_drift_rad",
     ):
         assert theirs[name] == pytest.approx(-ours[name], rel=1e-6), name
-    assert theirs["box_left_m"] == pytest.approx(-ours["box_right_m"], abs=1e-9)
+    assert theirs["extent_left_m"] == pytest.approx(ours["extent_right_m"], abs=1e-9)
 
 
 def test_a_real_run_has_all_metrics(real):
@@ -258,7 +258,7 @@ def test_a_real_run_has_all_metrics(real):
     assert found["path_radius_m"] == pytest.approx(
         1 / found["path_curvature_per_m"], rel=1e-6
     )
-    assert found["box_left_m"] < 0 < found["box_right_m"]
+    assert min(found["extent_left_m"], found["extent_right_m"]) > 0
     controller = PeriodAmplitudes.from_trajectory(real)
     assert controller.amplitude[-1, :, 0] == pytest.approx(
         real.stack("amplitude_plus")[-1], abs=0.02

@@ -131,7 +131,7 @@ def test_lateral_oscillation_does_not_change_the_radius():
 def test_a_radius_above_100_body_lengths_is_straight():
     snake = Snake(speed=0.22, sway=(0, 0), duration=20.0)
     curved, straight = (
-        0.22 / (share * 100 * snake.body_length) for share in (0.99, 1.01)
+        0.22 / (fraction * 100 * snake.body_length) for fraction in (0.99, 1.01)
     )
     assert (
         plant_metrics(replace(snake, yaw_rate=curved).trajectory())["turning_radius_m"]

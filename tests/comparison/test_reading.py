@@ -19,10 +19,14 @@ from srs_twin.trajectory import Trajectory
 SENSOR = {"kind": "own"}
 
 
-def run(bend, sensed, sensor=SENSOR):
+def run(bend, measured_bend, sensor=SENSOR):
     bend = np.asarray(bend, dtype=float)
-    sensed = np.asarray(sensed, dtype=float)
-    columns = {"time": 0.01 * np.arange(len(bend)), "bend_1": bend, "sensed_1": sensed}
+    measured_bend = np.asarray(measured_bend, dtype=float)
+    columns = {
+        "time": 0.01 * np.arange(len(bend)),
+        "bend_1": bend,
+        "measured_bend_1": measured_bend,
+    }
     return Trajectory(columns, metadata={"sensor": sensor})
 
 
@@ -101,10 +105,10 @@ def test_noise_averages_out_and_lost_readings_are_left_out():
 
 
 @pytest.mark.parametrize(
-    ("bend", "sensed"), [([0.5] * 5, [0.5] * 5), ([0.0, 0.5, 1.0], [np.nan] * 3)]
+    ("bend", "measured_bend"), [([0.5] * 5, [0.5] * 5), ([0.0, 0.5, 1.0], [np.nan] * 3)]
 )
-def test_too_few_bins_give_no_metrics(bend, sensed):
-    assert set(reading_metrics(run(bend, sensed)).values()) == {None}
+def test_too_few_bins_give_no_metrics(bend, measured_bend):
+    assert set(reading_metrics(run(bend, measured_bend)).values()) == {None}
 
 
 def test_a_constant_reading_has_no_r_squared():

@@ -79,11 +79,11 @@ def test_overshoot_and_rise_time_of_a_second_order_system(zeta, omega, after):
         overshoot * abs(after), abs=1e-3 * abs(after)
     )
     fine = np.linspace(0, 3.5, 350_001)
-    share = second_order(1.0, zeta, omega, 0.0)(fine)
-    rise = first_at(0.9, fine, share) - first_at(0.1, fine, share)
+    fraction = second_order(1.0, zeta, omega, 0.0)(fine)
+    rise = first_at(0.9, fine, fraction) - first_at(0.1, fine, fraction)
     assert found["rise_time_s"] == pytest.approx(rise, abs=2e-5)
     for name, band in (("settling_2_s", 0.02), ("settling_5_s", 0.05)):
-        left = fine[np.flatnonzero(np.abs(share - 1) > band)[-1]]
+        left = fine[np.flatnonzero(np.abs(fraction - 1) > band)[-1]]
         # The response may touch the band between two samples.
         peaks = np.exp(-zeta / math.sqrt(1 - zeta**2) * math.pi * np.arange(1, 30))
         if np.abs(peaks - band).min() > 1e-3:
@@ -139,10 +139,10 @@ def test_steady_state_is_the_second_half_after_the_step():
     assert found["steady_rms_rad"] == pytest.approx(
         math.hypot(0.01, 0.02 / math.sqrt(2)), rel=1e-2
     )
-    assert found["sensed_ripple_pp_rad"] is None
-    sensed = {**trajectory.columns, "sensed_1": 3 * trajectory["bend_1"]}
-    assert tracking_metrics(Trajectory(sensed))[
-        "sensed_ripple_pp_rad"
+    assert found["measured_ripple_pp_rad"] is None
+    measured_bend = {**trajectory.columns, "measured_bend_1": 3 * trajectory["bend_1"]}
+    assert tracking_metrics(Trajectory(measured_bend))[
+        "measured_ripple_pp_rad"
     ] == pytest.approx(0.12, abs=1e-4)
 
 
@@ -155,12 +155,14 @@ def test_steady_state_is_the_second_half_after_the_step():
     st.floats(-3.1, 3.1),
     st.floats(-0.5, 0.5),
 )
-def test_amplitude_and_lag_of_a_sine_are_recovered(f, asked, phase, share, lag, offset):
+def test_amplitude_and_lag_of_a_sine_are_recovered(
+    f, asked, phase, fraction, lag, offset
+):
     """Periods are not multiples of the sample period, the bend has an offset, lags cover a full circle."""
     reference = lambda t: 0.1 + asked * np.sin(2 * np.pi * f * t + phase)  # noqa: E731
-    bend = lambda t: offset + share * asked * np.sin(2 * np.pi * f * t + phase - lag)  # noqa: E731
+    bend = lambda t: offset + fraction * asked * np.sin(2 * np.pi * f * t + phase - lag)  # noqa: E731
     found = tracking_metrics(run(reference, bend, duration=round(5 / f + 0.1, 3)))
-    assert found["amplitude_rel"] == pytest.approx(share, rel=1e-6)
+    assert found["amplitude_rel"] == pytest.approx(fraction, rel=1e-6)
     assert found["phase_lag_rad"] == pytest.approx(lag, abs=1e-6)
     assert found["amplitude_spread_rel"] == pytest.approx(0, abs=1e-6)
     assert found["phase_lag_spread_rad"] == pytest.approx(0, abs=1e-6)

@@ -137,7 +137,7 @@ USES: dict[str, Callable[[Plant], Any]] = {
     "advance": lambda plant: plant.advance(VALVES, 1),
     "play": lambda plant: plant.play(GAIT.script(0.1), 1),
     "reset": lambda plant: plant.reset(),
-    "place": lambda plant: plant.place(plant.state),
+    "place": lambda plant: plant.set_state(plant.state),
     "save": lambda plant: plant.save(),
     "restore": lambda plant: plant.restore(AnalyticalSnake(SPEC).save()),
     "rollout": lambda plant: rollout(plant, Gait(2.0), 0.2),

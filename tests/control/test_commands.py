@@ -66,7 +66,7 @@ def test_regulated_chambers_equal_chambers_made_for_that_pressure():
             schedule = chambers.schedule(gait.valves_at(0.02 * k), 0.02)
             traces.append(chambers.advance(schedule, np.array([0.01, 0.02])))
         assert (traces[0].pressure == traces[1].pressure).all() and (
-            traces[0].air == traces[1].air
+            traces[0].pneumatic_energy == traces[1].pneumatic_energy
         ).all()
 
 

@@ -191,7 +191,7 @@ def test_tick_that_is_no_multiple_of_a_slot_has_a_whole_number_of_slots():
 def test_script_equals_the_valves_of_the_ticks(rest, offset, shifts):
     """The slots of every tick equal those of the script."""
     spec = load_robot("gen2")
-    gait = Gait(2.0, offset, phases=shifts, rest_share=rest)
+    gait = Gait(2.0, offset, phases=shifts, rest_fraction=rest)
     gait.reset(spec, 0.02)
     script = gait.script(1.0)
     for k in range(50):
@@ -207,8 +207,8 @@ def test_script_equals_the_valves_of_the_ticks(rest, offset, shifts):
             assert (script.states[row] == slots[slot]).all()
 
 
-def test_rest_share_vents_that_fraction_of_the_period():
-    gait = Gait(2.0, rest_share=0.3)
+def test_rest_fraction_vents_that_fraction_of_the_period():
+    gait = Gait(2.0, rest_fraction=0.3)
     gait.reset(load_robot("gen2"), 0.02)
     script = gait.script(1.0)
     lasts = np.diff(np.append(script.starts, 1.0))
@@ -220,7 +220,7 @@ def test_rest_share_vents_that_fraction_of_the_period():
 @pytest.mark.parametrize(
     ("more", "why"),
     [
-        ({"rest_share": 1.0}, "gait rest 1.0"),
+        ({"rest_fraction": 1.0}, "gait rest 1.0"),
         ({"phases": [0.1, 0.2]}, "2 phases are given, but gen2 has 4"),
     ],
 )

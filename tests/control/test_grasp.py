@@ -26,13 +26,13 @@ def initial_state():
     return TwinSnake(CHAIN).state
 
 
-def at(time: float, sensed: float, **changes: object):
+def at(time: float, measured_bend: float, **changes: object):
     """Return a state with true fields of NaN."""
     nothing = np.full(8, math.nan)
     return replace(
         initial_state(),
         time=time,
-        sensed=np.full(8, sensed),
+        measured_bend=np.full(8, measured_bend),
         bend=nothing,
         bend_rate=nothing,
         **changes,
@@ -93,7 +93,7 @@ def test_uniform_moment_presses_mainly_with_the_ends_of_the_wrap():
     item = MovableObject((radius,), 1000.0, 10.0, 0.0, 0.0)
     bend = np.append(np.zeros(4), np.full(4, GEN2.geometry.pitch / ring))
     twin = TwinSnake(CHAIN, world=World(objects=(replace(item, x=9.0, y=9.0),)))
-    twin.place(replace(twin.reset(pose=(0.0, 5.0, 0.0)), bend=bend))
+    twin.set_state(replace(twin.reset(pose=(0.0, 5.0, 0.0)), bend=bend))
     place = twin.physics.connector_positions()[:, :2]
     theta = twin.physics.connector_headings()
     left = np.array([-np.sin(theta[4]), np.cos(theta[4])])
@@ -102,7 +102,9 @@ def test_uniform_moment_presses_mainly_with_the_ends_of_the_wrap():
         CHAIN, world=World(objects=(replace(item, x=centre[0], y=centre[1]),))
     )
     pressure = np.stack([bend / GEN2.actuator.gain, np.zeros(8)], axis=-1)
-    twin.place(replace(twin.reset(pose=(0.0, 5.0, 0.0)), bend=bend, pressure=pressure))
+    twin.set_state(
+        replace(twin.reset(pose=(0.0, 5.0, 0.0)), bend=bend, pressure=pressure)
+    )
     twin.physics.data.qpos[1] -= 5.0
     twin.physics.refresh()
     valves = np.full((8, 2), -1, dtype=np.int8)
@@ -112,18 +114,22 @@ def test_uniform_moment_presses_mainly_with_the_ends_of_the_wrap():
     model = twin.physics.model
     data = twin.physics.data
 
-    def pressed(hull: str) -> np.ndarray:
-        """Return force and point of application of the object on a hull."""
-        return data.sensordata[model.sensor(f"force_object_1_{hull}").adr[0] :][:6]
+    def pressed(collision_geom: str) -> np.ndarray:
+        """Return force and point of application of the object on a collision geom."""
+        return data.sensordata[
+            model.sensor(f"force_object_1_{collision_geom}").adr[0] :
+        ][:6]
 
-    assert np.hypot(*pressed("hull_8_2")[:2]) > 1.0, "the last hull presses"
-    inner = ["hull_8_0", "hull_8_1", "hull_5_0"]
-    assert max(np.hypot(*pressed(hull)[:2]) for hull in inner) < 1e-6, (
-        "its neighbours do not"
+    assert np.hypot(*pressed("collision_8_2")[:2]) > 1.0, (
+        "the last collision geom presses"
     )
+    inner = ["collision_8_0", "collision_8_1", "collision_5_0"]
+    assert (
+        max(np.hypot(*pressed(collision_geom)[:2]) for collision_geom in inner) < 1e-6
+    ), "its neighbours do not"
     # Statics of the last hinge: moment of the force behind it, against air and spring.
     hinge = model.joint("hinge_8_2")
-    arm = pressed("hull_8_2")[3:5] - data.xanchor[hinge.id][:2]
+    arm = pressed("collision_8_2")[3:5] - data.xanchor[hinge.id][:2]
     force = state.obstacle_force[8]
     external = arm[0] * force[1] - arm[1] * force[0]
     free = GEN2.actuator.gain * GEN2.supply.nominal

@@ -169,8 +169,8 @@ def valves_of(controller: ILC, rows: np.ndarray) -> list[np.ndarray]:
     return [controller.step(state(k, row)) for k, row in enumerate(rows)]
 
 
-def state(tick: int, sensed: np.ndarray) -> Any:
-    return SimpleNamespace(time=tick * TICK, sensed=sensed)
+def state(tick: int, measured_bend: np.ndarray) -> Any:
+    return SimpleNamespace(time=tick * TICK, measured_bend=measured_bend)
 
 
 @pytest.mark.slow

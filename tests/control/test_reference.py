@@ -16,7 +16,7 @@ from srs_twin.control.reference import (
     Sine,
     Square,
     Staircase,
-    Step,
+    StepReference,
 )
 from srs_twin.errors import InputError, UnknownNameError
 
@@ -24,7 +24,7 @@ bends = st.floats(-1.5, 1.5)
 positive = st.floats(0.05, 1.5)
 references = st.one_of(
     st.builds(Constant, bends),
-    st.builds(Step, bends, bends, st.floats(0, 2)),
+    st.builds(StepReference, bends, bends, st.floats(0, 2)),
     st.builds(Sine, positive, st.floats(0.1, 10), bends, bends),
     st.builds(Square, positive, st.floats(0.1, 10), bends, bends),
     st.builds(
@@ -52,9 +52,9 @@ def test_numbers_and_arrays_give_the_same_values(reference, time):
 
 @given(references, st.floats(0.1, 0.9))
 def test_limited_reference_is_clipped_exactly_where_it_exceeds_the_limit(
-    reference, share
+    reference, fraction
 ):
-    limit = max(share * reference.peak, 1e-3)
+    limit = max(fraction * reference.peak, 1e-3)
     cut = reference.limited(limit, "saturate")
     wanted = reference.value(times)
     values = cut.value(times)
@@ -87,8 +87,8 @@ def test_steps_occur_at_their_tick_despite_rounding():
     ticks = list(accumulate(repeat(0.001, 2000), initial=0.0))
     assert ticks[300] != 0.3
     for k in (300, 600, 900):
-        assert Step(1.0, time=k / 1000).value(ticks[k]) == 1.0
-        assert Step(1.0, time=k / 1000).value(ticks[k - 1]) == 0.0
+        assert StepReference(1.0, time=k / 1000).value(ticks[k]) == 1.0
+        assert StepReference(1.0, time=k / 1000).value(ticks[k - 1]) == 0.0
         stairs = Staircase((0.0, 1.0, 2.0, 3.0), 0.3)
         assert stairs.value(ticks[k]) - stairs.value(ticks[k - 1]) == 1.0
     square = Square(1.0, 2.0)
@@ -129,7 +129,7 @@ def test_the_error_for_an_exceeded_range_names_both_angles():
     with pytest.raises(
         InputError, match=r"reaches 45°, but the module bends at most 41.97°.*saturate"
     ):
-        Step(math.radians(45)).limited(math.radians(41.97))
+        StepReference(math.radians(45)).limited(math.radians(41.97))
 
 
 def test_limited_references_have_their_own_type():
@@ -151,7 +151,7 @@ def test_an_unknown_policy_lists_the_known_ones():
     ("make", "words"),
     [
         (lambda: Constant(math.nan), "bend nan is not allowed"),
-        (lambda: Step(math.inf), "bend inf is not allowed"),
+        (lambda: StepReference(math.inf), "bend inf is not allowed"),
         (
             lambda: Sine(0.0, 1.0),
             "amplitude 0.0 is not allowed; it must be finite and above 0",

@@ -17,7 +17,7 @@ from snakes import chain
 from srs_twin import InputError, RobotSpec
 from srs_twin.comparison.tracking import tracking_metrics
 from srs_twin.control.base import Controller
-from srs_twin.control.reference import Constant, Reference, Sine, Square, Step
+from srs_twin.control.reference import Constant, Reference, Sine, Square, StepReference
 from srs_twin.control.smc import DirectSMC, IterativeSMC, SlidingMode, VelocityFilter
 from srs_twin.pneumatics.valves import LAYOUTS
 
@@ -33,10 +33,10 @@ def robot(segments: int) -> RobotSpec:
     return chain((0.03,) * (segments + 1))
 
 
-def state(time: float, sensed: Any) -> Any:
+def state(time: float, measured_bend: Any) -> Any:
     """Return a state without true values, so that reading one would fail."""
     return SimpleNamespace(
-        time=time, sensed=np.atleast_1d(np.asarray(sensed, dtype=float))
+        time=time, measured_bend=np.atleast_1d(np.asarray(measured_bend, dtype=float))
     )
 
 
@@ -46,11 +46,12 @@ def ready(controller: SlidingMode, segments: int = 1) -> SlidingMode:
 
 
 def fed(
-    controller: SlidingMode, sensed: np.ndarray, *, start: int = 0
+    controller: SlidingMode, measured_bend: np.ndarray, *, start: int = 0
 ) -> list[np.ndarray]:
     """Return the valves of ticks with these readings, shape (ticks, segments)."""
     return [
-        controller.step(state(TICK * (start + k), row)) for k, row in enumerate(sensed)
+        controller.step(state(TICK * (start + k), row))
+        for k, row in enumerate(measured_bend)
     ]
 
 
@@ -69,7 +70,12 @@ def signals(controller: Controller) -> dict[str, np.ndarray]:
     arrays(float, (12, MODULES), elements=readings, fill=st.floats(-1.5, 1.5)),
     st.integers(1, 60),
     st.sampled_from(
-        [Constant(0.3), Sine(0.6, 6.0), Square(0.6, 2.0), Step(0.4, -0.4, 0.01)]
+        [
+            Constant(0.3),
+            Sine(0.6, 6.0),
+            Square(0.6, 2.0),
+            StepReference(0.4, -0.4, 0.01),
+        ]
     ),
 )
 def test_any_readings_give_valid_valves_and_no_wind_up(kind, rows, hold, reference):
@@ -141,7 +147,8 @@ def integrator(controller: SlidingMode, seconds: float, speed: float) -> np.ndar
 
 
 @pytest.mark.parametrize(
-    "reference", [Constant(0.4), Step(-0.4, 0.2, 0.5), Sine(0.4, 0.5), Sine(0.4, 1.0)]
+    "reference",
+    [Constant(0.4), StepReference(-0.4, 0.2, 0.5), Sine(0.4, 0.5), Sine(0.4, 1.0)],
 )
 def test_direct_controller_follows_within_its_dead_zone(reference):
     bend = integrator(ready(DirectSMC(reference)), 3.0, speed=6.0)
@@ -180,9 +187,9 @@ def test_dead_zone_is_epsilon_over_d_at_rest(off):
 @pytest.mark.parametrize("kind", BOTH)
 def test_mirrored_readings_give_mirrored_valves(kind):
     rng = np.random.default_rng(0)
-    sensed = rng.uniform(-0.8, 0.8, (300, 5))
-    one = fed(ready(kind(Sine(0.5, 3.0)), 5), sensed)
-    other = fed(ready(kind(Sine(0.5, 3.0, math.pi)), 5), -sensed)
+    measured_bend = rng.uniform(-0.8, 0.8, (300, 5))
+    one = fed(ready(kind(Sine(0.5, 3.0)), 5), measured_bend)
+    other = fed(ready(kind(Sine(0.5, 3.0, math.pi)), 5), -measured_bend)
     agree = np.mean(
         [(a == b[..., ::-1]).mean() for a, b in zip(one, other, strict=True)]
     )
@@ -197,10 +204,10 @@ def test_mirrored_readings_give_mirrored_valves(kind):
 
 @pytest.mark.parametrize("kind", BOTH)
 def test_segments_are_independent(kind):
-    sensed = np.random.default_rng(1).uniform(-0.8, 0.8, (200, 3))
-    together = fed(ready(kind(Constant(0.1)), 3), sensed)
+    measured_bend = np.random.default_rng(1).uniform(-0.8, 0.8, (200, 3))
+    together = fed(ready(kind(Constant(0.1)), 3), measured_bend)
     for j in range(3):
-        alone = fed(ready(kind(Constant(0.1))), sensed[:, j : j + 1])
+        alone = fed(ready(kind(Constant(0.1))), measured_bend[:, j : j + 1])
         assert all(
             (a[..., j, :] == b[..., 0, :]).all()
             for a, b in zip(together, alone, strict=True)
@@ -208,24 +215,25 @@ def test_segments_are_independent(kind):
 
 
 def test_gains_may_differ_between_segments():
-    sensed = np.random.default_rng(2).uniform(0.0, 0.4, (200, 1))
+    measured_bend = np.random.default_rng(2).uniform(0.0, 0.4, (200, 1))
     many = DirectSMC(
         Constant(0.2), D=np.array([20.0, 60.0]), epsilon=np.array([1.0, 2.0])
     )
-    together = fed(ready(many, 2), np.repeat(sensed, 2, axis=1))
+    together = fed(ready(many, 2), np.repeat(measured_bend, 2, axis=1))
     for j, (d, e) in enumerate([(20.0, 1.0), (60.0, 2.0)]):
-        alone = fed(ready(DirectSMC(Constant(0.2), D=d, epsilon=e)), sensed)
+        alone = fed(ready(DirectSMC(Constant(0.2), D=d, epsilon=e)), measured_bend)
         assert all((a[j] == b[0]).all() for a, b in zip(together, alone, strict=True))
 
 
 @pytest.mark.parametrize("kind", BOTH)
 def test_reset_restores_the_initial_state(kind):
-    sensed = np.random.default_rng(3).uniform(-1, 1, (150, 1))
+    measured_bend = np.random.default_rng(3).uniform(-1, 1, (150, 1))
     controller = ready(kind(Sine(0.5, 2.0)))
-    first = fed(controller, sensed)
+    first = fed(controller, measured_bend)
     controller.reset(robot(1), TICK)
     assert all(
-        (a == b).all() for a, b in zip(first, fed(controller, sensed), strict=True)
+        (a == b).all()
+        for a, b in zip(first, fed(controller, measured_bend), strict=True)
     )
 
 
@@ -236,10 +244,10 @@ def test_reset_restores_the_initial_state(kind):
 @pytest.mark.parametrize("kind", BOTH)
 @pytest.mark.parametrize("lost", [math.nan, math.inf, -math.inf, 7.0])
 def test_a_lost_reading_is_replaced_by_the_last_valid_one(kind, lost):
-    sensed = np.linspace(0, 0.2, 100)[:, None].repeat(2, axis=1)
-    held = sensed.copy()
-    broken = sensed.copy()
-    held[40:60, 1] = sensed[39, 1]
+    measured_bend = np.linspace(0, 0.2, 100)[:, None].repeat(2, axis=1)
+    held = measured_bend.copy()
+    broken = measured_bend.copy()
+    held[40:60, 1] = measured_bend[39, 1]
     broken[40:60, 1] = lost
     controller = ready(kind(Constant(0.3)), 2)
     valves = fed(controller, broken)
@@ -252,7 +260,7 @@ def test_a_lost_reading_is_replaced_by_the_last_valid_one(kind, lost):
     ]
     assert (
         events[0].text
-        == f"segment 2: reading lost; the last good one, {sensed[39, 1]:.4g} rad, is"
+        == f"segment 2: reading lost; the last good one, {measured_bend[39, 1]:.4g} rad, is"
         " held"
     )
     assert controller.events() == []
@@ -270,7 +278,7 @@ def test_clipping_of_the_reference_is_reported_once(kind):
 
 @pytest.mark.parametrize("kind", BOTH)
 def test_signals_have_the_same_names_before_the_first_tick(kind):
-    controller = ready(kind(Step(0.3)), 2)
+    controller = ready(kind(StepReference(0.3)), 2)
     before = signals(controller)
     assert before["reference"].tolist() == [0.3, 0.3]
     fed(controller, np.zeros((3, 2)))
@@ -298,8 +306,8 @@ def test_mu_is_proportional_and_integral():
     rise = 0.5
     controller = ready(IterativeSMC(Constant(0.0), K=gain, D=slope))
     ticks = 500
-    sensed = -rise * TICK * np.arange(ticks)
-    fed(controller, sensed[:, None])
+    measured_bend = -rise * TICK * np.arange(ticks)
+    fed(controller, measured_bend[:, None])
     last = math.floor((ticks - 1) * TICK * 60) / 60  # the last period began here
     expected = gain * 60 * rise * (last + slope * last**2 / 2)
     assert signals(controller)["mu"][0] == pytest.approx(expected, rel=0.01)
@@ -426,10 +434,10 @@ def followed(
 
 def test_direct_controller_settles_faster_and_only_iterative_overshoots():
     """Section 4.2, Fig. 42: 0.2 s without overshoot against 0.4 s with 40 % (here far less)."""
-    step = Step(25 * DEGREE, time=0.1)
+    step = StepReference(25 * DEGREE, time=0.1)
     direct, iterative = (followed(kind, step, 1.1) for kind in BOTH)
     assert direct["settling_5_s"] <= 0.25
-    assert direct["overshoot_rad"] < direct["sensed_ripple_pp_rad"]
+    assert direct["overshoot_rad"] < direct["measured_ripple_pp_rad"]
     assert (
         iterative["overshoot_rel"] > 0.03
         and iterative["settling_5_s"] > direct["settling_5_s"]

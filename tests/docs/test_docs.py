@@ -364,7 +364,7 @@ def test_errata_that_the_project_names_are_listed():
 @pytest.mark.slow
 def test_known_misses_name_an_existing_section():
     reasons = {
-        each.known
+        each.expected_failure
         for name in shipped_names("scenario")
         for each in load_scenario(name).expect
     }
@@ -400,7 +400,10 @@ def test_pages_count_the_shipped_scenarios_and_their_known_misses():
     expected = [load_scenario(name).expect for name in shipped_names("scenario")]
     missed = [
         sum(
-            any(each.known and bool(each.source) is sourced for each in expect)
+            any(
+                each.expected_failure and bool(each.source) is sourced
+                for each in expect
+            )
             for expect in expected
         )
         for sourced in (True, False)

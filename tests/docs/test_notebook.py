@@ -58,8 +58,8 @@ def test_plots_have_content(ran):
 def test_notebook_shows_the_effect_of_stiffness(ran):
     cells, _ = ran
     soft, stiff = (
-        float(share)
-        for share in re.findall(r"([+-][\d.]+)% in speed", text(cells["change"]))
+        float(fraction)
+        for fraction in re.findall(r"([+-][\d.]+)% in speed", text(cells["change"]))
     )
     assert soft < -5 and abs(stiff) < abs(soft) / 2
     assert "'com_speed_rel': -0." in text(cells["compare"])

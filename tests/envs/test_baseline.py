@@ -55,7 +55,9 @@ def test_contact_with_a_circle_ends_the_episode():
     circle = min(episode.world.obstacles, key=lambda item: abs(item.y))
     half = episode.twin.spec.geometry.body_length / 2
     place = np.array([circle.x - circle.radius - half - 0.05, circle.y])
-    episode.place(replace(episode.state, com=place, heading=0.0, theta=np.zeros(5)))
+    episode.set_state(
+        replace(episode.state, com=place, heading=0.0, connector_heading=np.zeros(5))
+    )
     total = 0.0
     while not episode.ending:
         result = episode.step(task.from_physical([0.0, 2.0, 55.0]))

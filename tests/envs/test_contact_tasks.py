@@ -218,8 +218,8 @@ def test_holding_duty_is_the_share_of_filled_slots(duty, pulses, hold):
     hold_with(valves, hold, duty, pulses)
     filled, other = (0, 1) if duty >= 0 else (1, 0)
     assert (valves[:, :-hold] == 1).all() and (valves[:, -hold:, other] == -1).all()
-    share = (valves[:, -hold:, filled] == 1).mean(axis=0)
-    assert share == pytest.approx(abs(duty), abs=0.5 * pulses / 100 + 1e-9)
+    fraction = (valves[:, -hold:, filled] == 1).mean(axis=0)
+    assert fraction == pytest.approx(abs(duty), abs=0.5 * pulses / 100 + 1e-9)
     pieces = np.split(valves, pulses)
     assert all((piece == pieces[0]).all() for piece in pieces)
 

@@ -21,9 +21,9 @@ def test_constant_action_equals_a_rollout_of_the_sidewinding_gait():
     action = env.task.from_physical([0.1, 0.5, 20.0, 0.4, math.pi / 2])
     for _ in range(10):
         seen, _, _, _, info = env.step(action)
-    offset, frequency, kpa, share, lag = env.task.to_physical(action)
+    offset, frequency, kpa, fraction, lag = env.task.to_physical(action)
     twin = TwinSnake(env.task.robot, supply_pa=1e3 * kpa, tick=0.1)
-    gait = Gait(frequency, offset, pitch=PitchWave(share, lag))
+    gait = Gait(frequency, offset, pitch=PitchWave(fraction, lag))
     alone = rollout(twin, gait, 1.0, pose=(0.0, 0.0, heading), record_hz=10)
     assert info["com_x_m"] == pytest.approx(alone["com_x"][-1], abs=1e-6)
     assert info["com_y_m"] == pytest.approx(alone["com_y"][-1], abs=1e-6)

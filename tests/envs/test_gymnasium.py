@@ -125,7 +125,7 @@ def test_observations_depend_only_on_sensors_and_camera(task):
                 field.name: np.asarray(getattr(state, field.name), dtype=float)
                 for field in fields(state)
             }
-            observed = ("time", "com", "heading", "sensed")
+            observed = ("time", "com", "heading", "measured_bend")
             lost = {
                 name: np.full_like(value, np.nan)
                 for name, value in whole.items()

@@ -95,7 +95,7 @@ def requested(driver: webdriver.Chrome) -> set[str]:
     return {entry["params"]["request"]["url"] for entry in requests}
 
 
-def share(picture: np.ndarray, rgb: tuple[int, int, int]) -> float:
+def fraction(picture: np.ndarray, rgb: tuple[int, int, int]) -> float:
     """Return the fraction of pixels with the hue of a colour at any brightness."""
     bright = picture / np.maximum(picture.max(axis=-1, keepdims=True), 1)
     return float((np.abs(bright - np.array(rgb) / max(rgb)).max(axis=-1) < 0.12).mean())
@@ -103,4 +103,4 @@ def share(picture: np.ndarray, rgb: tuple[int, int, int]) -> float:
 
 def shows_a_snake(picture: np.ndarray) -> bool:
     """Return whether a picture shows segments with pressure in either chamber."""
-    return share(picture, PLUS_RGB) > 0.002 and share(picture, MINUS_RGB) > 0.002
+    return fraction(picture, PLUS_RGB) > 0.002 and fraction(picture, MINUS_RGB) > 0.002

@@ -74,7 +74,7 @@ class Crawl:
             columns |= {
                 f"x_{i + 1}": body[:, i].real,
                 f"y_{i + 1}": body[:, i].imag,
-                f"theta_{i + 1}": heading,
+                f"connector_heading_{i + 1}": heading,
             }
         about = {
             "plant": "twin",

@@ -25,7 +25,7 @@ class PrescribedBends(Pneumatics):
     """
 
     kind = "prescribed"
-    metered = False
+    measures_air = False
 
     def __init__(self, spec: RobotSpec, path: Path) -> None:
         self._path = path
@@ -51,7 +51,7 @@ class PrescribedBends(Pneumatics):
         trace.bend[:], trace.bend_rate[:], trace.bend_acceleration[:] = self._path(time)
         trace.pressure[:] = 0.0
         trace.valves[:] = -1
-        trace.air[:] = 0.0
+        trace.pneumatic_energy[:] = 0.0
         return trace
 
 

@@ -125,7 +125,7 @@ class Swing:
         amount = wait.y[:2, -1]
         strained = wait.y[2:, -1]
 
-        def slope(t: float, state: np.ndarray) -> np.ndarray:
+        def derivative(t: float, state: np.ndarray) -> np.ndarray:
             q, v = state[:2]
             free = self.rest
             free_rate = 0.0
@@ -158,7 +158,7 @@ class Swing:
         after = time[time >= 0]
         initial = [bend, 0.0, *amount, *strained]
         done = solve_ivp(
-            slope,
+            derivative,
             (0.0, after[-1]),
             initial,
             "DOP853",
@@ -189,11 +189,11 @@ class Swing:
             lambda q: self.stiffness * (free(q) - q) + self.weight(q), -3.0, 3.0001
         )
         stiffening = -(self.weight(q + h) - self.weight(q - h)) / (2 * h)
-        share = (free(q - h) - free(q + h)) / (2 * h)
+        fraction = (free(q - h) - free(q + h)) / (2 * h)
 
         def parts(s: complex) -> tuple[complex, complex]:
             branched = sum(g * s * tau / (1 + s * tau) for g, tau in self.branches)
-            air = share * s / (s + self.leak)
+            air = fraction * s / (s + self.leak)
             material = self.stiffness + self.viscosity * s + branched
             if self.leads:
                 return material, material * (1 + air)
@@ -207,7 +207,7 @@ class Swing:
             return [left.real, left.imag]
 
         stiff = self.stiffness + sum(g for g, _ in self.branches)
-        guess = math.sqrt((stiff * (1 + share) + stiffening) / self.inertial(q))
+        guess = math.sqrt((stiff * (1 + fraction) + stiffening) / self.inertial(q))
         found = fsolve(root, [-0.1 * guess, 0.95 * guess], xtol=1e-12)
         omega = abs(float(found[1]))
         material, total = parts(1j * omega)

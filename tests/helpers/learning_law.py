@@ -38,10 +38,10 @@ class Modules:
 
     def step(self, valves: np.ndarray) -> None:
         slots = valves[None] if valves.ndim == 2 else valves
-        share = (slots == 1).mean(axis=0)
+        fraction = (slots == 1).mean(axis=0)
         for chamber, how in self.stuck.items():
-            share[chamber] = STUCK[how]
-        self._open = np.concatenate([self._open[1:], share[None]])
+            fraction[chamber] = STUCK[how]
+        self._open = np.concatenate([self._open[1:], fraction[None]])
 
 
 class Run:
@@ -65,12 +65,14 @@ class Run:
     def go(self, periods: float) -> Run:
         for _ in range(round(periods / self.controller.frequency / TICK)):
             time = len(self.bend) * TICK
-            sensed = np.asarray(self.sensor(time, self.modules.bend), dtype=float)
+            measured_bend = np.asarray(
+                self.sensor(time, self.modules.bend), dtype=float
+            )
             # The controller must read sensors only: other attributes do not exist.
-            state: Any = SimpleNamespace(time=time, sensed=sensed)
+            state: Any = SimpleNamespace(time=time, measured_bend=measured_bend)
             self.modules.step(self.controller.step(state))
             signals = self.controller.signals()
-            self.bend.append(sensed)
+            self.bend.append(measured_bend)
             self.duty.append(
                 np.stack([signals["duty_plus"], signals["duty_minus"]], axis=-1)
             )

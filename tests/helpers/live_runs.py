@@ -93,7 +93,7 @@ class Run:
         motion: "walk", "stand", "stop and go" or "hold".
         poor_sensors: whether bend sensors have a gain, an offset and a drift.
         rate_hz: messages of the robot in a second.
-        tells_supply: whether the robot publishes its supply pressure.
+        publishes_supply: whether the robot publishes its supply pressure.
         changes_s: time at which the supply changes (droop or outage), s.
     """
 
@@ -117,7 +117,7 @@ class Run:
     motion: str = "walk"
     poor_sensors: bool = False
     rate_hz: float = 50.0
-    tells_supply: bool = False
+    publishes_supply: bool = False
     changes_s: float = DROOPS_S
 
     @property
@@ -125,7 +125,7 @@ class Run:
         """Tick of the robot, s."""
         return min(0.02, 1 / self.rate_hz)
 
-    def supply_share(self, time: float) -> float:
+    def supply_fraction(self, time: float) -> float:
         """Return the pressure of the supply as a share of the nominal one."""
         if self.supply.startswith("droop"):
             return (
@@ -201,7 +201,7 @@ class Run:
     def step(self, robot: EmulatedRobot, command: np.ndarray | None) -> None:
         """Have a robot obey a command for a tick."""
         if self.supply:
-            robot.regulate(self.supply_share(float(robot.state.time)))
+            robot.regulate(self.supply_fraction(float(robot.state.time)))
         robot.step(command)
 
 
@@ -278,7 +278,7 @@ class Wire:
                 self.send(VALVES, run.robot, time, robot.valves)
             if run.pressures:
                 self.send(PRESSURES, run.robot, time, robot.state.pressure)
-            if run.tells_supply:
+            if run.publishes_supply:
                 self.send(SUPPLY, run.robot, time, np.array(robot.supply_now_pa))
         if time <= run.cameras_s and time >= self._frame_due:
             self._frame_due = max(
@@ -459,8 +459,8 @@ NAMES = {
     "dead_sensor:{j}=silent": "dead_sensor",
     "dead_sensor:{j}=frozen": "dead_sensor frozen",
     "drifting_sensor:{j}=up": "drifting_sensor",
-    "starved=half": "starved",
-    "starved=empty": "starved",
+    "low_supply_pressure=half": "low_supply_pressure",
+    "low_supply_pressure=empty": "low_supply_pressure",
     "lost_marker:{j}": "lost_marker",
 }
 """Fault → the name that it should get."""
@@ -480,7 +480,7 @@ CONDITIONS: Mapping[str, Mapping[str, Any]] = {
     "nominal": {},
     "no pressures": {"pressures": False},
     **{each: {"supply": each} for each in SUPPLIES},
-    "measured supply, wander": {"supply": "wander", "tells_supply": True},
+    "measured supply, wander": {"supply": "wander", "publishes_supply": True},
     "30 % softer": {"variant": "softer"},
     "friction 30 % lower": {"variant": "smoother"},
     "one slow chamber": {"variant": "slow chamber"},
@@ -645,7 +645,7 @@ def alarms(
     prepare(twin)
     for time, messages in recording.updates:
         twin.receive(time, messages)
-        for number, name in list(twin.faults.named.items()):
+        for number, name in list(twin.faults.detected_faults.items()):
             found.append(f"{number}: {name} at {time:.1f} s")
             twin.faults.clear_fault(number)
     return found

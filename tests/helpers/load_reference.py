@@ -1,4 +1,4 @@
-"""Explicit simulation of gaits on momentary wheel loads, independent of srs_twin: a reference for its twins.
+"""Explicit simulation of gaits on instantaneous wheel loads, independent of srs_twin: reference for its twins.
 
     uv run python tests/helpers/load_reference.py                  # convergence of the stored values
     uv run python tests/helpers/load_reference.py --run            # run all points and store their values
@@ -45,16 +45,16 @@ VALUES = Path(__file__).with_suffix(".json")
 ROBOTS = Path(__file__).parents[2] / "calibration/robots"
 G = 9.81
 HINGES = 2
-LINK_SHARE = 0.02
+LINK_FRACTION = 0.02
 SLOT_S = 1e-4
 """Valves switch at whole slots, as the gaits of srs_twin do."""
 ROUND_S = 0.004
 """Periods are multiples of it: half a period is then a whole number of the twins' steps, 1 or 2 ms."""
 RECORD_S = 1e-4
-AXLE_SHARE = 0.2
+AXLE_FRACTION = 0.2
 """Slip speed of the bearing over that of the contact."""
 SLIPS_M_S = (2e-3, 1e-3, 5e-4, 2.5e-4)
-STEP_SHARES_S2_M = (0.1, 0.05)
+STEP_FRACTIONS_S2_M = (0.1, 0.05)
 """Time steps over the slip speed. Friction is stable up to about 2/(mu_n g) = 0.3 s²/m.
 """
 CONTACT_S = 0.001
@@ -185,12 +185,12 @@ def wheel_force(along, across, spin, load, law, step):  # type: ignore[no-untype
             low = w
         else:
             high = w
-        slope = (
+        derivative = (
             mu_n * load * (across**2 + eps**2) / slip**3
             + mu_t * load * axle**2 / rim**3
             + rate
         )
-        move = excess / slope
+        move = excess / derivative
         if abs(move) < 1e-13:
             break
         w += move
@@ -203,7 +203,7 @@ def wheel_force(along, across, spin, load, law, step):  # type: ignore[no-untype
 
 def friction_law(n: dict[str, Any], slip: float) -> tuple[float, ...]:
     """Return the `law` of `wheel_force` from a robot's numbers and a slip speed (m/s)."""
-    return n["mu_t"], n["mu_n"], n["wheel_kg"], slip, AXLE_SHARE * slip
+    return n["mu_t"], n["mu_n"], n["wheel_kg"], slip, AXLE_FRACTION * slip
 
 
 def numbers(point: Point) -> dict[str, Any]:
@@ -256,11 +256,11 @@ def mjcf(n: dict[str, Any], step: float, contact: float = CONTACT_S) -> str:
     pitch = n["segment_length_m"] + n["rigid_gap_m"]
     edge = 1 / (2 * (HINGES + 1))
     front, rear = (
-        n["rigid_gap_m"] / 2 + n["segment_length_m"] * share
-        for share in (edge, 1 - edge)
+        n["rigid_gap_m"] / 2 + n["segment_length_m"] * fraction
+        for fraction in (edge, 1 - edge)
     )
     wheel = n["wheel_kg"]
-    link = LINK_SHARE * min(n["connectors_kg"])
+    link = LINK_FRACTION * min(n["connectors_kg"])
 
     def inertial(x: float, mass: float, wheels: float = 0.0) -> str:
         about = mass * n["connector_gyration_m"] ** 2
@@ -383,8 +383,8 @@ def moments(n: dict[str, Any], point: Point, step: float, steps: int) -> np.ndar
         x = x / (1 + (x / limit) ** 4) ** 0.25
     # k q_f + c q_f' with q_f' = (x − q_f)/τ₂ and c = k T. With T = τ₂ the mode does not
     # appear.
-    share = n["damping_time_s"] / n["tau_mode_s"]
-    x = share * x + (1 - share) * _mean_lags(x, part, n["tau_mode_s"])
+    fraction = n["damping_time_s"] / n["tau_mode_s"]
+    x = fraction * x + (1 - fraction) * _mean_lags(x, part, n["tau_mode_s"])
     return np.asarray(
         n["stiffness_nm_per_rad"] * x.reshape(steps, elements, -1).mean(axis=1)
     )
@@ -432,7 +432,7 @@ for _function in (_step1, _step2):
 @njit
 def _run(engine, views, wheels, law, sizes, torques, records):  # type: ignore[no-untyped-def]
     """Step from rest and record; the arguments are made in `simulate`."""
-    xmat, xpos, xipos, cvel, com, ctrl, applied, sensed = views
+    xmat, xpos, xipos, cvel, com, ctrl, applied, measured_bend = views
     bodies, places, connectors, loads, constant = wheels
     radius, step, every = sizes
     path, yaw, carried = records
@@ -493,7 +493,7 @@ def _run(engine, views, wheels, law, sizes, torques, records):  # type: ignore[n
             )
             applied[body, 5] += arm[0] * fy - arm[1] * fx
         _step2(engine[0], engine[1])
-        load[:] = sensed
+        load[:] = measured_bend
 
 
 def simulate(
@@ -664,7 +664,7 @@ def run_all(names: Iterable[str]) -> None:
     """Run points at all slip speeds and steps, and store each when it is complete."""
     for name in names:
         results = [
-            [simulate(POINTS[name], None, s * e, e) for s in STEP_SHARES_S2_M]
+            [simulate(POINTS[name], None, s * e, e) for s in STEP_FRACTIONS_S2_M]
             for e in SLIPS_M_S
         ]
         last = results[-1][-1]
@@ -806,7 +806,7 @@ def sensitivity(names: Iterable[str]) -> str:
     """Return a table of the changes, %, with other heights, tracks and contact times."""
     rows = []
     eps = SLIPS_M_S[-1]
-    run = partial(simulate, periods=None, step=STEP_SHARES_S2_M[0] * eps, slip=eps)
+    run = partial(simulate, periods=None, step=STEP_FRACTIONS_S2_M[0] * eps, slip=eps)
     for name in names:
         point = POINTS[name]
         base = run(point)

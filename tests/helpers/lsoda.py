@@ -162,11 +162,11 @@ class CompleteModel:
     def _wheel(self, v_t: np.ndarray, v_n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the same forces as `_axis` for the wheel law."""
         n2 = v_n * v_n + self.slip2
-        share = self.mu_n / np.sqrt(v_t * v_t + n2)
-        slide = share * v_t
+        fraction = self.mu_n / np.sqrt(v_t * v_t + n2)
+        slide = fraction * v_t
         rolls = np.abs(slide) > self.mu_t
         f_t = -self.load * np.clip(slide, -self.mu_t, self.mu_t)
-        f_n = -self.load * v_n * np.where(rolls, self.rest / np.sqrt(n2), share)
+        f_n = -self.load * v_n * np.where(rolls, self.rest / np.sqrt(n2), fraction)
         return f_t, f_n.sum(axis=0)
 
 

@@ -81,7 +81,9 @@ class Module:
         reference[0] = controller.signals()["reference"]
         end = np.array([TICK_S])
         for k in range(ticks):
-            seen: Any = SimpleNamespace(time=k * TICK_S, sensed=bend[k] + noise[k])
+            seen: Any = SimpleNamespace(
+                time=k * TICK_S, measured_bend=bend[k] + noise[k]
+            )
             trace = air.advance(air.schedule(controller.step(seen), TICK_S), end)
             bend[k + 1] = (
                 trace.bend[0] if load is None else load.step(trace.pressure[0])
@@ -95,7 +97,7 @@ class Module:
                     "time": time,
                     "reference_1": reference[:, j],
                     "bend_1": bend[:, j],
-                    "sensed_1": bend[:, j] + noise[:, j],
+                    "measured_bend_1": bend[:, j] + noise[:, j],
                     "valve_plus_1": states[:, j, 0].astype(float),
                     "valve_minus_1": states[:, j, 1].astype(float),
                 },

@@ -82,14 +82,14 @@ class Line:
             w if self.met(*n) else f"**{w}**"
             for w, n in zip(written, result, strict=True)
         ]
-        shares = [
+        fractions = [
             abs(theirs / ours - 1) for ours, theirs in zip(*result, strict=True) if ours
         ]
         return [
             self.what,
             self.text,
             *marked,
-            f"{max(shares, default=0.0):.1%}",
+            f"{max(fractions, default=0.0):.1%}",
             self.scenario,
         ]
 
@@ -146,7 +146,7 @@ LINES = (
     Line(
         "… overshoot",
         "less than its fluctuation",
-        metric("step_direct", "overshoot_rad", "sensed_ripple_pp_rad", unit=DEGREES),
+        metric("step_direct", "overshoot_rad", "measured_ripple_pp_rad", unit=DEGREES),
         "{:.1f}° (sensed: {:.1f}° peak to peak)",
         met=lambda over, ripple: over < ripple,
     ),
@@ -236,7 +236,7 @@ LINES = (
         more,
         "{:.1f} %",
         "sine_6hz",
-        lambda share: share >= 15,
+        lambda fraction: fraction >= 15,
     ),
     Line(
         "… lag of iterative minus lag of direct",

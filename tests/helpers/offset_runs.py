@@ -190,7 +190,7 @@ def _hidden(
 
     def jacobian(h: float) -> np.ndarray:
         return np.stack(
-            [_slope(rows, everything, z, i, h) for i in range(len(z))], axis=1
+            [_derivative(rows, everything, z, i, h) for i in range(len(z))], axis=1
         )
 
     fine = jacobian(_STEP)
@@ -213,7 +213,7 @@ def _hidden(
     return Parameter(other.name, other.unit, "not identifiable", why=why)
 
 
-def _slope(
+def _derivative(
     rows: _Rows, unknowns: Sequence[FreeParameter], z: np.ndarray, i: int, h: float
 ) -> np.ndarray:
     """Return the derivative of the weighted residuals with respect to coordinate i."""
@@ -234,8 +234,8 @@ def _slope(
 
     up = z[i] + h
     down = max(z[i] - h, unknowns[i].coordinate(unknowns[i].low))
-    slope: np.ndarray = (weighted(up) - weighted(down)) / (up - down)
-    return slope
+    derivative: np.ndarray = (weighted(up) - weighted(down)) / (up - down)
+    return derivative
 
 
 class _Rows:

@@ -36,7 +36,7 @@ class Damped(srs.Controller):
         self.side, self.limit, self.top, self.weights = side, limit, top, weights
 
     def reset(self, spec, tick, *, seed=0):
-        self._gait = srs.Gait(self.frequency, rest_share=self.gain)
+        self._gait = srs.Gait(self.frequency, rest_fraction=self.gain)
         self._gait.reset(spec, tick, seed=seed)
 
     def step(self, state):

@@ -45,20 +45,20 @@ def fill_rows(body, q, u, solid, rows, rates):  # type: ignore[no-untyped-def]
         # Direction of the chord: half a bend behind the heading of its front end.
         chord = chord_terms(q[j], solid, j)
         span = chord.span
-        slope = chord.slope
+        derivative = chord.derivative
         c = body[COS, j] * chord.cos_half + body[SIN, j] * chord.sin_half
         s = body[SIN, j] * chord.cos_half - body[COS, j] * chord.sin_half
-        length_rate = slope * u[3 + j]
+        length_rate = derivative * u[3 + j]
         bulge = chord.curvature * u[3 + j]
         for k in range(n - 1):
             # Bend k turns all behind it by −1, and everything by this much, so that the
             # mean stays.
             turn = (n - 1 - k) / n - (1.0 if k < j else 0.5 if k == j else 0.0)
             own = 1.0 if k == j else 0.0
-            forth = own * slope
+            forth = own * derivative
             aside = span * turn
             forth_rate = own * bulge - aside * spin
-            aside_rate = length_rate * turn + own * slope * spin
+            aside_rate = length_rate * turn + own * derivative * spin
             rows[i, 0, 3 + k] = rows[j, 0, 3 + k] - forth * c + aside * s
             rows[i, 1, 3 + k] = rows[j, 1, 3 + k] - forth * s - aside * c
             rates[i, 0, 3 + k] = rates[j, 0, 3 + k] - forth_rate * c + aside_rate * s
@@ -128,13 +128,13 @@ def newtons_matrix(
     for row, rate, mass, inertia in zip(
         rows, rates, solid.mass, solid.inertia, strict=True
     ):
-        own = np.diag([mass, mass, inertia]) - a * slopes(row @ u, mass, floor)
+        own = np.diag([mass, mass, inertia]) - a * derivatives(row @ u, mass, floor)
         odd = a * mass * row[:2].T @ rate
         matrix += row.T @ own @ row + odd - odd.T
     return matrix
 
 
-def slopes(velocity: np.ndarray, mass: float, floor: FloorFriction) -> np.ndarray:
+def derivatives(velocity: np.ndarray, mass: float, floor: FloorFriction) -> np.ndarray:
     """Return the slopes of a connector's friction by its velocities along, across, and about itself."""
     f = connector_friction(*velocity, mass * floor.gravity, floor)
     return np.array([[f.tt, f.tn, f.tm], [f.nt, f.nn, f.nm], [f.tm, f.mn, f.mm]])

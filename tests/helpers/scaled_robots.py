@@ -101,7 +101,9 @@ def _twin(contact: type[LoadedContact] | type[PreloadedContact], kind: Any) -> B
 PLANTS: dict[str, Builder] = {
     "simplified, axis": _analytical(model="simplified"),
     "complete, axis": _analytical(),
-    "complete, wheel, momentary": _analytical(friction="wheel", load="momentary"),
+    "complete, wheel, instantaneous": _analytical(
+        friction="wheel", load="instantaneous"
+    ),
     "compliant, ellipse": _analytical(
         model="compliant", friction="ellipse", inertia="connector"
     ),

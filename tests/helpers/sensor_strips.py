@@ -9,7 +9,7 @@ from srs_twin.sensing.hall import (
     GAUSS,
     MAGNET_DIAMETER,
     MAGNET_HEIGHT,
-    Calibration,
+    HallCalibration,
     Strip,
     element_place,
     field,
@@ -37,7 +37,7 @@ def strip(
     )
 
 
-def line(sensor: Strip) -> Calibration:
+def line(sensor: Strip) -> HallCalibration:
     """Fit the straight line from field (G) to angle."""
     return fit_line(field(BENDS, sensor) / GAUSS, BENDS)
 

@@ -66,7 +66,7 @@ class Snake:
                 "heading": heading,
                 **numbered("x", position[..., 0]),
                 **numbered("y", position[..., 1]),
-                **numbered("theta", theta),
+                **numbered("connector_heading", theta),
                 **numbered("bend", bend),
             },
             metadata={
@@ -113,13 +113,13 @@ def moved(trajectory: Trajectory, x: float, y: float, angle: float) -> Trajector
         heading=trajectory["heading"] + angle,
         **numbered("x", position[..., 0]),
         **numbered("y", position[..., 1]),
-        **numbered("theta", trajectory.stack("theta") + angle),
+        **numbered("connector_heading", trajectory.stack("connector_heading") + angle),
     )
 
 
 def mirrored(trajectory: Trajectory) -> Trajectory:
     """Return the run mirrored at the x axis."""
-    names = ("com_y", "heading", "y", "theta", "bend")
+    names = ("com_y", "heading", "y", "connector_heading", "bend")
     flipped = {
         n: -c
         for n, c in trajectory.columns.items()

@@ -87,7 +87,7 @@ class Take:
 def markers(trajectory: Trajectory, take: Take) -> np.ndarray:
     """Return the noise-free marker positions of a layout, shape (samples, markers, 2), m."""
     position = trajectory.position
-    theta = trajectory.stack("theta")
+    theta = trajectory.stack("connector_heading")
     along = np.stack([np.cos(theta), np.sin(theta)], axis=-1)
     if "middles" in take.layout:
         middle = middles(trajectory)
@@ -129,26 +129,28 @@ def lengths(trajectory: Trajectory) -> np.ndarray:
 
 def middles(trajectory: Trajectory) -> np.ndarray:
     """Return the middles of the segments, shape (samples, segments, 2), m."""
-    theta = trajectory.stack("theta")[:, :-1]
+    theta = trajectory.stack("connector_heading")[:, :-1]
     gap = float(trajectory.metadata["rigid_gap_m"]) / 2
     front = trajectory.position[:, :-1] @ [1, 1j] - gap * np.exp(1j * theta)
     place = front - _arcs(theta, trajectory.stack("bend"), lengths(trajectory), 0.5)
     return np.stack([place.real, place.imag], axis=-1)
 
 
-def stretched(trajectory: Trajectory, share: float, power: float = 1.0) -> Trajectory:
+def stretched(
+    trajectory: Trajectory, fraction: float, power: float = 1.0
+) -> Trajectory:
     """Return a motion whose segments lengthen with their bend.
 
     Args:
         trajectory: trajectory of a plant.
-        share: relative elongation of the most bent segment.
+        fraction: relative elongation of the most bent segment.
         power: exponent of the bend.
     """
     bend = trajectory.stack("bend")
-    theta = trajectory.stack("theta")
+    theta = trajectory.stack("connector_heading")
     gap = float(trajectory.metadata["rigid_gap_m"]) / 2
     length = lengths(trajectory) * (
-        1 + share * (np.abs(bend) / np.abs(bend).max()) ** power
+        1 + fraction * (np.abs(bend) / np.abs(bend).max()) ** power
     )
     facing = gap * np.exp(1j * theta)
     step = facing[:, :-1] + _arcs(theta[:, :-1], bend, length, 1.0) + facing[:, 1:]

@@ -51,5 +51,10 @@ def crawled(
     rest = np.repeat([axle.mass * GRAVITY / 2 for axle in spec.axles], 2)
     ticks = round(period / tick)
     return measured(
-        com, run.stack("theta")[1:], np.array(feet)[-len(com) :], rest, ticks, tick
+        com,
+        run.stack("connector_heading")[1:],
+        np.array(feet)[-len(com) :],
+        rest,
+        ticks,
+        tick,
     )

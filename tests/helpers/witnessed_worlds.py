@@ -1,7 +1,7 @@
 """Solvable worlds by construction: a path is drawn first, then obstacles next to it.
 
 The path consists of arcs that the body can follow. It is checked in the final world by
-sampling (`deepest`), which shares no code with the planner. `drawn` has six kinds,
+sampling (`deepest`), which fractions no code with the planner. `drawn` has six kinds,
 `KINDS`.
 """
 
@@ -17,7 +17,7 @@ from plan_sampling import deepest, depth_in, swept_points
 from srs_twin.planning.footprint import Footprint
 from srs_twin.planning.footprint_file import load_footprint
 from srs_twin.planning.path import path_from_arcs
-from srs_twin.planning.problem import Outcome, Plan, Problem
+from srs_twin.planning.problem import Plan, PlanOutcome, Problem
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 
 Pieces = list[tuple[float, float]]
@@ -28,7 +28,7 @@ def bodies() -> dict[str, Footprint]:
     names = ("gen2_gait", "gen2_section52", "gen4_ilc", "gen4_table8", "gen4_table9")
     result = {name: load_footprint(name) for name in names}
     return result | {
-        "gen4_ilc_half": result["gen4_ilc"].reduced(turn_share=0.5, margin=0.05)
+        "gen4_ilc_half": result["gen4_ilc"].reduced(turn_fraction=0.5, margin=0.05)
     }
 
 
@@ -60,7 +60,7 @@ def walls(seed: int, body: Footprint, ratio: float, count: int) -> Witnessed:
 
 
 def drawn(
-    kind: str, seed: int, body: Footprint, run_up: float = 0.0, room: float = 0.0
+    kind: str, seed: int, body: Footprint, lead_in: float = 0.0, room: float = 0.0
 ) -> Witnessed:
     """Return a world of a kind.
 
@@ -68,10 +68,10 @@ def drawn(
         kind: one of `KINDS`.
         seed: random seed.
         body: footprint, margin included.
-        run_up: length of the straight first part, m.
+        lead_in: length of the straight first part, m.
         room: free space next to the body there, m.
     """
-    start = _Start(body, run_up, room)
+    start = _Start(body, lead_in, room)
     return _first(seed, lambda rng: KINDS[kind](rng, start))
 
 
@@ -89,14 +89,14 @@ class _Start:
     """Body and the straight first part of its path."""
 
     body: Footprint
-    run_up: float
+    lead_in: float
     room: float
 
     def draw_path(self, rng: np.random.Generator, length: float) -> Pieces:
         """Return the straight first part, followed by arcs."""
         low = self.body.curvatures[0]
         high = self.body.curvatures[-1]
-        pieces = [(0.0, self.run_up + 0.05)]
+        pieces = [(0.0, self.lead_in + 0.05)]
         left = length
         while left > 0:
             piece = float(rng.uniform(0.3, 0.8))
@@ -138,7 +138,7 @@ class _Start:
         world = World(tuple(circles), bounds, None, tuple(polygons))
         straight = self.body.at(0.0)
         beginning = swept_points(
-            (0.0, 0.0, 0.0), 0.0, self.run_up, self.body, 0.01, (self.room, self.room)
+            (0.0, 0.0, 0.0), 0.0, self.lead_in, self.body, 0.01, (self.room, self.room)
         )
         if depth_in(beginning, world) >= 0:
             return None
@@ -152,7 +152,7 @@ class _Start:
             swept_points(
                 (0.0, 0.0, 0.0),
                 0.0,
-                self.run_up,
+                self.lead_in,
                 self.body,
                 0.02,
                 (self.room, self.room),
@@ -208,7 +208,7 @@ def _strewn(rng: np.random.Generator, start: _Start, pieces: Pieces) -> list[Cir
 def _gaps(rng: np.random.Generator, start: _Start) -> Witnessed | None:
     ratio = float(rng.uniform(1.1, 1.8))
     count = int(rng.integers(1, 4))
-    return _walls(rng, start.body, ratio, count, start.run_up, start.room)
+    return _walls(rng, start.body, ratio, count, start.lead_in, start.room)
 
 
 def _corridor(rng: np.random.Generator, start: _Start) -> Witnessed | None:
@@ -335,7 +335,7 @@ def _maze(rng: np.random.Generator, start: _Start) -> Witnessed | None:
     columns = 3
     rows = 2
     cell = 2.2 / min(body.tightest) + 2 * _settled(body)
-    entry = start.run_up + _settled(body) + body.ahead + start.room
+    entry = start.lead_in + _settled(body) + body.ahead + start.room
     before, opened = _random_spanning_tree(rng, columns, rows)
     cells = [(columns - 1, int(rng.integers(rows)))]
     while cells[0] in before:
@@ -402,7 +402,7 @@ def _walls(
     straight = body.at(0.0)
     width = straight.left + straight.right
     thick = float(rng.uniform(0.02, 0.08))
-    run_up = _settled(body) + body.ahead + 0.01
+    lead_in = _settled(body) + body.ahead + 0.01
     run_out = body.behind + 0.01
     pieces = [(0.0, 0.5 * width + first)]
     heading = 0.0
@@ -410,7 +410,7 @@ def _walls(
     for _ in range(count):
         pieces += _bend(rng, body, heading, float(rng.uniform(-0.5, 0.5)))
         heading = sum(k * length for k, length in pieces)
-        pieces.append((0.0, run_up + thick))
+        pieces.append((0.0, lead_in + thick))
         places.append(len(pieces))
         pieces.append((0.0, thick + run_out + float(rng.uniform(0.0, width))))
     start = Pose(0.0, 0.0, 0.0)
@@ -451,13 +451,13 @@ def _bend(
     """Return arcs that end with another heading, some with a lateral offset."""
     low = body.curvatures[0]
     high = body.curvatures[-1]
-    share = float(rng.uniform(0.4, 0.95))
+    fraction = float(rng.uniform(0.4, 0.95))
     side = 1.0 if rng.random() < 0.5 else -1.0
     first = side * float(rng.uniform(0.1, 0.6))
     pieces = []
     for turn in (first, to - heading - first):
         tightest = high if turn > 0 else low
-        pieces.append((share * tightest, abs(turn / (share * tightest))))
+        pieces.append((fraction * tightest, abs(turn / (fraction * tightest))))
     return pieces
 
 
@@ -541,7 +541,9 @@ def _checked(
     """Return the world if the path is free."""
     goal = Goal(end.x, end.y, end.heading, 0.02 + 0.1 * width, 0.1)
     problem = Problem(start, goal, world, body)
-    witness = Plan(Outcome.FOUND, "drawn first", path_from_arcs(start, pieces, body))
+    witness = Plan(
+        PlanOutcome.FOUND, "drawn first", path_from_arcs(start, pieces, body)
+    )
     return (
         Witnessed(problem, witness, width, gap)
         if deepest(witness, problem) < 0

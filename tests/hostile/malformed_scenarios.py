@@ -57,7 +57,7 @@ world:
   goal: {x_m: 1.0, y_m: 0.2, heading_rad: 0.5, heading_tolerance_rad: 0.1, radius_m: 0.05}
   polygons: [{corners_m: [[0.5, 0.5], [0.6, 0.5], [0.6, 0.6]]}]
   random: {count: 2, area: {x_m: [0.4, 0.6], y_m: [-0.8, -0.4]}, radius_m: [0.02, 0.05], gap_m: 0.05}
-planner: {kind: best_first, footprint: gen2_section52, turn_share: 0.8, margin_m: 0.02, nodes: 5000}
+planner: {kind: best_first, footprint: gen2_section52, turn_fraction: 0.8, margin_m: 0.02, nodes: 5000}
 controller:
   kind: follow
   follower: path
@@ -310,7 +310,7 @@ FOLLOWING_MALFORMED = edited(
         (
             "kind: best_first",
             "kind: given, turns_rad: [0], step_m: 1",
-            "planner.nodes: unknown key; allowed: footprint, turn_share",
+            "planner.nodes: unknown key; allowed: footprint, turn_fraction",
         ),
         ("nodes: 5000", "nodes: 0", "planner.nodes: must be a whole number from 1"),
         ("nodes: 5000", "seconds: .inf", "planner.seconds: "),
@@ -320,9 +320,9 @@ FOLLOWING_MALFORMED = edited(
             "planner: footprint gen2_section52: left: 0.517 m reaches the centre",
         ),
         (
-            "turn_share: 0.8",
-            "turn_share: 1.1",
-            "planner.turn_share: must be a number from 0.05",
+            "turn_fraction: 0.8",
+            "turn_fraction: 1.1",
+            "planner.turn_fraction: must be a number from 0.05",
         ),
         (
             "rate_hz: 60",
@@ -565,19 +565,19 @@ FOLLOWERS = varied(
             block(
                 **_FOLLOW,
                 follower="path",
-                optional=dict.fromkeys(("lookahead_m", "settle_m"), _LENGTH),
+                optional=dict.fromkeys(("lookahead_m", "response_length_m"), _LENGTH),
             ),
         ),
         "planner": st.builds(
             dict.__or__,
-            block(footprint=choice("gen4_table9", "gen4_table8"), turn_share=0.7),
+            block(footprint=choice("gen4_table9", "gen4_table8"), turn_fraction=0.7),
             choice(
                 {
                     "kind": "best_first",
                     "levels": 2,
                     "weight": 1.5,
                     "improve": True,
-                    "run_up_m": 0.2,
+                    "lead_in_m": 0.2,
                 },
                 {
                     "kind": "best_first",

@@ -284,7 +284,7 @@ POSITIONS = [
     ),
     (
         "friction: axis",
-        "load: momentary",
+        "load: instantaneous",
         "8:39: plants.analytical.load: friction 'axis' has one contact per connector",
     ),
     (

@@ -147,7 +147,7 @@ REJECTED = [
     # The problem is detected after the output folder was checked.
     (f"plan ./turns.yaml --out {NEW}", TURNS),
     (f"run ./turns.yaml --out {NEW}", TURNS),
-    (f"sweep ./sweep.yaml --without seed=3 --out {NEW}", "unknown value of seed '3'"),
+    (f"sweep ./sweep.yaml --exclude seed=3 --out {NEW}", "unknown value of seed '3'"),
     (f"{FITTING} --out {NEW}/f.yaml", "nothing.csv: no such file"),
     (f"replay nothing.csv --robot gen2 --out {NEW}", "nothing.csv"),
     (f"render nothing --strobe --out {NEW}", "nothing: there is no finished run"),

@@ -295,8 +295,8 @@ def convex(curve, noise: float = 0.004) -> StaticTable:
     """Return plateaus of a module that bends by an odd function (rad) of the pressure divided by 60 kPa."""
     pressure = np.zeros((24, 1, 2))
     pressure[:12, 0, 0] = pressure[12:, 0, 1] = np.linspace(0, 60e3, 12)
-    share = (1.2 * pressure[..., 0] - 0.8 * pressure[..., 1]) / 60e3
-    bend = 0.05 + np.sign(share) * curve(np.abs(share))
+    fraction = (1.2 * pressure[..., 0] - 0.8 * pressure[..., 1]) / 60e3
+    bend = 0.05 + np.sign(fraction) * curve(np.abs(fraction))
     bend = bend + noise * np.random.default_rng(3).normal(size=bend.shape)
     return StaticTable(
         "convex", array_hash(bend), pressure, bend, np.full(bend.shape, noise)
@@ -330,7 +330,7 @@ def test_a_dead_zone_explains_curves_that_a_straight_line_does_not(curve):
     fit = fit_static([table], MODULE)
     assert straight.residual_scale > 8
     assert fit.residual_scale == pytest.approx(1.0, abs=0.5)
-    assert "straight line" in fit["actuator.onset_rad"].why
+    assert "straight line" in fit["actuator.dead_zone_rad"].why
     fitted = with_values(MODULE, fit.held | fit.values)
     difference = fitted.modules.bias[0] + air_bend(fitted, table.pressure) - table.bend
     assert np.sqrt(np.mean(difference**2)) < 1.5 * 0.004
@@ -345,8 +345,8 @@ def test_parameters_of_a_dead_zone_are_recovered_in_the_robot(tmp_path):
 
     result = fit_static([table := convex(law)], MODULE)
     truth = {
-        "actuator.onset_rad": 0.3,
-        "actuator.onset_width_rad": 0.2,
+        "actuator.dead_zone_rad": 0.3,
+        "actuator.dead_zone_transition_rad": 0.2,
         "modules.gain_plus_1": 1.2,
     }
     for name, value in truth.items():
@@ -361,7 +361,7 @@ def test_parameters_of_a_dead_zone_are_recovered_in_the_robot(tmp_path):
     fit = fit_file(result, **about, versions={}, data=data_sets([table], []))
     write_fit(fit, path := tmp_path / "late.yaml")
     spec = fitted_robot([path], "late").spec()
-    assert spec.actuator.onset_share == 1.0
+    assert spec.actuator.onset_fraction == 1.0
     expected = with_values(MODULE, result.held | result.values)
     assert air_bend(spec, table.pressure) == pytest.approx(
         air_bend(expected, table.pressure), abs=1e-6
@@ -373,7 +373,10 @@ def test_a_straight_line_rarely_gets_a_dead_zone():
     """The F-test has a level of 1 %: 3 of 20 would have a probability of 1 in 1,000."""
     fit = [fit_static([table(1.4, 0.01, seed)], MODULE) for seed in range(20)]
     assert (
-        sum("actuator.onset_rad" in estimate.held | estimate.values for estimate in fit)
+        sum(
+            "actuator.dead_zone_rad" in estimate.held | estimate.values
+            for estimate in fit
+        )
         < 3
     )
 

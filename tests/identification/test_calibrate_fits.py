@@ -186,10 +186,13 @@ def test_friction_is_fitted_to_pulls_by_the_command(tmp_path, srs_twin):
             "--valves: remove this option; tables of constant pressures",
         ),
         (
-            ["actuator", "h.csv", "--find", "modules.gan_plus_1"],
+            ["actuator", "h.csv", "--parameters", "modules.gan_plus_1"],
             "did you mean modules.gain_plus_N",
         ),
-        (["actuator", "h.csv", "--find", ","], "--find ',' contains no parameters"),
+        (
+            ["actuator", "h.csv", "--parameters", ","],
+            "--parameters ',' contains no parameters",
+        ),
         (["locomotion", "w.csv"], "w.valves.csv: no such file"),
         (
             ["locomotion", "w.csv", "--valves", "a", "--valves", "b"],

@@ -82,7 +82,7 @@ def test_a_short_footprint_measurement_by_the_command(srs_twin, tmp_path, monkey
     # The same measurement replaces the file; another one is refused.
     before = (tmp_path / FILE).read_bytes()
     options = lines[0].removeprefix("# measured by: srs-twin ").split()
-    again = srs_twin(*options, "--quiet", "--threads", "1", cwd=tmp_path)
+    again = srs_twin(*options, "--quiet", "--workers", "1", cwd=tmp_path)
     assert (again.returncode, again.stdout, again.stderr) == (0, "", "")
     assert (tmp_path / FILE).read_bytes() == before
     other = srs_twin(*SHORT, "--periods", "4", cwd=tmp_path)

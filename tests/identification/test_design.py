@@ -11,7 +11,7 @@ from snakes import GRAVITY
 from srs_twin import load_robot
 from srs_twin.errors import InputError
 from srs_twin.identification.design import (
-    PULL_SHARE,
+    PULL_FRACTION,
     _information,
     candidates,
     choose_experiments,
@@ -31,7 +31,9 @@ def test_predicted_intervals_agree_with_the_scatter_of_fits():
     fits = []
     force = SPEC.friction.mu_n * SPEC.mass.total * GRAVITY
     for _ in range(300):
-        pulled = force * (1 + PULL_SHARE * np.sqrt(10) * rng.standard_normal(10)) / 30.0
+        pulled = (
+            force * (1 + PULL_FRACTION * np.sqrt(10) * rng.standard_normal(10)) / 30.0
+        )
         pulls = Pulls(
             along=[], across=list(pulled), stiffness=30.0, mass=SPEC.mass.total
         )
@@ -82,7 +84,12 @@ def test_a_load_separates_drag_from_wheel_inertia():
 @pytest.mark.slow
 def test_unreachable_targets_are_reported(srs_twin, tmp_path):
     done = srs_twin(
-        "calibrate", "design", "gen2", "--want", "friction.mu_n=0.1%", cwd=tmp_path
+        "calibrate",
+        "design",
+        "gen2",
+        "--target-accuracy",
+        "friction.mu_n=0.1%",
+        cwd=tmp_path,
     )
     assert done.returncode == 0
     assert "friction.mu_n: no further experiment of" in done.stdout
@@ -90,7 +97,7 @@ def test_unreachable_targets_are_reported(srs_twin, tmp_path):
         "calibrate",
         "design",
         "gen2",
-        "--want",
+        "--target-accuracy",
         "friction.mu_n=3%",
         "--json",
         cwd=tmp_path,
@@ -101,7 +108,12 @@ def test_unreachable_targets_are_reported(srs_twin, tmp_path):
         and document["experiments"][-1]["after"]["friction.mu_n"] <= 0.03
     )
     wrong = srs_twin(
-        "calibrate", "design", "gen2", "--want", "friction.mu_n=much", cwd=tmp_path
+        "calibrate",
+        "design",
+        "gen2",
+        "--target-accuracy",
+        "friction.mu_n=much",
+        cwd=tmp_path,
     )
     assert wrong.returncode == 2
     assert "must be NAME=PERCENT" in wrong.stderr

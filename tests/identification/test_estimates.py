@@ -54,7 +54,7 @@ def test_a_straight_line_fit_agrees_with_the_closed_form(a, b, seed, noise, scal
     )
     fit = stats.linregress(TIME, measured)
     assert result["a"].value == pytest.approx(fit.intercept, abs=1e-7)
-    assert result["b"].value == pytest.approx(fit.slope, abs=1e-7)
+    assert result["b"].value == pytest.approx(fit.derivative, abs=1e-7)
     # Seemingly correlated noise widens the interval; nothing narrows it.
     grown = math.sqrt(result.samples / result.independent)
     freedom = (result.samples - 2) / (result.independent - 2) / grown**2
@@ -232,11 +232,11 @@ def test_a_reference_fit_adds_the_model_error_to_the_intervals(bias):
 
 
 @pytest.mark.parametrize("slope", [-0.7, 0.0, 0.5])
-def test_the_bias_is_evaluated_at_the_true_value(slope):
+def test_the_bias_is_evaluated_at_the_true_value(derivative):
     """Five searches converge to the bias at the truth, 0.05; after two with slope −0.7 it would be 0.026."""
     true = 2.0
     bias = 0.05
-    at = lambda b: bias + slope * (b - true)  # noqa: E731
+    at = lambda b: bias + derivative * (b - true)  # noqa: E731
     measured = (true + at(true)) * TIME + 1e-3 * np.random.default_rng(0).normal(
         size=len(TIME)
     )
@@ -245,7 +245,9 @@ def test_the_bias_is_evaluated_at_the_true_value(slope):
         residuals, [unknown("b", 0.0)], refit=lambda v: {"b": v["b"] + at(v["b"])}
     )["b"]
     # Each search multiplies the error of the bias by |slope|.
-    assert fit.standard_error == pytest.approx(bias, abs=bias * abs(slope) ** 5 + 2e-3)
+    assert fit.standard_error == pytest.approx(
+        bias, abs=bias * abs(derivative) ** 5 + 2e-3
+    )
     assert fit.low < true < fit.high
 
 

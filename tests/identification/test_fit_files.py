@@ -170,7 +170,7 @@ def test_held_values_that_differ_from_the_robot_are_applied_with_the_fit():
     held = {
         "geometry.segment_length_m": 0.2,
         "friction.mu_n": spec.friction.mu_n,
-        "spin_share": 0.5,
+        "spin_fraction": 0.5,
     }
     fit = fit_file(
         FitEstimate((result,), np.eye(1), held=held),

@@ -293,11 +293,11 @@ def test_followers_get_the_delay_of_a_turn():
         there, before=there.after, after=there.before, dheading=-there.dheading
     )
     box = Footprint.box(0.1, 0.0, speed=crawl.speed, curvature=1.0)
-    assert box.settle is None
+    assert box.response_length is None
     turns = {"offsets": (there.before, there.after), "curvatures": (0.5, 2.5)}
-    assert replace(box, **turns, transients=(there, back)).settle == pytest.approx(
-        crawl.speed * LATE, rel=0.05
-    )
+    assert replace(
+        box, **turns, transients=(there, back)
+    ).response_length == pytest.approx(crawl.speed * LATE, rel=0.05)
 
 
 def test_an_unsettled_path_is_refused():

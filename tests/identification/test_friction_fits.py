@@ -20,7 +20,7 @@ from srs_twin.identification.friction import (
     misalignment,
 )
 from srs_twin.identification.parameters import with_values
-from srs_twin.plants.analytical.floor import slide, spin_share
+from srs_twin.plants.analytical.floor import slide, spin_fraction
 
 SPEC = robot(stiffness=20.0)
 MU_T = 0.06
@@ -118,7 +118,7 @@ def thrown(
     noise=0.0,
     seed=0,
     law="wheel",
-    share=None,
+    fraction=None,
     heading=0.3,
     seconds=1.0,
     mu=(MU_T, MU_N),
@@ -126,8 +126,8 @@ def thrown(
 ) -> CoastingTest:
     """Return a coasting test that moves as a straight body, sampled at 100 Hz, with bends as recorded."""
     time = np.arange(0.0, seconds, 0.01)
-    share = spin_share(SPEC) if share is None else share
-    way = slide(velocity, time, law=law, mu_t=mu[0], mu_n=mu[1], share=share)
+    fraction = spin_fraction(SPEC) if fraction is None else fraction
+    way = slide(velocity, time, law=law, mu_t=mu[0], mu_n=mu[1], fraction=fraction)
     c = np.cos(heading)
     s = np.sin(heading)
     place = way @ np.array([[c, s], [-s, c]]) + [3.0, -2.0]
@@ -150,7 +150,7 @@ def test_a_sliding_point_stops_at_the_distance_of_sharp_friction(degrees):
     mu_t = SPEC.friction.mu_t
     mu_n = SPEC.friction.mu_n
     late = np.array([0.0, 4.0])
-    wheel = slide(velocity, late, law="wheel", mu_t=mu_t, mu_n=mu_n, share=0.03)[-1]
+    wheel = slide(velocity, late, law="wheel", mu_t=mu_t, mu_n=mu_n, fraction=0.03)[-1]
     assert wheel == pytest.approx(sliding_wheel(velocity, 0.03), rel=0.005, abs=1e-4)
     skid = slide(velocity, late, law="ellipse", mu_t=mu_t, mu_n=mu_n)[-1]
     assert skid == pytest.approx(sliding_skid(velocity), rel=0.005, abs=1e-3)
@@ -158,9 +158,9 @@ def test_a_sliding_point_stops_at_the_distance_of_sharp_friction(degrees):
 
 @pytest.mark.parametrize("law", ["axis", "wheel", "ellipse"])
 def test_throws_identify_both_coefficients(law):
-    share = 0.0 if law == "ellipse" else None
+    fraction = 0.0 if law == "ellipse" else None
     runs = [
-        thrown(v, law=law, share=share, seed=k)
+        thrown(v, law=law, fraction=fraction, seed=k)
         for k, v in enumerate([(0.5, 0.0), (0.2, 0.8)])
     ]
     fit = fit_coasting(runs, SPEC, law=law, wheel_inertia=law != "ellipse")
@@ -188,7 +188,7 @@ def test_wheel_inertia_is_separated_from_friction():
         fit_coasting([run], SPEC, wheel_inertia=w).values["friction.mu_t"]
         for w in (True, False)
     )
-    assert with_spin / without == pytest.approx(1 + spin_share(SPEC), rel=1e-6)
+    assert with_spin / without == pytest.approx(1 + spin_fraction(SPEC), rel=1e-6)
 
 
 @pytest.mark.slow

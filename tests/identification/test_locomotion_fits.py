@@ -68,14 +68,14 @@ def straight_and_curved() -> list[GaitRun]:
 @pytest.mark.parametrize(
     "against", [pytest.param("averages", marks=pytest.mark.slow), "shapes"]
 )
-def test_friction_and_gap_are_recovered_within_one_per_cent(against):
+def test_friction_and_gap_are_recovered_within_one_per_cent(compare_signals):
     fit = fit_locomotion(
         straight_and_curved(),
         SPEC,
         ["friction.mu_t", "friction.mu_n", "geometry.rigid_gap_m"],
         model=COMPLETE,
-        against=against,
-        starts=3 if against == "averages" else 1,
+        compare_signals=compare_signals,
+        starts=3 if compare_signals == "averages" else 1,
     )
     assert fit["friction.mu_t"].value == pytest.approx(0.055, rel=0.01)
     assert fit["friction.mu_n"].value == pytest.approx(0.48, rel=0.01)
@@ -96,7 +96,7 @@ def test_prescribed_bends_do_not_identify_mass_stiffness_or_damping():
         SPEC,
         names,
         model=COMPLETE,
-        against="shapes",
+        compare_signals="shapes",
         starts=1,
     )
     for name in names[1:]:
@@ -111,12 +111,17 @@ def test_the_tail_mass_is_identified_if_the_other_masses_are_known():
         COMPLETE, {"mass.connectors_kg_5": 0.06}, [(2.0, 0.0), (1.5, 0.2)], seconds=2.0
     )
     fit = fit_locomotion(
-        data, SPEC, ["mass.connectors_kg_5"], model=COMPLETE, against="shapes", starts=1
+        data,
+        SPEC,
+        ["mass.connectors_kg_5"],
+        model=COMPLETE,
+        compare_signals="shapes",
+        starts=1,
     )
     assert fit["mass.connectors_kg_5"].value == pytest.approx(0.06, rel=0.01)
     everything = [f"mass.connectors_kg_{i}" for i in range(1, 6)]
     fit = fit_locomotion(
-        data[:1], SPEC, everything, model=COMPLETE, against="shapes", starts=1
+        data[:1], SPEC, everything, model=COMPLETE, compare_signals="shapes", starts=1
     )
     assert all(parameter.verdict == "not identifiable" for parameter in fit.parameters)
     assert any(
@@ -132,7 +137,7 @@ def test_a_common_factor_of_mass_stiffness_and_damping_cancels():
         SPEC,
         [*truth, "mass.connectors_kg"],
         model=COMPLIANT,
-        against="shapes",
+        compare_signals="shapes",
         starts=1,
     )
     for name in ("bending.stiffness_nm_per_rad", "mass.connectors_kg"):
@@ -145,7 +150,7 @@ def test_a_common_factor_of_mass_stiffness_and_damping_cancels():
         row["bending.stiffness_nm_per_rad"], abs=0.01
     )
     known_mass = fit_locomotion(
-        data, SPEC, list(truth), model=COMPLIANT, against="shapes", starts=1
+        data, SPEC, list(truth), model=COMPLIANT, compare_signals="shapes", starts=1
     )
     for name, value in truth.items():
         assert known_mass[name].value == pytest.approx(value, rel=0.01)
@@ -165,9 +170,10 @@ def test_metrics_of_a_compliant_body_depend_smoothly_on_its_parameters():
         parameter.name: parameter.start for parameter in free_parameters(spec, ends)
     }
     paths = []
-    for share in np.linspace(-1.0, 1.0, 21):
+    for fraction in np.linspace(-1.0, 1.0, 21):
         robot = with_values(
-            spec, {name: nominal[name] * np.exp(share * z) for name, z in ends.items()}
+            spec,
+            {name: nominal[name] * np.exp(fraction * z) for name, z in ends.items()},
         )
         paths.append(COMPLIANT.simulate(_blank(gait, 2.0), robot).com.ravel())
     steps = np.linalg.norm(np.diff(paths, axis=0), axis=1)
@@ -179,7 +185,7 @@ def test_friction_of_the_twin_is_recovered():
     truth = {"friction.mu_t": 0.05, "bending.stiffness_nm_per_rad": 0.38}
     data = runs(TWIN, truth, [(2.0, 0.1)], seconds=1.0)
     fit = fit_locomotion(
-        data, SPEC, list(truth), model=TWIN, against="shapes", starts=1
+        data, SPEC, list(truth), model=TWIN, compare_signals="shapes", starts=1
     )
     assert fit["friction.mu_t"].value == pytest.approx(0.05, rel=0.01)
     assert fit["bending.stiffness_nm_per_rad"].value == pytest.approx(0.38, rel=0.01)
@@ -196,7 +202,7 @@ def test_stiffness_and_gap_of_the_twin_are_recovered_from_a_distant_start():
         SPEC,
         list(truth),
         model=TWIN,
-        against="shapes",
+        compare_signals="shapes",
         starts=1,
         watch=lambda k, _: calls.append(k),
     )
@@ -267,7 +273,7 @@ def test_measured_parameters_are_held_and_listed_in_the_estimate():
         SPEC,
         names,
         model=COMPLETE,
-        against="shapes",
+        compare_signals="shapes",
         starts=1,
         known=[gap],
     )
@@ -286,7 +292,7 @@ def test_a_model_that_does_not_explain_a_walk_has_no_estimate():
         COMPLIANT, {"bending.stiffness_nm_per_rad": 0.3}, [(2.0, 0.2)], seconds=2.0
     )
     fit = fit_locomotion(
-        data, SPEC, ["friction.mu_t"], model=COMPLETE, against="both", starts=1
+        data, SPEC, ["friction.mu_t"], model=COMPLETE, compare_signals="both", starts=1
     )
     assert fit["friction.mu_t"].verdict == "cannot tell"
     assert any("bend" in line for line in fit.misfit)
@@ -299,7 +305,7 @@ def test_unsuitable_walks_are_refused():
     with pytest.raises(UnknownNameError, match="plant 'analytic'"):
         PlantModel("analytic")
     with pytest.raises(UnknownNameError, match="residual 'shape'.*did you mean shapes"):
-        fit_locomotion(data, SPEC, ["friction.mu_t"], against="shape")
+        fit_locomotion(data, SPEC, ["friction.mu_t"], compare_signals="shape")
     short = GaitRun(
         runs(COMPLETE, {}, [(2.0, 0.0)], seconds=1.0)[0].trajectory,
         Gait(2.0),

@@ -263,7 +263,7 @@ def test_the_page_shows_the_tables_of_the_shipped_fits():
         assert table in page
 
 
-def test_candidates_of_a_fit_share_their_numerical_settings():
+def test_candidates_of_a_fit_fraction_their_numerical_settings():
     spec = load_robot("gen4")
     longer = with_values(spec, {"geometry.segment_length_m": 0.2})
     assert longer.scale == spec.scale != replace(longer).scale

@@ -421,13 +421,13 @@ def test_plateaus_are_found_in_logs_with_few_rows_per_plateau(tmp_path, rows):
 @pytest.mark.parametrize(
     ("ramp", "step", "share"), [(0.0, 0.0, 0.0), (20.0, 0.0, 0.0), (0.0, 100.0, 0.2)]
 )
-def test_noise_of_a_log_is_estimated_without_ramps_and_steps(ramp, step, share):
+def test_noise_of_a_log_is_estimated_without_ramps_and_steps(ramp, step, fraction):
     """Steps in a share of the differences move the median to a higher quantile of the noise."""
     row = np.arange(20_000)
     noise = np.random.default_rng(0).standard_normal(len(row))
     fit = _noise_scale((noise + ramp * row + step * (row // 5 % 7))[:, None])
     assert fit == pytest.approx(
-        6**0.5 * stats.norm.ppf(0.5 + 0.25 / (1 - share)), rel=0.03
+        6**0.5 * stats.norm.ppf(0.5 + 0.25 / (1 - fraction)), rel=0.03
     )
     assert np.isfinite(_noise_scale(noise[:2]))
 

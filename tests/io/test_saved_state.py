@@ -28,7 +28,7 @@ PLANTS = {
     "simplified": ("analytical", {"model": "simplified", "friction": "wheel"}),
     "compliant": (
         "analytical",
-        {"model": "compliant", "friction": "wheel", "load": "momentary"},
+        {"model": "compliant", "friction": "wheel", "load": "instantaneous"},
     ),
     "loaded": ("twin", {"contact": "loaded"}),
     "preloaded": ("twin", {"contact": "preloaded"}),
@@ -76,7 +76,7 @@ BENCH_CONTROLLERS = {"direct_smc", "iterative_smc"}
 def scenario(plant: str, chambers: str, controller: str, sensor: str) -> Scenario:
     bench = controller in BENCH_CONTROLLERS
     name, own = PLANTS[plant] if not bench else (PLANTS[plant][0], {})
-    starved = (
+    low_supply_pressure = (
         {"timestep_s": 0.00025} if name == "twin" and chambers == "orifice" else {}
     )
     document = {
@@ -87,7 +87,7 @@ def scenario(plant: str, chambers: str, controller: str, sensor: str) -> Scenari
         "controller": CONTROLLERS[controller],
         "pneumatics": CHAMBERS[chambers],
         "sensor": SENSORS[sensor],
-        "plants": {name: own | starved},
+        "plants": {name: own | low_supply_pressure},
     }
     return parse_scenario(
         document | ({"planner": GIVEN} if controller == "follow" else {})
@@ -370,15 +370,15 @@ MOVING = {
 def test_placed_plant_has_the_given_state(name, seed):
     plant = MOVING[name]()
     asked, yaw = physical(plant.spec.segments, seed)
-    placed = plant.place(asked, yaw_rate=yaw)
+    placed = plant.set_state(asked, yaw_rate=yaw)
     attributes = ["com", "com_velocity", "heading", "bend", "pressure"]
     attributes += [] if name == "complete" else ["bend_rate"]
     for field in attributes:
         assert getattr(placed, field) == pytest.approx(
             getattr(asked, field), abs=1e-8
         ), field
-    assert placed.theta.mean() == pytest.approx(asked.heading, abs=1e-6)
-    assert -np.diff(placed.theta) == pytest.approx(asked.bend, abs=1e-5)
+    assert placed.connector_heading.mean() == pytest.approx(asked.heading, abs=1e-6)
+    assert -np.diff(placed.connector_heading) == pytest.approx(asked.bend, abs=1e-5)
     assert placed.time == 0
     # The velocities show in a short first step, whose length limits the effect of
     # forces.
@@ -396,7 +396,7 @@ def test_compliant_model_continues_from_a_physical_state():
     rollout(snake, gait, 1.38, pose=(0.1, 0.2, 0.4))
     yaw = float(snake.body.velocity[2])
     other = MOVING["compliant"]()
-    other.place(snake.state, yaw_rate=yaw)
+    other.set_state(snake.state, yaw_rate=yaw)
     for _ in range(25):
         valves = gait.valves_at(float(snake.state.time))
         one = snake.step(valves)
@@ -415,7 +415,7 @@ def test_twin_continues_near_a_physical_state(contact):
     bodies = twin.physics
     yaw = float(bodies.data.cvel[bodies._connectors, 2].mean())
     other = make()
-    other.place(twin.state, yaw_rate=yaw)
+    other.set_state(twin.state, yaw_rate=yaw)
     for _ in range(10):
         valves = gait.valves_at(float(twin.state.time))
         one = twin.step(valves)
@@ -431,9 +431,9 @@ def test_impossible_initial_state_is_rejected():
     with pytest.raises(
         InputError, match="chamber pressure .* is not allowed; it must be 0 to"
     ):
-        snake.place(replace(asked, pressure=np.full((snake.spec.segments, 2), 1e6)))
+        snake.set_state(replace(asked, pressure=np.full((snake.spec.segments, 2), 1e6)))
     with pytest.raises(InputError, match="clamped at its head can only start at rest"):
-        AnalyticalSnake(load_robot("gen4_module"), base="clamped").place(
+        AnalyticalSnake(load_robot("gen4_module"), base="clamped").set_state(
             physical(1, 0)[0]
         )
 

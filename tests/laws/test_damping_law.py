@@ -17,11 +17,11 @@ SUPPLY = 48_300.0
 FRICTIONLESS = {"mu_t": 1e-9, "mu_n": 1e-9}
 
 
-def damped(time: float, *, share: float = 1.0) -> RobotSpec:
-    """Return generation 2 without friction, with a damping time (s) and all masses multiplied by `share`."""
+def damped(time: float, *, fraction: float = 1.0) -> RobotSpec:
+    """Return generation 2 without friction, with a damping time (s) and all masses multiplied by `fraction`."""
     spec = robot(**FRICTIONLESS)
-    masses = tuple(share * mass for mass in spec.mass.connectors)
-    mass = replace(spec.mass, connectors=masses, wheel=share * spec.mass.wheel)
+    masses = tuple(fraction * mass for mass in spec.mass.connectors)
+    mass = replace(spec.mass, connectors=masses, wheel=fraction * spec.mass.wheel)
     return replace(spec, mass=mass, bending=replace(spec.bending, damping_time=time))
 
 
@@ -41,9 +41,9 @@ def deviation(spec: RobotSpec, timestep: float = 0.001, **options: Any) -> float
 )
 def test_bends_of_light_bodies_are_the_free_bends_to_first_order_in_the_step(time):
     heavy = deviation(damped(time))
-    light = deviation(damped(time, share=1e-3))
+    light = deviation(damped(time, fraction=1e-3))
     assert light < 0.15 * heavy
-    fine = deviation(damped(time, share=1e-3), 0.0005)
+    fine = deviation(damped(time, fraction=1e-3), 0.0005)
     assert fine == pytest.approx(light / 2, rel=0.25)
     assert fine < 0.007
 

@@ -77,9 +77,9 @@ def test_drag_acts_along_the_heading_only(plant, rolls):
 
 def test_drag_equals_a_larger_mu_t_under_the_axis_law():
     spec = robot()
-    share = DRAG / (spec.mass.total * GRAVITY)
+    fraction = DRAG / (spec.mass.total * GRAVITY)
     rougher = replace(
-        spec, friction=replace(spec.friction, mu_t=spec.friction.mu_t + share)
+        spec, friction=replace(spec.friction, mu_t=spec.friction.mu_t + fraction)
     )
     result = [
         rollout(AnalyticalSnake(item), Gait(2.0, offset=0.3), 1.0)
@@ -91,9 +91,9 @@ def test_drag_equals_a_larger_mu_t_under_the_axis_law():
 
 def test_drag_differs_from_mu_t_with_two_contacts():
     spec = robot()
-    share = DRAG / (spec.mass.total * GRAVITY)
+    fraction = DRAG / (spec.mass.total * GRAVITY)
     rougher = replace(
-        spec, friction=replace(spec.friction, mu_t=spec.friction.mu_t + share)
+        spec, friction=replace(spec.friction, mu_t=spec.friction.mu_t + fraction)
     )
     ends = [
         rollout(TwinSnake(entry, contact=LoadedContact("axis")), Gait(2.0), 2.0)[

@@ -94,8 +94,8 @@ def test_twin_momentum_drift_is_of_first_order(spec, smooth):
     order = np.log2(drifts[:-1] / drifts[1:])
     assert order == pytest.approx(np.ones_like(order), abs=0.15)
     # Connectors move at some 0.5 m/s, half a body turns at some 5 rad/s.
-    share = drifts[0] / [0.5, 5 * spec.mass.total * 0.08**2]
-    assert (share < (0.002 if smooth else 0.05)).all()
+    fraction = drifts[0] / [0.5, 5 * spec.mass.total * 0.08**2]
+    assert (fraction < (0.002 if smooth else 0.05)).all()
 
 
 def drift(spec: RobotSpec, timestep: float, smooth: bool) -> tuple[float, float]:

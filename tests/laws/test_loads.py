@@ -52,14 +52,14 @@ def test_loads_of_a_crawling_snake_vary_less_than_their_mean(crawling_loads):
 @pytest.mark.parametrize(
     ("name", "share"), [("gen2", 0.03), ("gen4", 0.03), ("gen3", 0.06)]
 )
-def test_loads_at_rest_are_static(name, share, floor):
+def test_loads_at_rest_are_static(name, fraction, floor):
     plant = TwinSnake(robot(name), **FLOORS[floor])
     for _ in range(100):
         plant.step(vented(plant.spec))
     loads = plant.physics.wheel_loads()
     weight = plant.spec.mass.array() * GRAVITY
     assert loads.sum() == pytest.approx(weight.sum(), rel=1e-6)
-    assert loads.sum(axis=1) == pytest.approx(weight, rel=share)
+    assert loads.sum(axis=1) == pytest.approx(weight, rel=fraction)
     # Without friction in the engine its solver has less to hold on to, and stops at its
     # tolerance, 1e-7.
     assert loads[:, 0] == pytest.approx(

@@ -60,7 +60,7 @@ def test_explicit_settings_admit_every_scale(name, s):
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param("complete, wheel, momentary", marks=pytest.mark.slow),
+        pytest.param("complete, wheel, instantaneous", marks=pytest.mark.slow),
         "twin, loaded, wheel",
     ],
 )
@@ -75,7 +75,7 @@ def test_default_settings_between_the_powers_are_of_similar_accuracy(name, s):
     [
         ("simplified, axis", ("slip_speed", "tolerance")),
         pytest.param(
-            "complete, wheel, momentary",
+            "complete, wheel, instantaneous",
             ("slip_speed", "tolerance"),
             marks=pytest.mark.slow,
         ),

@@ -46,7 +46,7 @@ def beam(
 
 
 def compliant(spec: RobotSpec, world: World, **options) -> AnalyticalSnake:
-    law = {"friction": "ellipse", "inertia": "connector", "touch": True}
+    law = {"friction": "ellipse", "inertia": "connector", "contact": True}
     return AnalyticalSnake(spec, model="compliant", world=world, **law | options)
 
 
@@ -207,7 +207,7 @@ def test_collision_conserves_moment_about_a_smooth_post_and_loses_energy(frictio
         )
         bends, momenta = np.split(body.state[7 : 7 + 2 * (len(body.velocity) - 3)], 2)
         springs = (
-            spec.bending.stiffness * np.ravel(body.cells.inverse_share) * bends**2
+            spec.bending.stiffness * np.ravel(body.cells.inverse_fraction) * bends**2
         ).sum() / 2
         turning = moment * body.velocity[2] + momenta @ body.velocity[3:]
         kinetic = (spec.mass.total * (vx**2 + vy**2) + turning) / 2

@@ -55,7 +55,7 @@ def stopped(
     return (state.com - start) @ np.array([[c, -s], [s, c]])
 
 
-def sliding_wheel(velocity: tuple[float, float], spin_share: float) -> np.ndarray:
+def sliding_wheel(velocity: tuple[float, float], spin_fraction: float) -> np.ndarray:
     """Integrate a unit mass on wheels under sharp friction until it rests; return its displacement, m.
 
     The force along is the axle's drag, reduced by the wheels' inertia, or the whole
@@ -66,7 +66,7 @@ def sliding_wheel(velocity: tuple[float, float], spin_share: float) -> np.ndarra
     place = np.zeros(2)
     while np.hypot(*v) > 0:
         speed = np.hypot(*v)
-        along = min(MU_T / (1 + spin_share), MU_N * abs(v[0]) / speed)
+        along = min(MU_T / (1 + spin_fraction), MU_N * abs(v[0]) / speed)
         across = math.sqrt(MU_N**2 - along**2) * (v[1] != 0)
         brake = np.array([along, across]) * GRAVITY * step
         after = np.sign(v) * np.maximum(np.abs(v) - brake, 0.0)

@@ -67,7 +67,9 @@ def test_the_displacement_without_inertia_is_that_of_the_local_connection(
     spec = wheeled(segments, friction)
     path = loop(middle, radius, PERIOD)
     run = without_inertia(spec, PrescribedBends(spec, path), friction=law)
-    x, y, heading = (run[f"{name}_1"][[-51, -1]] for name in ("x", "y", "theta"))
+    x, y, heading = (
+        run[f"{name}_1"][[-51, -1]] for name in ("x", "y", "connector_heading")
+    )
     (dx, dy), c, s = (
         (x[1] - x[0], y[1] - y[0]),
         math.cos(heading[0]),

@@ -54,17 +54,17 @@ def observed(force, place, *, gains=1.0, lost=0.0, scale=1.0):
     u = body.free_velocity[(touch - 1) % PERIOD][None]
     for k in range(count):
         command, pressure, _ = gait_sample(k)
-        sensed = bend(k) + 0.006 * rng.standard_normal(N)
+        measured_bend = bend(k) + 0.006 * rng.standard_normal(N)
         if k >= touch:
             u, moment = body.step(k, u, np.array([force * scale**3]), np.array([0]))
-            sensed += (
+            measured_bend += (
                 moment[0] - body.free_moment[k % PERIOD]
             ) / spec.bending.stiffness
         if rng.uniform() < lost:
             observer.skip(1)
             continue
         pressure = pressure * GEN2.actuator.gain / spec.actuator.gain
-        results.append(observer.update(command, pressure, sensed))
+        results.append(observer.update(command, pressure, measured_bend))
     return results
 
 
@@ -103,7 +103,7 @@ def test_estimates_scale_with_the_robot():
 @pytest.mark.slow
 @pytest.mark.parametrize("chambers", ["lag", "orifice"])
 def test_pressed_twin_is_detected_with_force_and_place(chambers):
-    """The reference is another plant: hinges, spinning wheels and momentary loads of the twin."""
+    """The reference is another plant: hinges, spinning wheels and instantaneous loads of the twin."""
     twin = TwinSnake(GEN2, pneumatics=chambers)
     gait = Gait(2.0)
     force = 0.7
@@ -135,8 +135,8 @@ def test_drifting_supply_is_no_contact():
     scores = []
     for k in range(900):
         command, pressure, _ = gait_sample(k, supply=1.0 if k < 700 else 0.9)
-        sensed = air_bend(GEN2, pressure) + 0.006 * rng.standard_normal(N)
-        result = observer.update(command, pressure, sensed)
+        measured_bend = air_bend(GEN2, pressure) + 0.006 * rng.standard_normal(N)
+        result = observer.update(command, pressure, measured_bend)
         scores.append(0.0 if result is None else result.score)
     assert max(scores) < 6.0
 

@@ -54,7 +54,7 @@ def test_faults_do_what_they_say():
             "dead_sensor:3",
             "dead_sensor:3=frozen",
             "drifting_sensor:4",
-            "starved",
+            "low_supply_pressure",
             "lost_marker:5",
         )
     }
@@ -75,7 +75,8 @@ def test_faults_do_what_they_say():
     drift = (ill["drifting_sensor:4"]["bends"] - ill["drifting_sensor:4"]["true"])[:, 3]
     assert drift[-1] == pytest.approx(0.1 * (3.0 - at), abs=0.01)
     assert (
-        ill["starved"]["pressure"][later].max() < 0.6 * whole["pressure"][later].max()
+        ill["low_supply_pressure"]["pressure"][later].max()
+        < 0.6 * whole["pressure"][later].max()
     )
     assert ill["lost_marker:5"]["tracked"][-1].tolist() == [
         True,
@@ -92,7 +93,10 @@ def test_faults_do_what_they_say():
         ("stuck", "is not a valid fault; write"),
         ("stuck_valv:2+@5", "unknown fault 'stuck_valv'"),
         ("stuck_valve:2@5", "concerns one chamber; write it as stuck_valve:2\\+@5"),
-        ("starved:2@5", "concerns the whole robot; write it as starved@5"),
+        (
+            "low_supply_pressure:2@5",
+            "concerns the whole robot; write it as low_supply_pressure@5",
+        ),
         ("dead_sensor:5@1", "there is no segment 5"),
         ("stuck_valve:2+=shut@5", "unknown variant of stuck_valve 'shut'"),
     ],
@@ -137,7 +141,7 @@ def test_sensor_and_camera_noise_is_independent_in_every_component():
         bends.append(robot.bends())
     state = robot.state
     bends = np.array(bends)
-    noise = np.array(seen) - np.column_stack([state.position, state.theta])
+    noise = np.array(seen) - np.column_stack([state.position, state.connector_heading])
     noise[:, :, 2] = np.arctan2(np.sin(noise[:, :, 2]), np.cos(noise[:, :, 2]))
     assert noise.std(axis=0) == pytest.approx(
         np.tile([0.3e-3, 0.3e-3, 0.3e-3 / 0.02], (5, 1)), rel=0.11

@@ -80,7 +80,7 @@ def test_members_without_errors_follow_the_compliant_model(robot):
         spec,
         model="compliant",
         friction="wheel",
-        load="momentary",
+        load="instantaneous",
         inertia="connector",
         slip_speed=0.001,
         timestep=0.0025,

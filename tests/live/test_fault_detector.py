@@ -42,7 +42,7 @@ def walked(seconds, fault=lambda time, readings: readings, supply=lambda time: 1
 @pytest.mark.slow
 def test_poor_sensors_are_corrected_and_are_no_fault():
     detector, readings, bend = walked(15.0)
-    assert detector.named == {}
+    assert detector.detected_faults == {}
     corrected, sd = detector.corrected(readings)
     assert (sd < NOISE).all()
     # Five standard deviations of the correction and of one reading.
@@ -56,13 +56,13 @@ def test_drift_of_a_poor_sensor_is_a_fault():
         return readings + np.array([0.0, 0.1, 0.0, 0.0]) * max(time - 6.0, 0.0)
 
     detector, *_ = walked(8.5, drifting)
-    assert detector.named == {2: "drifting_sensor"}
+    assert detector.detected_faults == {2: "drifting_sensor"}
 
 
 @pytest.mark.slow
 def test_half_of_the_supply_is_reported_without_pressures():
     detector, *_ = walked(8.5, supply=lambda time: 1.0 if time < 6.0 else 0.5)
-    assert detector.named == {0: "starved"}
+    assert detector.detected_faults == {0: "low_supply_pressure"}
 
 
 def test_missing_pressures_are_no_evidence():

@@ -90,11 +90,11 @@ def test_commands_of_the_shadow_are_decoded_exactly(tmp_path):
         for at in times
         for values in (states, duties)
     ]
-    shares = ([[1, 0], [0, 1]], [[0.25, 0], [0, 1]])
+    fractions = ([[1, 0], [0, 1]], [[0.25, 0], [0, 1]])
     found = evaluate(DECODE, given, tmp_path)
     for k, (sent, plus, minus) in enumerate(found):
         assert sent == int(np.floor(times[k // 2] * 1000 + 1e-6))
-        assert [plus, minus] == shares[k % 2]
+        assert [plus, minus] == fractions[k % 2]
 
 
 BAD = (
@@ -499,7 +499,7 @@ def test_a_shadow_runs_with_the_firmware(rig, srs_twin, tmp_path):
         "--out",
         "lab",
     )
-    done = srs_twin(*words, "--duration-s", "4", "--json", cwd=tmp_path)
+    done = srs_twin(*words, "--duration", "4", "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     messages = json.loads(done.stdout)["messages"]
     assert messages[BENDS] > 60 and messages[VALVES] > 60 and messages[COMMAND] > 60

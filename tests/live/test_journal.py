@@ -75,10 +75,10 @@ def test_what_was_written_comes_back(tmp_path):
 def test_a_kill_takes_the_end_with_it_and_no_more(tmp_path):
     said = written(tmp_path / "a.mcap", 2000)
     raw = (tmp_path / "a.mcap").read_bytes()
-    for share in (0.3, 0.77):
-        (tmp_path / "b.mcap").write_bytes(raw[: int(share * len(raw))])
+    for fraction in (0.3, 0.77):
+        (tmp_path / "b.mcap").write_bytes(raw[: int(fraction * len(raw))])
         found = list(journal_messages(tmp_path / "b.mcap", "r", 2))
-        assert len(found) > 0.8 * share * len(said) * 0.9
+        assert len(found) > 0.8 * fraction * len(said) * 0.9
         assert all(same(a, b) for a, b in zip(found, said, strict=False))
 
 

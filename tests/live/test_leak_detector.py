@@ -16,14 +16,14 @@ from srs_twin.live.air_balance import (
     SupplyFilter,
 )
 from srs_twin.live.fault_hypotheses import Inflow
-from srs_twin.live.uncertain import Uncertain
+from srs_twin.live.uncertain import Estimates
 from srs_twin.pneumatics import LagPneumatics, OrificePneumatics
 
 TICK = 0.02
 NOISE = 0.015
 VARIANTS = [
-    Inflow(leak, share)
-    for leak, share in ((0.0, 1.0), (0.0, 0.0), (2.0, 1.0), (6.0, 1.0), (0.0, 0.5))
+    Inflow(leak, fraction)
+    for leak, fraction in ((0.0, 1.0), (0.0, 0.0), (2.0, 1.0), (6.0, 1.0), (0.0, 0.5))
 ]
 SOUND, CLOSED, SLOW, FAST, WEAK = range(5)
 
@@ -49,7 +49,7 @@ def stroked(chambers, spec, *, half=17, strokes=16, after=lambda: None, said=Non
         added = detector.update(
             TICK * (k + 1),
             trace.pressure[-1],
-            Uncertain(bend, np.full_like(bend, NOISE)),
+            Estimates(bend, np.full_like(bend, NOISE)),
             filled,
             sound,
             supply,

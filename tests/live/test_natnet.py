@@ -169,7 +169,7 @@ def test_axes_and_headings(up):
         body = RigidBody((1.0, 2.0, 0.1), (0.0, 0.0, *half))
     else:  # Motive's y is up, and its z comes towards us: (x, y, z) → (x, −z, y)
         body = RigidBody((1.0, 0.1, -2.0), (0.0, half[0], 0.0, half[1]))
-    assert natnet.turned(body, up) == pytest.approx([1.0, 2.0, 0.1, angle])
+    assert natnet.rotate(body, up) == pytest.approx([1.0, 2.0, 0.1, angle])
 
 
 @pytest.mark.parametrize(
@@ -303,9 +303,9 @@ def test_quaternions_near_length_1_are_normalised_and_others_refused(turn, headi
     found = read(natnet.write_frame(Frame(1, 0.0, {1: body})), (4, 1)).bodies[1]
     assert found.tracked == (heading is not None)
     if heading is None:
-        assert np.isnan(natnet.turned(body, "y")).all()
+        assert np.isnan(natnet.rotate(body, "y")).all()
     else:
-        assert natnet.turned(found, "y")[3] == pytest.approx(heading)
+        assert natnet.rotate(found, "y")[3] == pytest.approx(heading)
 
 
 def test_places_beyond_a_kilometre_are_not_seen():

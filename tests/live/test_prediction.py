@@ -11,7 +11,7 @@ from srs_twin.live.estimate import (
     Prediction,
     PredictionCalibration,
 )
-from srs_twin.live.uncertain import Uncertain
+from srs_twin.live.uncertain import Estimates
 
 
 @pytest.mark.parametrize("seconds", [0.5, 1 / 1.5, 1.0])
@@ -64,7 +64,7 @@ def test_errors_of_earlier_predictions_widen_intervals():
             raw = Prediction(
                 0.02 * k, pose[2], 0.02 * k + ahead, raw, np.full((10, 3), 1e-3)
             )
-            predictions.append((k, calibration.widened(raw)))
+            predictions.append((k, calibration.inflate(raw)))
     inside = []
     for k, prediction in predictions[10:-2]:
         true = np.array(path)[k + 5 * np.arange(1, 11)]
@@ -86,8 +86,8 @@ def test_intervals_cover_95_percent_along_and_across_the_heading():
     predicted = Prediction(0.0, heading, count, zeros + [1.0, 2.0, 3.0], zeros + sd)
     poses = [1.0, 2.0, 3.0] + error @ turn
     assert np.abs(predicted.error(poses) - error).max() < 1e-12
-    share = predicted.contains(poses).mean(axis=0)
-    assert (share > 0.95).all() and (share < 0.975).all()
+    fraction = predicted.contains(poses).mean(axis=0)
+    assert (fraction > 0.95).all() and (fraction < 0.975).all()
 
 
 @pytest.mark.parametrize("rate", [5, 50])
@@ -99,9 +99,9 @@ def test_intervals_are_calibrated_for_errors_with_heavy_tails(rate):
     for k in range(60 * rate):
         time = k / rate
         error = 0.015 * rng.standard_t(4, size=6)
-        calibration.predict(time, Uncertain(error, np.full(6, 0.01)))
+        calibration.predict(time, Estimates(error, np.full(6, 0.01)))
         inside.append(np.abs(error) < 1.96 * 0.01 * calibration.scale)
-        exact = Uncertain(np.zeros(6), np.full(6, 1e-3))
+        exact = Estimates(np.zeros(6), np.full(6, 1e-3))
         calibration.update((k - 1) / rate, exact, [True, False])
     assert np.mean(inside[len(inside) // 2 :], axis=0)[:4].mean() == pytest.approx(
         0.95, abs=0.02

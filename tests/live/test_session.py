@@ -74,7 +74,7 @@ def test_it_runs_beside_a_robot_and_keeps_what_it_heard(tmp_path, srs_twin):
         robot = emulator(port, capture, tmp_path, "--fault", "lost_marker:5@0")
         try:
             wait(lambda: any(m.kind == BENDS for m in link.received()), 60)
-            twin = shadow(port, capture, tmp_path, "--duration-s", "5", "--json")
+            twin = shadow(port, capture, tmp_path, "--duration", "5", "--json")
             for k in range(10_000):
                 if twin.poll() is not None:
                     break

@@ -27,7 +27,7 @@ motion_capture:
   local: 10.0.0.4
   up: z
   bodies: {head: 1, "a=b": 2}
-limits: {duration_s: 60, press_on: true}
+limits: {duration_s: 60, allow_zero_margin: true}
 """
 OPTIONS = {
     "robot": "gen4",
@@ -41,7 +41,7 @@ OPTIONS = {
     "up": "z",
     "body": ["head=1", "a=b=2"],
     "duration": 60.0,
-    "press_on": True,
+    "allow_zero_margin": True,
 }
 
 
@@ -54,7 +54,7 @@ def test_a_setup_file_has_the_values_of_the_options(tmp_path):
     (tmp_path / "lab.yaml").write_text("robot: gen4\n")
     assert load_setup(tmp_path / "lab.yaml").options() == {
         "robot": "gen4",
-        "press_on": False,
+        "allow_zero_margin": False,
     }
 
 
@@ -165,7 +165,7 @@ def test_a_session_that_hears_nothing_says_so_with_exit_code_2(srs_twin, tmp_pat
             "shadow",
             "--setup",
             "lab.yaml",
-            "--duration-s",
+            "--duration",
             "0.3",
             "--out",
             "lab",

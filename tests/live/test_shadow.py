@@ -219,8 +219,8 @@ def test_what_was_learnt_survives_a_restart(tmp_path):
     shadow.save().write(tmp_path / "state.npz")
     new = Shadow(load_robot("gen4"), members=8)
     new.restore(SavedState.read(tmp_path / "state.npz"))
-    assert new.faults.named == shadow.faults.named
-    assert part == f"segment {next(iter(new.faults.named))}"
+    assert new.faults.detected_faults == shadow.faults.detected_faults
+    assert part == f"segment {next(iter(new.faults.detected_faults))}"
     weights = (each.ensemble.odometry.connection.weights for each in (new, shadow))
     assert (
         np.array_equal(*weights) and shadow.ensemble.odometry.connection.weights.any()
@@ -277,9 +277,9 @@ def test_a_restart_of_the_robot_is_not_a_fault(seed, pause, supply, monkeypatch)
     named = {}
     for time, messages in restarted(run, pause):
         shadow.receive(time, messages)
-        named |= {name: time for name in shadow.faults.named.values()}
+        named |= {name: time for name in shadow.faults.detected_faults.values()}
     assert named == {}
-    assert shadow.faults.supply.share > 0.9
+    assert shadow.faults.supply.fraction > 0.9
     assert shadow.interruptions == 1
 
 
@@ -304,11 +304,14 @@ def test_steerings_refuse_what_cannot_be_steered():
 
 def test_a_plan_without_margin_is_refused_unless_pressing_on():
     shadow = Shadow(load_robot("gen2"), members=8)
-    for press_on, least in ((False, LEAST_MARGIN), (True, 0.0)):
+    for allow_zero_margin, least in ((False, LEAST_MARGIN), (True, 0.0)):
         assert (
             EstimateSteering(
-                load_scenario("follow_orifice"), shadow, 0.02, press_on=press_on
-            ).follower.least_margin
+                load_scenario("follow_orifice"),
+                shadow,
+                0.02,
+                allow_zero_margin=allow_zero_margin,
+            ).follower.min_margin_fraction
             == least
         )
     assert LEAST_MARGIN > 0
@@ -321,7 +324,7 @@ def test_heading_at_the_start_counts_modulo_whole_turns():
     for turn, renewed in ((2 * np.pi, False), (-2 * np.pi, False), (np.pi, True)):
         steering = EstimateSteering(scenario, shadow, 0.02)
         reasons: list[str] = []
-        steering.follower.renew = reasons.append
+        steering.follower.request_replan = reasons.append
         steering._begin(SimpleNamespace(pose=(x, y, heading + turn)), shadow)
         assert bool(reasons) == renewed, turn
 
@@ -382,7 +385,9 @@ def test_a_robot_that_is_lost_is_vented():
 
 @pytest.mark.slow
 def test_a_robot_without_air_is_not_steered_for_long():
-    run = Run(121, 20.0, fault="starved=empty@2", robot="gen2", frequency=2.0)
+    run = Run(
+        121, 20.0, fault="low_supply_pressure=empty@2", robot="gen2", frequency=2.0
+    )
     told = steered((run, "follow_orifice"))
     assert told["ending"] == "supply_empty"
     assert told["time_s"] < 8.0

@@ -74,7 +74,7 @@ def test_measurement_corrects_and_variance_grows_up_to_its_limit():
         supply.predict(1.0)
     assert supply.sd == pytest.approx(LARGEST_SD * NOMINAL)
     supply.measure(0.9 * NOMINAL)
-    assert supply.share == pytest.approx(0.9, abs=0.002)
+    assert supply.fraction == pytest.approx(0.9, abs=0.002)
 
 
 def test_supply_message_keeps_its_pressure():
@@ -100,7 +100,7 @@ def test_sudden_loss_is_followed_by_one_message():
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [6006, 6007])
 def test_loss_of_the_supply_is_not_a_leak(seed):
-    (done,) = isolated((seed, "nominal", ("starved=half",)))
+    (done,) = isolated((seed, "nominal", ("low_supply_pressure=half",)))
     assert done["in_time"] and not done["others"], done
 
 
@@ -110,7 +110,7 @@ def test_drooping_supply_is_followed_and_is_not_a_fault(supply):
     assert alarms((104, 20.0, supply)) == []
     run = conditioned(supply, 104, 20.0)
     off = [
-        moment.shadow.faults.supply.share - run.supply_share(moment.time)
+        moment.shadow.faults.supply.fraction - run.supply_fraction(moment.time)
         for moment in shadowed(run, members=8)
         if moment.time > DROOPS_S + 1
     ]
@@ -122,11 +122,11 @@ def test_starved_is_reported_and_cleared_when_the_supply_recovers():
     back = DROOPS_S + OUTAGE[1]
     named = {}
     for moment in shadowed(Run(104, back + 3.0, supply="outage"), members=8):
-        named[moment.time] = dict(moment.shadow.faults.named)
+        named[moment.time] = dict(moment.shadow.faults.detected_faults)
     period = 1 / 1.5
     assert all(not faults for time, faults in named.items() if time < DROOPS_S)
     assert all(
-        faults == {0: "starved"}
+        faults == {0: "low_supply_pressure"}
         for time, faults in named.items()
         if DROOPS_S + 1.5 < time < back
     )

@@ -16,8 +16,12 @@ from srs_twin.planning.collision import (
 from srs_twin.planning.footprint import Footprint, Transient
 from srs_twin.planning.free_space import min_path_length
 from srs_twin.planning.guidance import find_passages
-from srs_twin.planning.moves import follow_arc, initial_state, make_move_set
 from srs_twin.planning.path import path_from_arcs
+from srs_twin.planning.primitives import (
+    follow_arc,
+    initial_state,
+    make_motion_primitives,
+)
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 
 BODY = Footprint(
@@ -42,7 +46,7 @@ STEP = 1e-4
 
 def frees(pieces: list[tuple[float, float]], world: World) -> tuple[bool, bool]:
     """Return whether a path from the origin is free, by the plan checker and by the search."""
-    moves = make_move_set(Primitives(3, 0.4, 0.2), BODY)
+    moves = make_motion_primitives(Primitives(3, 0.4, 0.2), BODY)
     free = True
     way = initial_state(0.0, 0.0, 0.0, moves)
     for curvature, length in pieces:

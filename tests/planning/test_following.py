@@ -18,8 +18,13 @@ from srs_twin.planning.camera import Camera, CameraFrames, PeriodMean
 from srs_twin.planning.follower import ENDINGS, Conditions, Follower
 from srs_twin.planning.footprint import Footprint
 from srs_twin.planning.path import ReferencePath, path_from_arcs
-from srs_twin.planning.problem import Outcome, Plan
-from srs_twin.planning.steering import BearingLaw, PathLaw, Predictor, Steering
+from srs_twin.planning.problem import Plan, PlanOutcome
+from srs_twin.planning.steering import (
+    PathTracking,
+    Predictor,
+    Steering,
+    WaypointSteering,
+)
 from srs_twin.robot.file import load_robot
 from srs_twin.robot.world import Circle, Goal, Pose, World
 
@@ -37,11 +42,11 @@ def as_told(offset):
 
 
 def a_plan(pieces=STRAIGHT, start=ORIGIN):
-    return Plan(Outcome.FOUND, "given", path_from_arcs(start, list(pieces), BODY))
+    return Plan(PlanOutcome.FOUND, "given", path_from_arcs(start, list(pieces), BODY))
 
 
 def ours():
-    return PathLaw(BODY, 0.15, SETTLE)
+    return PathTracking(BODY, 0.15, SETTLE)
 
 
 def follow(
@@ -54,7 +59,7 @@ def follow(
     duration=30.0,
     seed=0,
     radius=0.05,
-    stray=None,
+    max_cross_track_error=None,
     replans=3,
     replan=None,
     submit=None,
@@ -64,7 +69,7 @@ def follow(
     margin=0.0,
     late=0.0,
     lag=0.0,
-    least_margin=0.0,
+    min_margin_fraction=0.0,
     **snake,
 ):
     """Return the follower, the snake and its path, shape (samples, 4): time, x, y, heading without
@@ -74,7 +79,9 @@ def follow(
     """
     wheel = Wheel()
     end = plan.end or Pose(1.0, 0.0, 0.0)
-    conditions = Conditions(camera, delay, SETTLE, stray, replans, lag=lag)
+    conditions = Conditions(
+        camera, delay, SETTLE, max_cross_track_error, replans, lag=lag
+    )
     follower = Follower(
         wheel,
         law or ours(),
@@ -86,7 +93,7 @@ def follow(
         submit=submit,
         world=world,
         body=BODY.reduced(margin=margin),
-        least_margin=least_margin,
+        min_margin_fraction=min_margin_fraction,
     )
     plant = Unicycle(wheel, curvature_at, **snake)
     state = plant.reset(pose=start)
@@ -135,7 +142,9 @@ def test_late_frames_are_compensated():
     plan = a_plan(WINDING)
     beside_by = {}
     for lag in (0.0, 0.16):
-        _, _, way = follow(plan, late=0.16, lag=lag, law=PathLaw(BODY, 0.1, SETTLE))
+        _, _, way = follow(
+            plan, late=0.16, lag=lag, steering=PathTracking(BODY, 0.1, SETTLE)
+        )
         beside_by[lag] = np.sqrt((beside(plan, way) ** 2).mean())
     assert beside_by[0.16] < 0.005 and beside_by[0.0] > 0.01
 
@@ -164,7 +173,7 @@ def test_snake_that_differs_from_its_footprint_converges(
     assert np.abs(beside(plan, way, since=4.0 / speed)).max() < 0.01
 
 
-@pytest.mark.parametrize("law", [ours, lambda: BearingLaw(0.6, 0.2, 0.2)])
+@pytest.mark.parametrize("law", [ours, lambda: WaypointSteering(0.6, 0.2, 0.2)])
 def test_mirrored_paths_are_followed_symmetrically(law):
     ways = []
     for side in (1.0, -1.0):
@@ -177,7 +186,7 @@ def test_mirrored_paths_are_followed_symmetrically(law):
 
 
 def test_bearing_law_visits_all_nodes_and_arrives():
-    law = BearingLaw(0.6, 0.2, 0.2)
+    law = WaypointSteering(0.6, 0.2, 0.2)
     plan = a_plan(WINDING)
     follower, _, way = follow(plan, law=law, radius=0.1)
     assert follower.ending == "goal_reached"
@@ -308,7 +317,7 @@ def test_camera_noise_of_x_y_and_heading_has_its_size_and_is_independent():
 
 
 def test_missing_plan_ends_the_run_with_the_planners_reason():
-    follower, _, way = follow(Plan(Outcome.NOT_FOUND, "every arc is blocked"))
+    follower, _, way = follow(Plan(PlanOutcome.NOT_FOUND, "every arc is blocked"))
     assert follower.finished and follower.ending == "no_plan" and len(way) == 1
     (event,) = follower.events()
     assert (event.kind, event.text) == ("no_plan", "every arc is blocked")
@@ -339,25 +348,25 @@ BESIDE = World((Circle(2.0, 0.25, 0.15),))
 @pytest.mark.parametrize("least", [0.0, 0.5])
 def test_run_ends_without_the_required_margin(least):
     """The obstacle and weak law of the test below; plans exist with a quarter of the margin only."""
-    shares = []
+    fractions = []
 
-    def replan(pose, share):
-        shares.append(share)
-        if share > 0.25:
+    def replan(pose, fraction):
+        fractions.append(fraction)
+        if fraction > 0.25:
             raise InputError("start: the straight body's footprint touches obstacle 1")
         return a_plan(((-3.0, 0.2), (3.0, 0.2), (0.0, 1.0)), start=pose)
 
     follower, _, _ = follow(
         a_plan(),
-        law=BearingLaw(0.3, 0.2, 0.1),
+        steering=WaypointSteering(0.3, 0.2, 0.1),
         curvature_at=lambda offset: as_told(offset) + 0.7,
-        stray=1.0,
+        max_cross_track_error=1.0,
         replan=replan,
         world=BESIDE,
         margin=0.05,
-        least_margin=least,
+        min_margin_fraction=least,
     )
-    assert min(shares) == (0.5 if least else 0.25)
+    assert min(fractions) == (0.5 if least else 0.25)
     events = follower.events()
     if least:
         assert follower.ending == "no_room"
@@ -372,14 +381,14 @@ def test_run_ends_without_the_required_margin(least):
 def test_run_with_a_required_margin_ends_near_an_obstacle_when_no_plan_is_left(least):
     follower, _, _ = follow(
         a_plan(),
-        law=BearingLaw(0.3, 0.2, 0.1),
+        steering=WaypointSteering(0.3, 0.2, 0.1),
         curvature_at=lambda offset: as_told(offset) + 0.7,
-        stray=1.0,
+        max_cross_track_error=1.0,
         replans=0,
         replan=lambda pose, _: a_plan(start=pose),
         world=BESIDE,
         margin=0.05,
-        least_margin=least,
+        min_margin_fraction=least,
     )
     events = follower.events()
     assert ("no_room" in [each.kind for each in events]) == bool(least)
@@ -389,12 +398,16 @@ def test_run_with_a_required_margin_ends_near_an_obstacle_when_no_plan_is_left(l
 def test_straying_requests_new_plans_up_to_the_limit():
     asked = []
 
-    def replan(pose, _share):
+    def replan(pose, _fraction):
         asked.append(pose)
         return a_plan(start=pose)
 
     follower, _, _ = follow(
-        a_plan(), curvature_at=blind, stray=0.1, replans=2, replan=replan
+        a_plan(),
+        curvature_at=blind,
+        max_cross_track_error=0.1,
+        replans=2,
+        replan=replan,
     )
     assert follower.ending == "strayed" and len(asked) == 2
     kinds = [event.kind for event in follower.events()]
@@ -407,23 +420,23 @@ def test_new_plan_is_requested_before_the_body_reaches_an_obstacle():
     """The snake drifts towards the obstacle, and its law is too weak."""
     asked = []
 
-    def replan(pose, share):
-        asked.append((pose, share))
-        if share == 1.0:
+    def replan(pose, fraction):
+        asked.append((pose, fraction))
+        if fraction == 1.0:
             raise InputError("start: the straight body's footprint touches obstacle 1")
         return a_plan(((-3.0, 0.2), (3.0, 0.2), (0.0, 1.0)), start=pose)
 
     follower, _, _ = follow(
         a_plan(),
-        law=BearingLaw(0.3, 0.2, 0.1),
+        steering=WaypointSteering(0.3, 0.2, 0.1),
         curvature_at=lambda offset: as_told(offset) + 0.7,
-        stray=1.0,
+        max_cross_track_error=1.0,
         replan=replan,
         world=BESIDE,
         margin=0.05,
     )
-    (first, share), again = asked[:2]
-    assert share == 1.0 and again == (first, 0.75)
+    (first, fraction), again = asked[:2]
+    assert fraction == 1.0 and again == (first, 0.75)
     assert 1.0 < first.x < 2.0 and 0 < first.y < 0.05
     event = follower.events()[0]
     assert event.kind == "replanned" and "(close, 75% of the margin)" in event.text
@@ -432,20 +445,28 @@ def test_new_plan_is_requested_before_the_body_reaches_an_obstacle():
 def test_no_plan_is_requested_on_the_path_or_without_a_margin():
     for margin in (0.05, 0.0):
         follower, _, _ = follow(
-            a_plan(), stray=1.0, replan=refuse, world=BESIDE, margin=margin
+            a_plan(),
+            max_cross_track_error=1.0,
+            replan=refuse,
+            world=BESIDE,
+            margin=margin,
         )
         assert follower.ending == "goal_reached" and [
             e.kind for e in follower.events()
         ] == ["goal_reached"]
 
 
-def refuse(pose, _share):
+def refuse(pose, _fraction):
     raise InputError("start (1, 2): the straight body's footprint touches obstacle 1")
 
 
 def test_old_plan_is_kept_if_there_is_no_new_one():
     follower, _, way = follow(
-        a_plan(), curvature_at=blind, stray=0.1, replan=refuse, replans=2
+        a_plan(),
+        curvature_at=blind,
+        max_cross_track_error=0.1,
+        replan=refuse,
+        replans=2,
     )
     assert follower.ending == "strayed" and len(follower.plans) == 1
     events = follower.events()
@@ -453,7 +474,9 @@ def test_old_plan_is_kept_if_there_is_no_new_one():
     assert events[0].text.endswith("touches obstacle 1")
     assert events[1].time >= events[0].time + 1.0
     # One that finds back in the meantime arrives.
-    follower, _, _ = follow(a_plan(), start=(0.0, 0.2, 0.4), stray=0.15, replan=refuse)
+    follower, _, _ = follow(
+        a_plan(), start=(0.0, 0.2, 0.4), max_cross_track_error=0.15, replan=refuse
+    )
     assert (
         follower.ending == "goal_reached" and follower.events()[0].kind == "no_new_plan"
     )
@@ -470,13 +493,13 @@ def test_a_new_plan_leads_to_the_goal():
     """After one push off its path, the snake follows a new path."""
     plan = a_plan()
 
-    def replan(pose, _share):
+    def replan(pose, _fraction):
         return a_plan(((-3.0, 0.3), (3.0, 0.3), (0.0, 0.8)), start=pose)
 
     follower, _, _ = follow(
         plan,
         start=(0.0, 0.2, 0.4),
-        stray=0.15,
+        max_cross_track_error=0.15,
         replan=replan,
         goal=Goal(1.5, 0.0, None, 5.0),
     )
@@ -505,13 +528,13 @@ def test_old_plan_is_followed_until_another_thread_returns_a_new_one():
         jobs.append(Later(job))
         return jobs[-1]
 
-    def replan(pose, _share):
+    def replan(pose, _fraction):
         return a_plan(start=pose)
 
     slow, plant, _ = follow(
         a_plan(),
         start=(0.0, 0.2, 0.4),
-        stray=0.15,
+        max_cross_track_error=0.15,
         replan=replan,
         submit=submit,
         goal=Goal(1.5, 0.0, None, 5.0),
@@ -519,14 +542,14 @@ def test_old_plan_is_followed_until_another_thread_returns_a_new_one():
     fast, _, _ = follow(
         a_plan(),
         start=(0.0, 0.2, 0.4),
-        stray=0.15,
+        max_cross_track_error=0.15,
         replan=replan,
         goal=Goal(1.5, 0.0, None, 5.0),
     )
     assert slow.ending == fast.ending == "goal_reached" and len(jobs) == 1
-    (_, jobs_option), (_, later) = fast.plans, slow.plans
-    assert later[0] == pytest.approx(jobs_option[0] + 10 * plant.tick)
-    assert later[1].segments[0].start == jobs_option[1].segments[0].start
+    (_, workers_option), (_, later) = fast.plans, slow.plans
+    assert later[0] == pytest.approx(workers_option[0] + 10 * plant.tick)
+    assert later[1].segments[0].start == workers_option[1].segments[0].start
 
 
 def test_a_controller_without_an_offset_is_refused():

@@ -105,10 +105,10 @@ def test_cross_track_of_a_rod_parallel_to_its_path():
     assert metrics["following_time_s"] == pytest.approx(6.0)
     assert (metrics["plan_length_m"], metrics["plan_nodes"]) == (pytest.approx(1.2), 7)
     # 10 + 15 mm are within 25 and 50.
-    assert (metrics["inside_share"], metrics["inside_50mm_share"]) == (1.0, 1.0)
+    assert (metrics["inside_fraction"], metrics["inside_50mm_fraction"]) == (1.0, 1.0)
 
 
-def test_inside_share_counts_the_time_within_the_edges():
+def test_inside_fraction_counts_the_time_within_the_edges():
     trajectory = STILL.trajectory()
     aside = np.where(
         trajectory.time < 1.5, 0.0, np.where(trajectory.time < 3.0, 0.02, 0.04)
@@ -122,8 +122,8 @@ def test_inside_share_counts_the_time_within_the_edges():
     )
     # With half the width 15, 35 and 55 mm from the path: 50 mm planned, 25 mm in the
     # text.
-    assert metrics["inside_share"] == pytest.approx(0.5, abs=0.003)
-    assert metrics["inside_50mm_share"] == pytest.approx(0.25, abs=0.003)
+    assert metrics["inside_fraction"] == pytest.approx(0.5, abs=0.003)
+    assert metrics["inside_50mm_fraction"] == pytest.approx(0.25, abs=0.003)
 
 
 def test_edges_shift_with_the_turn():
@@ -140,7 +140,7 @@ def test_edges_shift_with_the_turn():
     half = run.metadata["body_length_m"] / 2
     reach = math.hypot(radius + WIDTH / 2, half) - radius
     arc = [0.0, 0.0, 0.0, 1 / radius, 0.4, 0.2, 0.2]
-    for outer, share in ((reach + 1e-3, 1.0), (reach - 1e-3, 0.0)):
+    for outer, fraction in ((reach + 1e-3, 1.0), (reach - 1e-3, 0.0)):
         edges = Footprint(
             "b",
             "b",
@@ -154,9 +154,11 @@ def test_edges_shift_with_the_turn():
         )
         full = [[*arc[:4], 2.0 * math.pi * radius * 0.9, *arc[5:]]]
         metrics = following_metrics(followed(run, [plan(full)], footprint=edges))
-        late = metrics["inside_share"]
+        late = metrics["inside_fraction"]
         # At first the tail is before the start, where the path is extended straight.
-        assert late == pytest.approx(share, abs=0.5) and (late > 0.5) == (share == 1.0)
+        assert late == pytest.approx(fraction, abs=0.5) and (late > 0.5) == (
+            fraction == 1.0
+        )
 
 
 def test_each_plan_counts_from_its_start():
@@ -194,7 +196,7 @@ def test_metrics_without_a_path():
     run = followed(STILL.trajectory(), [plan([], outcome="not_found")])
     metrics = following_metrics(run)
     assert metrics["plan_found"] == 0 and metrics["plan_length_m"] is None
-    assert metrics["cross_track_rms_m"] is None and metrics["inside_share"] is None
+    assert metrics["cross_track_rms_m"] is None and metrics["inside_fraction"] is None
 
 
 def test_middles_of_segments_lie_on_their_arcs():
@@ -211,9 +213,9 @@ def test_middles_of_segments_lie_on_their_arcs():
         half = snake.segment_length / 2
         q = bend[:, j] / 2
         chord = half * np.sinc(q / 2 / np.pi)
-        at = run.stack("theta")[:, j] - q / 2
+        at = run.stack("connector_heading")[:, j] - q / 2
         expected = run.position[:, j] - chord[:, None] * np.stack(
             [np.cos(at), np.sin(at)], axis=-1
         )
         assert middles[:, j] == pytest.approx(expected, abs=2e-4)
-        assert arcs[:, j] == pytest.approx(run.stack("theta")[:, j] - q)
+        assert arcs[:, j] == pytest.approx(run.stack("connector_heading")[:, j] - q)

@@ -34,7 +34,7 @@ world:
   obstacles: [{x_m: 0.4, y_m: 0.0, radius_m: 0.03}]
   polygons: [{corners_m: [[0.3, -0.4], [0.5, -0.4], [0.5, -0.3], [0.3, -0.3]]}]
 planner: {kind: best_first, footprint: gen2_section52, margin_m: 0.05}
-controller: {kind: follow, gait: {kind: gait, frequency_hz: 2.0}, settle_m: 0.035}
+controller: {kind: follow, gait: {kind: gait, frequency_hz: 2.0}, response_length_m: 0.035}
 plants: {analytical: {}}
 expect:
   - {metric: plan_found, plant: analytical, near: 1, abs: 0}
@@ -160,7 +160,7 @@ def test_run_command_follows_and_writes_all_files(file, srs_twin):
         "analytical"
     ]
     assert metrics.keys() >= FOLLOWING_UNITS.keys()
-    assert metrics["cross_track_rms_m"] < 0.015 and metrics["inside_share"] > 0.9
+    assert metrics["cross_track_rms_m"] < 0.015 and metrics["inside_fraction"] > 0.9
     report = (file / "out/report.html").read_text("utf-8")
     assert "Plan with footprint" in report and "The cross-track error is" in report
     from rerun.chunk import RrdReader
@@ -295,7 +295,7 @@ def test_random_world_depends_on_the_seed():
 
 
 def test_footprint_is_reduced_for_planning_only():
-    file = data()["planner"] | {"turn_share": 0.5, "margin_m": 0.02}
+    file = data()["planner"] | {"turn_fraction": 0.5, "margin_m": 0.02}
     planner = parse_scenario(data(planner=file)).planner
     assert planner.footprint.tightest == pytest.approx((5.23599, 5.23599))
     assert planner.problem.footprint.tightest == pytest.approx((2.617995, 2.617995))
@@ -309,7 +309,7 @@ def test_footprint_is_reduced_for_planning_only():
 
 
 def test_run_up_is_straight_and_must_be_free():
-    planner = {"kind": "best_first", "footprint": "gen2_section52", "run_up_m": 0.25}
+    planner = {"kind": "best_first", "footprint": "gen2_section52", "lead_in_m": 0.25}
     first = parse_scenario(data(planner=planner)).planner.plan().segments[0]
     assert first.curvature == 0 and first.length == pytest.approx(0.25)
     world = {
@@ -318,7 +318,7 @@ def test_run_up_is_straight_and_must_be_free():
     }
     with pytest.raises(
         InputError,
-        match=r"straight run-up of 0\.25 m touches .*; set a shorter run_up_m",
+        match=r"straight run-up of 0\.25 m touches .*; set a shorter lead_in_m",
     ):
         parse_scenario(data(planner=planner, world=world)).build_controller()
 

@@ -63,12 +63,12 @@ def test_shipped_footprints_are_valid_and_round_trip(name, tmp_path):
 
 
 @given(st.floats(0, 1))
-def test_rows_are_interpolated_linearly(share):
+def test_rows_are_interpolated_linearly(fraction):
     body = load_footprint("gen4_table8")
-    k = body.curvatures[4] + share * (body.curvatures[5] - body.curvatures[4])
+    k = body.curvatures[4] + fraction * (body.curvatures[5] - body.curvatures[4])
     motion = body.at(k)
-    assert motion.speed == pytest.approx(0.1524 + share * (0.1082 - 0.1524))
-    assert motion.left == pytest.approx(0.08 - share * 0.01)
+    assert motion.speed == pytest.approx(0.1524 + fraction * (0.1082 - 0.1524))
+    assert motion.left == pytest.approx(0.08 - fraction * 0.01)
 
 
 def test_the_box_shifts_outward():

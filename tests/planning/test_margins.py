@@ -25,11 +25,11 @@ CONDITIONS = {
     "plant": "twin",
     "follower": "path",
     "gain_spread": 0.1,
-    "turn_share": 0.5,
+    "turn_fraction": 0.5,
     "delay_s": 0.1,
     "position_noise_m": 0.002,
     "heading_noise_rad": 0.01,
-    "run_up_m": 0.4,
+    "lead_in_m": 0.4,
 }
 
 
@@ -39,7 +39,7 @@ def conditions(**other: object) -> ConditionsFile:
 
 def tried(path: list[float], **other: object) -> ExcursionsFile:
     return ExcursionsFile(
-        conditions=conditions(**other), source="drawn", path_m=path, run_up_m=path
+        conditions=conditions(**other), source="drawn", path_m=path, lead_in_m=path
     )
 
 
@@ -88,7 +88,7 @@ def test_margins_apply_to_conditions_no_more_difficult_than_measured():
     others = (
         {"gain_spread": 0.3},
         {"delay_s": 0.2},
-        {"run_up_m": 0.3},
+        {"lead_in_m": 0.3},
         {"tau_spread": 0.1},
         {"chambers": "orifice"},
         {"contact": "loaded"},

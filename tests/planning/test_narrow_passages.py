@@ -15,9 +15,13 @@ from srs_twin.planning.arcs import Primitives
 from srs_twin.planning.collision import Checker, obstacle_grid
 from srs_twin.planning.footprint_file import load_footprint
 from srs_twin.planning.guidance import find_passages
-from srs_twin.planning.moves import follow_arc, initial_state, make_move_set
 from srs_twin.planning.path import path_from_arcs
 from srs_twin.planning.planner import plan
+from srs_twin.planning.primitives import (
+    follow_arc,
+    initial_state,
+    make_motion_primitives,
+)
 from srs_twin.robot.world import Bounds, Circle, Polygon, Pose, World
 
 BODY = load_footprint("gen4_table8")
@@ -63,8 +67,8 @@ def test_entry_poses_allow_for_transients_and_round_obstacles():
     passages = find_passages(
         World(tuple(Circle(0.0, y, 0.5 - 0.75 * width) for y in (-0.5, 0.5))), body
     )
-    run_ups = np.unique(np.round(passages[:, 3] - body.behind, 9))
-    assert run_ups == pytest.approx(body.ahead + 1e-3 + np.array([0, settled, early]))
+    lead_ins = np.unique(np.round(passages[:, 3] - body.behind, 9))
+    assert lead_ins == pytest.approx(body.ahead + 1e-3 + np.array([0, settled, early]))
     assert np.abs(passages[:, 0]) == pytest.approx(passages[:, 3] - body.behind)
 
 
@@ -87,7 +91,7 @@ def test_search_and_checker_agree_on_the_width_of_arcs(seed, one, other, length)
     """A transient widens the first part of an arc only."""
     body = load_footprint("gen4_ilc")
     rng = np.random.default_rng(seed)
-    moves = make_move_set(Primitives(5, 0.5, 0.25), body)
+    moves = make_motion_primitives(Primitives(5, 0.5, 0.25), body)
     world = World(tuple(Circle(*rng.uniform(-1.0, 1.0, 2), 0.05) for _ in range(6)))
     way = initial_state(0.0, 0.0, 0.0, moves)
     pieces = []

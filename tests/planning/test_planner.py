@@ -19,9 +19,9 @@ from srs_twin.planning.best_first import _Search
 from srs_twin.planning.footprint import Footprint
 from srs_twin.planning.footprint_file import load_footprint
 from srs_twin.planning.free_space import is_disconnected
-from srs_twin.planning.moves import make_move_set
 from srs_twin.planning.planner import plan
-from srs_twin.planning.problem import Outcome, Problem, Settings
+from srs_twin.planning.primitives import make_motion_primitives
+from srs_twin.planning.problem import PlanOutcome, Problem, Settings
 from srs_twin.planning.search_kernels import lower_bound
 from srs_twin.planning.search_tree import make_target
 from srs_twin.robot.world import (
@@ -64,7 +64,7 @@ def test_plans_are_free_continuous_and_reach_the_goal(seed):
         assert answer.segments == () and answer.reason
         return
     assert deepest(answer, problem, 0.006) < TOUCH
-    assert joints(answer, problem) < 1e-9 and answer.kink == 0
+    assert joints(answer, problem) < 1e-9 and answer.max_heading_jump == 0
     assert not misses(answer, problem)
     assert all(
         -s.curvature <= problem.footprint.tightest[0] + 1e-9 for s in answer.segments
@@ -158,7 +158,7 @@ def test_lower_bound_is_below_all_plan_lengths(seed):
 )
 def test_lower_bound_is_consistent(x, y, heading, move, length, free):
     body = load_footprint("gen4_table8")
-    moves = make_move_set(Primitives(5, 0.5, 0.4), body)
+    moves = make_motion_primitives(Primitives(5, 0.5, 0.4), body)
     curvature = moves.curvatures[move % len(moves.curvatures)]
     target = make_target(Goal(0.3, -0.2, None if free else 1.0, 0.0), body)
     after = arc_end(x, y, heading, curvature, length)
@@ -215,7 +215,7 @@ def test_plan_from_the_goal_is_empty():
 def test_a_time_budget_ends_the_search():
     wall = ring(1.5, 0, 0.4, 13, 0.08)
     answer = plan(walled(world=World(wall)), Settings(nodes=10**8, seconds=0.001))
-    assert answer.outcome is Outcome.NOT_FOUND and answer.expanded < 10**7
+    assert answer.outcome is PlanOutcome.NOT_FOUND and answer.expanded < 10**7
 
 
 def test_coarsest_cells_separate_the_children_of_a_node():
@@ -252,7 +252,7 @@ def test_walled_in_goal_is_proven_unreachable():
     wall = ring(1.5, 0, 0.4, 14, 0.08)
     problem = walled(world=World(wall, Bounds((-1, 3), (-1, 1))))
     answer = plan(problem)
-    assert answer.outcome is Outcome.PROVEN_IMPOSSIBLE and answer.segments == ()
+    assert answer.outcome is PlanOutcome.PROVEN_IMPOSSIBLE and answer.segments == ()
     assert "no path of any shape" in answer.reason and "0.03 m" in answer.reason
     # Without the circle towards the start there is a path.
     assert plan(
@@ -262,14 +262,14 @@ def test_walled_in_goal_is_proven_unreachable():
 
 def test_walled_in_start_without_bounds_is_proven_unreachable():
     answer = plan(walled(world=World(ring(0, 0, 0.4, 14, 0.08))))
-    assert answer.outcome is Outcome.PROVEN_IMPOSSIBLE
+    assert answer.outcome is PlanOutcome.PROVEN_IMPOSSIBLE
 
 
 @pytest.mark.slow
 def test_polygon_wall_between_bounds_is_proven_impassable():
     wall = Polygon(((0.7, -2), (0.8, -2), (0.8, 2), (0.7, 2)))
     problem = walled(world=World((), Bounds((-1, 3), (-1, 1)), None, (wall,)))
-    assert plan(problem).outcome is Outcome.PROVEN_IMPOSSIBLE
+    assert plan(problem).outcome is PlanOutcome.PROVEN_IMPOSSIBLE
     assert plan(
         replace(problem, world=World((), Bounds((-1, 3), (-3, 3)), None, (wall,)))
     ).found
@@ -286,7 +286,7 @@ def test_goal_in_a_niche_too_small_to_turn_in_is_not_found():
     niche = World((), Bounds((-1, 3), (-1, 1)), None, (left, right, lid))
     problem = walled(world=niche, goal=Goal(1.5, 0.2, 0.0, 0.01))
     answer = plan(problem)
-    assert answer.outcome is Outcome.NOT_FOUND
+    assert answer.outcome is PlanOutcome.NOT_FOUND
     assert "no free arc leads back from the goal" in answer.reason
     # With its heading into the niche, the goal is reached.
     assert plan(replace(problem, goal=Goal(1.5, 0.2, math.pi / 2, 0.01))).found
@@ -294,7 +294,7 @@ def test_goal_in_a_niche_too_small_to_turn_in_is_not_found():
 
 def test_spent_budget_asks_for_more_nodes():
     answer = plan(fig54(18, 0), Settings(nodes=20))
-    assert answer.outcome is Outcome.NOT_FOUND and answer.expanded <= 20
+    assert answer.outcome is PlanOutcome.NOT_FOUND and answer.expanded <= 20
     assert "give more nodes" in answer.reason
 
 

@@ -47,7 +47,7 @@ def test_heap_pops_nodes_in_key_order(keys, early):
         max_size=60,
     )
 )
-def test_poses_share_a_slot_exactly_if_they_share_a_cell(poses):
+def test_poses_fraction_a_slot_exactly_if_they_fraction_a_cell(poses):
     cell = 0.5
     sector = math.pi / 6
     frontier = empty_frontier(64)

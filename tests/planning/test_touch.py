@@ -15,14 +15,14 @@ from snakes import robot
 from srs_twin.errors import InputError
 from srs_twin.planning.footprint_file import load_footprint
 from srs_twin.planning.planner import plan
-from srs_twin.planning.problem import Outcome, Plan, Problem, Settings
+from srs_twin.planning.problem import Plan, PlanOutcome, Problem, Settings
 from srs_twin.planning.touch import touch_limits
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 from srs_twin.rollout import rollout
 from srs_twin.scenario.loading import parse_scenario
 
 SPEC = robot("gen2")
-BODY = load_footprint("gen2_gait").reduced(turn_share=0.5)
+BODY = load_footprint("gen2_gait").reduced(turn_fraction=0.5)
 LIMITS = touch_limits(SPEC, BODY)
 LEANING = Settings(touch_limits=LIMITS)
 RADIUS = 0.06
@@ -66,7 +66,7 @@ def test_gaps_narrower_than_the_hard_edges_have_no_plan():
     narrow = 2 * LIMITS.hard.narrowest
     assert plan(across(narrow + 0.002), LEANING).found
     result = plan(across(narrow - 0.002), LEANING)
-    assert result.outcome is Outcome.PROVEN_IMPOSSIBLE and result.touches == ()
+    assert result.outcome is PlanOutcome.PROVEN_IMPOSSIBLE and result.touches == ()
     assert not plan(across(narrow + 0.002)).found
 
 
@@ -189,8 +189,8 @@ def scenario(**changes: object) -> dict:
     planner = {
         "kind": "best_first",
         "footprint": "gen2_gait",
-        "turn_share": 0.5,
-        "touch": "allowed",
+        "turn_fraction": 0.5,
+        "contact": "allowed",
     }
     world = {
         "bounds": {"x_m": [-1, 3], "y_m": [-0.8, 0.8]},
@@ -219,17 +219,17 @@ def scenario(**changes: object) -> dict:
     [
         (
             {"kind": "given", "turns_rad": [0], "step_m": 1},
-            "planner.touch: unknown key",
+            "planner.contact: unknown key",
         ),
         (
             {"clearance_weight": 1},
-            "touch: allowed and clearance_weight exclude each other",
+            "contact: allowed and clearance_weight exclude each other",
         ),
         (
             {"shape_changes": True},
-            "touch: allowed and shape_changes exclude each other",
+            "contact: allowed and shape_changes exclude each other",
         ),
-        ({"touch": "yes"}, "planner.touch"),
+        ({"touch": "yes"}, "planner.contact"),
     ],
 )
 def test_touch_is_refused_by_name(changes, message):
@@ -239,7 +239,7 @@ def test_touch_is_refused_by_name(changes, message):
 
 def test_a_plant_without_contact_is_refused():
     with pytest.raises(
-        InputError, match="set model: compliant and touch: true, or remove analytical"
+        InputError, match="set model: compliant and contact: true, or remove analytical"
     ):
         parse_scenario(scenario() | {"plants": {"analytical": {}, "twin": {}}})
 
@@ -250,7 +250,7 @@ def test_touch_excludes_a_cost_of_clearance_in_python():
 
 
 def test_the_command_states_where_the_path_leans(srs_twin, tmp_path):
-    (tmp_path / "lean.yaml").write_text(json.dumps(scenario(run_up_m=0.2)))
+    (tmp_path / "lean.yaml").write_text(json.dumps(scenario(lead_in_m=0.2)))
     done = srs_twin("plan", "lean.yaml", "--out", "out", cwd=tmp_path)
     assert done.returncode == 0
     assert (
@@ -261,7 +261,13 @@ def test_the_command_states_where_the_path_leans(srs_twin, tmp_path):
     # Path lengths include the straight run-up.
     assert all(touch["begin"] < 0.8 < touch["end"] for touch in touches)
     done = srs_twin(
-        "plan", "lean.yaml", "--out", "out", "--set", "planner.touch=null", cwd=tmp_path
+        "plan",
+        "lean.yaml",
+        "--out",
+        "out",
+        "--set",
+        "planner.contact=null",
+        cwd=tmp_path,
     )
     assert done.returncode == 0
     assert "touches" not in json.loads((tmp_path / "out/plan.json").read_text())
@@ -276,8 +282,8 @@ def test_a_snake_passes_a_gap_narrower_than_its_footprint(plant):
             "analytical": {
                 "model": "compliant",
                 "friction": "ellipse",
-                "load": "momentary",
-                "touch": True,
+                "load": "instantaneous",
+                "contact": True,
             }
         },
     }

@@ -33,7 +33,7 @@ def test_reset_gives_a_straight_snake_at_rest_at_the_pose():
     assert -np.diff(state.position, axis=0) == pytest.approx(
         np.tile(spec.geometry.pitch * ahead, (4, 1))
     )
-    assert state.theta == pytest.approx([np.pi / 3] * 5)
+    assert state.connector_heading == pytest.approx([np.pi / 3] * 5)
     for quantity in (
         state.com_velocity,
         state.bend,
@@ -61,22 +61,26 @@ def column(states, name: str) -> np.ndarray:
 
 def test_state_fields_are_consistent(turning):
     spec, states = turning
-    position, theta, bend = (
-        column(states, name) for name in ("position", "theta", "bend")
+    position, connector_heading, bend = (
+        column(states, name) for name in ("position", "connector_heading", "bend")
     )
     centre = np.einsum("i,tij->tj", spec.mass.array(), position) / spec.mass.total
     assert centre == pytest.approx(column(states, "com"), abs=1e-12)
-    assert theta.mean(axis=1) == pytest.approx(column(states, "heading"), abs=1e-12)
-    assert theta[:, :-1] - theta[:, 1:] == pytest.approx(bend, abs=1e-12)
+    assert connector_heading.mean(axis=1) == pytest.approx(
+        column(states, "heading"), abs=1e-12
+    )
+    assert connector_heading[:, :-1] - connector_heading[:, 1:] == pytest.approx(
+        bend, abs=1e-12
+    )
     # Neighbours are one chord apart along their mean heading: an arc of l and half a
     # gap at each end.
     g = spec.geometry
     half = bend / 2
     chords = g.segment_length * np.sinc(half / np.pi) + g.rigid_gap * np.cos(half)
-    mean = (theta[:, :-1] + theta[:, 1:]) / 2
+    mean = (connector_heading[:, :-1] + connector_heading[:, 1:]) / 2
     links = chords[..., None] * np.stack([np.cos(mean), np.sin(mean)], axis=-1)
     assert -np.diff(position, axis=1) == pytest.approx(links, abs=1e-12)
-    assert column(states, "sensed") == pytest.approx(bend)
+    assert column(states, "measured_bend") == pytest.approx(bend)
 
 
 def test_velocities_are_time_derivatives_of_positions(turning):
@@ -289,12 +293,12 @@ def test_keywords_are_the_fields_of_the_options():
 
 def test_all_options_that_exclude_each_other_are_reported_at_once():
     with pytest.raises(InputError) as error:
-        AnalyticalSnake(SPEC, friction_torque=False, touch=True, load="momentary")
+        AnalyticalSnake(SPEC, friction_torque=False, contact=True, load="instantaneous")
     assert str(error.value).split("; ") == [
         "model 'complete' has a friction torque",
         "use 'simplified' to leave it out",
         "model 'complete' has prescribed bends and touches no obstacles",
         "use 'compliant'",
         "friction 'axis' has one contact per connector",
-        "momentary loads need two: use 'wheel' or 'ellipse'",
+        "instantaneous loads need two: use 'wheel' or 'ellipse'",
     ]

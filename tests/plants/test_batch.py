@@ -106,8 +106,8 @@ class Reflex(Controller):
         )
 
     def step(self, state: SnakeState) -> np.ndarray:
-        self._sign[state.sensed > 0.5] = -1
-        self._sign[state.sensed < -0.5] = 1
+        self._sign[state.measured_bend > 0.5] = -1
+        self._sign[state.measured_bend < -0.5] = 1
         return np.stack([self._sign, -self._sign], axis=-1)
 
     def signals(self) -> dict[str, Any]:
@@ -217,7 +217,7 @@ def _six() -> list[bytes]:
     return _SIX
 
 
-def test_jobs_of_one_factory_share_a_plant_without_interference():
+def test_jobs_of_one_factory_fraction_a_plant_without_interference():
     made: list[int] = []
 
     def make() -> TwinSnake:

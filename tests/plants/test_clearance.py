@@ -13,7 +13,7 @@ from synthetic import numbered
 from srs_twin import Trajectory, TwinSnake, rollout
 from srs_twin.comparison.centre_line import centre_lines
 from srs_twin.comparison.contacts import contact_metrics
-from srs_twin.plants.clearance import clearance, hull_lines
+from srs_twin.plants.clearance import clearance, collision_lines
 from srs_twin.robot.world import Circle, Polygon, World
 from srs_twin.scenario.loading import parse_scenario
 
@@ -36,7 +36,9 @@ def mujoco_distances(twin: TwinSnake, places: np.ndarray) -> np.ndarray:
     model = twin.physics.model
     data = mujoco.MjData(model)
     names = [model.geom(k).name for k in range(model.ngeom)]
-    hulls = [k for k, name in enumerate(names) if name.startswith("hull_")]
+    collision_geoms = [
+        k for k, name in enumerate(names) if name.startswith("collision_")
+    ]
     solid = [
         k for k, name in enumerate(names) if name.startswith(("obstacle_", "polygon_"))
     ]
@@ -47,7 +49,7 @@ def mujoco_distances(twin: TwinSnake, places: np.ndarray) -> np.ndarray:
         found.append(
             min(
                 mujoco.mj_geomDistance(model, data, a, b, 10.0, None)
-                for a in hulls
+                for a in collision_geoms
                 for b in solid
             )
         )
@@ -88,19 +90,23 @@ def seen(twin: TwinSnake, places: np.ndarray) -> SimpleNamespace:
     )
     view = twin.physics.kinematics(states)
     # Headings are recorded without jumps along the body.
-    theta = view.headings[:, :1] - np.cumsum(
+    connector_heading = view.headings[:, :1] - np.cumsum(
         np.pad(view.bends, ((0, 0), (1, 0))), axis=1
     )
-    return SimpleNamespace(position=view.positions[..., :2], theta=theta, qpos=places)
+    return SimpleNamespace(
+        position=view.positions[..., :2],
+        connector_heading=connector_heading,
+        qpos=places,
+    )
 
 
 def trajectory_of(seen: SimpleNamespace) -> Trajectory:
     """Return the connectors as a trajectory."""
-    columns = {"time": np.arange(len(seen.theta), dtype=float)}
+    columns = {"time": np.arange(len(seen.connector_heading), dtype=float)}
     columns |= numbered("x", seen.position[..., 0]) | numbered(
         "y", seen.position[..., 1]
     )
-    return Trajectory(columns | numbered("theta", seen.theta))
+    return Trajectory(columns | numbered("connector_heading", seen.connector_heading))
 
 
 @pytest.mark.parametrize("name", ["gen1", "gen2", "gen3", "gen4"])
@@ -134,8 +140,8 @@ def test_the_hull_is_within_its_bound_of_the_arc():
     places = poses(twin, 100, unequal=False, seed=3)
     run = seen(twin, places)
     geometry = twin.spec.geometry
-    bend = np.abs(np.diff(run.theta, axis=1))
-    lines = hull_lines(run.position, run.theta, geometry, 2)
+    bend = np.abs(np.diff(run.connector_heading, axis=1))
+    lines = collision_lines(run.position, run.connector_heading, geometry, 2)
     hinges = lines[:, :-1].reshape(100, geometry.segments, 3, 2)[:, :, 1:]
     middle = centre_lines(trajectory_of(run), geometry, divisions=2)[:, :, 2]
     beside = np.linalg.norm(hinges.mean(axis=2) - middle, axis=-1)

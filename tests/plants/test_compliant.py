@@ -60,19 +60,19 @@ class Body:
 
     def balance(self, q, u, moment) -> tuple[np.ndarray, np.ndarray]:
         """Return the kernel's momenta and their rates."""
-        work = WorkArrays.of(len(self.mass))
-        compliant_kernels.balance(q, u, moment, 0.0, self.model, self.floor, work)
-        return work.momentum, work.force
+        workspace = WorkArrays.of(len(self.mass))
+        compliant_kernels.balance(q, u, moment, 0.0, self.model, self.floor, workspace)
+        return workspace.momentum, workspace.force
 
     def newton(self, q, u, a, residual) -> np.ndarray:
         """Return the kernel's Newton step."""
-        work = WorkArrays.of(len(self.mass))
+        workspace = WorkArrays.of(len(self.mass))
         compliant_kernels.balance(
-            q, u, np.zeros_like(q), a, self.model, self.floor, work
+            q, u, np.zeros_like(q), a, self.model, self.floor, workspace
         )
-        work.residual[:] = residual
-        compliant_kernels.solve(a, self.model, work)
-        return work.step
+        workspace.residual[:] = residual
+        compliant_kernels.solve(a, self.model, workspace)
+        return workspace.step
 
     def advance(self, bends, duration: float, step: float, start=None) -> np.ndarray:
         """Return the kernel's states after every step; `bends` maps times to free bends."""
@@ -97,11 +97,11 @@ class Body:
         states = np.empty((count, len(state)))
         marks = np.arange(1, count + 1)
         seen = kernels.Samples(states, np.empty((count, len(u))))
-        work = WorkArrays.of(len(self.mass), len(state))
+        workspace = WorkArrays.of(len(self.mass), len(state))
         now = compliant_kernels.CompliantState(state, u)
         steps = np.full(count, step)
         done = compliant_kernels.advance(
-            now, steps, free, marks, self.model, seen, work
+            now, steps, free, marks, self.model, seen, workspace
         )
         assert done == count
         return states
@@ -221,11 +221,11 @@ def test_newton_matrix_is_the_stage_jacobian_up_to_second_order(law):
             momentum, force = body.balance(q + a * (v - u)[3:], v, moment)
             return momentum - a * force
 
-        slopes = [
+        derivatives = [
             slope_at_zero(lambda h, e=e: residual(u + h * e), 1e-5)
             for e in np.eye(len(u))
         ]
-        return np.abs(newtons_matrix(q, u, a, body.model) - np.array(slopes).T)[
+        return np.abs(newtons_matrix(q, u, a, body.model) - np.array(derivatives).T)[
             2:, 2:
         ].max()
 
@@ -498,7 +498,7 @@ def test_state_fields_and_description_are_consistent():
     )
     position, theta, bend, com = (
         np.array([getattr(s, name) for s in states])
-        for name in ("position", "theta", "bend", "com")
+        for name in ("position", "connector_heading", "bend", "com")
     )
     assert com[0] == pytest.approx([0.3, -0.1]) and states[0].heading == 1.0
     assert np.einsum("i,tij->tj", MASSES, position) / MASSES.sum() == pytest.approx(

@@ -85,7 +85,7 @@ TWIN = {
 LAG = {
     "pressure": put("pneumatics.pressure", (1, 0)),
     "free bend": put("pneumatics.bend", 2),
-    "air": put("pneumatics.air"),
+    "air": put("pneumatics.pneumatic_energy"),
 }
 ORIFICE = {
     "amount of air": put("pneumatics._state", (1, 0)),

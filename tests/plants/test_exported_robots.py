@@ -28,7 +28,11 @@ from srs_twin.robot.file import RobotFile, load_robot_file, section_units
 from srs_twin.studies.sweep.loading import load_sweep
 
 SCENES = {name: f"models/{name}/{SCENE}" for name in ("gen1", "gen2", "gen3", "gen4")}
-DEAD_ZONE = {"onset_share": 1.0, "onset_rad": 0.3, "onset_width_rad": 0.1}
+DEAD_ZONE = {
+    "onset_fraction": 1.0,
+    "dead_zone_rad": 0.3,
+    "dead_zone_transition_rad": 0.1,
+}
 BEND_LIMIT = {"bend_limit_rad": 1.571}
 
 
@@ -199,7 +203,7 @@ def complete_robot() -> RobotFile:
         geometry={"connectors": 3},
         mass={"connector_gyration_m": 0.02},
         friction={"drag_n": 0.05},
-        actuator=DEAD_ZONE | BEND_LIMIT | {"onset_share": 0.5},
+        actuator=DEAD_ZONE | BEND_LIMIT | {"onset_fraction": 0.5},
         modules={
             "gain": rows,
             "tau_fill": rows,
@@ -289,12 +293,12 @@ def test_lines_state_the_field_the_value_and_the_consequence(tmp_path, srs_twin)
 
 
 def test_dead_zone_is_refused_before_anything_is_written(tmp_path, srs_twin):
-    save(tmp_path / "stiff.yaml", changed("gen4", actuator={"onset_rad": 0.3}))
+    save(tmp_path / "stiff.yaml", changed("gen4", actuator={"dead_zone_rad": 0.3}))
     words = "models", "export", "gen2", "stiff.yaml", "--out", "here"
     done = srs_twin(*words, cwd=tmp_path)
     assert (done.returncode, done.stdout) == (2, "")
     assert (
-        "stiff has a dead zone (actuator.onset_share 1, onset_rad 0.3 rad)"
+        "stiff has a dead zone (actuator.onset_fraction 1, dead_zone_rad 0.3 rad)"
         in done.stderr
     )
     assert (
@@ -305,7 +309,7 @@ def test_dead_zone_is_refused_before_anything_is_written(tmp_path, srs_twin):
     done = srs_twin(*words, "--linear", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert (
-        "stiff: actuator.onset_rad = 0.3 rad is left out: convert pressures with"
+        "stiff: actuator.dead_zone_rad = 0.3 rad is left out: convert pressures with"
         in done.stderr
     )
 

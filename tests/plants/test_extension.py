@@ -45,10 +45,10 @@ def test_all_chambers_lengthen_the_segments_with_their_pressure():
         state = twin.step(full)
         if tick in (5, 25):
             t = 0.02 * tick
-            share = 1 - (tau1 * np.exp(-t / tau1) - tau2 * np.exp(-t / tau2)) / (
+            fraction = 1 - (tau1 * np.exp(-t / tau1) - tau2 * np.exp(-t / tau2)) / (
                 tau1 - tau2
             )
-            expected = spec.geometry.pitch + share * EXTENSION * SUPPLY
+            expected = spec.geometry.pitch + fraction * EXTENSION * SUPPLY
             assert lengths(state) == pytest.approx(
                 np.full(3, expected), abs=friction_error(spec) + 2e-5
             )

@@ -16,7 +16,7 @@ from srs_twin.plants.analytical.floor import (
     connector_friction,
     fill_forces,
     floor_friction,
-    forces_and_slopes,
+    forces_and_derivatives,
 )
 from srs_twin.plants.analytical.kinematics import (
     COS,
@@ -64,10 +64,10 @@ class Swim:
         lag = math.pi / 2 * np.arange(len(self.mass) - 1)
         t = np.asarray(t)[..., None]
         rise = 1 - np.exp(-((t / 0.1) ** 2))
-        slope = 200 * t * np.exp(-((t / 0.1) ** 2))
+        derivative = 200 * t * np.exp(-((t / 0.1) ** 2))
         wave = self.amplitude * np.sin(self.omega * t - lag)
         rate = self.amplitude * self.omega * np.cos(self.omega * t - lag)
-        return rise * wave, slope * wave + rise * rate
+        return rise * wave, derivative * wave + rise * rate
 
 
 def by_kernel(
@@ -85,13 +85,13 @@ def run(
     starts = step * np.arange(count)
     stages = np.stack([starts + kernels.GAMMA * step, starts + step], axis=1).ravel()
     bends, rates = swim.bends(np.append(0.0, stages))
-    state, slope = np.zeros((2, kernels.STATES))
+    state, derivative = np.zeros((2, kernels.STATES))
     state[kernels.STATE_VY] = across
     mass = np.array(swim.mass)
     solid = BodyParameters.of(mass, np.zeros_like(mass), swim.length, swim.gap)
     floor = floor_friction(swim.law, swim.track, swim.mu_t, swim.mu_n, swim.slip)
     trace = Trace.empty(len(bends), len(mass) - 1)._replace(bend=bends, bend_rate=rates)
-    now = PrescribedState(state, slope, np.array([0.0, across, 0.0]))
+    now = PrescribedState(state, derivative, np.array([0.0, across, 0.0]))
     seen = kernels.Samples(np.empty((0, kernels.STATES)), np.empty((0, 3)))
     steps = np.full(count, step)
     marks = np.empty(0, dtype=int)
@@ -270,14 +270,14 @@ def test_floor_force_slopes_match_finite_differences(law, track):
     floor = floor_friction(law, track, 0.1, 0.6, 0.05)
 
     def total(v: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-        f = forces_and_slopes(body, solid.mass, Twist(*v), floor)
-        slopes = [[f.xx, f.xy, f.xz], [f.yx, f.yy, f.yz], [f.zx, f.zy, f.zz]]
-        return np.array([f.x, f.y, f.moment]), np.array(slopes), f.power
+        f = forces_and_derivatives(body, solid.mass, Twist(*v), floor)
+        derivatives = [[f.xx, f.xy, f.xz], [f.yx, f.yy, f.yz], [f.zx, f.zy, f.zz]]
+        return np.array([f.x, f.y, f.moment]), np.array(derivatives), f.power
 
-    net, slope, power = total(u)
+    net, derivative, power = total(u)
     h = 1e-6 * np.eye(3)
     result = [(total(u + d)[0] - total(u - d)[0]) / 2e-6 for d in h]
-    assert slope == pytest.approx(np.transpose(result), abs=1e-6)
+    assert derivative == pytest.approx(np.transpose(result), abs=1e-6)
     # The same forces one connector at a time: their sum, their moment and the power
     # they take.
     force = np.empty((4, 3))
@@ -423,8 +423,8 @@ def test_bends_between_stages_are_cubic_polynomials():
     at = (0.0, kernels.GAMMA * h, h)
     bends = np.array([cubic(t) for t in at])
     rates = np.array([rate(t) for t in at])
-    for share in (0.0, 0.1, kernels.GAMMA, 0.5, 0.9, 1.0):
+    for fraction in (0.0, 0.1, kernels.GAMMA, 0.5, 0.9, 1.0):
         out = kernels.Bends(np.empty((1, 2)), np.empty((1, 2)))
-        bend_within(share, h, kernels.Bends(bends, rates), out, 0)
-        assert out.bend[0] == pytest.approx(cubic(share * h), abs=1e-14)
-        assert out.rate[0] == pytest.approx(rate(share * h), abs=1e-13)
+        bend_within(fraction, h, kernels.Bends(bends, rates), out, 0)
+        assert out.bend[0] == pytest.approx(cubic(fraction * h), abs=1e-14)
+        assert out.rate[0] == pytest.approx(rate(fraction * h), abs=1e-13)

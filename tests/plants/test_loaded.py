@@ -13,7 +13,7 @@ from hypothesis import assume, given, strategies as st
 from load_reference import (
     POINTS,
     SLIPS_M_S,
-    STEP_SHARES_S2_M,
+    STEP_FRACTIONS_S2_M,
     Result,
     extrapolate,
     simulate,
@@ -96,23 +96,23 @@ def test_rim_speed_balances_contact_and_axle(v_t, v_n, rim, mu_t, mu_n, lag, p):
     assert f_t * v_t + f_n * v_n <= 1e-15
 
 
-@given(v_t=SPEED, v_n=SPEED, mu_n=MU, share=st.floats(0.01, 0.9))
-def test_wheel_without_inertia_follows_the_wheel_law(v_t, v_n, mu_n, share):
+@given(v_t=SPEED, v_n=SPEED, mu_n=MU, fraction=st.floats(0.01, 0.9))
+def test_wheel_without_inertia_follows_the_wheel_law(v_t, v_n, mu_n, fraction):
     assume(abs(v_n) > 1e-3 and abs(v_t) > 1e-3)
     slip = 1e-6
-    expected = wheel(v_t, v_n, LOAD, share * mu_n, mu_n, slip)[:2]
-    law = wheel_law(share * mu_n, mu_n, slip)
+    expected = wheel(v_t, v_n, LOAD, fraction * mu_n, mu_n, slip)[:2]
+    law = wheel_law(fraction * mu_n, mu_n, slip)
     traction, _ = rolling_friction(v_t, v_n, LOAD, law, 0.0, 0.0, 0.0, 1e-12)
     assert traction[:2] == pytest.approx(expected, abs=1e-4 * LOAD)
 
 
 @pytest.mark.parametrize("law", LAWS_ON_LOADS)
-@given(v_t=SPEED, v_n=SPEED, mu_n=MU, share=st.floats(0.01, 0.9))
-def test_sliding_contact_follows_the_law_of_its_name(law, v_t, v_n, mu_n, share):
+@given(v_t=SPEED, v_n=SPEED, mu_n=MU, fraction=st.floats(0.01, 0.9))
+def test_sliding_contact_follows_the_law_of_its_name(law, v_t, v_n, mu_n, fraction):
     """A law without a branch of its own in the friction solve would run as another one."""
     assume(abs(v_n) > 1e-3 and abs(v_t) > 1e-3)
     slip = 1e-6
-    mu_t = share * mu_n
+    mu_t = fraction * mu_n
     expected = getattr(friction, law)(v_t, v_n, LOAD, mu_t, mu_n, slip)[:2]
     contact = SimpleNamespace(
         wheels=1,
@@ -150,15 +150,15 @@ def assert_close(twin: Result, speed: float, yaw_rate: float, drift: float) -> N
 
 @given(
     limit=st.floats(1, 300),
-    slope=st.floats(-10, 10),
+    derivative=st.floats(-10, 10),
     order=st.floats(0.5, 1),
     step=st.floats(-10, 10),
 )
 def test_extrapolation_is_exact_for_a_power_of_the_slip_speed(
-    limit, slope, order, step
+    limit, derivative, order, step
 ):
     values = [
-        [limit + slope * e**order + step * e * s for s in (0.1, 0.05)]
+        [limit + derivative * e**order + step * e * s for s in (0.1, 0.05)]
         for e in (8.0, 4.0, 2.0, 1.0)
     ]
     found, error = extrapolate(values)
@@ -177,7 +177,7 @@ def test_transient_agrees_with_the_explicit_simulation():
 @pytest.mark.parametrize("name", ["gen2_turn", "gen1_straight", "gen3_straight"])
 def test_stored_values_are_current(name):
     slip = SLIPS_M_S[0]
-    result = simulate(POINTS[name], None, STEP_SHARES_S2_M[0] * slip, slip)
+    result = simulate(POINTS[name], None, STEP_FRACTIONS_S2_M[0] * slip, slip)
     runs = stored()[name]
     assert result.speed_mm_s == pytest.approx(runs.speed_mm_s[0][0], rel=1e-3)
     assert result.yaw_rate == pytest.approx(runs.yaw_rate[0][0], rel=2e-3, abs=1e-3)
@@ -344,13 +344,17 @@ def test_contact_rejects_unknown_options():
 
 
 @pytest.mark.parametrize("normal", [(0.0, 2.0), (1e-12, 2.0), (0.5, 1.5), (0.0, 0.0)])
-def test_wheels_of_an_axle_share_its_weight_in_the_ratio_of_their_normal_forces(normal):
+def test_wheels_of_an_axle_fraction_its_weight_in_the_ratio_of_their_normal_forces(
+    normal,
+):
     """A lifted wheel has no load; an axle without contact keeps the static load."""
     contacts = SimpleNamespace(
         load_kind=LOADS.index("across"), static_load=np.ones(2), wheels=2
     )
-    work = SimpleNamespace(normal_force=np.array(normal), response=np.zeros((2, 9)))
-    loads = [_friction_load.py_func(contacts, work, wheel) for wheel in range(2)]
+    workspace = SimpleNamespace(
+        normal_force=np.array(normal), response=np.zeros((2, 9))
+    )
+    loads = [_friction_load.py_func(contacts, workspace, wheel) for wheel in range(2)]
     total = sum(normal)
-    shares = [each / total if total else 0.5 for each in normal]
-    assert loads == pytest.approx([2 * share for share in shares])
+    fractions = [each / total if total else 0.5 for each in normal]
+    assert loads == pytest.approx([2 * fraction for fraction in fractions])

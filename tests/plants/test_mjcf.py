@@ -114,10 +114,10 @@ def test_static_load_of_a_connector_is_its_weight(scene):
         [data.xpos[model.body(f"connector_{i}").id][0] for i in range(1, 6)]
     )
     for body in range(1, model.nbody):
-        share = (stations[0] - data.xipos[body][0]) / spec.geometry.pitch
-        front = min(int(share + 1e-9), 3)
-        own[front] += model.body_mass[body] * (1 - (share - front))
-        own[front + 1] += model.body_mass[body] * (share - front)
+        fraction = (stations[0] - data.xipos[body][0]) / spec.geometry.pitch
+        front = min(int(fraction + 1e-9), 3)
+        own[front] += model.body_mass[body] * (1 - (fraction - front))
+        own[front + 1] += model.body_mass[body] * (fraction - front)
     assert own == pytest.approx(spec.mass.array(), rel=0.01)
 
 

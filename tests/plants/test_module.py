@@ -12,7 +12,7 @@ from smooth import Wave
 from srs_twin import AnalyticalSnake, Plant, SnakeState, TwinSnake, load_robot, rollout
 from srs_twin.comparison.compare import compare
 from srs_twin.comparison.metrics import plant_metrics
-from srs_twin.control.reference import Sine, Step
+from srs_twin.control.reference import Sine, StepReference
 from srs_twin.control.replay import HoldValves
 from srs_twin.control.smc import DirectSMC, IterativeSMC
 from srs_twin.errors import InputError, InputFileError
@@ -20,7 +20,7 @@ from srs_twin.scenario.loading import load_scenario, parse_scenario
 from srs_twin.sensing import make_sensor
 
 MODULE = load_robot("gen4_module")
-STEP = Step(math.radians(25), time=0.1)
+STEP = StepReference(math.radians(25), time=0.1)
 SINE = Sine(math.radians(34.3), 6.0)
 CONTROLS = {"direct": (DirectSMC, "in_out"), "iterative": (IterativeSMC, "3/2")}
 PLANTS = {"analytical": AnalyticalSnake, "twin": TwinSnake}
@@ -182,8 +182,8 @@ def test_clamped_head_stays_and_tail_has_no_contact(kind):
     run = rollout(bench(kind, "direct"), DirectSMC(STEP), 0.4, record_hz=1000)
     head = run.position[:, 0]
     assert np.abs(head - head[0]).max() < 1e-12
-    assert np.abs(run["theta_1"]).max() < 1e-12
-    assert run["theta_2"] == pytest.approx(-run["bend_1"], abs=1e-9)
+    assert np.abs(run["connector_heading_1"]).max() < 1e-12
+    assert run["connector_heading_2"] == pytest.approx(-run["bend_1"], abs=1e-9)
     assert run["bend_1"].max() > 0.4
 
 
@@ -219,7 +219,7 @@ def test_work_equals_the_kinetic_energy(kind, allowed):
 
 def _turning(kind, spec, run):
     """Return the largest rotational energy of the end connector, which point masses lack, J."""
-    spin = np.gradient(run["theta_2"], run.time)
+    spin = np.gradient(run["connector_heading_2"], run.time)
     return (
         0.0
         if kind == "analytical"
@@ -276,10 +276,10 @@ def test_analytical_torque_satisfies_lagranges_equation():
 
     later = momentum(q + h * dq, dq + h * ddq)
     earlier = momentum(q - h * dq, dq - h * ddq)
-    slope = np.array(
+    derivative = np.array(
         [(energy(q + h * e, dq) - energy(q - h * e, dq)) / (2 * h) for e in np.eye(2)]
     )
-    expected = (later - earlier) / (2 * h) - slope
+    expected = (later - earlier) / (2 * h) - derivative
     head = np.array([0.3, -0.2, 1.1])
     states = np.zeros((1, kernels.STATES))
     velocities = np.zeros((1, 3))
@@ -381,7 +381,7 @@ def test_direct_control_settles_fast_with_few_valve_openings(control):
     )
     if control == "direct":
         assert found["settling_5_s"] <= 0.25
-        assert found["overshoot_rad"] <= found["sensed_ripple_pp_rad"]
+        assert found["overshoot_rad"] <= found["measured_ripple_pp_rad"]
         assert found["inlet_openings"] <= 5
     else:
         assert found["overshoot_rel"] > 0.05
@@ -413,7 +413,7 @@ class Blindfolded(Plant):
         blank = {
             f.name: np.full(np.shape(getattr(state, f.name)), np.nan)
             for f in fields(state)
-            if f.name not in ("time", "sensed")
+            if f.name not in ("time", "measured_bend")
         }
         return replace(state, **blank)
 
@@ -448,7 +448,7 @@ def test_sensor_drift_biases_the_bend():
             record_hz=1000,
         )
         errors.append(plant_metrics(run)["steady_error_rad"])
-        shift = abs(sensor.calibration.slope) * bias
+        shift = abs(sensor.calibration.derivative) * bias
     assert abs(errors[1] - errors[0]) == pytest.approx(shift, rel=0.3)
 
 
@@ -510,7 +510,7 @@ def test_sweep_measures_whole_reference_periods():
 # As shipped
 
 
-def test_chapter_4_scenarios_share_one_set_of_gains():
+def test_chapter_4_scenarios_fraction_one_set_of_gains():
     from srs_twin.io.files import shipped_names
 
     found = {}

@@ -51,7 +51,7 @@ def unlike(
     limit: float = 1.4,
     bias: float = 0.1,
     sensors: float = 0.0,
-    **onset: float,
+    **dead_zone: float,
 ) -> RobotSpec:
     """Return a generation 4 with unequal modules and a bend limit (rad)."""
     rng = np.random.default_rng(seed)
@@ -66,7 +66,7 @@ def unlike(
     )
     return replace(
         spec,
-        actuator=replace(spec.actuator, bend_limit=limit, **onset),
+        actuator=replace(spec.actuator, bend_limit=limit, **dead_zone),
         variation=modules,
     )
 
@@ -94,15 +94,15 @@ def mirrored(spec: RobotSpec) -> RobotSpec:
 @given(st.floats(-5, 5), st.floats(0.3, 3))
 def test_bend_law_saturates_at_its_limit(x, limit):
     law = BendLaw(limit, 0.0, 1.0, 1.0)
-    value, slope, curve = apply_bend_law(x, law)
-    assert abs(value) < limit and np.sign(value) == np.sign(x) and 0 < slope <= 1
+    value, derivative, curve = apply_bend_law(x, law)
+    assert abs(value) < limit and np.sign(value) == np.sign(x) and 0 < derivative <= 1
     assert value**4 * (limit**4 + x**4) == pytest.approx(
         (x * limit) ** 4, rel=1e-9, abs=1e-12
     )
     step = 1e-4
     ahead = apply_bend_law(x + step, law)
     behind = apply_bend_law(x - step, law)
-    assert slope == pytest.approx((ahead[0] - behind[0]) / (2 * step), abs=1e-6)
+    assert derivative == pytest.approx((ahead[0] - behind[0]) / (2 * step), abs=1e-6)
     assert curve == pytest.approx(
         (ahead[1] - behind[1]) / (2 * step), abs=1e-5 / limit**2
     )
@@ -119,25 +119,30 @@ def test_bend_law_saturates_at_its_limit(x, limit):
     st.floats(0.05, 1.5),
 )
 def test_bend_law_with_dead_zone_is_odd_smooth_and_monotone(
-    x, limit, share, onset, width
+    x, limit, fraction, dead_zone, width
 ):
-    law = BendLaw(limit, share, onset, width)
+    law = BendLaw(limit, fraction, dead_zone, width)
     step = 1e-5
-    value, slope, curve = apply_bend_law(x, law)
-    y = x - share * width / 2 * np.log(
-        np.cosh((x + onset) / width) / np.cosh((x - onset) / width)
+    value, derivative, curve = apply_bend_law(x, law)
+    y = x - fraction * width / 2 * np.log(
+        np.cosh((x + dead_zone) / width) / np.cosh((x - dead_zone) / width)
     )
     assert value == pytest.approx(
         y if np.isinf(limit) else y / (1 + (y / limit) ** 4) ** 0.25, abs=1e-12
     )
-    assert (value, slope) == (
+    assert (value, derivative) == (
         -apply_bend_law(-x, law)[0],
         apply_bend_law(-x, law)[1],
-    ) and slope >= 0
+    ) and derivative >= 0
     assert apply_bend_law(0.0, law)[1] == pytest.approx(
-        1 - share * np.tanh(onset / width)
+        1 - fraction * np.tanh(dead_zone / width)
     )
-    spec = unlike(limit=limit, onset_share=share, onset=onset, onset_width=width)
+    spec = unlike(
+        limit=limit,
+        onset_fraction=fraction,
+        dead_zone=dead_zone,
+        dead_zone_transition=width,
+    )
     pressure = np.zeros((4, 2))
     pressure[:, 0] = x / (spec.actuator.gain * spec.modules.array("gain")[:, 0])
     assert air_bend(spec, pressure) == pytest.approx(np.full(4, value), abs=1e-12)
@@ -146,7 +151,7 @@ def test_bend_law_with_dead_zone_is_odd_smooth_and_monotone(
     )
     ahead = apply_bend_law(x + step, law)
     behind = apply_bend_law(x - step, law)
-    assert slope == pytest.approx((ahead[0] - behind[0]) / (2 * step), abs=1e-6)
+    assert derivative == pytest.approx((ahead[0] - behind[0]) / (2 * step), abs=1e-6)
     assert curve == pytest.approx((ahead[1] - behind[1]) / (2 * step), abs=1e-4)
 
 
@@ -239,10 +244,10 @@ def test_bend_accelerations_are_derivatives_of_the_rates(kind):
         (trace.bend, trace.bend_rate, 30.0),
         (trace.bend_rate, trace.bend_acceleration, 8e3),
     ):
-        slope = (value[2:] - value[:-2]) / (2 * step)
+        derivative = (value[2:] - value[:-2]) / (2 * step)
         # A chamber begins to grow where its segment comes through straight: a kink,
         # once a segment.
-        assert np.quantile(np.abs(slope - rate[1:-1])[50:], 0.995) < 0.01 * size
+        assert np.quantile(np.abs(derivative - rate[1:-1])[50:], 0.995) < 0.01 * size
 
 
 def test_unequal_orifice_chambers_conserve_air_and_reach_the_static_bend():
@@ -286,12 +291,14 @@ def test_initially_empty_line_delays_filling():
     spec = load_robot("gen4")
     options = {"supply_pa": SUPPLY, "flow_limit": 1e-3, "line_volume": 5e-4}
     full = OrificePneumatics(spec, **options)
-    empty = OrificePneumatics(spec, **options, line_begins=0.0)
+    empty = OrificePneumatics(spec, **options, initial_line_pressure=0.0)
     for chambers in (full, empty):
         chambers.advance(chambers.schedule(np.tile([1, -1], (4, 1)), 0.1), np.zeros(0))
     assert empty.bend.max() < 0.5 * full.bend.min()
-    with pytest.raises(InputError, match="line_begins 200000.0 Pa is not allowed"):
-        OrificePneumatics(spec, **options, line_begins=2e5)
+    with pytest.raises(
+        InputError, match="initial_line_pressure 200000.0 Pa is not allowed"
+    ):
+        OrificePneumatics(spec, **options, initial_line_pressure=2e5)
 
 
 # Both plants
@@ -325,7 +332,7 @@ def test_snake_at_rest_has_the_rest_bends(kind):
         ("minus", 1.0, 48e3, "lag"),
     ],
 )
-def test_static_bend_follows_the_module_gains(kind, side, share, supply, chambers):
+def test_static_bend_follows_the_module_gains(kind, side, fraction, supply, chambers):
     """On a bench, where only the air bends the segment; the formula is repeated here."""
     spec = replace(
         load_robot("gen4_module"),
@@ -338,7 +345,7 @@ def test_static_bend_follows_the_module_gains(kind, side, share, supply, chamber
             sensor_bias=np.array([-0.05]),
         ),
     )
-    late = {"onset_share": share, "onset": 0.3, "onset_width": 0.2}
+    late = {"onset_fraction": fraction, "dead_zone": 0.3, "dead_zone_transition": 0.2}
     spec = replace(spec, actuator=replace(spec.actuator, bend_limit=1.0, **late))
     plant = PLANTS[kind](
         spec, base="clamped", tick=0.001, supply_pa=supply, pneumatics=chambers
@@ -346,10 +353,10 @@ def test_static_bend_follows_the_module_gains(kind, side, share, supply, chamber
     states = ("fill", "vent") if side == "plus" else ("vent", "fill")
     run = rollout(plant, HoldValves(*states), 2.0)
     x = spec.actuator.gain * supply * (1.2 if side == "plus" else -0.8)
-    x -= share * 0.1 * np.log(np.cosh((x + 0.3) / 0.2) / np.cosh((x - 0.3) / 0.2))
+    x -= fraction * 0.1 * np.log(np.cosh((x + 0.3) / 0.2) / np.cosh((x - 0.3) / 0.2))
     expected = 0.15 + x / (1 + x**4) ** 0.25
     assert run["bend_1"][-1] == pytest.approx(expected, abs=1e-4)
-    assert run["sensed_1"][-1] == pytest.approx(1.1 * expected - 0.05, abs=1e-4)
+    assert run["measured_bend_1"][-1] == pytest.approx(1.1 * expected - 0.05, abs=1e-4)
 
 
 @both
@@ -370,7 +377,9 @@ def test_stiff_light_twin_has_the_free_bends():
     spec = unlike()
     stiff = replace(
         spec,
-        actuator=replace(spec.actuator, onset_share=0.5, onset=0.2, onset_width=0.15),
+        actuator=replace(
+            spec.actuator, onset_fraction=0.5, dead_zone=0.2, dead_zone_transition=0.15
+        ),
         bending=replace(spec.bending, stiffness=20.0),
         friction=replace(spec.friction, mu_t=0.01, mu_n=0.05),
     )
@@ -523,11 +532,11 @@ def test_scenario_with_modules_and_faults(tmp_path):
         run = rollout(scenario.build_plant(kind), scenario.build_controller(), 1.0)
         late = run["time"] >= 0.5
         assert (
-            np.isnan(run["sensed_3"][late]).all()
-            and np.isfinite(run["sensed_3"][~late]).all()
+            np.isnan(run["measured_bend_3"][late]).all()
+            and np.isfinite(run["measured_bend_3"][~late]).all()
         )
-        assert (run["sensed_4"] == 0.25).all()
-        assert run["sensed_2"] == pytest.approx(run["bend_2"] + 0.2)
+        assert (run["measured_bend_4"] == 0.25).all()
+        assert run["measured_bend_2"] == pytest.approx(run["bend_2"] + 0.2)
         assert run["pressure_minus_1"][-1] > 0.99 * 131e3
     (tmp_path / "two.yaml").write_text(SCENARIO.replace("seed: 5", "seed: 6"))
     assert load_scenario(tmp_path / "two.yaml").robot != scenario.robot
@@ -552,8 +561,12 @@ def test_scenario_with_modules_and_faults(tmp_path):
             "unknown key; did you mean gain_spread?",
         ),
         ("gain_spread: 0.15", "gain_spread: 3", "a number from 0 to 0.3"),
-        ("bend_limit_rad: 1.5", "onset_share: 1.5", "a number from 0 to 1"),
-        ("bend_limit_rad: 1.5", "onset_width_rad: 0", "a number from 0.01 to 6.3"),
+        ("bend_limit_rad: 1.5", "onset_fraction: 1.5", "a number from 0 to 1"),
+        (
+            "bend_limit_rad: 1.5",
+            "dead_zone_transition_rad: 0",
+            "a number from 0.01 to 6.3",
+        ),
         ("bend_limit_rad: 1.5", "bend_limit_rad: 9", "a number from 0.1 to 6.3"),
         ("stuck: open", "stuck: ajar", "open"),
     ],

@@ -73,8 +73,8 @@ def test_spinning_cylinder_is_braked_by_the_moment_of_a_uniform_pressure():
 def test_object_at_rest_on_a_slope_stays_until_the_friction_angle():
     from srs_twin.robot.world import Floor
 
-    for share, slides in ((0.9, False), (1.1, True)):
-        floor = Floor(math.atan(share * CYLINDER.friction), 0.3)
+    for fraction, slides in ((0.9, False), (1.1, True)):
+        floor = Floor(math.atan(fraction * CYLINDER.friction), 0.3)
         twin = twin_with(CYLINDER, floor=floor)
         for _ in range(10):
             twin.step(VENTED)
@@ -190,7 +190,7 @@ def test_saved_state_continues_with_the_same_bits():
 
 @pytest.mark.slow
 def test_contacts_with_an_immovable_object_are_those_with_an_obstacle():
-    """Two code paths of friction: hulls on obstacles, and pairs of hulls and objects."""
+    """Two code paths of friction: collision geoms on obstacles, and pairs of collision geoms and objects."""
     heavy = MovableObject((0.03,), 1000.0, 10.0, 0.2, 0.035)
     post = World(obstacles=(Circle(0.2, 0.035, 0.03),))
     runs = [
@@ -235,7 +235,7 @@ def curled(twin: TwinSnake) -> tuple[float, float]:
         "x": [s.position[:, 0] for s in states],
         "y": [s.position[:, 1] for s in states],
     }
-    signals["theta"] = [s.theta for s in states]
+    signals["connector_heading"] = [s.connector_heading for s in states]
     columns = {
         f"{k}_{i + 1}": row
         for k, v in signals.items()
@@ -284,7 +284,7 @@ def pulled_over_an_object(
         world = World(objects=(MovableObject((radius,), 1000.0, 10.0, x, y),))
         twin = TwinSnake(chain, hinges_per_segment=4, world=world, tick=0.001)
         # Lay it down at a distance, because a straight chain would cross the object.
-        twin.place(replace(twin.reset(pose=(0.0, 5.0, 0.0)), bend=bend))
+        twin.set_state(replace(twin.reset(pose=(0.0, 5.0, 0.0)), bend=bend))
         twin.physics.data.qpos[1] -= 5.0
         twin.physics.refresh()
         return twin

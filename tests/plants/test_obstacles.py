@@ -40,7 +40,9 @@ def deepest(twin: TwinSnake, run: Trajectory) -> float:
         data.qpos[:] = [run[f"qpos_{c}"][k] for c in range(1, model.nq + 1)]
         mujoco.mj_forward(model, data)
         for contact in data.contact:
-            if any(model.geom(geom).name.startswith("hull") for geom in contact.geom):
+            if any(
+                model.geom(geom).name.startswith("collision") for geom in contact.geom
+            ):
                 result = max(result, -contact.dist)
     return result
 
@@ -105,7 +107,7 @@ def test_remote_obstacles_do_not_change_the_motion():
     assert not any(name.startswith("obstacle") for name in alone.columns)
     far, run = driven(World((Circle(5, 5, 0.1),)), duration=1.0)
     assert run["com_x"] == pytest.approx(alone["com_x"], abs=1e-6)
-    assert far.touches and not forces(run).any()
+    assert far.has_contact and not forces(run).any()
 
 
 def test_obstacle_contact_converges_with_the_time_step():

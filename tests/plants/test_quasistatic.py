@@ -73,33 +73,39 @@ def posed(seed):
     """Return a random state, its constants and workspace."""
     constants = make_constants(SPEC, 1e-4, "free")
     points = SPEC.skin.points
-    work = kernels.work_arrays(SEGMENTS, points)
+    workspace = kernels.work_arrays(SEGMENTS, points)
     state = np.zeros(kernels.BENDS + 3 * SEGMENTS + 4 * SEGMENTS * points)
     draw = np.random.default_rng(seed)
     state[:3] = draw.normal(size=3)
     state[kernels.ROTATION :][:9] = Rotation.random(rng=draw).as_matrix().ravel()
     state[kernels.BENDS :][: 3 * SEGMENTS] = draw.normal(size=3 * SEGMENTS) * 0.5
-    return state, constants, work
+    return state, constants, workspace
 
 
 @pytest.mark.slow
 def test_velocities_of_all_points_are_the_derivatives_of_their_positions():
-    state, constants, work = posed(0)
-    kernels.pose(state, constants, work)
-    motion = work.motion[:, :3].copy()
+    state, constants, workspace = posed(0)
+    kernels.pose(state, constants, workspace)
+    motion = workspace.motion[:, :3].copy()
     size = 6 + 3 * SEGMENTS
     for row in range(size):
         velocity = np.eye(size)[row]
         places = []
         for step in (1e-6, -1e-6):
             moved = state.copy()
-            work.bend[:] = work.load[:] = 0.0
-            kernels.pose(state, constants, work)
+            workspace.bend[:] = workspace.load[:] = 0.0
+            kernels.pose(state, constants, workspace)
             quasistatic_kernels.move_state(
-                velocity, moved, constants, work, step, np.empty((3, 3)), np.empty(9)
+                velocity,
+                moved,
+                constants,
+                workspace,
+                step,
+                np.empty((3, 3)),
+                np.empty(9),
             )
-            kernels.pose(moved, constants, work)
-            places.append(work.point.copy())
+            kernels.pose(moved, constants, workspace)
+            places.append(workspace.point.copy())
         assert (places[0] - places[1]) / 2e-6 == pytest.approx(
             motion[:, :, row], abs=1e-7
         )
@@ -107,22 +113,22 @@ def test_velocities_of_all_points_are_the_derivatives_of_their_positions():
 
 @pytest.mark.slow
 def test_bends_and_twist_are_the_rotation_between_connectors():
-    state, constants, work = posed(1)
-    kernels.pose(state, constants, work)
+    state, constants, workspace = posed(1)
+    kernels.pose(state, constants, workspace)
     left, up, twist = state[kernels.BENDS :][: 3 * SEGMENTS].reshape(-1, 3).T
     turns = Rotation.from_rotvec(np.stack([twist, -up, left], axis=-1)).as_matrix()
-    relative = np.einsum("jki,jkl->jil", work.frame[1:], work.frame[:-1])
+    relative = np.einsum("jki,jkl->jil", workspace.frame[1:], workspace.frame[:-1])
     assert relative == pytest.approx(turns, abs=1e-12)
 
 
 @pytest.mark.slow
 def test_a_segment_bent_in_one_plane_is_an_arc():
-    state, constants, work = posed(2)
+    state, constants, workspace = posed(2)
     bend = 1.1
     state[kernels.BENDS :][: 3 * SEGMENTS] = 0.0
     state[kernels.BENDS + 1] = bend
-    kernels.pose(state, constants, work)
-    behind = work.frame[0].T @ (work.position[1] - work.position[0])
+    kernels.pose(state, constants, workspace)
+    behind = workspace.frame[0].T @ (workspace.position[1] - workspace.position[0])
     radius = constants.length / bend
     gap = constants.gap
     # Both ends of a body that bends upwards rise, so that the rear is above the frame
@@ -172,9 +178,9 @@ def test_loads_balance_the_weight_and_its_moment(sidewinder):
     body = snake.body
     state = body.state
     points = len(body.constants.mass)
-    kernels.pose(state, body.constants, body.work)
+    kernels.pose(state, body.constants, body.workspace)
     loads = state[-points:]
-    place = body.work.point
+    place = body.workspace.point
     weight = body.constants.mass * GRAVITY
     assert 0.1 < (loads > 0.0).mean() < 0.9
     assert loads.sum() == pytest.approx(weight.sum(), rel=2e-3)
@@ -195,8 +201,8 @@ def test_the_work_of_the_air_is_dissipated_or_stored(sidewinder):
     state = body.state
     constants = body.constants
     twist = state[kernels.BENDS :][: 3 * SEGMENTS].reshape(-1, 3)[:, 2]
-    kernels.pose(state, constants, body.work)
-    height = body.work.point[:, 2] - constants.radius
+    kernels.pose(state, constants, body.workspace)
+    height = body.workspace.point[:, 2] - constants.radius
     stored = (
         GRAVITY * constants.mass @ height + constants.stiffness[2] / 2 * twist @ twist
     )
@@ -269,7 +275,7 @@ def test_a_saved_state_continues_with_the_same_bits():
     assert (
         (one.com == other.com).all()
         and (one.load == other.load).all()
-        and (one.theta == other.theta).all()
+        and (one.connector_heading == other.connector_heading).all()
     )
 
 

@@ -54,7 +54,7 @@ def test_joints_follow_a_critically_damped_response_under_load(write):
 def test_plants_agree_on_a_gait_of_a_wheeled_rigid_snake(write):
     spec = load_robot(write())
     model = AnalyticalSnake(
-        spec, friction="wheel", load="momentary", inertia="connector"
+        spec, friction="wheel", load="instantaneous", inertia="connector"
     )
     model_run, twin_run = (
         rollout(plant, Gait(1.0), 3.0) for plant in (model, TwinSnake(spec))
@@ -82,7 +82,7 @@ def test_plants_agree_on_a_rigid_snake_with_skin(write):
         ("bending:\n", f"{skin}bending:\n"),
     )
     spec = load_robot(path)
-    model = AnalyticalSnake(spec, load="momentary", inertia="connector")
+    model = AnalyticalSnake(spec, load="instantaneous", inertia="connector")
     model_run, twin_run = (
         rollout(plant, Gait(1.0), 3.0) for plant in (model, TwinSnake(spec))
     )
@@ -100,12 +100,12 @@ def test_plants_agree_on_a_rigid_snake_with_skin(write):
             (
                 "actuator:\n",
                 (
-                    "actuator:\n  onset_rad: {value: 0.3, unit: rad, status: measured,"
+                    "actuator:\n  dead_zone_rad: {value: 0.3, unit: rad, status: measured,"
                     " source: x}\n"
                 ),
             ),
             (
-                "actuator.onset_rad: a robot with actuator position has no onset_rad;"
+                "actuator.dead_zone_rad: a robot with actuator position has no dead_zone_rad;"
                 " remove it"
             ),
         ),

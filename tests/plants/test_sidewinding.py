@@ -26,9 +26,9 @@ SETTLED_S = 8.0
 
 @pytest.mark.slow
 @pytest.mark.parametrize("share", [0.3, 0.15])
-def test_a_stiff_sidewinder_travels_as_the_kinematics_without_slip_predict(share):
+def test_a_stiff_sidewinder_travels_as_the_kinematics_without_slip_predict(fraction):
     spec = load_robot("spatial_slender")
-    gait = Gait(FREQUENCY_HZ, pitch=PitchWave(share, math.pi / 2))
+    gait = Gait(FREQUENCY_HZ, pitch=PitchWave(fraction, math.pi / 2))
     twin = TwinSnake(spec, supply_pa=30e3, timestep=0.002)
     run = rollout(twin, gait, SETTLED_S + 3 / FREQUENCY_HZ, record_hz=50)
     used = run.time >= SETTLED_S

@@ -139,7 +139,7 @@ def test_snake_at_rest_does_not_move():
     for _ in range(100):
         state = plant.step(vented(SPEC))
     assert state.position == pytest.approx(start.position, abs=2e-5)
-    assert state.theta == pytest.approx(start.theta, abs=1e-5)
+    assert state.connector_heading == pytest.approx(start.connector_heading, abs=1e-5)
 
 
 def test_description_contains_the_wheels():

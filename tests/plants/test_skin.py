@@ -13,7 +13,7 @@ from srs_twin.control.gait import Gait
 from srs_twin.control.replay import HoldValves
 from srs_twin.errors import InputError
 from srs_twin.plants.analytical import AnalyticalSnake
-from srs_twin.plants.analytical.cells import Division, cells_of_skin
+from srs_twin.plants.analytical.cells import Discretisation, cells_of_skin
 from srs_twin.plants.twin.mjcf.belly import patches, rods
 from srs_twin.plants.twin.mjcf.export import robot_files
 from srs_twin.plants.twin.mjcf.numerics import (
@@ -81,10 +81,10 @@ def test_bodies_have_the_mass_of_the_robot_spread_over_its_length():
 
 
 def test_cells_divide_the_arc_and_leave_the_gap_straight():
-    cells = Division.of(SPEC.geometry, SPEC.skin.points)
+    cells = Discretisation.of(SPEC.geometry, SPEC.skin.points)
     assert cells.length.sum() == pytest.approx(SPEC.geometry.pitch)
-    assert cells.share.sum() == pytest.approx(1.0)
-    assert cells.length[cells.share > 0].sum() == pytest.approx(
+    assert cells.fraction.sum() == pytest.approx(1.0)
+    assert cells.length[cells.fraction > 0].sum() == pytest.approx(
         SPEC.geometry.segment_length
     )
     q = np.random.default_rng(0).normal(size=(3, SPEC.segments))
@@ -123,9 +123,9 @@ def test_slopes_of_the_skin_of_the_twin_match_finite_differences(law):
             h = np.eye(2)[k] * 1e-6 * slip
             ahead = skin_friction(*(v + h), 2.0, floor_law(slip), *p, law == "cosine")
             behind = skin_friction(*(v - h), 2.0, floor_law(slip), *p, law == "cosine")
-            slopes = (np.array(ahead[:2]) - behind[:2]) / (2e-6 * slip)
+            derivatives = (np.array(ahead[:2]) - behind[:2]) / (2e-6 * slip)
             assert [values[2 + k], values[4 + k]] == pytest.approx(
-                list(slopes), rel=1e-4, abs=1e-3
+                list(derivatives), rel=1e-4, abs=1e-3
             )
 
 
@@ -139,8 +139,8 @@ def test_mirrored_gait_makes_the_mirrored_path(law, plant):
         1e-6 if plant is AnalyticalSnake else 2e-4
     )  # of a path of some decimetres, m
     assert np.abs(left.com[-1] - right.com[-1] * [1, -1]).max() < tolerance
-    assert left["theta_1"][-1] == pytest.approx(
-        -right["theta_1"][-1], abs=100 * tolerance
+    assert left["connector_heading_1"][-1] == pytest.approx(
+        -right["connector_heading_1"][-1], abs=100 * tolerance
     )
 
 
@@ -174,7 +174,7 @@ def test_backward_friction_brakes_only_backward_slip():
     for v, mu in ((0.3, 0.1), (-0.3, 0.14)):
         for plant in (AnalyticalSnake(SPEC), TwinSnake(SPEC)):
             start = replace(plant.reset(), com_velocity=np.array([v, 0.0]))
-            plant.place(start)
+            plant.set_state(start)
             run = [
                 plant.step(np.full((SPEC.segments, 2), -1)).com[0] for _ in range(25)
             ]
@@ -205,7 +205,7 @@ def test_results_of_the_twin_converge_with_the_contact_points():
 def test_twin_agrees_with_the_compliant_model(law):
     spec = with_skin(law=law, points=12)
     model = AnalyticalSnake(
-        spec, model="compliant", inertia="connector", load="momentary"
+        spec, model="compliant", inertia="connector", load="instantaneous"
     )
     twin = TwinSnake(spec, hinges_per_segment=4)
     distance = [

@@ -24,8 +24,8 @@ from srs_twin.robot.world import (
     OBSTACLE_FRICTION as FRICTION,
     WALL_M,
     Floor,
+    FloorStep,
     Polygon,
-    Step,
     World,
 )
 
@@ -39,7 +39,7 @@ PLANTS = {
     ),
     "complete": lambda **given: AnalyticalSnake(SPEC, **given),
     "compliant": lambda **given: AnalyticalSnake(
-        SPEC, model="compliant", friction="wheel", load="momentary", **given
+        SPEC, model="compliant", friction="wheel", load="instantaneous", **given
     ),
 }
 MARKED_PLANTS = [
@@ -49,9 +49,9 @@ MARKED_PLANTS = [
 AIRLESS = HoldValves("vent", "vent")
 
 
-def on_slope(plant: str, direction: str, share: float):
+def on_slope(plant: str, direction: str, fraction: float):
     """Return distance and downhill speed after 1 s on a slope relative to the friction angle."""
-    tilt = math.atan(share * MU[direction])
+    tilt = math.atan(fraction * MU[direction])
     world = World(floor=Floor(tilt, DOWNHILL[direction] + math.pi))
     run = rollout(PLANTS[plant](world=world), AIRLESS, 1.0, record_hz=50)
     ahead = np.array([math.cos(DOWNHILL[direction]), math.sin(DOWNHILL[direction])])
@@ -127,8 +127,8 @@ def test_momentary_loads_agree_between_plants():
     changes = {}
     for kind in ("twin", "compliant"):
         turned = []
-        for load in ("static", "momentary"):
-            contact = LoadedContact(load="across" if load == "momentary" else load)
+        for load in ("static", "instantaneous"):
+            contact = LoadedContact(load="across" if load == "instantaneous" else load)
             plant = (
                 TwinSnake(
                     SPEC,
@@ -157,7 +157,7 @@ def test_momentary_loads_agree_between_plants():
 )
 def test_wheels_climb_steps_up_to_the_limit(height, reached):
     front = SPEC.geometry.body_length / 2
-    world = World(steps=(Step(front + 0.03, height),))
+    world = World(steps=(FloorStep(front + 0.03, height),))
     twin = TwinSnake(SPEC, contact="loaded", supply_pa=48.3e3, world=world)
     run = rollout(twin, Gait(2.0), 4.0)
     head = run.position[-1, 0, 0]
@@ -217,8 +217,8 @@ def test_wall_friction_follows_coulomb():
 
 
 @pytest.mark.parametrize(("share", "moves"), [(0.98, False), (1.02, True)])
-def test_snake_against_a_wall_sticks_up_to_the_friction_angle(share, moves):
-    lean = math.atan(share * FRICTION)  # slope of the wall in the plane of the floor
+def test_snake_against_a_wall_sticks_up_to_the_friction_angle(fraction, moves):
+    lean = math.atan(fraction * FRICTION)  # slope of the wall in the plane of the floor
     drift = (
         along_a_wall(math.pi / 2 - lean)
         .advance(np.full((SPEC.segments, 2), -1), 1)[-1]
@@ -237,11 +237,12 @@ def test_snake_against_a_wall_sticks_up_to_the_friction_angle(share, moves):
 )
 def test_unsupported_floor_raises(build, words):
     with pytest.raises(InputError, match=words):
-        build(World(steps=(Step(0.5, 0.002),)))
+        build(World(steps=(FloorStep(0.5, 0.002),)))
 
 
 @pytest.mark.parametrize(
-    "steps", [(Step(500.0, 0.002),), (Step(0.5, 0.002), Step(0.5, 0.001))]
+    "steps",
+    [(FloorStep(500.0, 0.002),), (FloorStep(0.5, 0.002), FloorStep(0.5, 0.001))],
 )
 def test_steps_may_be_far_away_or_coincide(steps):
     plant = TwinSnake(SPEC, contact="loaded", world=World(steps=steps))
@@ -250,9 +251,9 @@ def test_steps_may_be_far_away_or_coincide(steps):
 
 def test_snake_must_start_before_the_first_step():
     with pytest.raises(InputError, match="before the first step, at x = -0.05 m"):
-        TwinSnake(SPEC, contact="loaded", world=World(steps=(Step(-0.05, 0.002),)))
+        TwinSnake(SPEC, contact="loaded", world=World(steps=(FloorStep(-0.05, 0.002),)))
 
 
 def test_momentary_loads_need_two_wheels():
-    with pytest.raises(InputError, match="momentary"):
-        AnalyticalSnake(SPEC, load="momentary")
+    with pytest.raises(InputError, match="instantaneous"):
+        AnalyticalSnake(SPEC, load="instantaneous")

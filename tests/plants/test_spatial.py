@@ -72,7 +72,9 @@ def test_each_chamber_bends_a_segment_as_that_of_a_planar_robot(
     assert sign * trace.bend_rate[:, 0, component] == pytest.approx(
         expected.bend_rate[:, 0], rel=1e-9
     )
-    assert trace.air == pytest.approx(expected.air, rel=1e-9, abs=1e-12)
+    assert trace.pneumatic_energy == pytest.approx(
+        expected.pneumatic_energy, rel=1e-9, abs=1e-12
+    )
     assert abs(trace.bend[:, 0, 1 - component]).max() < 1e-12
 
 
@@ -114,7 +116,7 @@ def test_a_solid_round_section_twists_with_two_thirds_of_the_bending_stiffness()
     assert SPEC.bending.roll_stiffness == pytest.approx(2 / 3 * SPEC.bending.stiffness)
 
 
-def test_the_fundamental_of_a_resting_wave_has_the_amplitude_of_the_share():
+def test_the_fundamental_of_a_resting_wave_has_the_amplitude_of_the_fraction():
     gait = Gait(1.0, phase_step=0.0, pitch=PitchWave(0.3, 0.0))
     gait.reset(SPEC, 0.02)
     schedule = gait.script(1.0)
@@ -177,7 +179,7 @@ def test_columns_of_a_spatial_run_survive_a_file(run, tmp_path):
     assert np.linalg.norm(turns, axis=-1) == pytest.approx(np.ones(turns.shape[:-1]))
     w, x, y, z = np.moveaxis(turns, -1, 0)
     heading = np.arctan2(2 * (x * y + w * z), 1 - 2 * (y**2 + z**2))
-    assert np.cos(heading - again.stack("theta")) == pytest.approx(
+    assert np.cos(heading - again.stack("connector_heading")) == pytest.approx(
         np.ones(heading.shape)
     )
     assert (again.unit("pitch_1"), again.unit("pressure_1_1"), again.unit("z_1")) == (
@@ -316,7 +318,7 @@ def test_features_for_planar_robots_refuse_a_spatial_one_by_name():
         )
     with pytest.raises(InputError, match="does not support the spatial robot"):
         twin = TwinSnake(small())
-        twin.place(twin.state)
+        twin.set_state(twin.state)
 
 
 def test_supports_and_turns_about_the_axis_are_counted():

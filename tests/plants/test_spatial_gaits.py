@@ -37,7 +37,9 @@ def rolling_speed(spec, frequency, supply):
         np.sqrt(2) * spec.actuator.gain * supply
     )  # two neighbouring chambers are full
     headings = np.linspace(-1, 1, 2001) * spec.segments * bend / 2
-    slip = lambda share: np.sqrt(share**2 - 2 * share * np.cos(headings) + 1).sum()  # noqa: E731
+    slip = lambda fraction: np.sqrt(
+        fraction**2 - 2 * fraction * np.cos(headings) + 1
+    ).sum()  # noqa: E731
     return rim * minimize_scalar(slip, bounds=(0, 1), method="bounded").x
 
 
@@ -74,16 +76,16 @@ def lifted_head(spec, lifted, supply, cells=8):
     lengths = np.concatenate(
         [np.full(count, size / count) for size, _, count in pieces]
     )
-    shares = np.concatenate(
-        [np.full(count, share / count) for _, share, count in pieces]
+    fractions = np.concatenate(
+        [np.full(count, fraction / count) for _, fraction, count in pieces]
     )
     weights = GRAVITY * np.outer(spec.mass.segments, lengths / g.pitch).ravel()
 
     def heights(unknowns):
         """Return the heights of the middles of all parts, tail last, and that of the head."""
-        turns = np.outer(unknowns[: spec.segments], shares).ravel()
-        slopes = unknowns[-2] + np.cumsum(turns[::-1])[::-1] - turns / 2
-        rises = np.tile(lengths, spec.segments) * np.sin(slopes)
+        turns = np.outer(unknowns[: spec.segments], fractions).ravel()
+        derivatives = unknowns[-2] + np.cumsum(turns[::-1])[::-1] - turns / 2
+        rises = np.tile(lengths, spec.segments) * np.sin(derivatives)
         tops = unknowns[-1] + np.cumsum(rises[::-1])[::-1]
         return tops - rises / 2, tops[0]
 

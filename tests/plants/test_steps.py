@@ -7,23 +7,23 @@ import pytest
 from hypothesis import given, strategies as st
 
 from srs_twin.plants.analytical.kernels import GAMMA
-from srs_twin.plants.analytical.steps import Steps
+from srs_twin.plants.analytical.steps import TimeSteps
 
 pytestmark = pytest.mark.fast
 
 SAME = 1e-9
 
 spans = st.sampled_from([0.001, 0.02, 0.5])
-shares = st.lists(st.floats(0.001, 0.999), max_size=6, unique=True).map(sorted)
+fractions = st.lists(st.floats(0.001, 0.999), max_size=6, unique=True).map(sorted)
 
 
-@given(spans, shares, st.integers(1, 5), st.floats(0.05, 2.0))
+@given(spans, fractions, st.integers(1, 5), st.floats(0.05, 2.0))
 def test_steps_cover_the_span_and_end_on_samples_and_events(
-    span, shares, samples, length
+    span, fractions, samples, length
 ):
-    events = span * np.array(shares)
+    events = span * np.array(fractions)
     longest = span * length
-    steps = Steps.between(span, events, samples, longest=longest, same=SAME)
+    steps = TimeSteps.between(span, events, samples, longest=longest, same=SAME)
     assert (steps.lengths > 0).all()
     assert steps.lengths.max() <= longest * (1 + 1e-9)
     assert steps.lengths.sum() == pytest.approx(span)
@@ -37,10 +37,10 @@ def test_steps_cover_the_span_and_end_on_samples_and_events(
     )
 
 
-@given(spans, shares, st.integers(1, 5), st.floats(0.02, 0.7))
-def test_chunks_contain_the_same_steps_and_samples(span, shares, samples, turn):
-    steps = Steps.between(
-        span, span * np.array(shares), samples, longest=span / 20, same=SAME
+@given(spans, fractions, st.integers(1, 5), st.floats(0.02, 0.7))
+def test_chunks_contain_the_same_steps_and_samples(span, fractions, samples, turn):
+    steps = TimeSteps.between(
+        span, span * np.array(fractions), samples, longest=span / 20, same=SAME
     )
     pieces = list(steps.chunks(turn * span))
     assert [begin for begin, _, _ in pieces][1:] == [end for _, end, _ in pieces][:-1]
@@ -55,11 +55,11 @@ def test_chunks_contain_the_same_steps_and_samples(span, shares, samples, turn):
     assert np.concatenate(marks).tolist() == steps.sample_steps.tolist()
 
 
-def test_equal_ticks_share_one_object():
+def test_equal_ticks_fraction_one_object():
     none = np.empty(0)
     one, other = (
-        Steps.between(0.001, none, 1, longest=0.002, same=SAME) for _ in range(2)
+        TimeSteps.between(0.001, none, 1, longest=0.002, same=SAME) for _ in range(2)
     )
     assert one is other
-    event = Steps.between(0.001, np.array([0.0004]), 1, longest=0.002, same=SAME)
+    event = TimeSteps.between(0.001, np.array([0.0004]), 1, longest=0.002, same=SAME)
     assert event.ends.tolist() == [0.0004, 0.001] and event.sample_steps.tolist() == [2]

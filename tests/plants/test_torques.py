@@ -44,14 +44,14 @@ def from_the_tail(
         yaw: moment of the floor on each connector, shape (samples, N), N·m.
     """
     needed = spec.mass.array()[:, None] * second(h.position) - h.contact_force[1:-1]
-    spin = inertia * second(h.theta) - yaw[1:-1]
+    spin = inertia * second(h.connector_heading) - yaw[1:-1]
     place = h.position[1:-1]
-    mean = (h.theta[1:-1, 1:] + h.theta[1:-1, :-1]) / 2
+    mean = (h.connector_heading[1:-1, 1:] + h.connector_heading[1:-1, :-1]) / 2
     ahead = np.stack([np.cos(mean), np.sin(mean)], axis=-1)
     half = h.bend[1:-1] / 2
     length = spec.geometry.segment_length
     gap = spec.geometry.rigid_gap
-    slope = (
+    derivative = (
         length * (np.cos(half) - np.sinc(half / np.pi)) / (2 * half)
         - gap * np.sin(half) / 2
     )
@@ -62,7 +62,7 @@ def from_the_tail(
         behind = (cross(arm, needed[:, j + 1 :]) + spin[:, j + 1 :]).sum(axis=1)
         chord = place[:, j + 1] - place[:, j]
         torque[:, j] = (
-            -slope[:, j] * (force * ahead[:, j]).sum(axis=1)
+            -derivative[:, j] * (force * ahead[:, j]).sum(axis=1)
             - behind
             - cross(chord, force) / 2
         )
@@ -84,16 +84,18 @@ def first(values: np.ndarray) -> np.ndarray:
 def yaw_of_two_wheels(h: SnakeState, spec: RobotSpec, slip: float) -> np.ndarray:
     """Return the moment of both wheels' drag on each connector, shape (samples, N), N·m."""
     along = (
-        first(h.position) * np.stack([np.cos(h.theta), np.sin(h.theta)], axis=-1)
+        first(h.position)
+        * np.stack([np.cos(h.connector_heading), np.sin(h.connector_heading)], axis=-1)
     ).sum(axis=-1)
     across = cross(
-        np.stack([np.cos(h.theta), np.sin(h.theta)], axis=-1), first(h.position)
+        np.stack([np.cos(h.connector_heading), np.sin(h.connector_heading)], axis=-1),
+        first(h.position),
     )
     track = spec.geometry.half_track
     load = spec.mass.array() * 9.81 / 2
     left, right = (
         wheel(
-            along - side * track * first(h.theta),
+            along - side * track * first(h.connector_heading),
             across,
             load,
             spec.friction.mu_t,
@@ -132,7 +134,7 @@ def test_torques_satisfy_newtons_law(model, law, mu, inertia):
     yaw = (
         yaw_of_two_wheels(h, spec, slip)
         if law in TWO_POINT_LAWS
-        else np.zeros_like(h.theta)
+        else np.zeros_like(h.connector_heading)
     )
     lumped = spec.mass.array() * np.array([1, 2, 2, 2, 1]) * spec.geometry.pitch**2 / 3
     own = {"point": np.zeros(5), "connector": spec.yaw_inertia(), "lumped": lumped}[
@@ -241,14 +243,14 @@ def test_torque_of_one_segment_between_two_masses():
     gap = spec.geometry.rigid_gap
     tiny = 1e-20j
 
-    def slope(q: np.ndarray) -> np.ndarray:
+    def derivative(q: np.ndarray) -> np.ndarray:
         s = np.sin(q / 2)
         c = np.cos(q / 2)
         return length * (c / q - 2 * s / q**2) - gap * s / 2
 
-    bulge = slope(q + tiny).imag / tiny.imag
+    bulge = derivative(q + tiny).imag / tiny.imag
     expected = (
-        0.05 / 2 * (slope(q) ** 2 * ddq + slope(q) * bulge * dq**2)
+        0.05 / 2 * (derivative(q) ** 2 * ddq + derivative(q) * bulge * dq**2)
         + spec.yaw_inertia()[0] / 2 * ddq
     )
     big = np.abs(q) > 0.05

@@ -45,7 +45,7 @@ def test_reset_gives_a_straight_snake_at_rest_at_the_pose():
     pitch = plant.spec.geometry.pitch * np.array([0.5, np.sqrt(0.75)])
     assert state.com == pytest.approx([0.3, -0.1], abs=1e-12)
     assert -np.diff(state.position, axis=0) == pytest.approx(np.tile(pitch, (4, 1)))
-    assert state.theta == pytest.approx([np.pi / 3] * 5)
+    assert state.connector_heading == pytest.approx([np.pi / 3] * 5)
     for quantity in (
         state.com_velocity,
         state.bend,
@@ -65,11 +65,13 @@ def test_state_fields_are_consistent(turning):
     # the mass.
     centre = np.einsum("i,tij->tj", mass, position) / mass.sum()
     assert centre == pytest.approx(column(states, "com"), abs=1e-3)
-    theta = column(states, "theta")
-    assert theta.mean(axis=1) == pytest.approx(column(states, "heading"), abs=1e-12)
+    connector_heading = column(states, "connector_heading")
+    assert connector_heading.mean(axis=1) == pytest.approx(
+        column(states, "heading"), abs=1e-12
+    )
     # Bends are sums of hinge angles; pitch and roll change headings seen from above a
     # little.
-    assert theta[:, :-1] - theta[:, 1:] == pytest.approx(
+    assert connector_heading[:, :-1] - connector_heading[:, 1:] == pytest.approx(
         column(states, "bend"), abs=0.02
     )
     assert np.abs(column(states, "bend")).max() > 0.8
@@ -111,11 +113,13 @@ def _momentum_error(plant: TwinSnake, states) -> float:
 def test_friction_stays_near_the_static_friction_cone(turning):
     plant, states = turning
     horizontal = np.linalg.norm(column(states, "contact_force"), axis=-1)
-    share = horizontal / (plant.spec.friction.mu_n * plant.spec.mass.array() * GRAVITY)
+    fraction = horizontal / (
+        plant.spec.friction.mu_n * plant.spec.mass.array() * GRAVITY
+    )
     # Loads swing about their mean, but the preload's part of the cone does not.
-    assert (np.quantile(share, 0.95, axis=0) < 1.15).all()
-    assert share.max() < 2
-    assert (share.max(axis=0) > 0.5).all()
+    assert (np.quantile(fraction, 0.95, axis=0) < 1.15).all()
+    assert fraction.max() < 2
+    assert (fraction.max(axis=0) > 0.5).all()
 
 
 def test_named_accessors_agree_with_mujoco_arrays():
@@ -222,7 +226,7 @@ def test_snake_at_rest_does_not_move():
     for _ in range(100):
         state = plant.step(vented(SPEC))
     assert state.position == pytest.approx(start.position, abs=5e-6)
-    assert state.theta == pytest.approx(start.theta, abs=1e-5)
+    assert state.connector_heading == pytest.approx(start.connector_heading, abs=1e-5)
 
 
 @pytest.mark.parametrize("connectors", [2, 9])

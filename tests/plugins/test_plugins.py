@@ -157,7 +157,7 @@ def test_chambers_and_sensors_from_outside_run_on_both_plants(plugin):
     scenario = parse_scenario(data)
     for kind in ("analytical", "twin"):
         run = srs.rollout(scenario.build_plant(kind), scenario.build_controller(), 0.4)
-        assert np.allclose(run["sensed_1"], run["bend_1"] + 0.25)
+        assert np.allclose(run["measured_bend_1"], run["bend_1"] + 0.25)
         assert run.metadata["sensor"]["kind"] == "shifted"
     # The Python interface takes the names as well, and so do environments.
     plant = srs.AnalyticalSnake(srs.load_robot("gen2"), pneumatics=f"{path.stem}:Leaky")

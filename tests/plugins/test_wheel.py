@@ -64,7 +64,7 @@ def test_a_wheel_adds_a_controller_a_metric_and_a_format(srs_twin_process, tmp_p
         return done.stdout or done.stderr
 
     assert "met    twin heading_range_rad" in run("compare", "short.yaml", "--check")
-    run("run", "short.yaml", "full.yaml", "--jobs", "2", "--out", "both", "-q")
+    run("run", "short.yaml", "full.yaml", "--workers", "2", "--out", "both", "-q")
     speeds = [
         json.loads((here / "both" / name / "metrics.json").read_text())["plants"][
             "twin"

@@ -69,13 +69,13 @@ def test_flow_follows_iso_6358_with_correct_derivatives(first, second, b):
     step = 1e-3
     ratio = min(first, second) / max(first, second)
     if min(abs(ratio - kink) for kink in (b, 0.999, 1.0)) > 1e-6:
-        slopes = (
+        derivatives = (
             (iso_6358(first + step, second, b) - iso_6358(first - step, second, b))
             / (2 * step),
             (iso_6358(first, second + step, b) - iso_6358(first, second - step, b))
             / (2 * step),
         )
-        assert (by_first, by_second) == pytest.approx(slopes, rel=2e-4, abs=1e-6)
+        assert (by_first, by_second) == pytest.approx(derivatives, rel=2e-4, abs=1e-6)
 
 
 def test_flow_is_continuous_at_the_sonic_and_laminar_limits():
@@ -122,8 +122,8 @@ def test_small_pressure_steps_decay_with_the_fitted_time_constants(name, critica
         level = np.exp(-2) * supply if direction == -1 else (1 - np.exp(-2)) * supply
         near = np.abs(times - times[np.argmin(np.abs(curves[0] - level))]) < 0.03 * tau
         assert gap[near].max() < 0.005 * supply, "a small step"
-        slope = np.polyfit(times[near], np.log(gap[near]), 1)[0]
-        assert -1 / slope == pytest.approx(tau, rel=0.01)
+        derivative = np.polyfit(times[near], np.log(gap[near]), 1)[0]
+        assert -1 / derivative == pytest.approx(tau, rel=0.01)
 
 
 @pytest.mark.parametrize("name", ["gen1", "gen2", "gen4"])
@@ -257,7 +257,7 @@ def test_integration_converges_to_an_independent_integrator(case):
             / SUPPLY
         )
         assert np.abs(trace.bend - expected[:, 8:12]).max() < 1e-3
-        drawn = trace.air * (SUPPLY + AMBIENT) / SUPPLY
+        drawn = trace.pneumatic_energy * (SUPPLY + AMBIENT) / SUPPLY
         assert drawn == pytest.approx(expected[:, 13], abs=3e-4 * expected[-1, 13])
         assert chambers.lost == pytest.approx(expected[-1, 14], rel=1e-3)
     assert errors[0] < 1e-3 and errors[1] < 0.5 * errors[0]
@@ -328,7 +328,9 @@ def test_air_is_conserved(states, limit):
     )
     # A line without limit is the supply itself.
     assert inside + chambers.lost - chambers.drawn == pytest.approx(before, rel=1e-10)
-    assert chambers.air == pytest.approx(chambers.drawn * SUPPLY / (SUPPLY + AMBIENT))
+    assert chambers.pneumatic_energy == pytest.approx(
+        chambers.drawn * SUPPLY / (SUPPLY + AMBIENT)
+    )
 
 
 def test_result_is_independent_of_the_division_of_a_schedule():
@@ -342,7 +344,9 @@ def test_result_is_independent_of_the_division_of_a_schedule():
         for _ in range(20):
             part = many.advance(many.schedule(valves, 0.001), np.array([0.001]))
         assert part.pressure[0] == pytest.approx(whole.pressure[k], abs=1e-4 * SUPPLY)
-        assert part.air[0] == pytest.approx(whole.air[k], rel=1e-4)
+        assert part.pneumatic_energy[0] == pytest.approx(
+            whole.pneumatic_energy[k], rel=1e-4
+        )
 
 
 # Coupling with actual bends
@@ -409,13 +413,17 @@ def test_generation_3_is_limited_by_two_litres_per_minute():
     """Fills of 45 ml per chamber need ten times the flow (docs/pneumatics.md); no limit is the default."""
     spec = robot("gen3")
     free = OrificePneumatics(spec, supply_pa=SUPPLY)
-    starved = OrificePneumatics(spec, supply_pa=SUPPLY, flow_limit=COMPRESSOR)
+    low_supply_pressure = OrificePneumatics(
+        spec, supply_pa=SUPPLY, flow_limit=COMPRESSOR
+    )
     speed, amplitude = speed_and_amplitude(spec, free)
-    slow, small = speed_and_amplitude(spec, starved)
+    slow, small = speed_and_amplitude(spec, low_supply_pressure)
     assert speed > 0.04 and amplitude > 1.5
     assert slow < 0.01 * speed and small < 0.15 * amplitude
     assert free.drawn / AMBIENT / 10 > 10 * COMPRESSOR
-    assert starved.drawn / AMBIENT / 10 == pytest.approx(COMPRESSOR, rel=1e-3)
+    assert low_supply_pressure.drawn / AMBIENT / 10 == pytest.approx(
+        COMPRESSOR, rel=1e-3
+    )
 
 
 def test_flow_limit_slows_all_segments():
@@ -443,7 +451,7 @@ def test_a_regulator_keeps_the_line_within_a_hundredth():
 @pytest.mark.parametrize("limit", [None, COMPRESSOR])
 def test_changed_supply_pressure_equals_construction_with_it(limit):
     lower = 0.6 * SUPPLY
-    more = {"flow_limit": limit, "line_begins": lower, "leak_per_s": 0.2}
+    more = {"flow_limit": limit, "initial_line_pressure": lower, "leak_per_s": 0.2}
     regulated, made = (
         OrificePneumatics(robot(), supply_pa=entry, **more) for entry in (SUPPLY, lower)
     )
@@ -453,11 +461,11 @@ def test_changed_supply_pressure_equals_construction_with_it(limit):
         for entry in (regulated, made)
     ]
     assert traces[0].pressure == pytest.approx(traces[1].pressure, abs=1e-6 * lower)
-    assert traces[0].air[-1] > 0 and traces[0].air == pytest.approx(
-        traces[1].air, rel=1e-9
-    )
-    assert (regulated.air, regulated.line_pressure) == pytest.approx(
-        (made.air, made.line_pressure)
+    assert traces[0].pneumatic_energy[-1] > 0 and traces[
+        0
+    ].pneumatic_energy == pytest.approx(traces[1].pneumatic_energy, rel=1e-9)
+    assert (regulated.pneumatic_energy, regulated.line_pressure) == pytest.approx(
+        (made.pneumatic_energy, made.line_pressure)
     )
 
 
@@ -466,7 +474,7 @@ def test_place_sets_pressures_and_bends():
     random = np.random.default_rng(2)
     pressure = random.uniform(0, SUPPLY, (4, 2))
     bend = np.array([1.1, -0.8, 0.3, -0.1])
-    chambers.place(pressure, bend)
+    chambers.set_state(pressure, bend)
     now = chambers.current_trace()
     assert now.pressure[0] == pytest.approx(pressure) and now.bend[0] == pytest.approx(
         bend
@@ -477,13 +485,13 @@ def test_settings_are_recorded_in_their_units():
     options = {
         "flow_limit": 2 / 60_000,
         "line_volume": 30e-6,
-        "line_begins": 12e3,
+        "initial_line_pressure": 12e3,
         "leak_per_s": 0.3,
     }
     settings = OrificePneumatics(robot(), supply_pa=SUPPLY, **options).describe()
     assert settings["flow_limit_l_per_min"] == pytest.approx(2.0)
     assert settings["line_volume_ml"] == pytest.approx(30.0)
-    assert settings["line_begins_kpa"] == pytest.approx(12.0)
+    assert settings["initial_line_pressure_kpa"] == pytest.approx(12.0)
     assert settings["leak_per_s"] == 0.3
 
 

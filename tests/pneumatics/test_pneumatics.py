@@ -13,7 +13,7 @@ from snakes import chain
 from srs_twin import InputError, RobotSpec
 from srs_twin.pneumatics import LagPneumatics, Schedule, make_pneumatics
 from srs_twin.pneumatics.chambers import AMBIENT_PA
-from srs_twin.pneumatics.lag import followed, relaxation_of
+from srs_twin.pneumatics.lag import lag_response, relaxation_of
 
 pytestmark = pytest.mark.fast
 
@@ -95,8 +95,10 @@ def test_closed_form_solves_the_differential_equations(valves, fill, vent, mode,
                 expected[:, :2], abs=1e-6 * SUPPLY
             )
             assert trace.bend[rows, 0] == pytest.approx(expected[:, 2], abs=1e-6)
-            slope = [rates(0, y)[2] for y in expected]
-            assert trace.bend_rate[rows, 0] == pytest.approx(slope, abs=1e-6 / mode)
+            derivative = [rates(0, y)[2] for y in expected]
+            assert trace.bend_rate[rows, 0] == pytest.approx(
+                derivative, abs=1e-6 / mode
+            )
             values = solution.y[:, -1]
 
 
@@ -220,7 +222,7 @@ def test_a_lag_with_the_time_constant_of_the_filling_follows_the_equations(exces
 
     for time in (0.02, 0.3):
         solved = solve_ivp(rates, (0, time), start, rtol=1e-11, atol=1e-6).y[1, -1]
-        lagged = followed(start[1], start[0], relaxation, tau, time)
+        lagged = lag_response(start[1], start[0], relaxation, tau, time)
         assert lagged == pytest.approx(solved, rel=1e-6)
 
 
@@ -265,7 +267,11 @@ def test_air_is_the_integrated_inflow(valves, leak):
                 atol=[1e-4, 1e-4, 1e-10, 1e-9],
                 max_step=5e-4,
             ).y[:, -1]
-        assert trace.air[-1] == pneumatics.air == pytest.approx(values[3], abs=2e-6)
+        assert (
+            trace.pneumatic_energy[-1]
+            == pneumatics.pneumatic_energy
+            == pytest.approx(values[3], abs=2e-6)
+        )
 
 
 def test_air_of_one_fill_is_pressure_times_volume():
@@ -274,14 +280,16 @@ def test_air_of_one_fill_is_pressure_times_volume():
     pneumatics.advance(pneumatics.schedule([[1, -1]], 5.0), np.zeros(0))
     grown = spec.chamber.dead_volume + spec.chamber.displacement * GAIN * SUPPLY
     amount = (SUPPLY + AMBIENT_PA) * grown - AMBIENT_PA * spec.chamber.dead_volume
-    assert pneumatics.air == pytest.approx(
+    assert pneumatics.pneumatic_energy == pytest.approx(
         SUPPLY * amount / (SUPPLY + AMBIENT_PA), rel=1e-9
     )
-    drawn = pneumatics.air
+    drawn = pneumatics.pneumatic_energy
     pneumatics.advance(pneumatics.schedule([[-1, -1]], 5.0), np.zeros(0))
-    assert pneumatics.air == drawn, "venting gives nothing back and takes nothing"
+    assert pneumatics.pneumatic_energy == drawn, (
+        "venting gives nothing back and takes nothing"
+    )
     pneumatics.reset()
-    assert pneumatics.air == 0.0
+    assert pneumatics.pneumatic_energy == 0.0
 
 
 @pytest.mark.parametrize("kind", ["lag", "orifice"])

@@ -28,7 +28,7 @@ def motive_bodies(path, truth, names, mounted=0.0):
         "," + (",Rotation" * 4 + ",Position" * 3) * len(names),
         "Frame,Time (Seconds)" + axes,
     ]
-    half = (truth.stack("theta") + mounted) / 2
+    half = (truth.stack("connector_heading") + mounted) / 2
     rows = []
     for k, time in enumerate(truth.time):
         cells = [f"{k}", f"{time:.6f}"]

@@ -53,7 +53,9 @@ def test_another_library_decodes_the_poses_of_the_parquet_file(run, tmp_path):
             angles = np.unwrap(
                 [2 * np.arctan2(p.orientation.z, p.orientation.w) for p in poses]
             )
-            assert angles == pytest.approx(trajectory[f"theta_{i}"], abs=1e-9)
+            assert angles == pytest.approx(
+                trajectory[f"connector_heading_{i}"], abs=1e-9
+            )
         bends = np.array([decoded.position for _, decoded in seen[f"/{plant}/bends"]])
         assert bends == pytest.approx(trajectory.stack("bend"), abs=1e-9)
         for j in range(1, 5):

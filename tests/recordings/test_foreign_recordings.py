@@ -54,7 +54,7 @@ def bag(path):
                     0.03,
                 ]
                 half = (
-                    truth[f"theta_{j + 1}"][k]
+                    truth[f"connector_heading_{j + 1}"][k]
                     + 0.3 * j
                     + 5e-3 * random.standard_normal()
                 ) / 2
@@ -199,7 +199,7 @@ def test_a_bag_can_be_fitted(replayed, monkeypatch, capsys):
         "gen2",
         "--map",
         "bag.yaml",
-        "--find",
+        "--parameters",
         "geometry.rigid_gap_m",
         "--starts",
         "1",

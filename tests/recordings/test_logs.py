@@ -176,7 +176,10 @@ def test_motion_does_not_depend_on_the_world_frame(
     moved = {f"x_{i + 1}": place[:, i, 0] for i in range(5)} | {
         f"y_{i + 1}": place[:, i, 1] for i in range(5)
     }
-    moved |= {f"theta_{i}": truth[f"theta_{i}"] + turn for i in range(1, 6)}
+    moved |= {
+        f"connector_heading_{i}": truth[f"connector_heading_{i}"] + turn
+        for i in range(1, 6)
+    }
     there = recorded(
         folder,
         Take(layout=layout, noise=0.0, digits=9),
@@ -443,7 +446,7 @@ def test_metadata_and_units(tmp_path):
         "heading": "rad",
         "x": "m",
         "y": "m",
-        "theta": "rad",
+        "connector_heading": "rad",
         "bend": "rad",
         "com_velocity_x": "m/s",
         "com_velocity_y": "m/s",

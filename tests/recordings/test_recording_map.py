@@ -85,8 +85,8 @@ def test_markers_are_assigned_by_a_map(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("layout", ["head", "pair", "middles", "head_middles"])
 @pytest.mark.parametrize("share", first_by_default(1, [0.25, 0.0]))
-def test_segments_that_stretch_are_measured(tmp_path, layout, share):
-    truth = stretched(motion(), share)
+def test_segments_that_stretch_are_measured(tmp_path, layout, fraction):
+    truth = stretched(motion(), fraction)
     found = recorded(tmp_path, Take(layout=layout), truth)
     error = found.trajectory.stack("bend") - truth.stack("bend")
     assert found.summary.markers.layout == layout
@@ -238,8 +238,8 @@ def test_duties_are_converted_to_valve_states(tmp_path):
     found = read_valves(path, SPEC, RecordingMap(log={"carrier_hz": 50.0}))
     assert found.kind == "valve"
     fine = np.linspace(0, 0.2, 20001)[:-1] + 0.6
-    share = (found.at(fine) == 1).mean(axis=0).ravel()
-    assert share == pytest.approx(duty[3], abs=1e-3)
+    fraction = (found.at(fine) == 1).mean(axis=0).ravel()
+    assert fraction == pytest.approx(duty[3], abs=1e-3)
 
 
 def test_a_rigid_body_gives_a_heading(tmp_path):
@@ -248,7 +248,7 @@ def test_a_rigid_body_gives_a_heading(tmp_path):
     from srs_twin.recordings.recording import bodies_as_pairs
 
     truth = motion()
-    angle = truth.stack("theta") + np.array([0.3, -1.0, 2.0, 0.0, 3.0])
+    angle = truth.stack("connector_heading") + np.array([0.3, -1.0, 2.0, 0.0, 3.0])
     half = angle / 2
     turns = np.stack([0 * half, 0 * half, np.sin(half), np.cos(half)], axis=-1)
     points = np.concatenate([truth.position, np.full((*half.shape, 1), 0.03)], axis=-1)

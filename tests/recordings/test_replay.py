@@ -77,7 +77,7 @@ def test_recorded_pressures_give_the_bends_of_their_valves():
             np.median(np.abs(slope - getattr(second, rate)[2:-2]))
             < 1e-3 * np.abs(slope).max()
         )
-    assert (first.air == 0).all()
+    assert (first.pneumatic_energy == 0).all()
 
 
 def test_invalid_recorded_pressures_are_refused():
@@ -119,7 +119,7 @@ def test_both_plants_follow_recorded_pressures():
         assert again["pressure_plus_2"][-1] == pytest.approx(
             truth["pressure_plus_2"][-1]
         )
-        assert truth.has("air") and not again.has("air"), (
+        assert truth.has("pneumatic_energy") and not again.has("pneumatic_energy"), (
             "nobody knows what air the robot drew"
         )
         assert (

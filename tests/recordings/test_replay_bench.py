@@ -174,7 +174,12 @@ def test_bend_log_of_a_chain_has_the_geometry_of_the_plant(tmp_path):
     ).trajectory
     assert np.abs(found.position - truth.position).max() < 1e-6
     assert np.abs(found.com - truth.com).max() < 1e-6
-    assert np.abs(found.stack("theta") - truth.stack("theta")).max() < 1e-6
+    assert (
+        np.abs(
+            found.stack("connector_heading") - truth.stack("connector_heading")
+        ).max()
+        < 1e-6
+    )
 
 
 def test_a_bend_log_can_be_used_for_actuator_fits(bench):
@@ -246,7 +251,9 @@ def test_a_moving_head_is_refused_on_a_bench(bench):
         )
     take = read_motion(bench / "markers.csv", MODULE, head=HEAD)
     columns = dict(take.trajectory.columns)
-    columns["theta_1"] = columns["theta_1"] + 0.2 * np.sin(3 * columns["time"])
+    columns["connector_heading_1"] = columns["connector_heading_1"] + 0.2 * np.sin(
+        3 * columns["time"]
+    )
     with pytest.raises(InputError, match="moves by 0 mm and turns by 1[12]°"):
         on_bench(
             replace(take, trajectory=replace(take.trajectory, columns=columns)), MODULE

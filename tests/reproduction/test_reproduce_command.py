@@ -16,7 +16,7 @@ from srs_twin.cli import main
 from srs_twin.reproduction.claims import load_claims
 from srs_twin.reproduction.printing import _short_text
 from srs_twin.reproduction.report import TITLES, by_category, count_verdicts
-from srs_twin.reproduction.verdicts import MET, Outcome, load_baseline
+from srs_twin.reproduction.verdicts import MET, ClaimOutcome, load_baseline
 
 FEW = (
     "--only",
@@ -101,7 +101,7 @@ def test_rows_are_run_judged_stored_and_printed(srs_twin, tmp_path):
     ("values", "text"), [((0.25, 0.12), "0.25 > 0.12"), ((0.25, 0.123), "0.25…0.12")]
 )
 def test_an_ordering_is_shortened_only_if_wider_than_its_column(values, text):
-    assert _short_text(Outcome(MET, values, math.nan, math.nan)) == text
+    assert _short_text(ClaimOutcome(MET, values, math.nan, math.nan)) == text
 
 
 @pytest.mark.parametrize(

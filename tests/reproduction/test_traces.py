@@ -47,8 +47,9 @@ def gait(bend, *, frequency=2.0, heading=lambda t: 0 * t):
         "bend_1": bend(2 * np.pi * frequency * time),
     }
     columns |= {
-        "theta_1": columns["heading"],
-        "theta_2": columns["heading"] + 0.3 * np.sin(time * 2 * np.pi * frequency),
+        "connector_heading_1": columns["heading"],
+        "connector_heading_2": columns["heading"]
+        + 0.3 * np.sin(time * 2 * np.pi * frequency),
     }
     return Trajectory(
         columns, metadata={"gait_frequency_hz": frequency, "body_length_m": 0.1}

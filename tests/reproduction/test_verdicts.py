@@ -16,8 +16,8 @@ from srs_twin.reproduction.report import count_verdicts, summary_line
 from srs_twin.reproduction.runs import ReproductionJob
 from srs_twin.reproduction.verdicts import (
     Baseline,
+    ClaimOutcome,
     JudgedClaim,
-    Outcome,
     aggregate,
     combine,
     judge,
@@ -171,7 +171,7 @@ def test_aggregates_of_several_values():
 
 def rows(**verdicts):
     outcomes = {
-        column: Outcome(verdict, (0.123456,), 0.123456, math.nan)
+        column: ClaimOutcome(verdict, (0.123456,), 0.123456, math.nan)
         for column, verdict in verdicts.items()
     }
     return (JudgedClaim(claim(), outcomes),)
@@ -206,7 +206,7 @@ def test_a_missing_or_invalid_baseline_is_refused(text, tmp_path):
 
 
 def test_fitted_rows_are_not_predictions():
-    outcomes = {"twin": Outcome("met", (1.0,), 1.0, 0.0)}
+    outcomes = {"twin": ClaimOutcome("met", (1.0,), 1.0, 0.0)}
     fitted, held = (JudgedClaim(claim(use=use), outcomes) for use in ("fit", "holdout"))
     assert count_verdicts([fitted, held], "twin", ("holdout",)) == {
         "met": 1,
@@ -225,7 +225,8 @@ def test_missing_numbers_are_null_in_the_baseline(tmp_path):
     path = write_baseline(
         (
             JudgedClaim(
-                claim(), {"twin": Outcome("missed", (math.nan,), math.nan, math.inf)}
+                claim(),
+                {"twin": ClaimOutcome("missed", (math.nan,), math.nan, math.inf)},
             ),
         ),
         tmp_path / "b",

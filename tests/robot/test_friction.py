@@ -29,13 +29,13 @@ def forces(law, v_t, v_n, mu_t, mu_n, slip=1e-3):
 @given(v_t=SPEED, v_n=SPEED, mu_t=MU, mu_n=MU, slip=SLIP)
 def test_derivatives_match_finite_differences(law, v_t, v_n, mu_t, mu_n, slip):
     # The wheel law has kinks at the transition from rolling to skidding and at v_t = 0.
-    share = mu_n * abs(v_t) / math.sqrt(v_t**2 + v_n**2 + slip**2)
+    fraction = mu_n * abs(v_t) / math.sqrt(v_t**2 + v_n**2 + slip**2)
     assume(
         law is not friction.wheel
-        or (abs(share - mu_t) > 1e-3 and (share < mu_t or abs(v_t) > 1e-3))
+        or (abs(fraction - mu_t) > 1e-3 and (fraction < mu_t or abs(v_t) > 1e-3))
     )
     h = 1e-5 * slip
-    slopes = law(v_t, v_n, LOAD, mu_t, mu_n, slip)[2:]
+    derivatives = law(v_t, v_n, LOAD, mu_t, mu_n, slip)[2:]
     ahead = forces(law, v_t + h, v_n, mu_t, mu_n, slip)
     behind = forces(law, v_t - h, v_n, mu_t, mu_n, slip)
     left = forces(law, v_t, v_n + h, mu_t, mu_n, slip)
@@ -47,7 +47,7 @@ def test_derivatives_match_finite_differences(law, v_t, v_n, mu_t, mu_n, slip):
         (ahead[1] - behind[1]) / (2 * h),
         (left[1] - right[1]) / (2 * h),
     ]
-    assert slopes == pytest.approx(differences, abs=1e-5 * steepest + 1e-7)
+    assert derivatives == pytest.approx(differences, abs=1e-5 * steepest + 1e-7)
 
 
 @EACH_LAW
@@ -191,8 +191,8 @@ def test_ellipse_law_has_maximum_dissipation(angle, mu_t, mu_n):
 
 
 @given(SPEED, MU, st.floats(0, 1), SLIP)
-def test_ellipse_law_along_one_direction_is_the_axis_law(v, greater, share, slip):
-    lesser = share * greater
+def test_ellipse_law_along_one_direction_is_the_axis_law(v, greater, fraction, slip):
+    lesser = fraction * greater
     for mu_t, mu_n in ((greater, lesser), (lesser, greater)):
         along = forces(friction.ellipse, v, 0.0, mu_t, mu_n, slip)
         across = (0.0, v)
@@ -207,7 +207,7 @@ def test_ellipse_law_along_one_direction_is_the_axis_law(v, greater, share, slip
             assert force == pytest.approx(
                 forces(friction.axis, *across, mu_t, mu_n, slip), abs=1e-12
             )
-    assume(abs(v) > 0.1 and share > 0.1)
+    assume(abs(v) > 0.1 and fraction > 0.1)
     force = forces(friction.ellipse, v, 0.0, lesser, greater, 1e-6)
     assert force == pytest.approx(
         forces(friction.axis, v, 0.0, lesser, greater, 1e-6), rel=1e-6
@@ -253,8 +253,10 @@ def test_zero_coefficients_give_zero_force(law):
 def test_mixed_derivatives_are_equal_except_of_cosine(law, v_t, v_n, mu_t, mu_n, slip):
     """Other laws have a potential; the kernels store only one of their two mixed derivatives."""
     _, _, _, t_by_n, n_by_t, _ = law(v_t, v_n, LOAD, mu_t, mu_n, slip)
-    share_t, share_n = (mu_n, mu_t) if law is friction.cosine else (1.0, 1.0)
-    assert share_t * t_by_n == pytest.approx(share_n * n_by_t, rel=1e-12, abs=1e-15)
+    fraction_t, fraction_n = (mu_n, mu_t) if law is friction.cosine else (1.0, 1.0)
+    assert fraction_t * t_by_n == pytest.approx(
+        fraction_n * n_by_t, rel=1e-12, abs=1e-15
+    )
 
 
 @given(v_t=SPEED, v_n=SPEED, mu=MU, slip=SLIP)

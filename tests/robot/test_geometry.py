@@ -49,14 +49,16 @@ def test_first_derivative_of_the_chord_matches_finite_differences(bend, length, 
 @pytest.mark.parametrize("bend", [-2.0, -0.1001, -0.0999, -1e-3, 0.0, 0.05, 0.3, 6.0])
 def test_second_derivative_of_the_chord_matches_finite_differences(bend):
     h = 1e-2
-    slopes = [chord_derivatives(bend + k * 1e-2, 0.04, 0.02)[1] for k in range(-3, 4)]
+    derivatives = [
+        chord_derivatives(bend + k * 1e-2, 0.04, 0.02)[1] for k in range(-3, 4)
+    ]
     sixth_order = (
-        -slopes[0]
-        + 9 * slopes[1]
-        - 45 * slopes[2]
-        + 45 * slopes[4]
-        - 9 * slopes[5]
-        + slopes[6]
+        -derivatives[0]
+        + 9 * derivatives[1]
+        - 45 * derivatives[2]
+        + 45 * derivatives[4]
+        - 9 * derivatives[5]
+        + derivatives[6]
     )
     assert chord_derivatives(bend, 0.04, 0.02)[2] == pytest.approx(
         sixth_order / (60 * h), abs=1e-12
@@ -71,10 +73,10 @@ def test_geometry_is_smooth_through_zero_bend(bend):
     q = bend
     length = 0.05
     series = 1 - q**2 / 24 + q**4 / 1920 - q**6 / 322560
-    slope = -q / 12 + q**3 / 480 - q**5 / 53760 + q**7 / 11612160
+    derivative = -q / 12 + q**3 / 480 - q**5 / 53760 + q**7 / 11612160
     assert chord(q, length, 0.0) == pytest.approx(length * series, rel=1e-14)
     assert chord_derivatives(q, length, 0.0)[1] == pytest.approx(
-        length * slope, rel=1e-10, abs=1e-300
+        length * derivative, rel=1e-10, abs=1e-300
     )
 
 

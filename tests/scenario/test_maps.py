@@ -219,7 +219,7 @@ title: A room
 robot: gen2
 duration_s: 2
 world: {map: room.yaml, circles: posts.csv, goal: {x_m: 3.0, y_m: 0.5}}
-planner: {kind: best_first, footprint: gen2_gait, turn_share: 0.5}
+planner: {kind: best_first, footprint: gen2_gait, turn_fraction: 0.5}
 controller: {kind: follow, follower: path, gait: {kind: gait, frequency_hz: 2.0}}
 plants: {analytical: {}, twin: {}}
 """

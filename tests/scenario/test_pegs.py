@@ -8,8 +8,8 @@ import pytest
 from srs_twin.errors import InputFileError
 from srs_twin.scenario.loading import parse_scenario
 
-PEGS = {"pitch_m": 0.13, "radius_m": 0.015, "rows": 4, "columns": 6, "x_m": -0.2}
-PLANTS = {"analytical": {"model": "compliant", "touch": True}, "twin": {}}
+PEGS = {"spacing_m": 0.13, "radius_m": 0.015, "rows": 4, "columns": 6, "x_m": -0.2}
+PLANTS = {"analytical": {"model": "compliant", "contact": True}, "twin": {}}
 
 
 def pegs(plants=PLANTS, obstacle_friction=None, **changes):
@@ -59,7 +59,9 @@ def test_first_column_is_ahead_of_the_snake_by_default():
 def test_plants_touch_pegs_with_the_stated_friction():
     scenario = pegs(obstacle_friction=0.2)
     assert scenario.world.friction == 0.2
-    assert all(scenario.build_plant(kind).touches for kind in ("analytical", "twin"))
+    assert all(
+        scenario.build_plant(kind).has_contact for kind in ("analytical", "twin")
+    )
     assert pegs().world.friction == 0.5
 
 
@@ -69,12 +71,12 @@ def test_plants_touch_pegs_with_the_stated_friction():
         ({"jitter_m": 0.06}, "the pitch must be above 0.15 m"),
         ({"y_m": 0.065}, "overlaps the body at the start by"),
         ({"rows": 100, "columns": 11}, "1100 pegs are too many"),
-        ({"plants": {"analytical": {}}}, "set model: compliant and touch: true"),
+        ({"plants": {"analytical": {}}}, "set model: compliant and contact: true"),
         (
-            {"plants": {"analytical": {"touch": True}}},
+            {"plants": {"analytical": {"contact": True}}},
             "touches no obstacles; use 'compliant'",
         ),
-        ({"pitch": 0.1}, "did you mean pitch_m?"),
+        ({"pitch": 0.1}, "did you mean spacing_m?"),
     ],
 )
 def test_bad_fields_are_refused(changes, words):

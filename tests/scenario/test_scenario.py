@@ -581,23 +581,25 @@ def test_row_contains_the_published_value():
         "reason": None,
         "near": 0.214,
         "source": "Table 10",
-        "known": None,
+        "expected_failure": None,
     }
 
 
 @pytest.mark.parametrize(
-    ("known", "value", "expected"),
+    ("expected_failure", "value", "expected"),
     [
         (None, 0.2, "met"),
         (None, 0.3, "missed"),
         ("drag", 0.2, "holds"),
-        ("drag", 0.3, "known"),
+        ("drag", 0.3, "expected_failure"),
     ],
 )
 def test_known_miss_of_an_expectation(known, value, expected):
-    each = expectation(near=0.214, rel=0.15, **({"known": known} if known else {}))
+    each = expectation(
+        near=0.214, rel=0.15, **({"expected_failure": known} if known else {})
+    )
     outcome = each.check({"plants": {"twin": {"com_speed_m_s": value}}})
-    assert (outcome["known"], verdict(outcome), outcome["met"]) == (
+    assert (outcome["expected_failure"], verdict(outcome), outcome["met"]) == (
         known,
         expected,
         value == 0.2,
@@ -755,7 +757,7 @@ SET = {
     ("start", "pressure_kpa"): [[10.0, 0.0]] * 4,
     ("sensor", "span_rad"): 1.1,
     ("sensor", "distance_mm"): 12.0,
-    ("pneumatics", "line_begins_kpa"): 20.0,
+    ("pneumatics", "initial_line_pressure_kpa"): 20.0,
     ("world", "obstacles"): [{"x_m": 3.0, "y_m": 2.0, "radius_m": 0.25}],
     ("world", "circles"): str(
         (data_root() / "calibration/examples/room/posts.csv").resolve()
@@ -770,7 +772,7 @@ SET = {
         "area": {"x_m": [2.0, 9.0], "y_m": [2.0, 9.0]},
     },
     ("world", "pegs"): {
-        "pitch_m": 0.2,
+        "spacing_m": 0.2,
         "radius_m": 0.02,
         "rows": 2,
         "columns": 3,
@@ -902,7 +904,7 @@ def test_shipped_expectations_can_fail_and_cite_sources(name):
     others = [text for text in s.warnings if text != IGNORED_OBSTACLES]
     assert s.name == name and len(others) == s.file.allow_overpressure
     analytical = s.file.plants.analytical
-    ignores = bool(s.world.has_obstacles and analytical and not analytical.touch)
+    ignores = bool(s.world.has_obstacles and analytical and not analytical.contact)
     assert s.warnings.count(IGNORED_OBSTACLES) == ignores
     # Only the twin has movable objects; spatial robots can do without a second plant.
     plants = ["twin"] if s.world.objects else ["analytical", "twin"]

@@ -63,7 +63,7 @@ def test_first_sample_equals_the_keys(plant):
 def test_one_key_suffices_and_none_means_at_rest():
     bent = run(scenario({"bend_rad": [0.1] * SEGMENTS}), "analytical")
     assert bent.stack("bend")[0] == pytest.approx([0.1] * SEGMENTS)
-    assert scenario({"x_m": 1.0}).begin is None
+    assert scenario({"x_m": 1.0}).initial_state is None
 
 
 @pytest.mark.parametrize("plant", PLANTS)

@@ -107,7 +107,7 @@ def test_message_has_the_line_of_each_obstacle(tmp_path, srs_twin):
         (
             {
                 "pegs": {
-                    "pitch_m": 0.13,
+                    "spacing_m": 0.13,
                     "radius_m": 0.02,
                     "rows": 3,
                     "columns": 3,
@@ -212,7 +212,7 @@ def test_touching_is_allowed(gap, heading):
 
 def test_bends_at_the_start_count():
     beside = circle(0.06, 0.1)
-    assert scenario(beside, plants={"twin": {}}).begin is None
+    assert scenario(beside, plants={"twin": {}}).initial_state is None
     start = {"bend_rad": [0.9, 0.9, 0.9, 0.9]}
     with pytest.raises(InputFileError, match=r"world.obstacles\[0\]: overlaps"):
         scenario(beside, start=start | {"y_m": 0.05}, plants={"twin": {}})
@@ -230,7 +230,10 @@ def test_checked_start_is_that_of_the_plants(snake, kind):
     plants = {kind: {"model": "compliant"} if kind == "analytical" else {}}
     far = scenario(circle(0.1, 0.5, 0.02), start=start, plants=plants, snake=snake)
     apart = rollout(
-        far.build_plant(kind), far.build_controller(), 0.02, begin=far.begin
+        far.build_plant(kind),
+        far.build_controller(),
+        0.02,
+        initial_state=far.initial_state,
     )["clearance"][0]
     deep = 0.01
     with pytest.raises(InputFileError) as caught:
@@ -258,7 +261,10 @@ def test_run_continues_from_a_contact(tmp_path, srs_twin):
     start = {"from": str(tmp_path), "time_s": float(run.time[rows[0]])}
     again = scenario(world, start=start, plants={"twin": {}})
     rollout(
-        again.build_plant("twin"), again.build_controller(), 0.02, begin=again.begin
+        again.build_plant("twin"),
+        again.build_controller(),
+        0.02,
+        initial_state=again.initial_state,
     )
     with pytest.raises(InputFileError, match=r"world.obstacles\[0\]: overlaps"):
         scenario(circle(0.25, radius=0.06), start=start, plants={"twin": {}})
@@ -292,7 +298,7 @@ def test_python_refuses_a_start_in_an_obstacle(world, words):
             twin,
             gait,
             0.1,
-            begin=lambda plant, seed: plant.reset(pose=(0.02, 0.0, 0.0)),
+            initial_state=lambda plant, seed: plant.reset(pose=(0.02, 0.0, 0.0)),
         )
     if not world.objects:
         with pytest.raises(InputError, match=words):
@@ -321,7 +327,7 @@ def test_warning_about_ignored_obstacles_is_given_once():
     )
     assert (
         scenario(
-            world, plants={"analytical": {"model": "compliant", "touch": True}}
+            world, plants={"analytical": {"model": "compliant", "contact": True}}
         ).warnings
         == ()
     )

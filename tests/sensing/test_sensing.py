@@ -25,7 +25,7 @@ from srs_twin.sensing import (
 )
 from srs_twin.sensing.hall import (
     MOMENT,
-    RAIL_SHARE,
+    RAIL_FRACTION,
     ROUNDING_BEND_RAD,
     SPAN,
     dipole,
@@ -231,7 +231,7 @@ def test_readings_are_quantised(bend, bits):
     assert abs(read - float(smooth.voltage(bend))) <= stepped.step / 2 * (1 + 1e-9)
 
 
-def test_trimmed_amplifier_uses_its_rail_share():
+def test_trimmed_amplifier_uses_its_rail_fraction():
     for strip in (
         Strip(LENGTH),
         Strip(0.037, orientation="side"),
@@ -239,7 +239,9 @@ def test_trimmed_amplifier_uses_its_rail_share():
     ):
         sensor = HallSensor.trimmed(strip, bits=None)
         volts = sensor.voltage(np.linspace(-SPAN, SPAN, 181))
-        assert np.abs(volts - 2.5).max() == pytest.approx(RAIL_SHARE * 2.5, rel=1e-12)
+        assert np.abs(volts - 2.5).max() == pytest.approx(
+            RAIL_FRACTION * 2.5, rel=1e-12
+        )
         assert sensor.voltage(0.0) == 2.5
 
 
@@ -354,14 +356,14 @@ def test_fit_agrees_with_scipy():
 
 
 @given(
-    share=st.floats(-1, 1),
+    fraction=st.floats(-1, 1),
     span=st.floats(0.2, 1.6),
     bits=st.sampled_from([None, 8, 10, 12]),
 )
-def test_reading_error_is_within_the_worst_error(share, span, bits):
+def test_reading_error_is_within_the_worst_error(fraction, span, bits):
     """A monotonic reading between two angles is between their readings, so that spacing limits the error."""
     sensor = make_sensor("hall", GEN4, span=span, bits=bits, noise=0.0)
-    error = sensor.read(np.array([share * span]), 0.0, 0) - share * span
+    error = sensor.read(np.array([fraction * span]), 0.0, 0) - fraction * span
     assert sensor.calibration.monotonic
     assert np.abs(error) <= sensor.calibration.worst_error + 2 * span / 180 + 1e-12
 
@@ -534,7 +536,7 @@ def test_noise_differs_between_seeds_and_segments(plant):
 
     def read(seed):
         run = rollout(plant(GEN4, sensor=sensor), Gait(2.0), 1.0, seed=seed)
-        return run.stack("sensed")
+        return run.stack("measured_bend")
 
     first, again, *others = map(read, (1, 1, 2, 2**40 + 1))
     assert (first == again).all()

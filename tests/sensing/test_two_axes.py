@@ -78,8 +78,8 @@ def test_readings_of_both_axes_are_recorded():
         scenario.build_plant("twin"), scenario.build_controller(), 0.4, seed=5
     )
     bends = np.stack([run.stack("bend"), run.stack("pitch")], axis=-1)
-    read = np.stack([run.stack("sensed"), run.stack("sensed_pitch")], axis=-1)
+    read = np.stack([run.stack("measured_bend"), run.stack("measured_pitch")], axis=-1)
     assert read == pytest.approx(
         make_sensor("hall", SPATIAL).read(bends, run.time, 5) + 0.1
     )
-    assert np.abs(bends).max() > 0.2 and run.unit("sensed_pitch_1") == "rad"
+    assert np.abs(bends).max() > 0.2 and run.unit("measured_pitch_1") == "rad"

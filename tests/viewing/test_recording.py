@@ -37,7 +37,7 @@ def bench(run):
     return with_columns(
         run,
         **numbered("reference", asked),
-        **numbered("sensed", run.stack("bend") + noise),
+        **numbered("measured_bend", run.stack("bend") + noise),
     )
 
 
@@ -54,7 +54,7 @@ def learning(run):
             for name, values in columns.items()
             for k, v in numbered(name, values).items()
         },
-        **numbered("sensed", run.stack("bend") * 1.01),
+        **numbered("measured_bend", run.stack("bend") * 1.01),
     )
     return with_events(
         changed,
@@ -193,7 +193,7 @@ def test_signals_of_each_kind(kind, tmp_path):
     found = read_back(path)
     assert SIGNALS[kind] <= found.keys()
     if kind == "gait":
-        assert not any("sensed" in each or "events" in each for each in found), (
+        assert not any("measured_bend" in each or "events" in each for each in found), (
             "an ideal reading is the bend"
         )
 
@@ -295,7 +295,7 @@ def test_spokes_rotate_about_the_axle(tmp_path):
     axle = np.stack(
         [2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)], axis=-1
     )
-    theta = np.repeat(twin.stack("theta"), 2, axis=1).ravel()
+    theta = np.repeat(twin.stack("connector_heading"), 2, axis=1).ravel()
     assert np.allclose(
         axle, np.stack([-np.sin(theta), np.cos(theta), 0 * theta], axis=-1), atol=1e-5
     )

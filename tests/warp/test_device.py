@@ -102,8 +102,8 @@ def test_device_gait_switches_valves_at_the_schedule_slots():
         Gait(1.37, 0.11),
         Gait(2.9, -0.43, phase=0.7),
         Gait(0.83, 0.27, phases=(0.1, 0.5, 0.2, 0.9)),
-        Gait(1.7, 0.09, rest_share=0.3),
-        Gait(2.3, -0.31, phase_step=0.6, rest_share=0.1),
+        Gait(1.7, 0.09, rest_fraction=0.3),
+        Gait(2.3, -0.31, phase_step=0.6, rest_fraction=0.1),
     ]
     for gait in gaits:
         gait.reset(GEN2, 0.02)
@@ -208,7 +208,9 @@ def test_runs_agree_with_the_cpu_engine(contact):
         )
         assert np.abs(a["work"] - b["work"]).max() < 1e-4
         assert np.abs(a["internal_loss"] - b["internal_loss"]).max() < 1e-5
-        assert b["air"] == pytest.approx(a["air"], rel=1e-3, abs=1e-3)
+        assert b["pneumatic_energy"] == pytest.approx(
+            a["pneumatic_energy"], rel=1e-3, abs=1e-3
+        )
         assert a.metadata["valve_switches"] == b.metadata["valve_switches"]
 
 

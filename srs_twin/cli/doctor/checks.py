@@ -343,7 +343,7 @@ def processors_check(usable: int, quota: float | None) -> Check:
     if quota is not None and quota < usable:
         detail += f", but the container limits the time to that of {quota:.3g}"
         if math.ceil(quota) < usable:
-            remedy = f"more workers would only wait: use --jobs {math.ceil(quota)}"
+            remedy = f"more workers would only wait: use --workers {math.ceil(quota)}"
             return Check(MACHINE, "processors", "missing", detail, remedy)
     return Check(MACHINE, "processors", "ok", detail)
 
@@ -356,7 +356,7 @@ def memory_check(free: int | None) -> Check:
         )
     remedy = (
         f"below {_size(MIN_MEMORY_BYTES)} the system may kill runs: close programs, or"
-        " use --jobs 1"
+        " use --workers 1"
     )
     return _space_check("memory", free, MIN_MEMORY_BYTES, remedy)
 

@@ -26,7 +26,7 @@ from srs_twin.plants.analytical.bodies import (
 )
 from srs_twin.plants.analytical.cells import (
     Cells,
-    Undivided,
+    LumpedSegments,
     cells_of_skin,
     cells_of_wheels,
 )
@@ -42,7 +42,7 @@ from srs_twin.plants.analytical.options import (
     default_timestep,
 )
 from srs_twin.plants.analytical.quasistatic import QuasistaticArcs
-from srs_twin.plants.analytical.steps import Steps
+from srs_twin.plants.analytical.steps import TimeSteps
 from srs_twin.plants.base import (
     TICK_S,
     PneumaticPlant,
@@ -125,7 +125,7 @@ class AnalyticalSnake(PneumaticPlant):
         self.timestep = self.options.timestep or default_timestep(self.tick, spec.scale)
         self._tolerance = self.options.tolerance or TOLERANCE_M_S * unit
         self._make_pneumatics_and_sensor(pneumatics, supply_pa, layout, sensor)
-        self.touches = self.options.touch and self.world.has_obstacles
+        self.has_contact = self.options.contact and self.world.has_obstacles
         self._floor = self._make_floor()
         self.body = self._make_body()
         self.reset()
@@ -144,7 +144,7 @@ class AnalyticalSnake(PneumaticPlant):
             slip_speed = SLIP_SPEED_M_S * unit
         track = self.options.track_of(spec)
         load_transfer = 0.0
-        if self.options.load == "momentary":
+        if self.options.load == "instantaneous":
             load_transfer = spec.geometry.com_height / (2 * track)
         floor = floor_friction(
             self.friction,
@@ -177,14 +177,14 @@ class AnalyticalSnake(PneumaticPlant):
         self.body.reset(pose)
         return self._observe_start(self.pneumatics.rest_trace())
 
-    def place(
+    def set_state(
         self, snake: SnakeState, *, yaw_rate: float = 0.0, seed: int = 0
     ) -> SnakeState:
         """See `Plant.place`."""
         check_initial_state(snake, yaw_rate, self.spec.segments)
         x, y = map(float, snake.com)
         self.reset(pose=(x, y, float(snake.heading)), seed=seed)
-        self.pneumatics.place(snake.pressure, snake.bend)
+        self.pneumatics.set_state(snake.pressure, snake.bend)
         trace = self.pneumatics.current_trace()
         bend = trace.bend[0]
         rate = trace.bend_rate[0]
@@ -192,7 +192,7 @@ class AnalyticalSnake(PneumaticPlant):
             bend = np.array(snake.bend, dtype=float)
             rate = np.array(snake.bend_rate, dtype=float)
         velocity = np.array([*snake.com_velocity, yaw_rate])
-        self.body.place(velocity, bend, rate)
+        self.body.set_state(velocity, bend, rate)
         return self._observe_start(trace)
 
     def _observe_start(self, trace: Trace) -> SnakeState:
@@ -223,7 +223,9 @@ class AnalyticalSnake(PneumaticPlant):
         self._ticks += ticks
         return check_plausible(self.name, history)
 
-    def _advance(self, schedule: Schedule, steps: Steps) -> tuple[int, Motion, Trace]:
+    def _advance(
+        self, schedule: Schedule, steps: TimeSteps
+    ) -> tuple[int, Motion, Trace]:
         """Advance chambers and body.
 
         Chambers whose pressures depend on compliant bends are advanced alternately with
@@ -255,8 +257,8 @@ class AnalyticalSnake(PneumaticPlant):
         return done, concatenate_records(motions), concatenate_records(traces)
 
     def _chunks(
-        self, schedule: Schedule, steps: Steps
-    ) -> Iterator[tuple[Schedule, Steps]]:
+        self, schedule: Schedule, steps: TimeSteps
+    ) -> Iterator[tuple[Schedule, TimeSteps]]:
         if not self._coupled:
             yield schedule, steps
             return
@@ -285,8 +287,8 @@ class AnalyticalSnake(PneumaticPlant):
             "slip_speed_m_s": self._floor.slip,
             "tolerance_m_s": self._tolerance,
         }
-        if options.touch:
-            about |= {"touch": True, "cells": options.cells}
+        if options.contact:
+            about |= {"contact": True, "cells": options.cells}
         if options.load != "static":
             about["load"] = options.load
         return about
@@ -294,7 +296,7 @@ class AnalyticalSnake(PneumaticPlant):
     def identity(self) -> dict[str, Any]:
         """See `Plant.identity`."""
         identity = super().identity() | {"floor": short_digest(self.world.floor)}
-        if self.touches:
+        if self.has_contact:
             identity["world"] = short_digest(self.world)
         return identity
 
@@ -318,16 +320,16 @@ class AnalyticalSnake(PneumaticPlant):
             model = PrescribedModel(solid, floor, options.friction_torque)
             return PrescribedBends(model, cells, self._tolerance)
         obstacles = None
-        if self.touches:
+        if self.has_contact:
             obstacles = make_obstacles(self.world, self.spec, cells, floor.slip)
         return CompliantBends(self.spec, solid, floor, cells, obstacles)
 
-    def _divide(self) -> Undivided:
+    def _divide(self) -> LumpedSegments:
         if self.spec.skin is not None:
             return cells_of_skin(self.spec)
-        if self.touches:
+        if self.has_contact:
             return cells_of_wheels(self.spec, self.options.cells)
-        return Undivided(self.spec)
+        return LumpedSegments(self.spec)
 
     @property
     def _coupled(self) -> bool:
@@ -357,7 +359,7 @@ class AnalyticalSnake(PneumaticPlant):
             inertia[:: (len(mass) - 1) // self.spec.segments] = self.spec.yaw_inertia()
         return inertia
 
-    def steps(self, schedule: Schedule, samples: int) -> Steps:
+    def steps(self, schedule: Schedule, samples: int) -> TimeSteps:
         """Return the integrator's steps for a schedule.
 
         Args:
@@ -367,7 +369,7 @@ class AnalyticalSnake(PneumaticPlant):
         longest = self.timestep
         if self._coupled:
             longest = min(longest, self._coupling_step)
-        return Steps.between(
+        return TimeSteps.between(
             schedule.span,
             schedule.events,
             samples,
@@ -378,20 +380,20 @@ class AnalyticalSnake(PneumaticPlant):
     def _observe(self, time: np.ndarray, motion: Motion, trace: Trace) -> SnakeState:
         body = self.body
         if isinstance(body, QuasistaticArcs):
-            sensed = self.sensor.read(motion.bend, time, self.seed)
-            return body.observe(time, motion, trace, sensed)
+            measured_bend = self.sensor.read(motion.bend, time, self.seed)
+            return body.observe(time, motion, trace, measured_bend)
         cells = body.cells
         states = motion.states
         wheels = self._floor._replace(drag=0.0)
         bends = kernels.Bends(motion.bend, motion.bend_rate)
         seen = kernels.observe(states, motion.velocities, bends, body.solid, wheels)
-        theta = cells.at_connectors(seen.theta)
+        connector_heading = cells.at_connectors(seen.connector_heading)
         heading = states[:, kernels.HEADING]
         if isinstance(cells, Cells):
-            heading = theta.mean(axis=1)
+            heading = connector_heading.mean(axis=1)
         obstacles = np.zeros((len(time), self.spec.geometry.connectors, 2))
         work = states[:, kernels.ENERGY_LOSS]
-        if self.touches:
+        if self.has_contact:
             assert isinstance(cells, Cells), "a body among obstacles is divided"
             forces = states[:, kernels.STATES : -1].reshape(len(time), -1, 2)
             obstacles = cells.obstacle_force(forces)
@@ -404,17 +406,17 @@ class AnalyticalSnake(PneumaticPlant):
             com_velocity=states[:, kernels.STATE_VX : kernels.STATE_VY + 1],
             heading=heading,
             position=cells.at_connectors(seen.position),
-            theta=theta,
+            connector_heading=connector_heading,
             bend=bend,
             bend_rate=cells.total(motion.bend_rate),
             pressure=trace.pressure,
             valves=trace.valves,
-            sensed=self.sensor.read(bend, time, self.seed),
+            measured_bend=self.sensor.read(bend, time, self.seed),
             contact_force=cells.on_connectors(seen.force),
             obstacle_force=obstacles,
             torque=motion.torque,
             work=work,
             internal_loss=np.zeros(len(time)),
-            air=trace.air,
+            pneumatic_energy=trace.pneumatic_energy,
             qpos=np.empty((len(time), 0)),
         )

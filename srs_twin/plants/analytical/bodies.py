@@ -29,7 +29,7 @@ from srs_twin.compute.compiled import allocating, inlined
 from srs_twin.errors import InputError
 from srs_twin.io.saved_state import Stateful
 from srs_twin.plants.analytical import compliant_kernels, kernels
-from srs_twin.plants.analytical.cells import Undivided
+from srs_twin.plants.analytical.cells import LumpedSegments
 from srs_twin.plants.analytical.floor import FloorFriction
 from srs_twin.plants.analytical.kernels import (
     Bends,
@@ -98,7 +98,7 @@ class Body(Stateful, ABC):
         self,
         solid: BodyParameters,
         floor: FloorFriction,
-        cells: Undivided,
+        cells: LumpedSegments,
         bends: int = 0,
     ) -> None:
         """Set the constants of the body.
@@ -128,7 +128,9 @@ class Body(Stateful, ABC):
         self.state, self.velocity = map(np.zeros, self._shapes)
         self.state[:3] = pose
 
-    def place(self, velocity: np.ndarray, bend: np.ndarray, rate: np.ndarray) -> None:
+    def set_state(
+        self, velocity: np.ndarray, bend: np.ndarray, rate: np.ndarray
+    ) -> None:
         """Set velocities, bends and bend rates after `reset`.
 
         Args:
@@ -204,7 +206,7 @@ class PrescribedBends(Body):
     state_attributes = ("_state_rate",)
 
     def __init__(
-        self, model: PrescribedModel, cells: Undivided, tolerance: float
+        self, model: PrescribedModel, cells: LumpedSegments, tolerance: float
     ) -> None:
         super().__init__(model.solid, model.floor, cells)
         self._model = model
@@ -245,7 +247,7 @@ class ClampedBends(Body):
     state_attributes = ("_head_pose",)
 
     def __init__(
-        self, solid: BodyParameters, floor: FloorFriction, cells: Undivided
+        self, solid: BodyParameters, floor: FloorFriction, cells: LumpedSegments
     ) -> None:
         # The chain hangs in the air, without friction.
         super().__init__(
@@ -261,7 +263,9 @@ class ClampedBends(Body):
             [x + ahead * math.cos(heading), y + ahead * math.sin(heading), heading]
         )
 
-    def place(self, velocity: np.ndarray, bend: np.ndarray, rate: np.ndarray) -> None:
+    def set_state(
+        self, velocity: np.ndarray, bend: np.ndarray, rate: np.ndarray
+    ) -> None:
         """See `Body.place`. A clamped chain can only start at rest."""
         raise InputError("a snake that is clamped at its head can only start at rest")
 
@@ -367,26 +371,26 @@ def _accelerate(trace, k, solid, total, heading, chain):  # type: ignore[no-unty
         alpha[j + 1] = alpha[j] - ddq
         chord = chord_terms(q, solid, j)
         span = chord.span
-        chord_rate = chord.slope * dq
-        chord_acceleration = chord.curvature * dq * dq + chord.slope * ddq
+        chord_rate = chord.derivative * dq
+        chord_acceleration = chord.curvature * dq * dq + chord.derivative * ddq
         inward = chord_acceleration - span * chord_spin * chord_spin
-        aside = span * chord_alpha + 2 * chord_rate * chord_spin
+        lateral = span * chord_alpha + 2 * chord_rate * chord_spin
         c = math.cos(psi)
         s = math.sin(psi)
         position[j + 1, 0] = position[j, 0] - span * c
         position[j + 1, 1] = position[j, 1] - span * s
         v_x = v_x - chord_rate * c + span * chord_spin * s
         v_y = v_y - chord_rate * s - span * chord_spin * c
-        acceleration[j + 1, 0] = acceleration[j, 0] - inward * c + aside * s
-        acceleration[j + 1, 1] = acceleration[j, 1] - inward * s - aside * c
+        acceleration[j + 1, 0] = acceleration[j, 0] - inward * c + lateral * s
+        acceleration[j + 1, 1] = acceleration[j, 1] - inward * s - lateral * c
         # A bend shortens the chord and rotates it by half of the bend.
-        chain.lever[j, 0] = -chord.slope * c - span / 2 * s
-        chain.lever[j, 1] = -chord.slope * s + span / 2 * c
-        share = solid.mass[j + 1] / total
-        com_x = com_x + share * position[j + 1, 0]
-        com_y = com_y + share * position[j + 1, 1]
-        com_vx = com_vx + share * v_x
-        com_vy = com_vy + share * v_y
+        chain.lever[j, 0] = -chord.derivative * c - span / 2 * s
+        chain.lever[j, 1] = -chord.derivative * s + span / 2 * c
+        fraction = solid.mass[j + 1] / total
+        com_x = com_x + fraction * position[j + 1, 0]
+        com_y = com_y + fraction * position[j + 1, 1]
+        com_vx = com_vx + fraction * v_x
+        com_vy = com_vy + fraction * v_y
         mean = mean + (angle - heading) / n
         mean_spin = mean_spin + spin / n
     return _Centre(com_x, com_y, com_vx, com_vy, mean, mean_spin)
@@ -426,15 +430,15 @@ class CompliantBends(Body):
         spec: RobotSpec,
         solid: BodyParameters,
         floor: FloorFriction,
-        cells: Undivided,
+        cells: LumpedSegments,
         obstacles: Obstacles | None = None,
     ) -> None:
         self._bends = len(solid.mass) - 1
         super().__init__(solid, floor, cells, self._bends)
         bending = spec.bending
         springs = (
-            bending.stiffness * cells.inverse_share,
-            bending.damping * cells.inverse_share,
+            bending.stiffness * cells.inverse_fraction,
+            bending.damping * cells.inverse_fraction,
         )
         self.obstacles = obstacles
         self._model = compliant_kernels.CompliantModel.of(
@@ -448,7 +452,9 @@ class CompliantBends(Body):
         self._impulses = slice(self._momenta.stop, None)
         count = 0 if obstacles is None else obstacles.force.size + 1
         self._shapes = self._momenta.stop + count, self._shapes[1]
-        self._work = compliant_kernels.WorkArrays.of(self._bends + 1, self._shapes[0])
+        self._workspace = compliant_kernels.WorkArrays.of(
+            self._bends + 1, self._shapes[0]
+        )
         self._spec = spec
         self._bias = spec.modules.array("bias")
 
@@ -461,21 +467,23 @@ class CompliantBends(Body):
         self.state[compliant_kernels.BENDS :][: self._bends] = bias
         self.state[kernels.HEADING] += self.cells.lead(bias)
 
-    def place(self, velocity: np.ndarray, bend: np.ndarray, rate: np.ndarray) -> None:
+    def set_state(
+        self, velocity: np.ndarray, bend: np.ndarray, rate: np.ndarray
+    ) -> None:
         """See `Body.place`."""
         self.state[kernels.HEADING] -= self.cells.lead(self.cells.split(self._bias))
-        super().place(velocity, bend, rate)
+        super().set_state(velocity, bend, rate)
         bend = self.cells.split(bend)
         rate = self.cells.split(rate)
         self.state[compliant_kernels.BENDS :][: self._bends] = bend
         self.velocity[3:] = rate
         model = self._model._replace(obstacles=None)
-        work = self._work
+        workspace = self._workspace
         air = np.zeros(self._bends)
         compliant_kernels.balance(
-            bend, self.velocity, air, 0.0, model, model.floor, work
+            bend, self.velocity, air, 0.0, model, model.floor, workspace
         )
-        self.state[self._momenta] = work.momentum[3:]
+        self.state[self._momenta] = workspace.momentum[3:]
 
     @property
     def _contact_loads(self) -> np.ndarray:
@@ -497,7 +505,7 @@ class CompliantBends(Body):
         split = self.cells.split
         free = Bends(split(trace.bend), split(trace.bend_rate))
         done: int = compliant_kernels.advance(
-            now, steps, free, sample_steps, self._model, samples, self._work
+            now, steps, free, sample_steps, self._model, samples, self._workspace
         )
         if self.obstacles is not None:
             self._average_forces(

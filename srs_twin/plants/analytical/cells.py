@@ -34,20 +34,20 @@ The bend of such a cell stays below a microradian.
 """
 
 
-class Division(NamedTuple):
+class Discretisation(NamedTuple):
     """Cells of each segment: arcs of constant curvature between contact points.
 
     Attributes:
         length: lengths of the cells, head first, shape (cells,), m.
-        share: fraction of the segment's bend in each cell, 0 in the rigid gap, shape
+        fraction: fraction of the segment's bend in each cell, 0 in the rigid gap, shape
             (cells,), dimensionless.
     """
 
     length: Array
-    share: Array
+    fraction: Array
 
     @classmethod
-    def of(cls, geometry: Geometry, points: int) -> Division:
+    def of(cls, geometry: Geometry, points: int) -> Discretisation:
         """Return a division into at least `points` cells of about equal length.
 
         Ends of the arc are also ends of cells.
@@ -64,13 +64,14 @@ class Division(NamedTuple):
         lengths = [
             length / count for (length, _), count in zip(pieces, counts, strict=True)
         ]
-        shares = [
-            share / count for (_, share), count in zip(pieces, counts, strict=True)
+        fractions = [
+            fraction / count
+            for (_, fraction), count in zip(pieces, counts, strict=True)
         ]
-        return cls(np.repeat(lengths, counts), np.repeat(shares, counts))
+        return cls(np.repeat(lengths, counts), np.repeat(fractions, counts))
 
 
-class Undivided:
+class LumpedSegments:
     """Segments of a robot on wheels, whose masses and contacts are at the connectors.
 
     Attributes:
@@ -78,11 +79,11 @@ class Undivided:
         mass: mass at each connector or end of a cell, shape (points,), kg.
         length: length of each segment's arc or of each cell, shape (cells,), m.
         gap: length of the straight part that belongs to each arc, m.
-        inverse_share: inverse fraction 1/s_c of each cell, dimensionless, shape
+        inverse_fraction: inverse fraction 1/s_c of each cell, dimensionless, shape
             (segments, cells per segment) for divided segments.
     """
 
-    inverse_share: float | Array = 1.0
+    inverse_fraction: float | Array = 1.0
 
     def __init__(self, spec: RobotSpec) -> None:
         self.spec = spec
@@ -129,14 +130,14 @@ class Undivided:
         return force
 
 
-class Cells(Undivided):
+class Cells(LumpedSegments):
     """Segments that are divided into cells.
 
     Attributes:
         points_per_segment: number of cells of each segment.
     """
 
-    def __init__(self, spec: RobotSpec, cells: Division, mass: Array) -> None:
+    def __init__(self, spec: RobotSpec, cells: Discretisation, mass: Array) -> None:
         """Divide all segments.
 
         Args:
@@ -146,53 +147,55 @@ class Cells(Undivided):
         """
         super().__init__(spec)
         self._segments = spec.segments
-        self.points_per_segment = len(cells.share)
+        self.points_per_segment = len(cells.fraction)
         self.mass = mass
         self.gap = 0.0
         self.length = np.tile(cells.length, spec.segments)
-        self._share = cells.share
+        self._fraction = cells.fraction
         self._behind_head = np.append(0.0, np.cumsum(self.length))
-        rigid = cells.share == 0.0
-        inverse = np.where(rigid, _RIGID_RATIO, 1.0 / np.where(rigid, 1.0, cells.share))
-        self.inverse_share = np.tile(inverse, (spec.segments, 1))
+        rigid = cells.fraction == 0.0
+        inverse = np.where(
+            rigid, _RIGID_RATIO, 1.0 / np.where(rigid, 1.0, cells.fraction)
+        )
+        self.inverse_fraction = np.tile(inverse, (spec.segments, 1))
 
     @property
     def com_behind_head(self) -> float:
-        """See `Undivided.com_behind_head`."""
+        """See `LumpedSegments.com_behind_head`."""
         return float(self._behind_head @ self.mass) / float(self.mass.sum())
 
     def split(self, bend: Array) -> Array:
-        """See `Undivided.split`."""
-        cells = bend[..., None] * self._share
-        return cells.reshape(*bend.shape[:-1], bend.shape[-1] * len(self._share))
+        """See `LumpedSegments.split`."""
+        cells = bend[..., None] * self._fraction
+        return cells.reshape(*bend.shape[:-1], bend.shape[-1] * len(self._fraction))
 
     def total(self, bend: Array) -> Array:
-        """See `Undivided.total`."""
+        """See `LumpedSegments.total`."""
         total: Array = bend.reshape(
-            *bend.shape[:-1], self._segments, len(self._share)
+            *bend.shape[:-1], self._segments, len(self._fraction)
         ).sum(axis=-1)
         return total
 
     def moments(self, torque: Array) -> Array:
-        """See `Undivided.moments`."""
+        """See `LumpedSegments.moments`."""
         return (
-            torque.reshape(*torque.shape[:-1], self._segments, len(self._share))
-            @ self._share
+            torque.reshape(*torque.shape[:-1], self._segments, len(self._fraction))
+            @ self._fraction
         )
 
     def lead(self, bend: Array) -> float:
-        """See `Undivided.lead`."""
+        """See `LumpedSegments.lead`."""
         heading = np.append(0.0, -np.cumsum(bend))
-        return float(heading.mean() - heading[:: len(self._share)].mean())
+        return float(heading.mean() - heading[:: len(self._fraction)].mean())
 
     def at_connectors(self, values: Array) -> Array:
-        """See `Undivided.at_connectors`."""
-        return values[:, :: len(self._share)]
+        """See `LumpedSegments.at_connectors`."""
+        return values[:, :: len(self._fraction)]
 
     def on_connectors(self, force: Array) -> Array:
-        """See `Undivided.on_connectors`."""
-        shares = self.spec.connector_weights(self._behind_head)
-        shared: Array = np.einsum("ik,skc->sic", shares, force)
+        """See `LumpedSegments.on_connectors`."""
+        fractions = self.spec.connector_weights(self._behind_head)
+        shared: Array = np.einsum("ik,skc->sic", fractions, force)
         return shared
 
     def obstacle_force(self, force: Array) -> Array:
@@ -218,14 +221,14 @@ Points in the transition count for both halves.
 def cells_of_skin(spec: RobotSpec) -> Cells:
     """Return the cells of a robot with skin, with masses from the trapezoidal rule."""
     assert spec.skin is not None and spec.mass.segments is not None, "a robot with skin"
-    division = Division.of(spec.geometry, spec.skin.points)
+    division = Discretisation.of(spec.geometry, spec.skin.points)
     cells = np.outer(spec.mass.segments, division.length / spec.geometry.pitch).ravel()
     return Cells(spec, division, (np.append(0.0, cells) + np.append(cells, 0.0)) / 2)
 
 
 def cells_of_wheels(spec: RobotSpec, count: int) -> Cells:
     """Return about `count` cells per segment of a robot on wheels."""
-    division = Division.of(spec.geometry, count)
-    mass = np.zeros(spec.segments * len(division.share) + 1)
-    mass[:: len(division.share)] = spec.mass.array()
+    division = Discretisation.of(spec.geometry, count)
+    mass = np.zeros(spec.segments * len(division.fraction) + 1)
+    mass[:: len(division.fraction)] = spec.mass.array()
     return Cells(spec, division, mass)

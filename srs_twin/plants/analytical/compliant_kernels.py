@@ -55,7 +55,7 @@ from srs_twin.compute.compiled import compiled, inlined, kernel_only
 from srs_twin.plants.analytical.floor import (
     FloorFriction,
     connector_friction,
-    slopes_of_force,
+    derivatives_of_force,
     with_reduced_slip_speed,
 )
 from srs_twin.plants.analytical.kernels import (
@@ -205,24 +205,24 @@ def _fill_propagation(body, q, u, solid, links):  # type: ignore[no-untyped-def]
         # The heading of a chord differs by half a bend from the heading of its front
         # end.
         chord = chord_terms(q[j], solid, j)
-        slope = chord.slope
+        derivative = chord.derivative
         span = chord.span
         c = body[COS, j] * chord.cos_half + body[SIN, j] * chord.sin_half
         s = body[SIN, j] * chord.cos_half - body[COS, j] * chord.sin_half
-        chord_rate = slope * u[3 + j]
+        chord_rate = derivative * u[3 + j]
         # The bend coefficients of the link change at the rates −forth along and −aside
         # across the chord, whose direction is (c, s).
-        forth = chord.curvature * u[3 + j] + 0.5 * span * spin
-        aside = slope * spin - 0.5 * chord_rate
+        forward = chord.curvature * u[3 + j] + 0.5 * span * spin
+        lateral = derivative * spin - 0.5 * chord_rate
         link = links[j]
         link[_SPIN_X] = span * s
         link[_SPIN_Y] = -span * c
         link[_SPIN_X_RATE] = span * spin * c + chord_rate * s
         link[_SPIN_Y_RATE] = span * spin * s - chord_rate * c
-        link[_BEND_X] = -slope * c - 0.5 * span * s
-        link[_BEND_Y] = 0.5 * span * c - slope * s
-        link[_BEND_X_RATE] = aside * s - forth * c
-        link[_BEND_Y_RATE] = -forth * s - aside * c
+        link[_BEND_X] = -derivative * c - 0.5 * span * s
+        link[_BEND_Y] = 0.5 * span * c - derivative * s
+        link[_BEND_X_RATE] = lateral * s - forward * c
+        link[_BEND_Y_RATE] = -forward * s - lateral * c
 
 
 @compiled
@@ -261,7 +261,7 @@ def _fill_loads(body, u, a, solid, floor, loads):  # type: ignore[no-untyped-def
         fx = fx + load[FORCE_X]
         fy = fy + load[FORCE_Y]
         moment = moment + x * load[FORCE_Y] - y * load[FORCE_X] + f.m
-        xx, xy, yx, yy = slopes_of_force(f, c, s)
+        xx, xy, yx, yy = derivatives_of_force(f, c, s)
         load[MASS_XX] = mass - a * xx
         load[MASS_XY] = -a * xy
         load[MASS_YX] = -a * yx
@@ -284,7 +284,7 @@ def _damper_power(model, rates, free_rates):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def balance(q, u, moment, a, model, floor, work):  # type: ignore[no-untyped-def]
+def balance(q, u, moment, a, model, floor, workspace):  # type: ignore[no-untyped-def]
     """Fill momenta and forces of Lagrange's equations, and the input of `solve`.
 
     All quantities are expressed in the frame of the mean heading.
@@ -298,18 +298,18 @@ def balance(q, u, moment, a, model, floor, work):  # type: ignore[no-untyped-def
         a: implicit step γ h for `solve`, s.
         model: constants, a `CompliantModel`, whose obstacles hold the pose of the body.
         floor: friction parameters of the floor.
-        work: work arrays, a `WorkArrays`.
+        workspace: work arrays, a `WorkArrays`.
 
     Returns:
         Power that floor and obstacles take from the body, W.
     """
     solid = model.solid
-    body = work.body
-    loads = work.loads
-    momentum = work.momentum
-    force = work.force
+    body = workspace.body
+    loads = workspace.loads
+    momentum = workspace.momentum
+    force = workspace.force
     inertia, h = pose_body(q, u[3:], solid, body)
-    _fill_propagation(body, q, u, solid, work.links)
+    _fill_propagation(body, q, u, solid, workspace.links)
     fx, fy, floor_moment, power = _fill_loads(body, u, a, solid, floor, loads)
     x, y, m, loss = add_contacts(model.obstacles, body, u, a, loads)
     fx = fx + x
@@ -322,17 +322,17 @@ def balance(q, u, moment, a, model, floor, work):  # type: ignore[no-untyped-def
     force[0] = fx
     force[1] = fy
     force[2] = floor_moment
-    _sum_behind(q, u, moment, model, work)
+    _sum_behind(q, u, moment, model, workspace)
     return power
 
 
 @kernel_only
-def _sum_behind(q, u, moment, model, work):  # type: ignore[no-untyped-def]
+def _sum_behind(q, u, moment, model, workspace):  # type: ignore[no-untyped-def]
     """Fill momenta and forces of the bends, which follow the first three components."""
     mass = model.solid.mass
     n = mass.shape[0]
-    momentum = work.momentum
-    force = work.force
+    momentum = workspace.momentum
+    force = workspace.force
     fx = force[0]
     fy = force[1]
     floor_moment = force[2]
@@ -341,20 +341,20 @@ def _sum_behind(q, u, moment, model, work):  # type: ignore[no-untyped-def]
     # x, y and m are forces and a moment.
     px = py = pm = x = y = m = 0.0
     for j in range(n - 2, -1, -1):
-        load = work.loads[j + 1]
-        link = work.links[j]
+        load = workspace.loads[j + 1]
+        link = workspace.links[j]
         # At a constant mean heading, a bend turns the head by this fraction of the
         # bend.
-        share = (n - 1 - j) / n
-        mass_share = mass[j + 1] / model.solid.weight
+        fraction = (n - 1 - j) / n
+        mass_fraction = mass[j + 1] / model.solid.weight
         px = px + load[MOMENTUM_X]
         py = py + load[MOMENTUM_Y]
         pm = pm + load[MOMENTUM_YAW]
-        x = x + load[FORCE_X] - mass_share * fx
-        y = y + load[FORCE_Y] - mass_share * fy
+        x = x + load[FORCE_X] - mass_fraction * fx
+        y = y + load[FORCE_Y] - mass_fraction * fy
         m = m + load[FORCE_YAW]
         momentum[3 + j] = (
-            link[_BEND_X] * px + link[_BEND_Y] * py - pm + share * momentum[2]
+            link[_BEND_X] * px + link[_BEND_Y] * py - pm + fraction * momentum[2]
         )
         force[3 + j] = (
             link[_BEND_X] * x
@@ -362,7 +362,7 @@ def _sum_behind(q, u, moment, model, work):  # type: ignore[no-untyped-def]
             - m
             + link[_BEND_X_RATE] * px
             + link[_BEND_Y_RATE] * py
-            + share * floor_moment
+            + fraction * floor_moment
         )
         force[3 + j] += (
             moment[j] - model.stiffness[j] * q[j] - model.damping[j] * u[3 + j]
@@ -377,7 +377,7 @@ def _sum_behind(q, u, moment, model, work):  # type: ignore[no-untyped-def]
 
 
 @kernel_only
-def _add_connector(matrix, load, mass, weight, share, a, residual):  # type: ignore[no-untyped-def]
+def _add_connector(matrix, load, mass, weight, fraction, a, residual):  # type: ignore[no-untyped-def]
     matrix[_X, _X] += load[MASS_XX]
     matrix[_X, _Y] += load[MASS_XY]
     matrix[_Y, _X] += load[MASS_YX]
@@ -387,7 +387,7 @@ def _add_connector(matrix, load, mass, weight, share, a, residual):  # type: ign
     matrix[_Y, _M] += load[MASS_YM]
     matrix[_M, _Y] += load[MASS_MY]
     matrix[_M, _M] += load[MASS_MM]
-    matrix[_M, _RIGHT] += residual[2] * share
+    matrix[_M, _RIGHT] += residual[2] * fraction
     for i in range(2):
         matrix[_X + i, _X_RATE + i] += a * mass
         matrix[_X_RATE + i, _X + i] -= a * mass
@@ -418,19 +418,19 @@ def _by_spin(link, row):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def solve(a, model, work):  # type: ignore[no-untyped-def]
+def solve(a, model, workspace):  # type: ignore[no-untyped-def]
     """Solve Newton's linear system at the point of the preceding `balance`.
 
     Args:
         a: implicit step γ h, positive, s.
         model: constants, a `CompliantModel`.
-        work: work arrays filled by `balance`, with the residual. The solution is stored
-            in `work.step`.
+        workspace: work arrays filled by `balance`, with the residual. The solution is stored
+            in `workspace.step`.
     """
     mass = model.solid.mass
-    loads = work.loads
-    matrix = work.matrix
-    residual = work.residual
+    loads = workspace.loads
+    matrix = workspace.matrix
+    residual = workspace.residual
     n = mass.shape[0]
     weight = model.solid.weight
     for i in range(_UNKNOWNS):
@@ -438,16 +438,16 @@ def solve(a, model, work):  # type: ignore[no-untyped-def]
             matrix[i, k] = 0.0
     for j in range(n - 2, -1, -1):
         _add_connector(matrix, loads[j + 1], mass[j + 1], weight, 1 / n, a, residual)
-        _eliminate_bend(j, a, model, work)
+        _eliminate_bend(j, a, model, workspace)
     _add_connector(matrix, loads[0], mass[0], weight, 1 / n, a, residual)
-    _substitute_bends(_eliminate(matrix), work)
+    _substitute_bends(_eliminate(matrix), workspace)
 
 
 @kernel_only
-def _eliminate_bend(j, a, model, work):  # type: ignore[no-untyped-def]
-    link = work.links[j]
-    pivot = work.pivots[j]
-    matrix = work.matrix
+def _eliminate_bend(j, a, model, workspace):  # type: ignore[no-untyped-def]
+    link = workspace.links[j]
+    pivot = workspace.pivots[j]
+    matrix = workspace.matrix
     for k in range(_UNKNOWNS + 1):
         pivot[k] = (
             link[_BEND_X] * matrix[_X, k]
@@ -458,7 +458,7 @@ def _eliminate_bend(j, a, model, work):  # type: ignore[no-untyped-def]
             link[_BEND_X_RATE] * matrix[_X_RATE, k]
             + link[_BEND_Y_RATE] * matrix[_Y_RATE, k]
         )
-    pivot[_RIGHT] += work.residual[3 + j]
+    pivot[_RIGHT] += workspace.residual[3 + j]
     # In the momentum equation of an implicit step, damping has the factor a and
     # stiffness the factor a².
     bend_stiffness = a * model.damping[j] + a * a * model.stiffness[j]
@@ -491,10 +491,10 @@ class _HeadSolution(NamedTuple):
 
 
 @kernel_only
-def _substitute_bends(head, work):  # type: ignore[no-untyped-def]
+def _substitute_bends(head, workspace):  # type: ignore[no-untyped-def]
     """Fill the Newton step from head to tail, where the multipliers equal v_c."""
-    step = work.step
-    n = work.loads.shape[0]
+    step = workspace.step
+    n = workspace.loads.shape[0]
     step[0] = head.multiplier_x
     step[1] = head.multiplier_y
     step[2] = head.m
@@ -504,8 +504,8 @@ def _substitute_bends(head, work):  # type: ignore[no-untyped-def]
     x_rate = head.x_rate
     y_rate = head.y_rate
     for j in range(n - 1):
-        link = work.links[j]
-        pivot = work.pivots[j]
+        link = workspace.links[j]
+        pivot = workspace.pivots[j]
         bend = (
             pivot[_RIGHT]
             - pivot[_X] * x
@@ -605,11 +605,11 @@ class WorkArrays(NamedTuple):
 
 
 @kernel_only
-def _residual(known, a, u, weight, floor, work):  # type: ignore[no-untyped-def]
+def _residual(known, a, u, weight, floor, workspace):  # type: ignore[no-untyped-def]
     """Fill the residual p(u) − p_known − a dp/dt in the mean-heading frame."""
-    momentum = work.momentum
-    force = work.force
-    out = work.residual
+    momentum = workspace.momentum
+    force = workspace.force
+    out = workspace.residual
     heading = known[HEADING] + a * u[2]
     c = math.cos(heading)
     s = math.sin(heading)
@@ -634,33 +634,33 @@ def _dot(a, b):  # type: ignore[no-untyped-def]
 
 
 @kernel_only
-def _begin_stage(bend, rate, model, work):  # type: ignore[no-untyped-def]
+def _begin_stage(bend, rate, model, workspace):  # type: ignore[no-untyped-def]
     for j in range(bend.shape[0]):
-        work.moment[j] = model.stiffness[j] * bend[j] + model.damping[j] * rate[j]
-    for j in range(work.step.shape[0]):
-        work.step[j] = 0.0
+        workspace.moment[j] = model.stiffness[j] * bend[j] + model.damping[j] * rate[j]
+    for j in range(workspace.step.shape[0]):
+        workspace.step[j] = 0.0
 
 
 @kernel_only
-def _stage(a, free, row, model, floor, u, work):  # type: ignore[no-untyped-def]
+def _stage(a, free, row, model, floor, u, workspace):  # type: ignore[no-untyped-def]
     """Solve one implicit stage Y = known + a f(Y), and return whether it converged.
 
     In place of the bends, the state Y contains their deviations from the free bends,
-    which are known exactly. `work.known` holds the known part of Y, and `work.rate`
+    which are known exactly. `workspace.known` holds the known part of Y, and `workspace.rate`
     receives f(Y). `u` holds a guess of the velocities, which the solution replaces.
     """
-    known = work.known
-    q = work.bend
-    residual = work.residual
-    step = work.step
+    known = workspace.known
+    q = workspace.bend
+    residual = workspace.residual
+    step = workspace.step
     bend = free.bend[row]
     bend_rate = free.rate[row]
     segments = bend.shape[0]
     size = u.shape[0]
     weight = model.solid.weight
-    _begin_stage(bend, bend_rate, model, work)
-    step_share = 0.0  # fraction of the latest Newton step that has been made
-    slope_before = 0.0  # derivative of the potential at the start of that step
+    _begin_stage(bend, bend_rate, model, workspace)
+    step_fraction = 0.0  # fraction of the latest Newton step that has been made
+    derivative_before = 0.0  # derivative of the potential at the start of that step
     converged = False
     passes = 0
     power = 0.0
@@ -670,45 +670,47 @@ def _stage(a, free, row, model, floor, u, work):  # type: ignore[no-untyped-def]
         for j in range(segments):
             q[j] = bend[j] + known[BENDS + j] + a * (u[3 + j] - bend_rate[j])
         set_pose(model.obstacles, known, a, u)
-        power = balance(q, u, work.moment, a, model, floor, work)
-        _residual(known, a, u, weight, floor, work)
-        slope_after = _dot(residual, step)
-        if is_too_long(slope_before, slope_after):
-            share = step_share * shorter_fraction(slope_before, slope_after)
+        power = balance(q, u, workspace.moment, a, model, floor, workspace)
+        _residual(known, a, u, weight, floor, workspace)
+        derivative_after = _dot(residual, step)
+        if is_too_long(derivative_before, derivative_after):
+            fraction = step_fraction * shorter_fraction(
+                derivative_before, derivative_after
+            )
             for j in range(size):
-                u[j] += (step_share - share) * step[j]
-            step_share = share
+                u[j] += (step_fraction - fraction) * step[j]
+            step_fraction = fraction
             continue
-        solve(a, model, work)
-        slope_before = 0.0
-        step_share = 1.0
+        solve(a, model, workspace)
+        derivative_before = 0.0
+        step_fraction = 1.0
         longest = 0.0
         for j in range(size):
             u[j] -= step[j]
-            slope_before += residual[j] * step[j]
+            derivative_before += residual[j] * step[j]
             longest = max(longest, abs(step[j]) * (1.0 if j < 2 else arm))
         if longest < tolerance:
             largest_change = _LOAD_TOLERANCE * weight * GRAVITY
             if passes < _MOST_PASSES and update_loads(model.obstacles, largest_change):
                 passes += 1
-                _begin_stage(bend, bend_rate, model, work)
-                slope_before = 0.0
+                _begin_stage(bend, bend_rate, model, workspace)
+                derivative_before = 0.0
                 continue
             converged = True
             break
-    _fill_rates(a, power, free, row, model, floor, u, work)
+    _fill_rates(a, power, free, row, model, floor, u, workspace)
     return converged
 
 
 @inlined
-def _fill_rates(a, power, free, row, model, floor, u, work):  # type: ignore[no-untyped-def]
+def _fill_rates(a, power, free, row, model, floor, u, workspace):  # type: ignore[no-untyped-def]
     """Fill the rates of the state.
 
     Floor and obstacles take `power` (W) from the body.
     """
-    known = work.known
-    force = work.force
-    k = work.rate
+    known = workspace.known
+    force = workspace.force
+    k = workspace.rate
     bend_rate = free.rate[row]
     segments = bend_rate.shape[0]
     weight = model.solid.weight
@@ -727,7 +729,7 @@ def _fill_rates(a, power, free, row, model, floor, u, work):  # type: ignore[no-
     for j in range(segments):
         k[BENDS + j] = u[3 + j] - bend_rate[j]
         k[BENDS + segments + j] = force[3 + j]
-    fill_rates(model.obstacles, model, free.bend[row], bend_rate, u[3:], work)
+    fill_rates(model.obstacles, model, free.bend[row], bend_rate, u[3:], workspace)
 
 
 class CompliantState(NamedTuple):
@@ -753,7 +755,7 @@ def _fastest_point(u, reach):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def advance(now, steps, free, marks, model, samples, work):  # type: ignore[no-untyped-def]
+def advance(now, steps, free, marks, model, samples, workspace):  # type: ignore[no-untyped-def]
     """Advance a body in place and return the number of completed steps.
 
     Args:
@@ -764,14 +766,14 @@ def advance(now, steps, free, marks, model, samples, work):  # type: ignore[no-u
         marks: number of steps before each sample, ascending, shape (samples,).
         model: constants, a `CompliantModel`.
         samples: output for states and velocities, a `Samples`.
-        work: work arrays, a `WorkArrays`.
+        workspace: work arrays, a `WorkArrays`.
     """
     state = now.state
     u = now.velocity
-    rate = work.rate
-    known = work.known
-    last = work.last
-    drift = work.drift
+    rate = workspace.rate
+    known = workspace.known
+    last = workspace.last
+    drift = workspace.drift
     reach = model.solid.pitch / 2
     n = model.solid.mass.shape[0]
     size = u.shape[0]
@@ -794,7 +796,7 @@ def advance(now, steps, free, marks, model, samples, work):  # type: ignore[no-u
             for j in range(size):
                 last[j] = u[j]
                 u[j] += drift[j] * lead
-            solved &= _stage(a, free, 2 * i + 1 + stage, model, floor, u, work)
+            solved &= _stage(a, free, 2 * i + 1 + stage, model, floor, u, workspace)
             for j in range(state.shape[0]):
                 known[j] += rest * rate[j]
             for j in range(size):

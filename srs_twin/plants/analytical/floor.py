@@ -310,7 +310,7 @@ def _compile_connector_friction(along, across, spin, weight, floor):  # type: ig
 
 
 @kernel_only
-def slopes_of_force(terms, c, s):  # type: ignore[no-untyped-def]
+def derivatives_of_force(terms, c, s):  # type: ignore[no-untyped-def]
     """Return the derivatives xx, xy, yx and yy of the force in the body frame.
 
     `c` and `s` are the cosine and sine of the connector's heading.
@@ -426,7 +426,7 @@ def _unsymmetric_forces(body, mass, u, floor):  # type: ignore[no-untyped-def]
         along = vx * c + vy * s
         across = vy * c - vx * s
         f = connector_friction(along, across, spin, mass[i] * floor.gravity, floor)
-        d_xx, d_xy, d_yx, d_yy = slopes_of_force(f, c, s)
+        d_xx, d_xy, d_yx, d_yy = derivatives_of_force(f, c, s)
         # The derivatives of the force with respect to the spin are taken at constant
         # velocity. The derivatives of the moment with respect to the velocity are taken
         # at constant spin.
@@ -460,7 +460,7 @@ def _forces_of_case(case: int) -> Any:
     return _symmetric_forces
 
 
-def forces_and_slopes(body, mass, u, floor) -> Any:  # type: ignore[no-untyped-def]
+def forces_and_derivatives(body, mass, u, floor) -> Any:  # type: ignore[no-untyped-def]
     """Return the `BodyForces` of the floor on a body with prescribed bends.
 
     Args:
@@ -472,8 +472,8 @@ def forces_and_slopes(body, mass, u, floor) -> Any:  # type: ignore[no-untyped-d
     return _forces_of_case(len(floor.case))(body, mass, u, floor)
 
 
-@overload_part(forces_and_slopes)
-def _compile_forces_and_slopes(body, mass, u, floor):  # type: ignore[no-untyped-def]
+@overload_part(forces_and_derivatives)
+def _compile_forces_and_derivatives(body, mass, u, floor):  # type: ignore[no-untyped-def]
     function = _forces_of_case(floor.types[floor.fields.index("case")].count)
     return lambda body, mass, u, floor: function(body, mass, u, floor)  # noqa: PLW0108  # numba compiles the lambda
 
@@ -515,7 +515,7 @@ _COASTING_SLIP_SPEED = (
 )
 
 
-def spin_share(spec: RobotSpec) -> float:
+def spin_fraction(spec: RobotSpec) -> float:
     """Return the relative inertia s of the wheels, which are solid discs."""
     return 2 * spec.geometry.connectors * (spec.mass.wheel / 2) / spec.mass.total
 
@@ -527,7 +527,7 @@ def slide(
     law: str,
     mu_t: float,
     mu_n: float,
-    share: float = 0.0,
+    fraction: float = 0.0,
 ) -> np.ndarray:
     """Return the positions of a coasting body relative to the start.
 
@@ -537,12 +537,12 @@ def slide(
         law: friction law, one of `robot.friction.LAWS`.
         mu_t: friction coefficient along the heading, dimensionless.
         mu_n: friction coefficient across the heading, dimensionless.
-        share: relative inertia s of the wheels (`spin_share`), dimensionless.
+        fraction: relative inertia s of the wheels (`spin_fraction`), dimensionless.
 
     Returns:
         Positions along and across the heading, shape (times, 2), m.
     """
-    floor = floor_friction(law, 0.0, mu_t / (1 + share), mu_n, _COASTING_SLIP_SPEED)
+    floor = floor_friction(law, 0.0, mu_t / (1 + fraction), mu_n, _COASTING_SLIP_SPEED)
     position = np.empty((len(times), 2))
     _fill_positions(
         float(velocity[0]),

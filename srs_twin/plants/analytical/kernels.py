@@ -53,7 +53,7 @@ from srs_twin.plants.analytical.floor import (
     FloorFriction,
     Twist,
     fill_forces,
-    forces_and_slopes,
+    forces_and_derivatives,
 )
 from srs_twin.plants.analytical.kinematics import (
     COS,
@@ -100,8 +100,8 @@ class Samples(NamedTuple):
 
 
 # Columns of the array of chords.
-_SLOPE_X = 0  # L' e, m/rad
-_SLOPE_Y = 1
+_DERIVATIVE_X = 0  # L' e, m/rad
+_DERIVATIVE_Y = 1
 _SPAN_X = 2  # L e, m
 _SPAN_Y = 3
 _CHORD_COLUMNS = 4
@@ -134,34 +134,36 @@ def inverse_dynamics(
     """
     n = len(model.solid.mass)
     shapes = [(ROWS, n), (n, 3), (n - 1, _CHORD_COLUMNS), (n, 3)]
-    work = _InverseArrays(*map(np.zeros, shapes))
-    _inverse_dynamics(velocities, trace, model, torque, work)
+    workspace = _InverseArrays(*map(np.zeros, shapes))
+    _inverse_dynamics(velocities, trace, model, torque, workspace)
 
 
 @compiled
-def _inverse_dynamics(velocities, trace, model, torque, work):  # type: ignore[no-untyped-def]
+def _inverse_dynamics(velocities, trace, model, torque, workspace):  # type: ignore[no-untyped-def]
     solid = model.solid
     for k in range(trace.bend.shape[0]):
-        inertia, _ = pose_body(trace.bend[k], trace.bend_rate[k], solid, work.body)
-        fill_forces(work.body, solid.mass, velocities[k], model.floor, work.friction)
-        _fill_accelerations(trace, k, velocities[k, 2], solid, work)
-        remainder = _balance_loads(inertia, model, work)
-        _sum_moments(work, remainder, torque[k])
+        inertia, _ = pose_body(trace.bend[k], trace.bend_rate[k], solid, workspace.body)
+        fill_forces(
+            workspace.body, solid.mass, velocities[k], model.floor, workspace.friction
+        )
+        _fill_accelerations(trace, k, velocities[k, 2], solid, workspace)
+        remainder = _balance_loads(inertia, model, workspace)
+        _sum_moments(workspace, remainder, torque[k])
 
 
 @kernel_only
-def _fill_accelerations(trace, k, yaw, solid, work):  # type: ignore[no-untyped-def]
+def _fill_accelerations(trace, k, yaw, solid, workspace):  # type: ignore[no-untyped-def]
     """Fill accelerations of the connectors, and the chords, from head to tail.
 
-    `work.load` gets the accelerations of positions relative to the head (m/s²) and of
+    `workspace.load` gets the accelerations of positions relative to the head (m/s²) and of
     headings (rad/s²) at row k of the trace. The rate `yaw` of the mean heading is constant.
     """
     q = trace.bend[k]
     rate = trace.bend_rate[k]
     acceleration = trace.bend_acceleration[k]
-    body = work.body
-    chords = work.chords
-    motion = work.load
+    body = workspace.body
+    chords = workspace.chords
+    motion = workspace.load
     n = solid.mass.shape[0]
     # alpha is the angular acceleration of the head relative to the mean heading.
     alpha = 0.0
@@ -174,7 +176,7 @@ def _fill_accelerations(trace, k, yaw, solid, work):  # type: ignore[no-untyped-
     for j in range(n - 1):
         # The heading of a chord differs by half a bend from the heading of either end.
         chord = chord_terms(q[j], solid, j)
-        slope = chord.slope
+        derivative = chord.derivative
         span = chord.span
         c = body[COS, j] * chord.cos_half + body[SIN, j] * chord.sin_half
         s = body[SIN, j] * chord.cos_half - body[COS, j] * chord.sin_half
@@ -182,34 +184,36 @@ def _fill_accelerations(trace, k, yaw, solid, work):  # type: ignore[no-untyped-
         # second derivative of the chord vector has the components `along` and `across`.
         chord_spin = yaw + body[SPIN, j] - rate[j] / 2
         along = (
-            slope * acceleration[j]
+            derivative * acceleration[j]
             + chord.curvature * rate[j] * rate[j]
             - span * chord_spin * chord_spin
         )
-        across = span * (alpha - acceleration[j] / 2) + 2 * slope * rate[j] * chord_spin
+        across = (
+            span * (alpha - acceleration[j] / 2) + 2 * derivative * rate[j] * chord_spin
+        )
         x = x - along * c + across * s
         y = y - along * s - across * c
         alpha = alpha - acceleration[j]
         motion[j + 1, 0] = x
         motion[j + 1, 1] = y
         motion[j + 1, 2] = alpha
-        chords[j, _SLOPE_X] = slope * c
-        chords[j, _SLOPE_Y] = slope * s
+        chords[j, _DERIVATIVE_X] = derivative * c
+        chords[j, _DERIVATIVE_Y] = derivative * s
         chords[j, _SPAN_X] = span * c
         chords[j, _SPAN_Y] = span * s
 
 
 @kernel_only
-def _balance_loads(inertia, model, work):  # type: ignore[no-untyped-def]
-    """Convert the accelerations in `work.load` to forces (N) and moments (N·m).
+def _balance_loads(inertia, model, workspace):  # type: ignore[no-untyped-def]
+    """Convert the accelerations in `workspace.load` to forces (N) and moments (N·m).
 
     The loads include the acceleration of the whole body. The result is the moment of
     the loads about the centre of mass (N·m), or 0 if the friction moment acts.
     """
     solid = model.solid
-    body = work.body
-    friction = work.friction
-    load = work.load
+    body = workspace.body
+    friction = workspace.friction
+    load = workspace.load
     mass = solid.mass
     n = mass.shape[0]
     weight = 0.0
@@ -245,15 +249,15 @@ def _balance_loads(inertia, model, work):  # type: ignore[no-untyped-def]
 
 
 @kernel_only
-def _sum_moments(work, remainder, torque):  # type: ignore[no-untyped-def]
+def _sum_moments(workspace, remainder, torque):  # type: ignore[no-untyped-def]
     """Fill the moments of the segments from tail to head.
 
     `remainder` is the moment of the loads about the centre of mass (N·m). A bend turns
     the whole body with the head, so that the mean heading stays constant, and the
     remainder does work on this rotation.
     """
-    chords = work.chords
-    load = work.load
+    chords = workspace.chords
+    load = workspace.load
     n = load.shape[0]
     fx = fy = moment = 0.0
     for j in range(n - 2, -1, -1):
@@ -263,7 +267,7 @@ def _sum_moments(work, remainder, torque):  # type: ignore[no-untyped-def]
         # With the symbols of the module docstring, arm is L e × F and lengthening is L'
         # F · e.
         arm = chords[j, _SPAN_X] * fy - chords[j, _SPAN_Y] * fx
-        lengthening = chords[j, _SLOPE_X] * fx + chords[j, _SLOPE_Y] * fy
+        lengthening = chords[j, _DERIVATIVE_X] * fx + chords[j, _DERIVATIVE_Y] * fy
         torque[j] = arm / 2 - lengthening - moment + (n - 1 - j) / n * remainder
         moment -= arm
 
@@ -293,15 +297,17 @@ _OVERSHOOT = 0.1
 
 
 @inlined
-def is_too_long(slope_before, slope_after):  # type: ignore[no-untyped-def]
+def is_too_long(derivative_before, derivative_after):  # type: ignore[no-untyped-def]
     """Return whether a Newton step overshot the minimum across a kink of friction."""
-    return slope_after < -_OVERSHOOT * slope_before
+    return derivative_after < -_OVERSHOOT * derivative_before
 
 
 @inlined
-def shorter_fraction(slope_before, slope_after):  # type: ignore[no-untyped-def]
+def shorter_fraction(derivative_before, derivative_after):  # type: ignore[no-untyped-def]
     """Return the fraction of a too long step at which the derivative is about 0."""
-    return min(max(slope_before / (slope_before - slope_after), 0.1), 0.7)
+    return min(
+        max(derivative_before / (derivative_before - derivative_after), 0.1), 0.7
+    )
 
 
 @kernel_only
@@ -427,8 +433,10 @@ def _dot(a, b):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _moved(u, share, step):  # type: ignore[no-untyped-def]
-    return Twist(u.x + share * step.x, u.y + share * step.y, u.yaw + share * step.yaw)
+def _moved(u, fraction, step):  # type: ignore[no-untyped-def]
+    return Twist(
+        u.x + fraction * step.x, u.y + fraction * step.y, u.yaw + fraction * step.yaw
+    )
 
 
 class _Heading(NamedTuple):
@@ -438,19 +446,21 @@ class _Heading(NamedTuple):
 
 
 @kernel_only
-def _stage(stage, a, bends, heading, model, work):  # type: ignore[no-untyped-def]
+def _stage(stage, a, bends, heading, model, workspace):  # type: ignore[no-untyped-def]
     """Solve one implicit stage Y = known + a f(Y), and fill f(Y).
 
-    `work.after` holds the known part of the state Y. `work.guess` holds a guess of the
+    `workspace.after` holds the known part of the state Y. `workspace.guess` holds a guess of the
     velocities, which the solution replaces. The result is whether Newton's method
     converged.
     """
     solid = model.solid
     floor = model.floor
-    known = work.after
-    guess = work.guess
+    known = workspace.after
+    guess = workspace.guess
     acts = 1.0 if model.friction_moment else 0.0
-    inertia, moment = pose_body(bends.bend[stage], bends.rate[stage], solid, work.body)
+    inertia, moment = pose_body(
+        bends.bend[stage], bends.rate[stage], solid, workspace.body
+    )
     known_x = known[STATE_VX] + a * floor.pull_x
     known_y = known[STATE_VY] + a * floor.pull_y
     equation = _StageEquation(
@@ -458,8 +468,8 @@ def _stage(stage, a, bends, heading, model, work):  # type: ignore[no-untyped-de
     )
     u = Twist(guess[0], guess[1], guess[2])
     step = Twist(0.0, 0.0, 0.0)
-    step_share = 0.0  # fraction of the latest Newton step that has been made
-    slope_before = 0.0  # derivative of the potential at the start of that step
+    step_fraction = 0.0  # fraction of the latest Newton step that has been made
+    derivative_before = 0.0  # derivative of the potential at the start of that step
     converged = False
     power = 0.0
     # The mean heading at the end of the stage depends on the unknown yaw rate.
@@ -467,20 +477,22 @@ def _stage(stage, a, bends, heading, model, work):  # type: ignore[no-untyped-de
     tolerance = _NEWTON_TOLERANCE * floor.unit
     arm = _NEWTON_ARM * floor.unit * floor.unit
     for _ in range(_NEWTON_STEPS):
-        force = forces_and_slopes(work.body, solid.mass, u, floor)
+        force = forces_and_derivatives(workspace.body, solid.mass, u, floor)
         power = force.power + (1 - acts) * force.moment * u.yaw
         residual = _residual(equation, u, c, s, force)
-        slope_after = _dot(residual, step)
-        if is_too_long(slope_before, slope_after):
-            share = step_share * shorter_fraction(slope_before, slope_after)
-            undone = step_share - share
+        derivative_after = _dot(residual, step)
+        if is_too_long(derivative_before, derivative_after):
+            fraction = step_fraction * shorter_fraction(
+                derivative_before, derivative_after
+            )
+            undone = step_fraction - fraction
             u = _moved(u, undone, step)
             c, s = _rotate(c, s, a * undone * step.yaw)
-            step_share = share
+            step_fraction = fraction
             continue
         step = _newton_step(equation, residual, c, s, force)
-        step_share = 1.0
-        slope_before = _dot(residual, step)
+        step_fraction = 1.0
+        derivative_before = _dot(residual, step)
         u = _moved(u, -1.0, step)
         c, s = _rotate(c, s, -a * step.yaw)
         if abs(step.x) + abs(step.y) + arm * abs(step.yaw) < tolerance:
@@ -489,7 +501,7 @@ def _stage(stage, a, bends, heading, model, work):  # type: ignore[no-untyped-de
     guess[0] = u.x
     guess[1] = u.y
     guess[2] = u.yaw
-    _fill_rates(equation, known, c, s, u, power, floor, work.rates[stage])
+    _fill_rates(equation, known, c, s, u, power, floor, workspace.rates[stage])
     return converged
 
 
@@ -534,7 +546,7 @@ class StepArrays(NamedTuple):
 
 
 @kernel_only
-def step(state, h, bends, model, work):  # type: ignore[no-untyped-def]
+def step(state, h, bends, model, workspace):  # type: ignore[no-untyped-def]
     """Make one step of the SDIRK2 method.
 
     Args:
@@ -542,16 +554,16 @@ def step(state, h, bends, model, work):  # type: ignore[no-untyped-def]
         h: length of the step, s.
         bends: bends and rates at the two stages, shape (2, segments).
         model: constants of body and floor.
-        work: work arrays. `after` receives the state at the end, and `rates` the rates
+        workspace: work arrays. `after` receives the state at the end, and `rates` the rates
             at the stages. `guess` and `pace` are updated from the start to the end of
             the step.
 
     Returns:
         Whether both stages converged.
     """
-    u = work.guess
-    pace = work.pace
-    after = work.after
+    u = workspace.guess
+    pace = workspace.pace
+    after = workspace.after
     a = GAMMA * h
     between = (1 - GAMMA) * h
     solved = True
@@ -568,8 +580,8 @@ def step(state, h, bends, model, work):  # type: ignore[no-untyped-def]
         z = u[2]
         for j in range(3):
             u[j] += pace[j] * lead
-        solved &= _stage(stage, a, bends, _Heading(c, s, turned), model, work)
-        rate = work.rates[stage]
+        solved &= _stage(stage, a, bends, _Heading(c, s, turned), model, workspace)
+        rate = workspace.rates[stage]
         for j in range(STATES):
             after[j] += rest * rate[j]
         pace[0] = (u[0] - x) / lead
@@ -584,13 +596,13 @@ class Observation(NamedTuple):
 
     Attributes:
         position: positions of the connectors, shape (samples, N, 2), m.
-        theta: headings of the connectors, shape (samples, N), rad.
+        connector_heading: headings of the connectors, shape (samples, N), rad.
         force: force of the floor on the connectors, shape (samples, N, 2), N.
         energy: kinetic energy, shape (samples,), J.
     """
 
     position: np.ndarray
-    theta: np.ndarray
+    connector_heading: np.ndarray
     force: np.ndarray
     energy: np.ndarray
 
@@ -630,7 +642,7 @@ def _observe(states, velocities, bends, solid, floor, out, body, friction):  # t
     rates = bends.rate
     n = solid.mass.shape[0]
     position = out.position
-    theta = out.theta
+    connector_heading = out.connector_heading
     force = out.force
     energy = out.energy
     for k in range(states.shape[0]):
@@ -646,7 +658,7 @@ def _observe(states, velocities, bends, solid, floor, out, body, friction):  # t
         energy[k] = 0.0
         for i in range(n):
             angle -= angles[k, i - 1] if i > 0 else 0.0
-            theta[k, i] = angle
+            connector_heading[k, i] = angle
             x = body[X, i]
             y = body[Y, i]
             position[k, i, 0] = states[k, STATE_X] + c * x - s * y

@@ -101,13 +101,13 @@ class Chord(NamedTuple):
         cos_half, sin_half: cosine and sine of half the bend, by which the chord turns from
             either end.
         span: length L of the chord, m.
-        slope, curvature: derivatives dL/dq (m/rad) and d²L/dq² (m/rad²).
+        derivative, curvature: derivatives dL/dq (m/rad) and d²L/dq² (m/rad²).
     """
 
     cos_half: float
     sin_half: float
     span: float
-    slope: float
+    derivative: float
     curvature: float
 
 
@@ -119,13 +119,13 @@ def chord_terms(q, solid, j):  # type: ignore[no-untyped-def]
     """
     half_turn = _half_turn(q)
     length = solid.length[j]
-    span, slope, curvature = _spans(half_turn, length, solid.gap)
+    span, derivative, curvature = _spans(half_turn, length, solid.gap)
     varying = 1.0 - solid.frozen
     return Chord(
         half_turn[0],
         half_turn[1],
         varying * span + solid.frozen * (length + solid.gap),
-        varying * slope,
+        varying * derivative,
         varying * curvature,
     )
 
@@ -148,10 +148,10 @@ def _fill_chords(q, rate, solid, out):  # type: ignore[no-untyped-def]
         cosine[j + 1] = chord.cos_half
         sine[j + 1] = chord.sin_half
         span[j + 1] = chord.span
-        span_rate[j + 1] = chord.slope * rate[j]
-        share = (n - 1 - j) / n
-        lead += share * q[j]
-        lead_rate += share * rate[j]
+        span_rate[j + 1] = chord.derivative * rate[j]
+        fraction = (n - 1 - j) / n
+        lead += fraction * q[j]
+        lead_rate += fraction * rate[j]
     return lead, lead_rate
 
 

@@ -43,7 +43,7 @@ from typing import NamedTuple
 import numpy as np
 
 from srs_twin.compute.compiled import compiled_if, inlined, is_given, kernel_only
-from srs_twin.plants.analytical.cells import Undivided
+from srs_twin.plants.analytical.cells import LumpedSegments
 from srs_twin.plants.analytical.floor import Twist
 from srs_twin.plants.analytical.kernels import ENERGY_LOSS, HEADING, STATE_X, STATE_Y
 from srs_twin.plants.analytical.kinematics import (
@@ -127,7 +127,7 @@ class Obstacles(NamedTuple):
 
 
 def make_obstacles(
-    world: World, spec: RobotSpec, cells: Undivided, slip: float
+    world: World, spec: RobotSpec, cells: LumpedSegments, slip: float
 ) -> Obstacles:
     """Return the obstacles of a world for a slip speed (m/s)."""
     shapes = np.array(list(_shapes(world)), dtype=float).reshape(-1, _SHAPE_COLUMNS)
@@ -298,7 +298,7 @@ class _Contact(NamedTuple):
         arm_x, arm_y: lever arm of the contact on the surface of the body about the point,
             m.
         normal, tangential: normal force and friction f_t, N.
-        normal_slope, tangential_slope: derivatives of N and f_t with respect to the normal
+        normal_derivative, tangential_derivative: derivatives of N and f_t with respect to the normal
             and tangential velocity, N·s/m.
         power: power that the contact takes from the body, W.
     """
@@ -309,8 +309,8 @@ class _Contact(NamedTuple):
     arm_y: float
     normal: float
     tangential: float
-    normal_slope: float
-    tangential_slope: float
+    normal_derivative: float
+    tangential_derivative: float
     power: float
 
 
@@ -334,9 +334,9 @@ def _contact(o, a, load, reach, stretch, gap, velocity):  # type: ignore[no-unty
     v_t = v_y * n_x - v_x * n_y
     soft = max(1 - o.loss * v_n, 0.0)
     normal = o.stiffness * overlap * soft
-    normal_slope = 0.0
+    normal_derivative = 0.0
     if normal > 0.0:
-        normal_slope = -o.stiffness * (a * soft + o.loss * overlap)
+        normal_derivative = -o.stiffness * (a * soft + o.loss * overlap)
     r = 1 / math.sqrt(v_t * v_t + o.slip * o.slip)
     grip = o.friction * load
     tangential = -grip * v_t * r
@@ -347,8 +347,8 @@ def _contact(o, a, load, reach, stretch, gap, velocity):  # type: ignore[no-unty
         arm_y,
         normal,
         tangential,
-        normal_slope,
-        tangential_slope=-grip * r * (o.slip * r) ** 2,
+        normal_derivative,
+        tangential_derivative=-grip * r * (o.slip * r) ** 2,
         power=-(normal * v_n + tangential * v_t),
     )
 
@@ -421,12 +421,12 @@ def _add_load(load, contact, a):  # type: ignore[no-untyped-def]
     load[FORCE_YAW] += contact.normal * n_m + contact.tangential * t_m
     # Names such as n_x denote derivatives: of the normal (n) or tangential (t) force,
     # with respect to the velocity (x, y) or the spin (s).
-    n_x = contact.normal_slope * nx
-    n_y = contact.normal_slope * ny
-    n_s = contact.normal_slope * n_m
-    t_x = -contact.tangential_slope * ny
-    t_y = contact.tangential_slope * nx
-    t_s = contact.tangential_slope * t_m
+    n_x = contact.normal_derivative * nx
+    n_y = contact.normal_derivative * ny
+    n_s = contact.normal_derivative * n_m
+    t_x = -contact.tangential_derivative * ny
+    t_y = contact.tangential_derivative * nx
+    t_s = contact.tangential_derivative * t_m
     xy = a * (n_y * nx - t_y * ny)
     xm = a * (n_s * nx - t_s * ny)
     ym = a * (n_s * ny + t_s * nx)
@@ -458,7 +458,7 @@ def update_loads(obstacles, scale):  # type: ignore[no-untyped-def]
 
 
 @compiled_if(is_given)
-def fill_rates(obstacles, model, free, free_rates, rates, work):  # type: ignore[no-untyped-def]
+def fill_rates(obstacles, model, free, free_rates, rates, workspace):  # type: ignore[no-untyped-def]
     """Fill the rates of the impulses, of the time and of the energy column.
 
     Without obstacles the energy column (`ENERGY_LOSS`) holds the losses, and the work
@@ -476,10 +476,10 @@ def fill_rates(obstacles, model, free, free_rates, rates, work):  # type: ignore
         free: free bends of the cells, rad.
         free_rates: rates of the free bends, rad/s.
         rates: rates of the bends, rad/s.
-        work: work arrays with the bends. The rates of the state in `rate` are filled.
+        workspace: work arrays with the bends. The rates of the state in `rate` are filled.
     """
-    k = work.rate
-    q = work.bend
+    k = workspace.rate
+    q = workspace.bend
     count = obstacles.force.shape[0]
     first = k.shape[0] - 1 - 2 * count
     for i in range(count):

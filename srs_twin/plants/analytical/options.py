@@ -17,7 +17,7 @@ from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import World
 
 MODELS = ("complete", "simplified", "compliant", "quasistatic")
-LOADS = ("static", "momentary")
+LOADS = ("static", "instantaneous")
 INERTIAS = ("point", "connector", "lumped")
 
 TIMESTEP_S = 0.002
@@ -51,7 +51,7 @@ class OptionKeywords(TypedDict, total=False):
     inertia: str
     base: str
     track: float | None
-    touch: bool
+    contact: bool
     cells: int
     timestep: float | None
     tolerance: float | None
@@ -73,7 +73,7 @@ class AnalyticalOptions:
             track, "ellipse" and "cosine" have two skids at the track, and "viscous"
             serves for tests. A skin has its own law along the whole body.
         load: load of a wheel or skid. "static" is half of the weight of its connector.
-            "momentary" is the instantaneous load, which includes the transfer due to
+            "instantaneous" is the instantaneous load, which includes the transfer due to
             the lateral force (`floor`).
         friction_torque: whether the moment of friction about the centre of mass acts.
             False gives the first model of the dissertation, with "simplified" only.
@@ -86,7 +86,7 @@ class AnalyticalOptions:
         track: distance of the two contacts of a connector from the centre line, m. The
             default is the robot's half track for a law at the wheels. For other laws it
             is 0, which means one contact.
-        touch: whether the body touches obstacles (module `obstacles`), with "compliant"
+        contact: whether the body touches obstacles (module `obstacles`), with "compliant"
             only. Otherwise it passes through them.
         cells: approximate number of cells per segment of a robot on wheels that can
             touch obstacles.
@@ -107,7 +107,7 @@ class AnalyticalOptions:
     inertia: str = "point"
     base: str = "free"
     track: float | None = None
-    touch: bool = False
+    contact: bool = False
     cells: int = 8
     timestep: float | None = None
     tolerance: float | None = None
@@ -173,7 +173,7 @@ class AnalyticalOptions:
                 "model 'compliant' needs base 'free'; use 'complete' or the twin when"
                 " clamped, as on a bench",
             )
-        if self.touch and self.model != "compliant":
+        if self.contact and self.model != "compliant":
             yield Violation(
                 "touch",
                 f"model '{self.model}' has prescribed bends and touches no obstacles;"
@@ -190,14 +190,14 @@ class AnalyticalOptions:
                 " 'point' or 'connector'",
             )
         law = self.law_on(spec)
-        if self.load == "momentary" and law not in TWO_POINT_LAWS:
+        if self.load == "instantaneous" and law not in TWO_POINT_LAWS:
             yield Violation(
                 "load",
-                f"friction '{law}' has one contact per connector; momentary loads need"
+                f"friction '{law}' has one contact per connector; instantaneous loads need"
                 " two: use 'wheel' or 'ellipse'",
             )
-        elif self.load == "momentary" and self.track_of(spec) == 0.0:
+        elif self.load == "instantaneous" and self.track_of(spec) == 0.0:
             yield Violation(
                 "track",
-                "momentary loads need two contacts side by side; track must be above 0",
+                "instantaneous loads need two contacts side by side; track must be above 0",
             )

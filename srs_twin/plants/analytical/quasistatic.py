@@ -108,7 +108,7 @@ def make_constants(
         [bending.damping_time, bending.damping_time, bending.out_of_plane_damping_time]
     )
     return kinematics.QuasistaticBody(
-        share=np.clip((place - half_gap) / g.segment_length, 0.0, 1.0),
+        fraction=np.clip((place - half_gap) / g.segment_length, 0.0, 1.0),
         front=np.minimum(place, half_gap),
         rear=np.maximum(0.0, place - half_gap - g.segment_length),
         mass=np.repeat(np.array(spec.mass.segments) / skin.points, skin.points),
@@ -131,7 +131,7 @@ class QuasistaticArcs(Body):
 
     Attributes:
         constants: constants of the body and of the floor.
-        work: arrays of a step.
+        workspace: arrays of a step.
     """
 
     state_attributes: ClassVar[tuple[str, ...]] = ("_sampled", "_theta")
@@ -141,7 +141,7 @@ class QuasistaticArcs(Body):
         self._spec = spec
         self.constants = make_constants(spec, slip_speed, base)
         points = len(self.constants.mass)
-        self.work = kinematics.work_arrays(spec.segments, points // spec.segments)
+        self.workspace = kinematics.work_arrays(spec.segments, points // spec.segments)
         self._impulses = slice(
             kinematics.BENDS + 3 * spec.segments,
             kinematics.BENDS + 3 * (spec.segments + points),
@@ -171,9 +171,11 @@ class QuasistaticArcs(Body):
         self.state[:2] = np.array(pose[:2]) - self._com()[:2]
         self.state[2] = constants.radius - constants.depth
         self._sampled = self._exchanged(self.state[None])[0]
-        self._theta = np.full(segments + 1, float(pose[2]))
+        self._connector_heading = np.full(segments + 1, float(pose[2]))
 
-    def place(self, velocity: np.ndarray, bend: np.ndarray, rate: np.ndarray) -> None:
+    def set_state(
+        self, velocity: np.ndarray, bend: np.ndarray, rate: np.ndarray
+    ) -> None:
         """See `Body.place`. A body without inertia can only start at rest."""
         raise InputError("model 'quasistatic' can only start straight and at rest")
 
@@ -185,7 +187,7 @@ class QuasistaticArcs(Body):
         now = kinematics.QuasistaticState(self.state, self.velocity)
         free = np.ascontiguousarray(trace.bend[::2])
         done: int = advance(
-            now, steps, free, sample_steps, self.constants, self.work, samples
+            now, steps, free, sample_steps, self.constants, self.workspace, samples
         )
         return done, *samples
 
@@ -204,7 +206,7 @@ class QuasistaticArcs(Body):
         return Motion(states, velocities, bend, rate, torque)
 
     def observe(
-        self, time: np.ndarray, motion: Motion, trace: Trace, sensed: np.ndarray
+        self, time: np.ndarray, motion: Motion, trace: Trace, measured_bend: np.ndarray
     ) -> SpatialState:
         """Return the history of a motion.
 
@@ -212,7 +214,7 @@ class QuasistaticArcs(Body):
             time: times of the samples, shape (samples,), s.
             motion: motion at the times of the samples.
             trace: trace of the chambers.
-            sensed: sensor readings of the bends.
+            measured_bend: sensor readings of the bends.
         """
         count = len(time)
         n = self._spec.geometry.connectors
@@ -220,19 +222,23 @@ class QuasistaticArcs(Body):
         velocity = np.empty((count, 3))
         position = np.empty((count, n, 3))
         frame = np.empty((count, n, 3, 3))
-        theta = np.empty((count, n))
+        connector_heading = np.empty((count, n))
         for k, state in enumerate(motion.states):
             self._pose(state)
-            position[k] = self.work.position
-            frame[k] = self.work.frame
-            theta[k] = self._headings()
+            position[k] = self.workspace.position
+            frame[k] = self.workspace.frame
+            connector_heading[k] = self._headings()
             com[k] = self._com()
-            velocity[k] = self._mean(self.work.motion[:, :3] @ motion.velocities[k])
-        theta = np.unwrap(np.concatenate([self._theta[None], theta]), axis=0)[1:]
+            velocity[k] = self._mean(
+                self.workspace.motion[:, :3] @ motion.velocities[k]
+            )
+        connector_heading = np.unwrap(
+            np.concatenate([self._connector_heading[None], connector_heading]), axis=0
+        )[1:]
         exchanged = self._exchanged(motion.states)
         interval = np.diff(exchanged, axis=0, prepend=self._sampled[None])
         if count:
-            self._theta = theta[-1].copy()
+            self._connector_heading = connector_heading[-1].copy()
             self._sampled = exchanged[-1]
         impulse = interval[:, :-1].reshape(count, len(self.constants.mass), 3)
         impulse /= np.maximum(interval[:, -1:, None], 1e-12)
@@ -241,20 +247,20 @@ class QuasistaticArcs(Body):
             time=time,
             com=com[:, :2],
             com_velocity=velocity[:, :2],
-            heading=theta.mean(axis=1),
+            heading=connector_heading.mean(axis=1),
             position=position[..., :2],
-            theta=theta,
+            connector_heading=connector_heading,
             bend=motion.bend,
             bend_rate=motion.bend_rate,
             pressure=trace.pressure,
             valves=trace.valves,
-            sensed=sensed,
+            measured_bend=measured_bend,
             contact_force=force[..., :2],
             obstacle_force=np.zeros((count, n, 2)),
             torque=motion.torque,
             work=motion.states[:, kinematics.WORK],
             internal_loss=motion.states[:, kinematics.INTERNAL_LOSS],
-            air=trace.air,
+            pneumatic_energy=trace.pneumatic_energy,
             qpos=np.empty((count, 0)),
             height=position[..., 2],
             orientation=quaternions(frame),
@@ -262,7 +268,7 @@ class QuasistaticArcs(Body):
         )
 
     def _pose(self, state: np.ndarray) -> None:
-        kinematics.pose(state, self.constants, self.work)
+        kinematics.pose(state, self.constants, self.workspace)
 
     def _turn_head(self, heading: float) -> None:
         c = math.cos(heading)
@@ -270,12 +276,12 @@ class QuasistaticArcs(Body):
         self.state[kinematics.ROTATION :][:9] = c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0
 
     def _headings(self) -> np.ndarray:
-        frame: np.ndarray = self.work.frame
+        frame: np.ndarray = self.workspace.frame
         headings: np.ndarray = np.arctan2(frame[:, 1, 0], frame[:, 0, 0])
         return headings
 
     def _com(self) -> np.ndarray:
-        return self._mean(self.work.point)
+        return self._mean(self.workspace.point)
 
     def _mean(self, values: np.ndarray) -> np.ndarray:
         mass = self.constants.mass

@@ -37,7 +37,7 @@ _SOFTER = (1e3, 1e2, 10.0, 1.0)
 The factor decreases to 1, and each solve starts from the previous solution.
 """
 _MAX_TRIALS = 14
-_MAX_SLOPE_RATIO = 0.5
+_MAX_DERIVATIVE_RATIO = 0.5
 """Fraction of the initial derivative below which a line search ends."""
 _MAX_HALVINGS = 14
 _TOLERANCE = 1e-6
@@ -48,18 +48,18 @@ _ellipse = compiled(friction.ellipse)
 
 
 @compiled
-def _begin_step(state, body, work, h):  # type: ignore[no-untyped-def]
+def _begin_step(state, body, workspace, h):  # type: ignore[no-untyped-def]
     """Fill the linear part of the residual: springs, dampers, weight and drag."""
-    segments = work.bend.shape[0]
-    count = body.share.shape[0]
-    linear = work.linear
-    at_rest = work.at_rest
+    segments = workspace.bend.shape[0]
+    count = body.fraction.shape[0]
+    linear = workspace.linear
+    at_rest = workspace.at_rest
     for i in range(at_rest.shape[0]):
         at_rest[i] = 0.0
         for k in range(at_rest.shape[0]):
             linear[i, k] = 0.0
-    for p in range(work.point.shape[0]):
-        rows = work.rows[p]
+    for p in range(workspace.point.shape[0]):
+        rows = workspace.rows[p]
         mass = body.mass[p]
         # A point moves only with the head and with the segments up to its own segment.
         # These are the first `used` velocities.
@@ -75,67 +75,69 @@ def _begin_step(state, body, work, h):  # type: ignore[no-untyped-def]
         for i in range(3):
             row = 6 + 3 * j + i
             stiffness = body.stiffness[i]
-            at_rest[row] += stiffness * (state[BENDS + 3 * j + i] - work.bend[j, i])
-            at_rest[row] -= body.damping[i] * work.bend_rate[j, i]
+            at_rest[row] += stiffness * (
+                state[BENDS + 3 * j + i] - workspace.bend[j, i]
+            )
+            at_rest[row] -= body.damping[i] * workspace.bend_rate[j, i]
             linear[row, row] += h * stiffness + body.damping[i]
 
 
 @inlined
-def _fill_linear(velocity, work, out, with_matrix):  # type: ignore[no-untyped-def]
+def _fill_linear(velocity, workspace, out, with_matrix):  # type: ignore[no-untyped-def]
     size = velocity.shape[0]
     for i in range(size):
-        total = work.at_rest[i]
+        total = workspace.at_rest[i]
         for k in range(size):
-            total += work.linear[i, k] * velocity[k]
+            total += workspace.linear[i, k] * velocity[k]
         out[i] = total
         if with_matrix:
             for k in range(i + 1):
-                work.matrix[i, k] = work.linear[i, k]
+                workspace.matrix[i, k] = workspace.linear[i, k]
 
 
 @compiled
-def _residual(velocity, body, work, h, slip, out, with_matrix):  # type: ignore[no-untyped-def]
-    count = body.share.shape[0]
+def _residual(velocity, body, workspace, h, slip, out, with_matrix):  # type: ignore[no-untyped-def]
+    count = body.fraction.shape[0]
     mu = body.friction
-    matrix = work.matrix
-    _fill_linear(velocity, work, out, with_matrix)
-    for p in range(work.point.shape[0]):
+    matrix = workspace.matrix
+    _fill_linear(velocity, workspace, out, with_matrix)
+    for p in range(workspace.point.shape[0]):
         used = 9 + 3 * (p // count)
-        rows = work.rows[p]
+        rows = workspace.rows[p]
         up = 0.0
         for i in range(used):
             up += rows[UP, i] * velocity[i]
         # The floor is a spring, which is evaluated at the height at the end of the
         # step.
         spring = body.free * body.mass[p] * GRAVITY / body.depth
-        load = spring * max(0.0, body.radius - work.point[p, 2] - h * up)
-        work.load[p] = load
-        work.force[p, 0] = 0.0
-        work.force[p, 1] = 0.0
-        if load <= 0.0 and work.law_load[p] <= 0.0:
+        load = spring * max(0.0, body.radius - workspace.point[p, 2] - h * up)
+        workspace.load[p] = load
+        workspace.force[p, 0] = 0.0
+        workspace.force[p, 1] = 0.0
+        if load <= 0.0 and workspace.law_load[p] <= 0.0:
             continue
         along = across = 0.0
         for i in range(used):
             along += rows[ALONG, i] * velocity[i]
             across += rows[ACROSS, i] * velocity[i]
         mu_t = mu.ahead if along >= 0.0 else mu.back
-        # f_t and f_n are the friction along and across the body. tt, tn and nn are the
+        # f_t and f_lat are the friction along and across the body. tt, tn and nn are the
         # derivatives of this friction with respect to the velocities.
-        f_t, f_n, tt, tn, _, nn = _ellipse(
-            along, across, work.law_load[p], mu_t, mu.across, slip
+        f_t, f_lat, tt, tn, _, nn = _ellipse(
+            along, across, workspace.law_load[p], mu_t, mu.across, slip
         )
-        work.force[p, 0] = f_t
-        work.force[p, 1] = f_n
-        slope = h * spring if load > 0.0 else 0.0
+        workspace.force[p, 0] = f_t
+        workspace.force[p, 1] = f_lat
+        derivative = h * spring if load > 0.0 else 0.0
         for i in range(used):
             a = rows[ALONG, i]
             b = rows[ACROSS, i]
             z = rows[UP, i]
-            out[i] -= load * z + f_t * a + f_n * b
+            out[i] -= load * z + f_t * a + f_lat * b
             if with_matrix:
                 g_t = tt * a + tn * b
                 g_n = tn * a + nn * b
-                g_z = slope * z
+                g_z = derivative * z
                 for k in range(i + 1):
                     matrix[i, k] += (
                         g_z * rows[UP, k] - g_t * rows[ALONG, k] - g_n * rows[ACROSS, k]
@@ -187,16 +189,16 @@ def _product(a, b):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _minimise(velocity, body, work, h, slip, tolerance):  # type: ignore[no-untyped-def]
+def _minimise(velocity, body, workspace, h, slip, tolerance):  # type: ignore[no-untyped-def]
     size = velocity.shape[0]
     # g is the gradient of the minimised function, and d is the Newton step.
-    g = work.residual
-    d = work.direction
+    g = workspace.residual
+    d = workspace.direction
     for _ in range(_MAX_ITERATIONS):
-        _residual(velocity, body, work, h, slip, g, True)
+        _residual(velocity, body, workspace, h, slip, g, True)
         for i in range(size):
             d[i] = -g[i]
-        _solve(work.matrix, d)
+        _solve(workspace.matrix, d)
         first = _product(g, d)
         if not first < -tolerance:
             return np.isfinite(first)
@@ -205,25 +207,25 @@ def _minimise(velocity, body, work, h, slip, tolerance):  # type: ignore[no-unty
         low = 0.0
         high = 0.0
         t = 1.0
-        slope_low = first
-        slope_high = 0.0
+        derivative_low = first
+        derivative_high = 0.0
         for _ in range(_MAX_TRIALS):
             for i in range(size):
-                work.trial[i] = velocity[i] + t * d[i]
-            _residual(work.trial, body, work, h, slip, g, False)
-            slope = _product(g, d)
-            if abs(slope) <= -_MAX_SLOPE_RATIO * first:
+                workspace.trial[i] = velocity[i] + t * d[i]
+            _residual(workspace.trial, body, workspace, h, slip, g, False)
+            derivative = _product(g, d)
+            if abs(derivative) <= -_MAX_DERIVATIVE_RATIO * first:
                 break
-            if slope < 0.0:
+            if derivative < 0.0:
                 low = t
-                slope_low = slope
+                derivative_low = derivative
                 if high == 0.0:
                     break  # accept a full step
             else:
                 high = t
-                slope_high = slope
+                derivative_high = derivative
             t = low + (high - low) * min(
-                max(slope_low / (slope_low - slope_high), 0.1), 0.9
+                max(derivative_low / (derivative_low - derivative_high), 0.1), 0.9
             )
         for i in range(size):
             velocity[i] += t * d[i]
@@ -231,13 +233,13 @@ def _minimise(velocity, body, work, h, slip, tolerance):  # type: ignore[no-unty
 
 
 @compiled
-def _solve_step(velocity, state, body, work, h, weight):  # type: ignore[no-untyped-def]
+def _solve_step(velocity, state, body, workspace, h, weight):  # type: ignore[no-untyped-def]
     slip = body.friction.slip
-    _begin_step(state, body, work, h)
+    _begin_step(state, body, workspace, h)
     converged = True
     for _ in range(_MAX_SWEEPS):
         tolerance = _TOLERANCE * weight * slip
-        converged = _minimise(velocity, body, work, h, slip, tolerance)
+        converged = _minimise(velocity, body, workspace, h, slip, tolerance)
         if not converged:
             # Newton's method overshoots if sticking points are far from the solution.
             # The solve then begins again with smoother friction.
@@ -245,38 +247,38 @@ def _solve_step(velocity, state, body, work, h, weight):  # type: ignore[no-unty
                 velocity[i] = 0.0
             for factor in _SOFTER:
                 converged = _minimise(
-                    velocity, body, work, h, factor * slip, factor * tolerance
+                    velocity, body, workspace, h, factor * slip, factor * tolerance
                 )
-        _residual(velocity, body, work, h, slip, work.residual, False)
+        _residual(velocity, body, workspace, h, slip, workspace.residual, False)
         largest = 0.0
-        for p in range(work.load.shape[0]):
-            largest = max(largest, abs(work.load[p] - work.law_load[p]))
-            work.law_load[p] = work.load[p]
+        for p in range(workspace.load.shape[0]):
+            largest = max(largest, abs(workspace.load[p] - workspace.law_load[p]))
+            workspace.law_load[p] = workspace.load[p]
         if largest < _LOAD_TOLERANCE * weight:
             break
     return converged
 
 
 @compiled
-def move_state(velocity, state, body, work, h, turn, old):  # type: ignore[no-untyped-def]
+def move_state(velocity, state, body, workspace, h, turn, old):  # type: ignore[no-untyped-def]
     """Advance a state over a step of length h (s), given the solved velocities."""
-    segments = work.bend.shape[0]
+    segments = workspace.bend.shape[0]
     for j in range(segments):
         for i in range(3):
             row = BENDS + 3 * j + i
             rate = velocity[6 + 3 * j + i]
-            free_rate = work.bend_rate[j, i]
+            free_rate = workspace.bend_rate[j, i]
             state[row] += h * rate
             k = body.stiffness[i]
             c = body.damping[i]
-            torque = k * (work.bend[j, i] - state[row]) + c * (free_rate - rate)
+            torque = k * (workspace.bend[j, i] - state[row]) + c * (free_rate - rate)
             state[WORK] += h * torque * free_rate
             state[INTERNAL_LOSS] += h * c * (rate - free_rate) ** 2
     tail = BENDS + 3 * segments
-    count = body.share.shape[0]
-    for p in range(work.point.shape[0]):
+    count = body.fraction.shape[0]
+    for p in range(workspace.point.shape[0]):
         used = 9 + 3 * (p // count)
-        rows = work.rows[p]
+        rows = workspace.rows[p]
         mass = body.mass[p]
         along = across = up = roll = 0.0
         for i in range(used):
@@ -284,16 +286,16 @@ def move_state(velocity, state, body, work, h, turn, old):  # type: ignore[no-un
             across += rows[ACROSS, i] * velocity[i]
             up += rows[UP, i] * velocity[i]
             roll += rows[ROLL, i] * velocity[i]
-        f_t = work.force[p, 0]
-        f_n = work.force[p, 1]
-        c = work.heading[p, 0]
-        s = work.heading[p, 1]
-        state[FRICTION_LOSS] -= h * (f_t * along + f_n * across)
+        f_t = workspace.force[p, 0]
+        f_lat = workspace.force[p, 1]
+        c = workspace.heading[p, 0]
+        s = workspace.heading[p, 1]
+        state[FRICTION_LOSS] -= h * (f_t * along + f_lat * across)
         state[DRAG_LOSS] += h * mass / body.drag_time * (up * up + roll * roll)
-        state[tail + 3 * p] += h * (c * f_t - s * f_n)
-        state[tail + 3 * p + 1] += h * (s * f_t + c * f_n)
-        state[tail + 3 * p + 2] += h * work.load[p]
-        state[tail + 3 * work.point.shape[0] + p] = work.load[p]
+        state[tail + 3 * p] += h * (c * f_t - s * f_lat)
+        state[tail + 3 * p + 1] += h * (s * f_t + c * f_lat)
+        state[tail + 3 * p + 2] += h * workspace.load[p]
+        state[tail + 3 * workspace.point.shape[0] + p] = workspace.load[p]
     for i in range(3):
         state[i] += h * velocity[i]
     for i in range(9):
@@ -309,27 +311,27 @@ def move_state(velocity, state, body, work, h, turn, old):  # type: ignore[no-un
 
 
 @compiled
-def _fastest_point(velocity, work, count):  # type: ignore[no-untyped-def]
+def _fastest_point(velocity, workspace, count):  # type: ignore[no-untyped-def]
     largest = 0.0
-    for p in range(work.point.shape[0]):
+    for p in range(workspace.point.shape[0]):
         total = 0.0
         for row in range(3):
             v = 0.0
             for i in range(9 + 3 * (p // count)):
-                v += work.motion[p, row, i] * velocity[i]
+                v += workspace.motion[p, row, i] * velocity[i]
             total += v * v
         largest = max(largest, total)
     return math.sqrt(largest)
 
 
 @compiled
-def _set_bends(free, step, share, duration, work):  # type: ignore[no-untyped-def]
-    for j in range(work.bend.shape[0]):
+def _set_bends(free, step, fraction, duration, workspace):  # type: ignore[no-untyped-def]
+    for j in range(workspace.bend.shape[0]):
         for i in range(2):
             before = free[step, j, i]
             after = free[step + 1, j, i]
-            work.bend[j, i] = before + share * (after - before)
-            work.bend_rate[j, i] = (after - before) / duration
+            workspace.bend[j, i] = before + fraction * (after - before)
+            workspace.bend_rate[j, i] = (after - before) / duration
 
 
 @compiled
@@ -341,7 +343,7 @@ def _count_jump(state, fastest, body):  # type: ignore[no-untyped-def]
 
 
 @allocating
-def advance(now, steps, free, sample_steps, body, work, samples):  # type: ignore[no-untyped-def]
+def advance(now, steps, free, sample_steps, body, workspace, samples):  # type: ignore[no-untyped-def]
     """Advance by several steps and return the number of completed steps.
 
     Args:
@@ -350,7 +352,7 @@ def advance(now, steps, free, sample_steps, body, work, samples):  # type: ignor
         free: free bends at the start and after each step, shape (steps + 1, S, 2), rad.
         sample_steps: number of steps before each sample.
         body: constants of body and floor.
-        work: work arrays.
+        workspace: work arrays.
         samples: output for states and velocities, a `Samples`.
     """
     state = now.state
@@ -360,23 +362,25 @@ def advance(now, steps, free, sample_steps, body, work, samples):  # type: ignor
     start = np.empty_like(velocity)
     points = body.mass.shape[0]
     weight = body.mass.sum() * GRAVITY
-    loads = BENDS + 3 * work.bend.shape[0] + 3 * points
+    loads = BENDS + 3 * workspace.bend.shape[0] + 3 * points
     for p in range(points):
-        work.law_load[p] = state[loads + p]
+        workspace.law_load[p] = state[loads + p]
     sample = record(state, velocity, sample_steps, 0, 0, samples)
     for step in range(steps.shape[0]):
         done = 0.0
         h = steps[step]
         while done < steps[step] * (1.0 - 1e-9):
-            pose(state, body, work)
+            pose(state, body, workspace)
             copy(velocity, start)
             fastest = np.inf
             for _ in range(_MAX_HALVINGS):
-                share = min(1.0, (done + h) / steps[step])
-                _set_bends(free, step, share, steps[step], work)
+                fraction = min(1.0, (done + h) / steps[step])
+                _set_bends(free, step, fraction, steps[step], workspace)
                 fastest = np.inf
-                if _solve_step(velocity, state, body, work, h, weight):
-                    fastest = _fastest_point(velocity, work, body.share.shape[0])
+                if _solve_step(velocity, state, body, workspace, h, weight):
+                    fastest = _fastest_point(
+                        velocity, workspace, body.fraction.shape[0]
+                    )
                 if h * fastest <= body.longest_move:
                     break
                 # The step is rejected, and a shorter step starts from the same
@@ -386,7 +390,7 @@ def advance(now, steps, free, sample_steps, body, work, samples):  # type: ignor
                 copy(start, velocity)
             if not np.isfinite(fastest):
                 return step
-            move_state(velocity, state, body, work, h, turn, old)
+            move_state(velocity, state, body, workspace, h, turn, old)
             _count_jump(state, fastest, body)
             done += h
             h = min(2 * h, steps[step] - done)

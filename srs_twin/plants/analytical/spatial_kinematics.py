@@ -27,7 +27,7 @@ JUMPS = 17  # number of jumps between resting poses
 IS_JUMPING = 18  # 1 during a jump, otherwise 0
 BENDS = 19
 
-# Rows of `Work.rows`: velocities of a contact along and across the body and upwards,
+# Rows of `Workspace.rows`: velocities of a contact along and across the body and upwards,
 # and the rolling velocity.
 ROWS = 4
 ALONG, ACROSS, UP, ROLL = range(ROWS)
@@ -59,7 +59,7 @@ class QuasistaticBody(NamedTuple):
     """Constants of body and floor, for S segments with P points each.
 
     Attributes:
-        share: fraction of the arc ahead of a point, shape (P,), dimensionless.
+        fraction: fraction of the arc ahead of a point, shape (P,), dimensionless.
         front, rear: straight lengths from the front connector to the arc, and from the
             arc to the point, shape (P,), m.
         mass: masses of the points, shape (S P,), kg.
@@ -74,7 +74,7 @@ class QuasistaticBody(NamedTuple):
         free: 1 for a body on the floor, 0 for a body held at its head in the air.
     """
 
-    share: np.ndarray
+    fraction: np.ndarray
     front: np.ndarray
     rear: np.ndarray
     mass: np.ndarray
@@ -91,7 +91,7 @@ class QuasistaticBody(NamedTuple):
     free: float
 
 
-class Work(NamedTuple):
+class Workspace(NamedTuple):
     """Work arrays of a step for S segments with P points each.
 
     Attributes:
@@ -138,7 +138,7 @@ class Work(NamedTuple):
     base: np.ndarray
 
 
-def work_arrays(segments: int, points: int) -> Work:
+def work_arrays(segments: int, points: int) -> Workspace:
     """Return the work arrays for a number of segments and of points per segment."""
     n = segments + 1
     count = segments * points
@@ -165,7 +165,7 @@ def work_arrays(segments: int, points: int) -> Work:
         (segments, 3),
         (segments, 6, 3),
     ]
-    return Work(*map(np.zeros, shapes))
+    return Workspace(*map(np.zeros, shapes))
 
 
 @compiled
@@ -220,13 +220,13 @@ def _spin(turn, axis):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _arc(w, u, lengths, offset, turn, slopes):  # type: ignore[no-untyped-def]
+def _arc(w, u, lengths, offset, turn, derivatives):  # type: ignore[no-untyped-def]
     """Fill a position behind a connector, in its frame, and the derivatives.
 
     `w` is the rotation vector of the front connector relative to the rear one. `u` is
     the fraction of the arc ahead of the position. `lengths` are the straight length
     ahead of the arc, the length of the arc, and the straight length behind it. `offset`
-    and `turn` receive position and rotation. `slopes` receives velocity and angular
+    and `turn` receive position and rotation. `derivatives` receives velocity and angular
     velocity per rate of w.
     """
     front, length, rear = lengths
@@ -244,10 +244,10 @@ def _arc(w, u, lengths, offset, turn, slopes):  # type: ignore[no-untyped-def]
     a = u * bend / 2
     if a > 1e-3:
         ratio = math.sin(a) / a
-        slope = (math.cos(a) - math.sin(a) / a) / a
+        derivative = (math.cos(a) - math.sin(a) / a) / a
     else:
         ratio = 1.0 - a * a / 6
-        slope = -a / 3
+        derivative = -a / 3
     chord = length * u
     rotate((2 * half[0], 2 * half[1], 2 * half[2]), turn)
     t_x = turn[0, 0]
@@ -268,16 +268,16 @@ def _arc(w, u, lengths, offset, turn, slopes):  # type: ignore[no-untyped-def]
         e_z = -u * s_z
         stretch = 0.0
         if bend > 0.0 and i > 0:
-            stretch = slope * u / 2 * w[i] / bend
-        slopes[0, i] = -chord * (stretch * m_x + ratio * (h_y * m_z - h_z * m_y))
-        slopes[1, i] = -chord * (stretch * m_y + ratio * (h_z * m_x - h_x * m_z))
-        slopes[2, i] = -chord * (stretch * m_z + ratio * (h_x * m_y - h_y * m_x))
-        slopes[0, i] -= rear * (e_y * t_z - e_z * t_y)
-        slopes[1, i] -= rear * (e_z * t_x - e_x * t_z)
-        slopes[2, i] -= rear * (e_x * t_y - e_y * t_x)
-        slopes[3, i] = e_x
-        slopes[4, i] = e_y
-        slopes[5, i] = e_z
+            stretch = derivative * u / 2 * w[i] / bend
+        derivatives[0, i] = -chord * (stretch * m_x + ratio * (h_y * m_z - h_z * m_y))
+        derivatives[1, i] = -chord * (stretch * m_y + ratio * (h_z * m_x - h_x * m_z))
+        derivatives[2, i] = -chord * (stretch * m_z + ratio * (h_x * m_y - h_y * m_x))
+        derivatives[0, i] -= rear * (e_y * t_z - e_z * t_y)
+        derivatives[1, i] -= rear * (e_z * t_x - e_x * t_z)
+        derivatives[2, i] -= rear * (e_x * t_y - e_y * t_x)
+        derivatives[3, i] = e_x
+        derivatives[4, i] = e_y
+        derivatives[5, i] = e_z
 
 
 @compiled
@@ -290,17 +290,17 @@ def _turned(frame, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _fill_motion(motion, place, j, work, slopes):  # type: ignore[no-untyped-def]
+def _fill_motion(motion, place, j, workspace, derivatives):  # type: ignore[no-untyped-def]
     """Fill the Jacobian from the body's velocities to a position on segment j.
 
-    `motion` is the Jacobian, shape (6, velocities), and `slopes` is filled by `_arc`.
+    `motion` is the Jacobian, shape (6, velocities), and `derivatives` is filled by `_arc`.
     """
     x = place[0]
     y = place[1]
     z = place[2]
-    r_x = x - work.position[0, 0]
-    r_y = y - work.position[0, 1]
-    r_z = z - work.position[0, 2]
+    r_x = x - workspace.position[0, 0]
+    r_y = y - workspace.position[0, 1]
+    r_z = z - workspace.position[0, 2]
     for i in range(3):
         for row in range(6):
             motion[row, i] = motion[row, 3 + i] = 0.0
@@ -312,8 +312,8 @@ def _fill_motion(motion, place, j, work, slopes):  # type: ignore[no-untyped-def
     motion[2, 3] = r_y
     motion[2, 4] = -r_x
     for k in range(j):
-        base = work.base[k]
-        rear = work.position[k + 1]
+        base = workspace.base[k]
+        rear = workspace.position[k + 1]
         r_x = x - rear[0]
         r_y = y - rear[1]
         r_z = z - rear[2]
@@ -328,11 +328,11 @@ def _fill_motion(motion, place, j, work, slopes):  # type: ignore[no-untyped-def
             motion[3, column] = s_x
             motion[4, column] = s_y
             motion[5, column] = s_z
-    _turn_slopes(slopes, work.frame[j], motion, 6 + 3 * j)
+    _rotate_derivatives(derivatives, workspace.frame[j], motion, 6 + 3 * j)
 
 
 @compiled
-def _turn_slopes(slopes, frame, out, column):  # type: ignore[no-untyped-def]
+def _rotate_derivatives(derivatives, frame, out, column):  # type: ignore[no-untyped-def]
     """Write derivatives with respect to bends and twist, in the world frame.
 
     The bend to the left, the bend upwards and the twist are the components z, −y and x
@@ -341,8 +341,18 @@ def _turn_slopes(slopes, frame, out, column):  # type: ignore[no-untyped-def]
     for i in range(3):
         source = 2 - i
         sign = -1.0 if i == 1 else 1.0
-        v = _turned(frame, slopes[0, source], slopes[1, source], slopes[2, source])
-        s = _turned(frame, slopes[3, source], slopes[4, source], slopes[5, source])
+        v = _turned(
+            frame,
+            derivatives[0, source],
+            derivatives[1, source],
+            derivatives[2, source],
+        )
+        s = _turned(
+            frame,
+            derivatives[3, source],
+            derivatives[4, source],
+            derivatives[5, source],
+        )
         for row in range(3):
             out[row, column + i] = sign * v[row]
             out[3 + row, column + i] = sign * s[row]
@@ -351,49 +361,56 @@ def _turn_slopes(slopes, frame, out, column):  # type: ignore[no-untyped-def]
 class _Place(NamedTuple):
     offset: np.ndarray
     turn: np.ndarray
-    slopes: np.ndarray
+    derivatives: np.ndarray
 
 
 @allocating
-def pose(state, body, work):  # type: ignore[no-untyped-def]
+def pose(state, body, workspace):  # type: ignore[no-untyped-def]
     """Fill positions, frames, points and their Jacobians for a state."""
     place = _Place(np.empty(3), np.empty((3, 3)), np.empty((6, 3)))
-    count = body.share.shape[0]
+    count = body.fraction.shape[0]
     for i in range(3):
-        work.position[0, i] = state[i]
+        workspace.position[0, i] = state[i]
         for k in range(3):
-            work.frame[0, i, k] = state[ROTATION + 3 * i + k]
-    for j in range(work.bend.shape[0]):
+            workspace.frame[0, i, k] = state[ROTATION + 3 * i + k]
+    for j in range(workspace.bend.shape[0]):
         row = BENDS + 3 * j
         w = (state[row + 2], -state[row + 1], state[row])
         for m in range(count):
             lengths = (body.front[m], body.length, body.rear[m])
-            _arc(w, body.share[m], lengths, place.offset, place.turn, place.slopes)
-            _fill_point(j, j * count + m, body.radius, place, work)
+            _arc(
+                w,
+                body.fraction[m],
+                lengths,
+                place.offset,
+                place.turn,
+                place.derivatives,
+            )
+            _fill_point(j, j * count + m, body.radius, place, workspace)
         lengths = (body.gap, body.length, body.gap)
-        _arc(w, 1.0, lengths, place.offset, place.turn, place.slopes)
-        _fill_connector(j, place, work)
+        _arc(w, 1.0, lengths, place.offset, place.turn, place.derivatives)
+        _fill_connector(j, place, workspace)
 
 
 @inlined
-def _fill_point(j, p, radius, place, work):  # type: ignore[no-untyped-def]
-    frame = work.frame[j]
-    here = work.position[j]
+def _fill_point(j, p, radius, place, workspace):  # type: ignore[no-untyped-def]
+    frame = workspace.frame[j]
+    here = workspace.position[j]
     offset = place.offset
     turn = place.turn
     x, y, z = _turned(frame, offset[0], offset[1], offset[2])
-    work.point[p, 0] = here[0] + x
-    work.point[p, 1] = here[1] + y
-    work.point[p, 2] = here[2] + z
+    workspace.point[p, 0] = here[0] + x
+    workspace.point[p, 1] = here[1] + y
+    workspace.point[p, 2] = here[2] + z
     t_x, t_y, t_z = _turned(frame, turn[0, 0], turn[1, 0], turn[2, 0])
     flat = max(math.sqrt(t_x * t_x + t_y * t_y), 1e-12)
     c = t_x / flat
     s = t_y / flat
-    work.heading[p, 0] = c
-    work.heading[p, 1] = s
-    motion = work.motion[p]
-    rows = work.rows[p]
-    _fill_motion(motion, work.point[p], j, work, place.slopes)
+    workspace.heading[p, 0] = c
+    workspace.heading[p, 1] = s
+    motion = workspace.motion[p]
+    rows = workspace.rows[p]
+    _fill_motion(motion, workspace.point[p], j, workspace, place.derivatives)
     for i in range(9 + 3 * j):
         # The first rows are the velocity of the material vertically below the axis. The
         # last row is the rolling velocity of the surface.
@@ -408,20 +425,20 @@ def _fill_point(j, p, radius, place, work):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _fill_connector(j, place, work):  # type: ignore[no-untyped-def]
-    frame = work.frame[j]
-    here = work.position[j]
-    there = work.position[j + 1]
+def _fill_connector(j, place, workspace):  # type: ignore[no-untyped-def]
+    frame = workspace.frame[j]
+    here = workspace.position[j]
+    there = workspace.position[j + 1]
     offset = place.offset
     turn = place.turn
     x, y, z = _turned(frame, offset[0], offset[1], offset[2])
     there[0] = here[0] + x
     there[1] = here[1] + y
     there[2] = here[2] + z
-    _turn_slopes(place.slopes, frame, work.base[j], 0)
+    _rotate_derivatives(place.derivatives, frame, workspace.base[j], 0)
     for i in range(3):
         for row in range(3):
-            work.frame[j + 1, row, i] = (
+            workspace.frame[j + 1, row, i] = (
                 frame[row, 0] * turn[0, i]
                 + frame[row, 1] * turn[1, i]
                 + frame[row, 2] * turn[2, i]

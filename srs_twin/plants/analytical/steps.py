@@ -1,6 +1,6 @@
 r"""Time steps of the analytical models, and adaptive substeps.
 
-Steps end on valve events (`Steps`). Where the slip of a connector changes its sign, its
+Steps end on valve events (`TimeSteps`). Where the slip of a connector changes its sign, its
 friction reverses while the slip passes a few times the slip speed ε. Such a reversal
 mostly takes far less time than a step. A step that misses such a reversal has an error
 as large as a whole friction impulse. The models `complete` and `simplified` therefore
@@ -53,7 +53,7 @@ from srs_twin.pneumatics import Trace
 
 
 @dataclass(frozen=True)
-class Steps:
+class TimeSteps:
     """Time steps of a schedule.
 
     Equal schedules without valve events share one object, which must not be modified.
@@ -76,7 +76,7 @@ class Steps:
         *,
         longest: float,
         same: float,
-    ) -> Steps:
+    ) -> TimeSteps:
         """Return steps on an even grid that contains the samples, and on valve events.
 
         Args:
@@ -118,7 +118,7 @@ class Steps:
         times[2::2] = self._starts + self.lengths
         return times
 
-    def chunks(self, length: float) -> Iterator[tuple[float, float, Steps]]:
+    def chunks(self, length: float) -> Iterator[tuple[float, float, TimeSteps]]:
         """Yield begin, end and steps of chunks with about the given length (s)."""
         firsts = np.unique(
             np.floor(self.ends / length * (1 - 1e-9)), return_index=True
@@ -134,7 +134,7 @@ class Steps:
             yield (
                 begun,
                 float(self.ends[last - 1]),
-                Steps(self.ends[first:last] - begun, inside),
+                TimeSteps(self.ends[first:last] - begun, inside),
             )
 
     @property
@@ -143,14 +143,14 @@ class Steps:
 
 
 @lru_cache(maxsize=64)
-def _even(span: float, samples: int, per_sample: int) -> Steps:
+def _even(span: float, samples: int, per_sample: int) -> TimeSteps:
     """Return the steps of an even grid.
 
     The cache serves the ticks of a controller, which are all equal.
     """
     count = samples * per_sample
     ends = span / count * np.arange(1, count + 1)
-    return Steps(ends, np.arange(per_sample, count + 1, per_sample))
+    return TimeSteps(ends, np.arange(per_sample, count + 1, per_sample))
 
 
 MAX_SUBSTEPS = 64
@@ -267,9 +267,11 @@ def advance(
     """
     n = len(model.solid.mass)
     stages = Bends(np.zeros((2, n - 1)), np.zeros((2, n - 1)))
-    work = _AdvanceArrays(StepArrays.of(n), np.zeros(3), stages)
+    workspace = _AdvanceArrays(StepArrays.of(n), np.zeros(3), stages)
     free = Bends(trace.bend, trace.bend_rate)
-    done, substeps = _advance(now, steps, free, marks, model, tolerance, samples, work)
+    done, substeps = _advance(
+        now, steps, free, marks, model, tolerance, samples, workspace
+    )
     return done, substeps
 
 
@@ -293,11 +295,11 @@ def _fill_stages(done, size, length, bends, stages):  # type: ignore[no-untyped-
 
 
 @compiled
-def _advance(now, steps, free, marks, model, tolerance, samples, work):  # type: ignore[no-untyped-def]
+def _advance(now, steps, free, marks, model, tolerance, samples, workspace):  # type: ignore[no-untyped-def]
     u = now.velocity
     solid = model.solid
-    drift = work.drift
-    arrays = work.step
+    drift = workspace.drift
+    arrays = workspace.step
     k = arrays.rates
     reach = solid.pitch / 2
     n = solid.mass.shape[0]
@@ -316,7 +318,7 @@ def _advance(now, steps, free, marks, model, tolerance, samples, work):  # type:
             copy(drift, arrays.pace)
             stages = Bends(bends.bend[1:], bends.rate[1:])
             if size < MAX_SUBSTEPS:
-                stages = work.stages
+                stages = workspace.stages
                 _fill_stages(done, size, steps[i], bends, stages)
             solved = step(now.state, h, stages, reduced, arrays)
             substeps += 1

@@ -33,9 +33,9 @@ regularisation. The term with J_n on the left side contains the change of the no
 forces, N − N̂ = −J_n δ/(h R). This term prevents friction from pushing wheels into the
 floor. The force c(v̄) is evaluated with v̂ in place of v.
 
-**Obstacles** press on the hulls of the body, also without friction in the engine.
-Friction (`stick_slip`) acts on a hull at the point of application of the obstacle's
-normal force. J_n has no row for hulls, so the normal force of an obstacle keeps its
+**Obstacles** press on the collision geoms of the body, also without friction in the engine.
+Friction (`stick_slip`) acts on a collision geom at the point of application of the obstacle's
+normal force. J_n has no row for collision geoms, so the normal force of an obstacle keeps its
 value in N̂. Movable objects have their own contacts (`object_contacts`).
 
 **Time levels.** Positions are evaluated at mid-step, which makes springs, friction and
@@ -122,7 +122,7 @@ class StepRecords(NamedTuple):
     contacts: Contacts
     sparsity: Sparsity
     state: ContactState
-    work: Workspace
+    workspace: Workspace
     h: float
 
 
@@ -131,8 +131,8 @@ class StepOutputs(NamedTuple):
 
     Attributes:
         force: force on each contact in the world frame, shape (steps, C, 3), N. For a
-            hull it contains friction only.
-        pair_force: friction of each pair of an object and a hull, shape (steps, pairs,
+            collision geom it contains friction only.
+        pair_force: friction of each pair of an object and a collision geom, shape (steps, pairs,
             3), N.
     """
 
@@ -150,10 +150,10 @@ class LoadedStepper(Stateful):
         contact_state: friction, rim speeds and loads that the contacts keep from step to
             step.
         object_state: state that the contacts of objects keep from step to step.
-        hull_jacobian: Jacobians of the stored friction of the hulls, shape (hulls, 4, 6).
+        collision_jacobian: Jacobians of the stored friction of the collision geoms, shape (collision geoms, 4, 6).
     """
 
-    state_attributes = ("contact_state", "object_state", "hull_jacobian")
+    state_attributes = ("contact_state", "object_state", "collision_jacobian")
 
     def __init__(
         self,
@@ -186,7 +186,9 @@ class LoadedStepper(Stateful):
             model,
             objects,
             slip=self._contacts.floor.slip_speed,
-            hull_admittance=self._contacts.admittance[wheels:],
+            collision_inverse_effective_mass=self._contacts.inverse_effective_mass[
+                wheels:
+            ],
         )
         views = (getattr(data, name) for name in EngineData._fields[3:])
         pairs = self._objects if objects else None
@@ -200,7 +202,7 @@ class LoadedStepper(Stateful):
         self._data = data
         self._h = settings.timestep
         self._sinking_time = _SINKING_TIME * spec.scale.time
-        self._work = workspace(len(self._contacts.body), model.nv, data.M)
+        self._workspace = workspace(len(self._contacts.body), model.nv, data.M)
         self._reset_contact_state()
 
     def __reduce_ex__(self, protocol: SupportsIndex) -> NoReturn:
@@ -236,13 +238,13 @@ class LoadedStepper(Stateful):
             mine[:] = given
 
     @property
-    def hull_jacobian(self) -> np.ndarray:
-        """View of the hulls' Jacobians, which persist, unlike the wheels' Jacobians."""
-        return self._work.jacobian[self._contacts.wheels :]
+    def collision_jacobian(self) -> np.ndarray:
+        """View of the collision geoms' Jacobians, which persist, unlike the wheels' Jacobians."""
+        return self._workspace.jacobian[self._contacts.wheels :]
 
-    @hull_jacobian.setter
-    def hull_jacobian(self, given: np.ndarray) -> None:
-        self.hull_jacobian[:] = given
+    @collision_jacobian.setter
+    def collision_jacobian(self, given: np.ndarray) -> None:
+        self.collision_jacobian[:] = given
 
     @property
     def records(self) -> dict[str, Any]:
@@ -252,7 +254,7 @@ class LoadedStepper(Stateful):
             "contacts": self._contacts,
             "sparsity": self._sparsity,
             "contact_state": self.contact_state,
-            "work": self._work,
+            "workspace": self._workspace,
         }
 
     def reset(self) -> None:
@@ -287,7 +289,7 @@ class LoadedStepper(Stateful):
         self.contact_state = ContactState(
             np.zeros((len(load), 3)), zeros, load.copy(), zeros.copy()
         )
-        self.hull_jacobian[:] = 0.0
+        self.collision_jacobian[:] = 0.0
         for array in self.object_state:
             array[:] = 0.0
 
@@ -316,10 +318,10 @@ class LoadedStepper(Stateful):
             sensors: sensor values of each step, shape (steps, nsensordata).
             floor_force: force of the floor on each wheel in the world frame, shape
                 (steps, axles, 2, 3), N.
-            power: power that friction and the normal forces on hulls dissipate, shape
+            power: power that friction and the normal forces on collision geoms dissipate, shape
                 (steps,), W.
             obstacle_friction: friction of the obstacles, then of each object, on the
-                hulls in the world frame, shape (steps, 1 + objects, hulls, 3), N.
+                collision geoms in the world frame, shape (steps, 1 + objects, collision geoms, 3), N.
         """
         model = self._model
         data = self._data
@@ -334,17 +336,21 @@ class LoadedStepper(Stateful):
             pair_force=np.zeros((steps, self._objects.pairs, 3)),
         )
         records = StepRecords(
-            self._contacts, self._sparsity, self.contact_state, self._work, self._h
+            self._contacts, self._sparsity, self.contact_state, self._workspace, self._h
         )
         _run(self._inputs, self._engine, records, controls, out)
         out.states[:, 0] = data.time + self._h * np.arange(1, steps + 1)
         data.time += self._h * steps
         floor = out.force[:, :wheels].reshape(steps, -1, 2, 3)
-        hulls = out.force[:, None, wheels:]
+        collision_geoms = out.force[:, None, wheels:]
         if out.pair_force.size:
-            on_hulls = out.pair_force.reshape(steps, -1, *hulls.shape[2:])
-            hulls = np.concatenate([hulls, on_hulls], axis=1)
-        return out.states, out.sensors, floor, out.power, hulls
+            on_collision_geoms = out.pair_force.reshape(
+                steps, -1, *collision_geoms.shape[2:]
+            )
+            collision_geoms = np.concatenate(
+                [collision_geoms, on_collision_geoms], axis=1
+            )
+        return out.states, out.sensors, floor, out.power, collision_geoms
 
 
 def _constants(
@@ -355,14 +361,14 @@ def _constants(
 ) -> tuple[Contacts, Sparsity]:
     nv = model.nv
     wheels = treads(spec, settings)
-    hulls = surroundings.hulls(model)
-    mass, jacobian = _reference_dynamics(model, wheels, hulls)
+    collision_geoms = surroundings.collision_geoms(model)
+    mass, jacobian = _reference_dynamics(model, wheels, collision_geoms)
     if air is None:
         air = np.zeros((nv, nv))
     with one_blas_thread():
         damping, excess = _damping_matrices(model, mass, settings.timestep, air)
         inverse = np.linalg.inv(mass + damping)
-        admittance = np.einsum("wi,ij,wj->w", jacobian, inverse, jacobian)
+        inverse_effective_mass = np.einsum("wi,ij,wj->w", jacobian, inverse, jacobian)
     triangle = np.repeat(np.arange(nv), model.M_rownnz), model.M_colind
     sparsity = Sparsity(
         row_length=model.M_rownnz.astype(int),
@@ -372,33 +378,36 @@ def _constants(
         damping=damping[triangle],
         damping_excess=excess[triangle],
     )
-    return _contacts(model, spec, settings, admittance), sparsity
+    return _contacts(model, spec, settings, inverse_effective_mass), sparsity
 
 
 def _contacts(
     model: mujoco.MjModel,
     spec: RobotSpec,
     settings: ModelSettings,
-    admittance: np.ndarray,
+    inverse_effective_mass: np.ndarray,
 ) -> Contacts:
     contact = settings.contact
     assert isinstance(contact, LoadedContact)
     wheels = treads(spec, settings)
-    hulls = surroundings.hulls(model)
-    geoms = [model.geom(name) for name in wheels + hulls]
+    collision_geoms = surroundings.collision_geoms(model)
+    geoms = [model.geom(name) for name in wheels + collision_geoms]
     body = np.array([geom.bodyid[0] for geom in geoms])
     sensors = [model.sensor(f"floor_force_{wheel}").adr[0] + 2 for wheel in wheels]
-    sensors += [model.sensor(f"obstacle_force_{hull}").adr[0] for hull in hulls]
+    sensors += [
+        model.sensor(f"obstacle_force_{collision_geom}").adr[0]
+        for collision_geom in collision_geoms
+    ]
     loads = static_loads(spec, settings, -model.opt.gravity[2])
     regularisation = contact_regularisation(model, spec, settings)
-    no_load = np.zeros(len(hulls))
+    no_load = np.zeros(len(collision_geoms))
     return Contacts(
         wheels=len(wheels),
         body=body,
         centre=np.stack([geom.pos for geom in geoms[: len(wheels)]]),
         last_dof=model.body_dofadr[body] + model.body_dofnum[body] - 1,
         regularisation=np.append(regularisation, no_load + math.inf),
-        admittance=admittance,
+        inverse_effective_mass=inverse_effective_mass,
         static_load=np.append(loads, no_load),
         load_kind=LOADS.index(contact.load),
         sensor=np.array(sensors),
@@ -424,12 +433,12 @@ def _floor_law(spec: RobotSpec, contact: LoadedContact, wheel_spin: float) -> Fl
 
 
 def _reference_dynamics(
-    model: mujoco.MjModel, wheels: list[str], hulls: list[str]
+    model: mujoco.MjModel, wheels: list[str], collision_geoms: list[str]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return inertia matrix M and contact Jacobian of the straight snake.
 
     Their shapes are (nv, nv) and (C, nv). A row of the Jacobian gives the velocity of a
-    wheel across the heading, or of a hull along the heading.
+    wheel across the heading, or of a collision geom along the heading.
     """
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
@@ -438,7 +447,7 @@ def _reference_dynamics(
     jacobian = np.zeros((3, model.nv))
     mujoco.mj_fullM(model, data, mass)
     rows = []
-    for k, name in enumerate(wheels + hulls):
+    for k, name in enumerate(wheels + collision_geoms):
         geom = data.geom(name)
         mujoco.mj_jac(
             model, data, jacobian, None, geom.xpos, model.geom_bodyid[geom.id]
@@ -498,38 +507,40 @@ def _run(inputs, engine, records, controls, out):  # type: ignore[no-untyped-def
 
 @kernel_only
 def _begin_step(inputs, engine, records, control):  # type: ignore[no-untyped-def]
-    contacts, sparsity, state, work, h = records
+    contacts, sparsity, state, workspace, h = records
     _copy(control, inputs.ctrl)
     mj_integratePos(
         engine.model, engine.qpos.ctypes.data, engine.qvel.ctypes.data, h / 2
     )
-    _copy(engine.qvel, work.v_start)
+    _copy(engine.qvel, workspace.v_start)
     mj_step1(engine.model, engine.data)
-    apply_stored_friction(engine, contacts, sparsity, state, work, h)
+    apply_stored_friction(engine, contacts, sparsity, state, workspace, h)
 
 
 @kernel_only
 def _end_step(inputs, engine, records, step, out):  # type: ignore[no-untyped-def]
-    contacts, sparsity, state, work, h = records
+    contacts, sparsity, state, workspace, h = records
     model = engine.model
     nq = engine.qpos.shape[0]
     _copy(engine.qacc, inputs.qacc_warmstart)
     for i in range(engine.qvel.shape[0]):
-        work.v_predicted[i] = work.v_start[i] + h * engine.qacc[i]
+        workspace.v_predicted[i] = workspace.v_start[i] + h * engine.qacc[i]
     # The Coriolis forces are evaluated at mid-step. `solve_friction` expects them in
     # `residual`.
-    set_mid_velocity(engine, work)
+    set_mid_velocity(engine, workspace)
     mj_comVel(model, engine.data)
-    mj_rne(model, engine.data, 0, work.residual.ctypes.data)
-    solve_friction(engine, contacts, sparsity, state, work, h)
+    mj_rne(model, engine.data, 0, workspace.residual.ctypes.data)
+    solve_friction(engine, contacts, sparsity, state, workspace, h)
     if not np.isfinite(inner(engine.qvel, engine.qvel)):
         return False
     mj_integratePos(model, engine.qpos.ctypes.data, engine.qvel.ctypes.data, h / 2)
     _copy(engine.qpos, out.states[step, 1:])
     _copy(engine.qvel, out.states[step, 1 + nq :])
     _copy(engine.sensordata, out.sensors[step])
-    friction_power = store_friction(contacts, state, work, out.force[step])
-    object_power = store_object_friction(engine, sparsity, work, out.pair_force[step])
+    friction_power = store_friction(contacts, state, workspace, out.force[step])
+    object_power = store_object_friction(
+        engine, sparsity, workspace, out.pair_force[step]
+    )
     out.power[step] = friction_power + object_power
     return True
 

@@ -18,7 +18,7 @@ $$ r(\delta) = (A + J_n^T R^{-1} J_n)\,\delta - h \sum_w J_w^T \bigl(f_w(u_w) - 
 - A = M + C: joint-space inertia M and the damping matrix C (`contact_loaded`).
 - D: damping matrix of the joints.
 - c(v): Coriolis and centrifugal forces.
-- w: index of a contact. The wheels come first, then the hulls that may touch an
+- w: index of a contact. The wheels come first, then the collision geoms that may touch an
   obstacle.
 - f_w: friction force of contact w along and across the heading, N.
 - J_w: Jacobian that maps generalised velocities to the velocity of contact w along and
@@ -66,7 +66,7 @@ from srs_twin.plants.twin.engine import mj_factorM, mj_solveM
 from srs_twin.plants.twin.mjcf.numerics import LAWS_ON_LOADS, LOADS
 from srs_twin.plants.twin.object_contacts import (
     add_object_impulses,
-    add_object_slopes,
+    add_object_jacobian,
     apply_object_friction,
     couple_objects,
     locate_objects,
@@ -79,7 +79,7 @@ from srs_twin.plants.twin.spatial_algebra import (
     inner,
     point_jacobian,
     project,
-    project_slopes,
+    project_jacobian,
     spatial_velocities,
     substitute,
 )
@@ -92,7 +92,7 @@ from srs_twin.plants.twin.stick_slip import (
     stick_slip_friction,
 )
 
-_MOMENTARY = LOADS.index("momentary")
+_MOMENTARY = LOADS.index("instantaneous")
 _ACROSS_ONLY = LOADS.index("across")
 _WHEEL = LAWS_ON_LOADS.index("wheel")
 _ELLIPSE = LAWS_ON_LOADS.index("ellipse")
@@ -112,23 +112,21 @@ _ABSOLUTE_TOLERANCE = 0.0
 
 # A line search ends when the derivative has fallen below this fraction of its initial
 # value.
-_MAX_SLOPE_RATIO = 0.5
+_MAX_DERIVATIVE_RATIO = 0.5
 
 # Rows of `Workspace.jacobian`.
 _ALONG = 0
 _ACROSS = 1
 _UP = 2
-_NORMAL = (
-    2  # for a hull: away from the obstacle; an infinite R excludes it from unloading
-)
+_NORMAL = 2  # for a collision geom: away from the obstacle; an infinite R excludes it from unloading
 _HUB = 3
 
 # Columns of `Workspace.response`.
 _FORCE_ALONG = 0  # N
 _FORCE_ACROSS = 1  # N
-_SLOPE_ALONG = 2  # ∂f_t/∂v_t: force along, velocity along, N·s/m
-_SLOPE_MIXED = 3  # ∂f_t/∂v_n = ∂f_n/∂v_t, N·s/m
-_SLOPE_ACROSS = 4  # ∂f_n/∂v_n: force across, velocity across, N·s/m
+_DERIVATIVE_ALONG = 2  # ∂f_t/∂v_t: force along, velocity along, N·s/m
+_OFF_DIAGONAL = 3  # ∂f_t/∂v_lat = ∂f_lat/∂v_t, N·s/m
+_DERIVATIVE_ACROSS = 4  # ∂f_lat/∂v_lat: force across, velocity across, N·s/m
 _RIM_SPEED = 5  # rim speed of a wheel when its friction is evaluated, m/s
 _UNLOADING = 6  # decrease of the normal force due to δ, N
 _SPIN_FORCE = 7  # part of the force along the heading that spins the wheel, N
@@ -139,24 +137,24 @@ _STORED_SPIN = 2
 
 
 class Contacts(NamedTuple):
-    """Constants of the C possible contacts, first wheels, then hulls near obstacles.
+    """Constants of the C possible contacts, first wheels, then collision geoms near obstacles.
 
     Attributes:
         wheels: number of wheels.
         body, last_dof: body id, and last degree of freedom that moves the contact, shape
             (C,).
         centre: centre of each wheel in the frame of its body, shape (wheels, 3), m.
-        regularisation: MuJoCo's regularisation R of the normal force, infinite for a hull,
+        regularisation: MuJoCo's regularisation R of the normal force, infinite for a collision geom,
             shape (C,), 1/kg.
-        admittance: inverse effective mass, across the heading for a wheel and along the
-            body for a hull, shape (C,), 1/kg.
+        inverse_effective_mass: inverse effective mass, across the heading for a wheel and along the
+            body for a collision geom, shape (C,), 1/kg.
         static_load: normal force at rest, shape (C,), N.
         load_kind: kind of load in the friction law, an index into `numerics.LOADS`.
         sensor: index into `sensordata` of the normal force on a wheel, or of the force
-            on a hull followed by its point of application, shape (C,).
+            on a collision geom followed by its point of application, shape (C,).
         wheel_radius: radius of the wheels, m.
         floor: friction law of the wheels on the floor.
-        obstacle_friction: friction coefficient between hulls and obstacles, dimensionless.
+        obstacle_friction: friction coefficient between collision geoms and obstacles, dimensionless.
     """
 
     wheels: int
@@ -164,7 +162,7 @@ class Contacts(NamedTuple):
     centre: np.ndarray
     last_dof: np.ndarray
     regularisation: np.ndarray
-    admittance: np.ndarray
+    inverse_effective_mass: np.ndarray
     static_load: np.ndarray
     load_kind: int
     sensor: np.ndarray
@@ -211,7 +209,7 @@ class Workspace(NamedTuple):
         motion: spatial velocities of δ, or the spatial forces exerted by friction, shape
             (nv, 6).
         impulse: spatial impulses of the changed contact forces, shape (nv, 6).
-        slope: spatial derivatives of the contact forces, shape (nv, 6, 6).
+        derivative: spatial derivatives of the contact forces, shape (nv, 6, 6).
         inertia, newton_matrix: A and Newton's matrix, shape (nM,). numba uses the engine's
             M for Newton's matrix.
         v_start, v_predicted, v_change: velocities v₋, v̂ and δ, shape (nv,).
@@ -230,7 +228,7 @@ class Workspace(NamedTuple):
     mid_motion: np.ndarray
     motion: np.ndarray
     impulse: np.ndarray
-    slope: np.ndarray
+    derivative: np.ndarray
     inertia: np.ndarray
     newton_matrix: np.ndarray
     v_start: np.ndarray
@@ -261,7 +259,7 @@ def workspace(contacts: int, nv: int, newton_matrix: np.ndarray) -> Workspace:
         response=np.zeros((contacts, 8)),
         normal_force=np.zeros(contacts),
         theta=np.zeros(contacts),
-        slope=np.zeros((nv, 6, 6)),
+        derivative=np.zeros((nv, 6, 6)),
         inertia=np.zeros_like(newton_matrix),
         newton_matrix=newton_matrix,
         **spatial,
@@ -270,39 +268,43 @@ def workspace(contacts: int, nv: int, newton_matrix: np.ndarray) -> Workspace:
 
 
 @kernel_only
-def apply_stored_friction(engine, contacts, sparsity, state, work, h):  # type: ignore[no-untyped-def]
+def apply_stored_friction(engine, contacts, sparsity, state, workspace, h):  # type: ignore[no-untyped-def]
     """Locate the wheels and write the stored friction to `qfrc_applied`."""
-    _locate_wheels(engine, contacts, work)
+    _locate_wheels(engine, contacts, workspace)
     _generalised_forces(
-        engine.cdof, contacts, sparsity, state.force, work, engine.qfrc_applied
+        engine.cdof, contacts, sparsity, state.force, workspace, engine.qfrc_applied
     )
-    apply_object_friction(engine, sparsity, work, h)
+    apply_object_friction(engine, sparsity, workspace, h)
 
 
 @kernel_only
-def set_mid_velocity(engine, work):  # type: ignore[no-untyped-def]
+def set_mid_velocity(engine, workspace):  # type: ignore[no-untyped-def]
     """Set `qvel` to the velocity at mid-step without δ, which is (v₋ + v̂)/2."""
-    for i in range(work.v_start.shape[0]):
-        engine.qvel[i] = 0.5 * (work.v_start[i] + work.v_predicted[i])
+    for i in range(workspace.v_start.shape[0]):
+        engine.qvel[i] = 0.5 * (workspace.v_start[i] + workspace.v_predicted[i])
 
 
 @kernel_only
-def solve_friction(engine, contacts, sparsity, state, work, h):  # type: ignore[no-untyped-def]
+def solve_friction(engine, contacts, sparsity, state, workspace, h):  # type: ignore[no-untyped-def]
     """Solve for the friction of a step and set `qvel` to the velocity at its end.
 
     On entry the workspace holds v₋ and v̂, its `residual` holds c(v̄), and the engine's
     `qfrc_bias` holds c(v₋).
     """
-    for i in range(work.v_start.shape[0]):
-        work.bias[i] = h * (engine.qfrc_bias[i] - work.residual[i])
-        work.trial_residual[i] = work.v_predicted[i] - work.v_start[i]
-    add_product(sparsity, sparsity.damping_excess, work.trial_residual, work.bias)
-    for k in range(work.inertia.shape[0]):
-        work.inertia[k] = engine.M[k] + sparsity.damping[k]
-    spatial_velocities(engine.cdof, sparsity, engine.qvel, work.mid_motion)
-    spatial_velocities(engine.cdof, sparsity, work.trial_residual, work.step_motion)
-    _read_normal_forces(engine, contacts, work)
-    locate_objects(engine, sparsity, work, h)
+    for i in range(workspace.v_start.shape[0]):
+        workspace.bias[i] = h * (engine.qfrc_bias[i] - workspace.residual[i])
+        workspace.trial_residual[i] = workspace.v_predicted[i] - workspace.v_start[i]
+    add_product(
+        sparsity, sparsity.damping_excess, workspace.trial_residual, workspace.bias
+    )
+    for k in range(workspace.inertia.shape[0]):
+        workspace.inertia[k] = engine.M[k] + sparsity.damping[k]
+    spatial_velocities(engine.cdof, sparsity, engine.qvel, workspace.mid_motion)
+    spatial_velocities(
+        engine.cdof, sparsity, workspace.trial_residual, workspace.step_motion
+    )
+    _read_normal_forces(engine, contacts, workspace)
+    locate_objects(engine, sparsity, workspace, h)
     for w in range(contacts.body.shape[0]):
         if w < contacts.wheels:
             mu = contacts.floor.across
@@ -313,17 +315,19 @@ def solve_friction(engine, contacts, sparsity, state, work, h):  # type: ignore[
         # (θ near 1/2), and a large grip that it sticks (θ near 1).
         grip = (
             mu
-            * work.normal_force[w]
+            * workspace.normal_force[w]
             / max(state.slip_speed[w], contacts.floor.slip_speed)
         )
-        work.theta[w] = _evaluation_fraction(h * grip * contacts.admittance[w])
-    _newton(engine, contacts, sparsity, state, work, h)
-    for i in range(work.v_start.shape[0]):
-        engine.qvel[i] = work.v_predicted[i] + work.v_change[i]
+        workspace.theta[w] = _evaluation_fraction(
+            h * grip * contacts.inverse_effective_mass[w]
+        )
+    _newton(engine, contacts, sparsity, state, workspace, h)
+    for i in range(workspace.v_start.shape[0]):
+        engine.qvel[i] = workspace.v_predicted[i] + workspace.v_change[i]
 
 
 @kernel_only
-def store_friction(contacts, state, work, force):  # type: ignore[no-untyped-def]
+def store_friction(contacts, state, workspace, force):  # type: ignore[no-untyped-def]
     """Store the friction for the next step and return the dissipated power.
 
     The power of a normal force is computed with the mean velocity of the step. An
@@ -333,50 +337,52 @@ def store_friction(contacts, state, work, force):  # type: ignore[no-untyped-def
     Args:
         contacts: constants of the contacts.
         state: state of the contacts, changed in place.
-        work: workspace after `solve_friction`.
+        workspace: workspace after `solve_friction`.
         force: output for the force on each contact in the world frame, shape (C, 3), N.
-            For a hull it contains friction only.
+            For a collision geom it contains friction only.
 
     Returns:
         Power that friction and the normal forces of obstacles dissipate, W.
     """
     power = float(0.0)
     for w in range(contacts.body.shape[0]):
-        f_t = work.response[w, _FORCE_ALONG]
-        f_n = work.response[w, _FORCE_ACROSS]
-        rim = work.response[w, _RIM_SPEED]
-        along, across = _contact_velocity(contacts, work, w, 0.5)
-        power -= f_t * along + f_n * across
+        f_t = workspace.response[w, _FORCE_ALONG]
+        f_lat = workspace.response[w, _FORCE_ACROSS]
+        rim = workspace.response[w, _RIM_SPEED]
+        along, across = _contact_velocity(contacts, workspace, w, 0.5)
+        power -= f_t * along + f_lat * across
         slip_along = along - rim if contacts.floor.kind == _WHEEL else along
         state.slip_speed[w] = np.sqrt(slip_along * slip_along + across * across)
         state.force[w, _FORCE_ALONG] = f_t
-        state.force[w, _FORCE_ACROSS] = f_n
-        state.force[w, _STORED_SPIN] = work.response[w, _SPIN_FORCE]
+        state.force[w, _FORCE_ACROSS] = f_lat
+        state.force[w, _STORED_SPIN] = workspace.response[w, _SPIN_FORCE]
         # The solve gives the rim speed at the fraction θ of the step. The rim speed at
         # the end of the step is extrapolated.
-        state.rim_speed[w] += (rim - state.rim_speed[w]) / work.theta[w]
-        c = work.heading[w, 0]
-        s = work.heading[w, 1]
+        state.rim_speed[w] += (rim - state.rim_speed[w]) / workspace.theta[w]
+        c = workspace.heading[w, 0]
+        s = workspace.heading[w, 1]
         if w < contacts.wheels:
-            force[w, 0] = c * f_t - s * f_n
-            force[w, 1] = s * f_t + c * f_n
-            force[w, 2] = max(work.normal_force[w] - work.response[w, _UNLOADING], 0.0)
+            force[w, 0] = c * f_t - s * f_lat
+            force[w, 1] = s * f_t + c * f_lat
+            force[w, 2] = max(
+                workspace.normal_force[w] - workspace.response[w, _UNLOADING], 0.0
+            )
         else:
             force[w, 0] = c * f_t
             force[w, 1] = s * f_t
-            force[w, 2] = f_n
-            if work.normal_force[w] > 0.0:
+            force[w, 2] = f_lat
+            if workspace.normal_force[w] > 0.0:
                 last = contacts.last_dof[w]
-                away = work.jacobian[w, _NORMAL]
-                velocity = dot(away, work.mid_motion[last]) + 0.5 * dot(
-                    away, work.motion[last]
+                away = workspace.jacobian[w, _NORMAL]
+                velocity = dot(away, workspace.mid_motion[last]) + 0.5 * dot(
+                    away, workspace.motion[last]
                 )
-                power -= work.normal_force[w] * velocity
+                power -= workspace.normal_force[w] * velocity
     return power
 
 
 @kernel_only
-def _locate_wheels(engine, contacts, work):  # type: ignore[no-untyped-def]
+def _locate_wheels(engine, contacts, workspace):  # type: ignore[no-untyped-def]
     com = engine.subtree_com[1]
     for w in range(contacts.wheels):
         body = contacts.body[w]
@@ -385,8 +391,8 @@ def _locate_wheels(engine, contacts, work):  # type: ignore[no-untyped-def]
         norm = 1.0 / np.sqrt(m[0] * m[0] + m[3] * m[3])
         c = m[0] * norm
         s = m[3] * norm
-        work.heading[w, 0] = c
-        work.heading[w, 1] = s
+        workspace.heading[w, 0] = c
+        workspace.heading[w, 1] = s
         x = (
             engine.xpos[body, 0]
             + m[0] * centre[0]
@@ -409,13 +415,13 @@ def _locate_wheels(engine, contacts, work):  # type: ignore[no-untyped-def]
             - com[2]
         )
         z -= contacts.wheel_radius
-        point_jacobian(work.jacobian[w, _ALONG], x, y, z, c, s, 0.0)
-        point_jacobian(work.jacobian[w, _ACROSS], x, y, z, -s, c, 0.0)
-        point_jacobian(work.jacobian[w, _UP], x, y, z, 0.0, 0.0, 1.0)
+        point_jacobian(workspace.jacobian[w, _ALONG], x, y, z, c, s, 0.0)
+        point_jacobian(workspace.jacobian[w, _ACROSS], x, y, z, -s, c, 0.0)
+        point_jacobian(workspace.jacobian[w, _UP], x, y, z, 0.0, 0.0, 1.0)
         # The hub is one wheel radius above the contact. The Jacobian row of the hub
         # therefore differs from the row along the heading only in the moments.
-        hub = work.jacobian[w, _HUB]
-        along = work.jacobian[w, _ALONG]
+        hub = workspace.jacobian[w, _HUB]
+        along = workspace.jacobian[w, _ALONG]
         for k in range(6):
             hub[k] = along[k]
         hub[0] = hub[0] - contacts.wheel_radius * s
@@ -423,58 +429,58 @@ def _locate_wheels(engine, contacts, work):  # type: ignore[no-untyped-def]
 
 
 @kernel_only
-def _read_normal_forces(engine, contacts, work):  # type: ignore[no-untyped-def]
+def _read_normal_forces(engine, contacts, workspace):  # type: ignore[no-untyped-def]
     com = engine.subtree_com[1]
     sensors = engine.sensordata
     for w in range(contacts.body.shape[0]):
         k = contacts.sensor[w]
         if w < contacts.wheels:
-            work.normal_force[w] = max(sensors[k], 0.0)
+            workspace.normal_force[w] = max(sensors[k], 0.0)
             continue
         fx = sensors[k]
         fy = sensors[k + 1]
         normal = np.sqrt(fx * fx + fy * fy)
-        work.normal_force[w] = normal
+        workspace.normal_force[w] = normal
         if normal > 0.0:
             c = -fy / normal
             s = fx / normal
             x = sensors[k + 3] - com[0]
             y = sensors[k + 4] - com[1]
             z = sensors[k + 5] - com[2]
-            work.heading[w, 0] = c
-            work.heading[w, 1] = s
-            point_jacobian(work.jacobian[w, _ALONG], x, y, z, c, s, 0.0)
-            point_jacobian(work.jacobian[w, _ACROSS], x, y, z, 0.0, 0.0, 1.0)
-            point_jacobian(work.jacobian[w, _NORMAL], x, y, z, s, -c, 0.0)
+            workspace.heading[w, 0] = c
+            workspace.heading[w, 1] = s
+            point_jacobian(workspace.jacobian[w, _ALONG], x, y, z, c, s, 0.0)
+            point_jacobian(workspace.jacobian[w, _ACROSS], x, y, z, 0.0, 0.0, 1.0)
+            point_jacobian(workspace.jacobian[w, _NORMAL], x, y, z, s, -c, 0.0)
 
 
 @kernel_only
-def _generalised_forces(cdof, contacts, sparsity, force, work, out):  # type: ignore[no-untyped-def]
-    clear(work.motion)
+def _generalised_forces(cdof, contacts, sparsity, force, workspace, out):  # type: ignore[no-untyped-def]
+    clear(workspace.motion)
     for w in range(contacts.body.shape[0]):
         for k in range(6):
             component = (
-                force[w, _FORCE_ALONG] * work.jacobian[w, _ALONG, k]
-                + force[w, _FORCE_ACROSS] * work.jacobian[w, _ACROSS, k]
+                force[w, _FORCE_ALONG] * workspace.jacobian[w, _ALONG, k]
+                + force[w, _FORCE_ACROSS] * workspace.jacobian[w, _ACROSS, k]
             )
             component += force[w, _STORED_SPIN] * (
-                work.jacobian[w, _HUB, k] - work.jacobian[w, _ALONG, k]
+                workspace.jacobian[w, _HUB, k] - workspace.jacobian[w, _ALONG, k]
             )
-            work.motion[contacts.last_dof[w], k] += component
-    project(cdof, sparsity, work.motion, out)
+            workspace.motion[contacts.last_dof[w], k] += component
+    project(cdof, sparsity, workspace.motion, out)
 
 
 @kernel_only
-def _contact_velocity(contacts, work, w, theta):  # type: ignore[no-untyped-def]
+def _contact_velocity(contacts, workspace, w, theta):  # type: ignore[no-untyped-def]
     """Return the velocity u of a contact at the fraction θ of the step, m/s."""
     last = contacts.last_dof[w]
-    middle = work.mid_motion[last]
-    step = work.step_motion[last]
-    change = work.motion[last]
+    middle = workspace.mid_motion[last]
+    step = workspace.step_motion[last]
+    change = workspace.motion[last]
     # The velocity is v₋ + θ (v − v₋) = (v₋ + v̂)/2 + (θ − 1/2)(v̂ − v₋) + θ δ, where
     # `motion` holds δ.
-    along = work.jacobian[w, _ALONG]
-    across = work.jacobian[w, _ACROSS]
+    along = workspace.jacobian[w, _ALONG]
+    across = workspace.jacobian[w, _ACROSS]
     shift = theta - 0.5
     return (
         dot(along, middle) + shift * dot(along, step) + theta * dot(along, change),
@@ -483,13 +489,15 @@ def _contact_velocity(contacts, work, w, theta):  # type: ignore[no-untyped-def]
 
 
 @kernel_only
-def _friction_load(contacts, work, w):  # type: ignore[no-untyped-def]
-    normal = max(work.normal_force[w] - work.response[w, _UNLOADING], 0.0)
+def _friction_load(contacts, workspace, w):  # type: ignore[no-untyped-def]
+    normal = max(workspace.normal_force[w] - workspace.response[w, _UNLOADING], 0.0)
     static = contacts.static_load[w]
     if contacts.load_kind == _MOMENTARY or w >= contacts.wheels:
         return normal
     # The wheels 2k and 2k + 1 share an axle, so w ^ 1 is the opposite wheel.
-    opposite = max(work.normal_force[w ^ 1] - work.response[w ^ 1, _UNLOADING], 0.0)
+    opposite = max(
+        workspace.normal_force[w ^ 1] - workspace.response[w ^ 1, _UNLOADING], 0.0
+    )
     if contacts.load_kind == _ACROSS_ONLY and normal + opposite > 0.0:
         return 2.0 * static * normal / (normal + opposite)
     return static
@@ -517,7 +525,7 @@ def _friction_law(contacts, w, along, across, load, force, rim, h):  # type: ign
     """
     floor = contacts.floor
     mu_t = floor.forward
-    mu_n = floor.across
+    mu_lat = floor.across
     slip = floor.slip_speed
     if w >= contacts.wheels:
         mu = contacts.obstacle_friction
@@ -547,15 +555,15 @@ def _friction_law(contacts, w, along, across, load, force, rim, h):  # type: ign
         )
     is_cosine = floor.kind == _COSINE
     if is_cosine or floor.backward != mu_t:
-        f_t, f_n, tt, tn, nt, nn = skin_friction(
+        f_t, f_lat, tt, tn, nt, nn = skin_friction(
             along, across, load, floor, drag, force[_FORCE_ACROSS], is_cosine
         )
         # Newton's matrix must be symmetric. The geometric mean of the two off-diagonal
         # derivatives keeps the matrix positive definite.
-        return Traction(f_t, f_n, tt, np.sign(tn) * np.sqrt(tn * nt), nn), along
+        return Traction(f_t, f_lat, tt, np.sign(tn) * np.sqrt(tn * nt), nn), along
     if floor.kind == _ELLIPSE:
         grip = stick_slip_friction(
-            along, across, load, mu_t, mu_n, slip, drag, force[_FORCE_ACROSS]
+            along, across, load, mu_t, mu_lat, slip, drag, force[_FORCE_ACROSS]
         )
         return grip, along
     return (
@@ -567,12 +575,12 @@ def _friction_law(contacts, w, along, across, load, force, rim, h):  # type: ign
 
 
 @kernel_only
-def _newton(engine, contacts, sparsity, state, work, h):  # type: ignore[no-untyped-def]
-    change = work.v_change
-    direction = work.direction
+def _newton(engine, contacts, sparsity, state, workspace, h):  # type: ignore[no-untyped-def]
+    change = workspace.v_change
+    direction = workspace.direction
     for i in range(change.shape[0]):
         change[i] = 0.0
-    clear(work.response)
+    clear(workspace.response)
     first = float(0.0)
     # The first pass uses the loads that belong to v̂ and need not converge. The second
     # pass uses the loads that result from the first pass.
@@ -580,10 +588,10 @@ def _newton(engine, contacts, sparsity, state, work, h):  # type: ignore[no-unty
         max_iterations = 1 if iteration == 0 else _MAX_ITERATIONS
         friction_impulse = float(0.0)
         for w in range(contacts.body.shape[0]):
-            state.load[w] = _friction_load(contacts, work, w)
+            state.load[w] = _friction_load(contacts, workspace, w)
             friction_impulse += h * contacts.floor.across * state.load[w]
         best = _evaluate_residual(
-            engine, contacts, sparsity, state, work, h, work.residual
+            engine, contacts, sparsity, state, workspace, h, workspace.residual
         )
         first = max(first, best)
         tolerance = (
@@ -594,16 +602,16 @@ def _newton(engine, contacts, sparsity, state, work, h):  # type: ignore[no-unty
         for _ in range(max_iterations):
             if not best > tolerance:
                 break
-            _assemble(engine, contacts, sparsity, state, work, h)
-            _solve_direction(engine, sparsity, work)
-            couple_objects(engine, sparsity, work, h)
-            best = _line_search(engine, contacts, sparsity, state, work, h)
+            _assemble(engine, contacts, sparsity, state, workspace, h)
+            _solve_direction(engine, sparsity, workspace)
+            couple_objects(engine, sparsity, workspace, h)
+            best = _line_search(engine, contacts, sparsity, state, workspace, h)
             for i in range(direction.shape[0]):
-                work.residual[i] = work.trial_residual[i]
+                workspace.residual[i] = workspace.trial_residual[i]
 
 
 @kernel_only
-def _line_search(engine, contacts, sparsity, state, work, h):  # type: ignore[no-untyped-def]
+def _line_search(engine, contacts, sparsity, state, workspace, h):  # type: ignore[no-untyped-def]
     """Search along the Newton step, and return the squared residual at the new δ.
 
     The search ends when the residual is nearly normal to the Newton step. Under given
@@ -613,49 +621,49 @@ def _line_search(engine, contacts, sparsity, state, work, h):  # type: ignore[no
     required the squared residual to decrease would therefore stall when the robot
     stops.
     """
-    change = work.v_change
-    direction = work.direction
-    slope_start = inner(work.residual, direction)
+    change = workspace.v_change
+    direction = workspace.direction
+    derivative_start = inner(workspace.residual, direction)
     low = float(0.0)
     high = float(1.0)
     scale = float(1.0)
     applied = float(0.0)
-    slope_low = slope_start
-    slope_high = float(0.0)
+    derivative_low = derivative_start
+    derivative_high = float(0.0)
     square = float(0.0)
     for _ in range(_MAX_TRIALS):
         for i in range(direction.shape[0]):
             change[i] -= (scale - applied) * direction[i]
         applied = scale
         square = _evaluate_residual(
-            engine, contacts, sparsity, state, work, h, work.trial_residual
+            engine, contacts, sparsity, state, workspace, h, workspace.trial_residual
         )
-        slope = inner(work.trial_residual, direction)
-        limit = _MAX_SLOPE_RATIO * slope_start
+        derivative = inner(workspace.trial_residual, direction)
+        limit = _MAX_DERIVATIVE_RATIO * derivative_start
         # The search accepts a full step with a still descending function, because the
         # next Newton step continues from there.
-        if slope >= -limit and (scale == 1.0 or slope <= limit):
+        if derivative >= -limit and (scale == 1.0 or derivative <= limit):
             break
-        if slope < 0.0:
+        if derivative < 0.0:
             high = scale
-            slope_high = slope
+            derivative_high = derivative
         else:
             low = scale
-            slope_low = slope
+            derivative_low = derivative
         # The secant step stays at least a tenth of the bracket away from either end.
-        scale = low + min(max(slope_low / (slope_low - slope_high), 0.1), 0.9) * (
-            high - low
-        )
+        scale = low + min(
+            max(derivative_low / (derivative_low - derivative_high), 0.1), 0.9
+        ) * (high - low)
     return square
 
 
 @kernel_only
-def _evaluate_friction(contacts, state, work, h):  # type: ignore[no-untyped-def]
-    response = work.response
+def _evaluate_friction(contacts, state, workspace, h):  # type: ignore[no-untyped-def]
+    response = workspace.response
     for w in range(contacts.body.shape[0]):
         if w >= contacts.wheels and state.load[w] == 0.0:
-            continue  # the hull touches no obstacle
-        along, across = _contact_velocity(contacts, work, w, work.theta[w])
+            continue  # the collision geom touches no obstacle
+        along, across = _contact_velocity(contacts, workspace, w, workspace.theta[w])
         traction, rim = _friction_law(
             contacts,
             w,
@@ -664,114 +672,116 @@ def _evaluate_friction(contacts, state, work, h):  # type: ignore[no-untyped-def
             state.load[w],
             state.force[w],
             state.rim_speed[w],
-            h * work.theta[w],
+            h * workspace.theta[w],
         )
         response[w, _FORCE_ALONG] = traction.along
         response[w, _FORCE_ACROSS] = traction.across
         response[w, _RIM_SPEED] = rim
-        response[w, _SLOPE_ALONG] = traction.slope_along
-        response[w, _SLOPE_MIXED] = traction.slope_mixed
-        response[w, _SLOPE_ACROSS] = traction.slope_across
+        response[w, _DERIVATIVE_ALONG] = traction.derivative_along
+        response[w, _OFF_DIAGONAL] = traction.off_diagonal
+        response[w, _DERIVATIVE_ACROSS] = traction.derivative_across
         response[w, _SPIN_FORCE] = (
-            -contacts.floor.spin_mass / (h * work.theta[w]) * (rim - state.rim_speed[w])
+            -contacts.floor.spin_mass
+            / (h * workspace.theta[w])
+            * (rim - state.rim_speed[w])
         )
-        upward = dot(work.jacobian[w, _UP], work.motion[contacts.last_dof[w]])
-        if work.normal_force[w] > 0.0:
+        upward = dot(workspace.jacobian[w, _UP], workspace.motion[contacts.last_dof[w]])
+        if workspace.normal_force[w] > 0.0:
             response[w, _UNLOADING] = upward / (h * contacts.regularisation[w])
         else:
             response[w, _UNLOADING] = 0.0
 
 
 @kernel_only
-def _sum_impulses(contacts, state, work, h):  # type: ignore[no-untyped-def]
-    impulse = work.impulse
-    jacobian = work.jacobian
-    response = work.response
+def _sum_impulses(contacts, state, workspace, h):  # type: ignore[no-untyped-def]
+    impulse = workspace.impulse
+    jacobian = workspace.jacobian
+    response = workspace.response
     clear(impulse)
     for w in range(contacts.body.shape[0]):
         f_t = h * (response[w, _FORCE_ALONG] - state.force[w, _FORCE_ALONG])
-        f_n = h * (response[w, _FORCE_ACROSS] - state.force[w, _FORCE_ACROSS])
+        f_lat = h * (response[w, _FORCE_ACROSS] - state.force[w, _FORCE_ACROSS])
         spin = h * (response[w, _SPIN_FORCE] - state.force[w, _STORED_SPIN])
         for k in range(6):
             normal = h * response[w, _UNLOADING] * jacobian[w, _UP, k]
             tangential = (
                 (f_t - spin) * jacobian[w, _ALONG, k]
                 + spin * jacobian[w, _HUB, k]
-                + f_n * jacobian[w, _ACROSS, k]
+                + f_lat * jacobian[w, _ACROSS, k]
             )
             impulse[contacts.last_dof[w], k] += normal - tangential
 
 
 @kernel_only
-def _evaluate_residual(engine, contacts, sparsity, state, work, h, out):  # type: ignore[no-untyped-def]
+def _evaluate_residual(engine, contacts, sparsity, state, workspace, h, out):  # type: ignore[no-untyped-def]
     """Fill r(δ) and the response of the friction law; return the square of r."""
-    change = work.v_change
-    spatial_velocities(engine.cdof, sparsity, change, work.motion)
-    _evaluate_friction(contacts, state, work, h)
-    _sum_impulses(contacts, state, work, h)
-    add_object_impulses(engine, sparsity, work, h)
-    project(engine.cdof, sparsity, work.impulse, out)
+    change = workspace.v_change
+    spatial_velocities(engine.cdof, sparsity, change, workspace.motion)
+    _evaluate_friction(contacts, state, workspace, h)
+    _sum_impulses(contacts, state, workspace, h)
+    add_object_impulses(engine, sparsity, workspace, h)
+    project(engine.cdof, sparsity, workspace.impulse, out)
     for i in range(change.shape[0]):
-        out[i] -= work.bias[i]
-    add_product(sparsity, work.inertia, change, out)
+        out[i] -= workspace.bias[i]
+    add_product(sparsity, workspace.inertia, change, out)
     return inner(out, out)
 
 
 @kernel_only
-def _assemble(engine, contacts, sparsity, state, work, h):  # type: ignore[no-untyped-def]
-    matrix = work.newton_matrix
-    jacobian = work.jacobian
-    response = work.response
-    slope = work.slope
-    for i in range(slope.shape[0]):
-        clear(slope[i])
+def _assemble(engine, contacts, sparsity, state, workspace, h):  # type: ignore[no-untyped-def]
+    matrix = workspace.newton_matrix
+    jacobian = workspace.jacobian
+    response = workspace.response
+    derivative = workspace.derivative
+    for i in range(derivative.shape[0]):
+        clear(derivative[i])
     for w in range(contacts.body.shape[0]):
         # In tt, tn and nn, the letter t stands for along and n for across the heading.
         # They are derivatives of r with respect to δ, because ∂u/∂δ is θ J and friction
         # enters r with the factor −h.
-        weight = -work.theta[w] * h
-        tt = weight * response[w, _SLOPE_ALONG]
-        tn = weight * response[w, _SLOPE_MIXED]
-        nn = weight * response[w, _SLOPE_ACROSS]
-        if work.normal_force[w] > 0.0:
+        weight = -workspace.theta[w] * h
+        tt = weight * response[w, _DERIVATIVE_ALONG]
+        tn = weight * response[w, _OFF_DIAGONAL]
+        nn = weight * response[w, _DERIVATIVE_ACROSS]
+        if workspace.normal_force[w] > 0.0:
             up = 1.0 / contacts.regularisation[w]
         else:
             up = 0.0
         # While a wheel rolls, the force along the heading spins the wheel. The
         # derivative of this force then acts on the connector at the hub.
-        ahead = jacobian[w, _HUB if response[w, _RIM_SPEED] != 0.0 else _ALONG]
-        aside = jacobian[w, _ACROSS]
-        above = jacobian[w, _UP]
-        composite = slope[contacts.last_dof[w]]
+        forward = jacobian[w, _HUB if response[w, _RIM_SPEED] != 0.0 else _ALONG]
+        lateral = jacobian[w, _ACROSS]
+        vertical = jacobian[w, _UP]
+        composite = derivative[contacts.last_dof[w]]
         for a in range(6):
-            t = tt * ahead[a] + tn * aside[a]
-            n = tn * ahead[a] + nn * aside[a]
-            z = up * above[a]
+            t = tt * forward[a] + tn * lateral[a]
+            n = tn * forward[a] + nn * lateral[a]
+            z = up * vertical[a]
             for b in range(6):
-                composite[a, b] += t * ahead[b] + n * aside[b] + z * above[b]
-    add_object_slopes(engine, sparsity, work, h)
+                composite[a, b] += t * forward[b] + n * lateral[b] + z * vertical[b]
+    add_object_jacobian(engine, sparsity, workspace, h)
     for k in range(matrix.shape[0]):
-        matrix[k] = work.inertia[k]
-    project_slopes(engine.cdof, sparsity, slope, work.impulse, matrix)
+        matrix[k] = workspace.inertia[k]
+    project_jacobian(engine.cdof, sparsity, derivative, workspace.impulse, matrix)
 
 
 @kernel_only
-def _solve_direction(engine, sparsity, work):  # type: ignore[no-untyped-def]
+def _solve_direction(engine, sparsity, workspace):  # type: ignore[no-untyped-def]
     """Solve for the Newton step with the engine's factorisation, for numba only."""
     mj_factorM(engine.model, engine.data)
     mj_solveM(
         engine.model,
         engine.data,
-        work.direction.ctypes.data,
-        work.residual.ctypes.data,
+        workspace.direction.ctypes.data,
+        workspace.residual.ctypes.data,
         np.int32(1),
     )
 
 
 @kernel_only
-def solve_direction_portably(engine, sparsity, work):  # type: ignore[no-untyped-def]
+def solve_direction_portably(engine, sparsity, workspace):  # type: ignore[no-untyped-def]
     """Solve for the Newton step without the engine's factorisation, for Warp."""
-    for i in range(work.direction.shape[0]):
-        work.direction[i] = work.residual[i]
-    factor(work.newton_matrix, sparsity)
-    substitute(work.newton_matrix, sparsity, work.direction)
+    for i in range(workspace.direction.shape[0]):
+        workspace.direction[i] = workspace.residual[i]
+    factor(workspace.newton_matrix, sparsity)
+    substitute(workspace.newton_matrix, sparsity, workspace.direction)

@@ -1,17 +1,17 @@
 r"""Friction of movable objects on the floor and on the body.
 
 The friction solve of a time step includes these contacts, and `friction_solve` lists
-the symbols. An object touches hulls of the body and stands on the floor on four support
+the symbols. An object touches collision geoms of the body and stands on the floor on four support
 points (`MovableObject.supports`). Both kinds of contacts follow the law of
 `stick_slip`, which is implicit in the velocities as for the wheels.
 
-The law uses the velocity of a hull relative to the object, and the object receives the
+The law uses the velocity of a collision geom relative to the object, and the object receives the
 opposite friction force. The support points carry constant loads, which the vertical
-friction of hulls does not change. The normal forces on hulls keep their values from the
+friction of collision geoms does not change. The normal forces on collision geoms keep their values from the
 engine's prediction v̂.
 
 Each object is a separate kinematic tree. The derivatives of contact forces between
-objects and hulls couple the two motions. They add a block B to Newton's matrix, which
+objects and collision geoms couple the two motions. They add a block B to Newton's matrix, which
 is outside the sparsity pattern of the inertia matrix M. Without B, the matrix consists
 of the block P of the snake and the block Q of the objects. Block elimination solves for
 the motion y of the objects first and then for the motion x of the snake,
@@ -41,7 +41,7 @@ from srs_twin.plants.twin.stick_slip import stick_slip_friction
 from srs_twin.robot.world import MovableObject
 
 # Columns of `ObjectContacts.dof`, and sides of its Jacobian.
-_HULL = 0
+_COLLISION = 0
 _OBJECT = 1
 
 # Rows of the Jacobian.
@@ -52,9 +52,9 @@ _AWAY = 2
 # Columns of `ObjectContacts.response`, in the order of `stick_slip.Traction`.
 _FORCE_ALONG = 0
 _FORCE_ACROSS = 1
-_SLOPE_ALONG = 2
-_SLOPE_MIXED = 3
-_SLOPE_ACROSS = 4
+_DERIVATIVE_ALONG = 2
+_OFF_DIAGONAL = 3
+_DERIVATIVE_ACROSS = 4
 
 
 class ObjectState(NamedTuple):
@@ -73,24 +73,24 @@ class ObjectState(NamedTuple):
 
 
 class ObjectContacts(NamedTuple):
-    """The C contacts of all objects: pairs of object and hull, then support points.
+    """The C contacts of all objects: pairs of object and collision geom, then support points.
 
     Attributes:
         pairs: number of pairs.
         first: first degree of freedom of the objects.
         slip: slip speed ε, m/s.
-        dof: last degree of freedom of the hull (−1 for a support point) and of the object,
+        dof: last degree of freedom of the collision geom (−1 for a support point) and of the object,
             shape (C, 2).
         object_body: body id of the object, shape (C,).
         place: position of a support point in the frame of the object, shape (C, 2), m.
-        sensor: index into `sensordata` of the force on the hull, followed by its point
+        sensor: index into `sensordata` of the force on the collision geom, followed by its point
             of application, shape (C,).
         load: normal force, constant for a support point, shape (C,), N.
-        friction, admittance: friction coefficient (dimensionless) and inverse effective
+        friction, inverse_effective_mass: friction coefficient (dimensionless) and inverse effective
             mass (1/kg), shape (C,).
         force, slip_speed: friction (N) and slip speed (m/s) as in `ObjectState`.
         jacobian: spatial vectors that give the velocity along, across and away from the
-            object, for hull and object, shape (C, 2, 3, 6). In a pair the vectors of the
+            object, for collision geom and object, shape (C, 2, 3, 6). In a pair the vectors of the
             object have a negative sign.
         theta: fraction θ of the step at which friction is evaluated, shape (C,).
         response: friction along and across (N), and its derivatives along, mixed and across
@@ -110,7 +110,7 @@ class ObjectContacts(NamedTuple):
     sensor: np.ndarray
     load: np.ndarray
     friction: np.ndarray
-    admittance: np.ndarray
+    inverse_effective_mass: np.ndarray
     force: np.ndarray
     slip_speed: np.ndarray
     jacobian: np.ndarray
@@ -125,28 +125,32 @@ def object_contacts(
     model: mujoco.MjModel,
     objects: tuple[MovableObject, ...],
     slip: float,
-    hull_admittance: np.ndarray,
+    collision_inverse_effective_mass: np.ndarray,
 ) -> ObjectContacts:
     """Return the contacts of the objects of a compiled scene, at rest.
 
-    `slip` is the slip speed (m/s), and `hull_admittance` is the inverse effective mass
-    of each hull, shape (hulls,), 1/kg.
+    `slip` is the slip speed (m/s), and `collision_inverse_effective_mass` is the inverse effective mass
+    of each collision geom, shape (collision geoms,), 1/kg.
     """
-    hulls = surroundings.hulls(model)
+    collision_geoms = surroundings.collision_geoms(model)
     names = object_names(model)
-    pairs = len(hulls) * len(names)
+    pairs = len(collision_geoms) * len(names)
     free = 3 * len(names)
     ids = np.array([model.body(name).id for name in names], dtype=int)
-    hull_body = np.array([model.geom(name).bodyid[0] for name in hulls], dtype=int)
-    no_hull = np.full(4 * len(names), -1)
-    hull_dof = np.append(np.tile(_last_dof(model, hull_body), len(names)), no_hull)
-    body = np.concatenate([np.repeat(ids, len(hulls)), np.repeat(ids, 4)])
+    collision_body = np.array(
+        [model.geom(name).bodyid[0] for name in collision_geoms], dtype=int
+    )
+    no_collision = np.full(4 * len(names), -1)
+    collision_dof = np.append(
+        np.tile(_last_dof(model, collision_body), len(names)), no_collision
+    )
+    body = np.concatenate([np.repeat(ids, len(collision_geoms)), np.repeat(ids, 4)])
     mass = model.body_mass[body]
     count = len(body)
     sensors = [
-        model.sensor(object_force_sensor(name, hull)).adr[0]
+        model.sensor(object_force_sensor(name, collision_geom)).adr[0]
         for name in names
-        for hull in hulls
+        for collision_geom in collision_geoms
     ]
     place = np.zeros((count, 2))
     place[pairs:] = np.array([item.supports for item in objects]).reshape(-1, 2)
@@ -154,19 +158,21 @@ def object_contacts(
     load[pairs:] = -model.opt.gravity[2] / 4 * mass[pairs:]
     friction = np.full(count, surroundings.friction_of(model))
     friction[pairs:] = np.repeat([item.friction for item in objects], 4)
-    admittance = 1 / mass
-    admittance[:pairs] += np.tile(hull_admittance, len(names))
+    inverse_effective_mass = 1 / mass
+    inverse_effective_mass[:pairs] += np.tile(
+        collision_inverse_effective_mass, len(names)
+    )
     return ObjectContacts(
         pairs=pairs,
         first=model.nv - free,
         slip=slip,
-        dof=np.stack([hull_dof, _last_dof(model, body)], axis=1),
+        dof=np.stack([collision_dof, _last_dof(model, body)], axis=1),
         object_body=body,
         place=place,
-        sensor=np.array(sensors + [0] * len(no_hull), dtype=int),
+        sensor=np.array(sensors + [0] * len(no_collision), dtype=int),
         load=load,
         friction=friction,
-        admittance=admittance,
+        inverse_effective_mass=inverse_effective_mass,
         force=np.zeros((count, 2)),
         slip_speed=np.zeros(count),
         jacobian=np.zeros((count, 2, 3, 6)),
@@ -189,7 +195,7 @@ def _last_dof(model: mujoco.MjModel, body: np.ndarray) -> np.ndarray:
 
 
 @compiled_if(has_objects)
-def apply_object_friction(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
+def apply_object_friction(engine, sparsity, workspace, h):  # type: ignore[no-untyped-def]
     """Add the stored friction to `qfrc_applied`, after the wheels' friction."""
     o = engine.objects
     for w in range(o.force.shape[0]):
@@ -215,7 +221,7 @@ def _locate(jacobian, x, y, z, c, s, sign):  # type: ignore[no-untyped-def]
 
 
 @compiled_if(has_objects)
-def locate_objects(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
+def locate_objects(engine, sparsity, workspace, h):  # type: ignore[no-untyped-def]
     """Locate the contacts and read their normal forces, after the wheels."""
     o = engine.objects
     com = engine.subtree_com[1]
@@ -223,7 +229,7 @@ def locate_objects(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
     for w in range(o.force.shape[0]):
         body = o.object_body[w]
         own = engine.subtree_com[body]
-        hull = o.jacobian[w, _HULL]
+        collision_geom = o.jacobian[w, _COLLISION]
         item = o.jacobian[w, _OBJECT]
         if w >= o.pairs:
             m = engine.xmat[body]
@@ -244,10 +250,10 @@ def locate_objects(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
                 x = sensors[k + 3]
                 y = sensors[k + 4]
                 z = sensors[k + 5]
-                _locate(hull, x - com[0], y - com[1], z - com[2], c, s, 1.0)
+                _locate(collision_geom, x - com[0], y - com[1], z - com[2], c, s, 1.0)
                 _locate(item, x - own[0], y - own[1], z - own[2], c, s, -1.0)
         grip = o.friction[w] * o.load[w] / max(o.slip_speed[w], o.slip)
-        decay = h * grip * o.admittance[w]
+        decay = h * grip * o.inverse_effective_mass[w]
         # The fraction θ is computed as in `friction_solve._evaluation_fraction`.
         if decay > 0.1:
             o.theta[w] = 1.0 / (1.0 - np.exp(-decay)) - 1.0 / decay
@@ -256,15 +262,15 @@ def locate_objects(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
 
 
 @kernel_only
-def _velocity(o, work, w, theta):  # type: ignore[no-untyped-def]
+def _velocity(o, workspace, w, theta):  # type: ignore[no-untyped-def]
     u_t = 0.0
     u_n = 0.0
     for side in range(2):
         i = o.dof[w, side]
         if i >= 0:
-            middle = work.mid_motion[i]
-            step = work.step_motion[i]
-            change = work.motion[i]
+            middle = workspace.mid_motion[i]
+            step = workspace.step_motion[i]
+            change = workspace.motion[i]
             along = o.jacobian[w, side, _ALONG]
             across = o.jacobian[w, side, _ACROSS]
             shift = theta - 0.5
@@ -282,11 +288,11 @@ def _velocity(o, work, w, theta):  # type: ignore[no-untyped-def]
 
 
 @compiled_if(has_objects)
-def add_object_impulses(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
+def add_object_impulses(engine, sparsity, workspace, h):  # type: ignore[no-untyped-def]
     """Evaluate friction at the velocities `motion`, and subtract it from `impulse`."""
     o = engine.objects
     for w in range(o.force.shape[0]):
-        u_t, u_n = _velocity(o, work, w, o.theta[w])
+        u_t, u_n = _velocity(o, workspace, w, o.theta[w])
         mu = o.friction[w]
         force = o.force[w]
         out = o.response[w]
@@ -302,9 +308,9 @@ def add_object_impulses(engine, sparsity, work, h):  # type: ignore[no-untyped-d
         )
         out[_FORCE_ALONG] = traction.along
         out[_FORCE_ACROSS] = traction.across
-        out[_SLOPE_ALONG] = traction.slope_along
-        out[_SLOPE_MIXED] = traction.slope_mixed
-        out[_SLOPE_ACROSS] = traction.slope_across
+        out[_DERIVATIVE_ALONG] = traction.derivative_along
+        out[_OFF_DIAGONAL] = traction.off_diagonal
+        out[_DERIVATIVE_ACROSS] = traction.derivative_across
         along = h * (traction.along - force[_FORCE_ALONG])
         across = h * (traction.across - force[_FORCE_ACROSS])
         for side in range(2):
@@ -315,21 +321,21 @@ def add_object_impulses(engine, sparsity, work, h):  # type: ignore[no-untyped-d
                         along * o.jacobian[w, side, _ALONG, k]
                         + across * o.jacobian[w, side, _ACROSS, k]
                     )
-                    work.impulse[i, k] -= change
+                    workspace.impulse[i, k] -= change
 
 
 @compiled_if(has_objects)
-def add_object_slopes(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
-    """Add the derivatives of friction to `slope` of hulls and objects, and fill B."""
+def add_object_jacobian(engine, sparsity, workspace, h):  # type: ignore[no-untyped-def]
+    """Add the derivatives of friction to `derivative` of collision geoms and objects, and fill B."""
     o = engine.objects
     clear(o.coupling)
     for w in range(o.force.shape[0]):
         if o.load[w] == 0.0:
             continue
         weight = -o.theta[w] * h
-        tt = weight * o.response[w, _SLOPE_ALONG]
-        tn = weight * o.response[w, _SLOPE_MIXED]
-        nn = weight * o.response[w, _SLOPE_ACROSS]
+        tt = weight * o.response[w, _DERIVATIVE_ALONG]
+        tn = weight * o.response[w, _OFF_DIAGONAL]
+        nn = weight * o.response[w, _DERIVATIVE_ACROSS]
         for side in range(2):
             i = o.dof[w, side]
             if i >= 0:
@@ -339,8 +345,8 @@ def add_object_slopes(engine, sparsity, work, h):  # type: ignore[no-untyped-def
                     t = tt * along[a] + tn * across[a]
                     n = tn * along[a] + nn * across[a]
                     for b in range(6):
-                        work.slope[i, a, b] += t * along[b] + n * across[b]
-        hull = o.jacobian[w, _HULL]
+                        workspace.derivative[i, a, b] += t * along[b] + n * across[b]
+        collision_geom = o.jacobian[w, _COLLISION]
         own = o.jacobian[w, _OBJECT]
         last = o.dof[w, _OBJECT]
         for dof in range(last - 2, last + 1):
@@ -348,11 +354,13 @@ def add_object_slopes(engine, sparsity, work, h):  # type: ignore[no-untyped-def
             s_n = dot(own[_ACROSS], engine.cdof[dof])
             t = tt * s_t + tn * s_n
             n = tn * s_t + nn * s_n
-            i = o.dof[w, _HULL]
+            i = o.dof[w, _COLLISION]
             while i >= 0:
                 cdof = engine.cdof[i]
-                on_hull = t * dot(hull[_ALONG], cdof) + n * dot(hull[_ACROSS], cdof)
-                o.coupling[dof - o.first, i] += on_hull
+                on_collision_geom = t * dot(collision_geom[_ALONG], cdof) + n * dot(
+                    collision_geom[_ACROSS], cdof
+                )
+                o.coupling[dof - o.first, i] += on_collision_geom
                 i = sparsity.parent[i]
 
 
@@ -372,11 +380,11 @@ def _eliminate(matrix, x):  # type: ignore[no-untyped-def]
 
 
 @compiled_if(has_objects)
-def couple_objects(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
+def couple_objects(engine, sparsity, workspace, h):  # type: ignore[no-untyped-def]
     """Add the effect of B to the Newton step, which was solved without B."""
     o = engine.objects
     first = engine.objects.first
-    direction = work.direction
+    direction = workspace.direction
     count = o.coupling.shape[0]
     if count == 0:
         return
@@ -387,13 +395,13 @@ def couple_objects(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
     for i in range(count):
         row = sparsity.row_start[first + i]
         for k in range(row, row + sparsity.row_length[first + i]):
-            o.matrix[i, sparsity.column[k] - first] = work.newton_matrix[k]
+            o.matrix[i, sparsity.column[k] - first] = workspace.newton_matrix[k]
     for i in range(count):
         for k in range(i + 1):
             for j in range(first):
                 o.matrix[i, k] -= o.coupling[i, j] * o.solved[k, j]
             o.matrix[k, i] = o.matrix[i, k]
-        o.matrix[i, count] = work.residual[first + i]
+        o.matrix[i, count] = workspace.residual[first + i]
         for j in range(first):
             o.matrix[i, count] -= o.coupling[i, j] * direction[j]
     _eliminate(o.matrix, direction[first:])
@@ -403,37 +411,38 @@ def couple_objects(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
 
 
 @compiled_if(has_objects, otherwise=0.0)
-def store_object_friction(engine, sparsity, work, force):  # type: ignore[no-untyped-def]
+def store_object_friction(engine, sparsity, workspace, force):  # type: ignore[no-untyped-def]
     """Store the friction for the next step and return the dissipated power, W.
 
-    The power includes the normal forces between hulls and objects.
+    The power includes the normal forces between collision geoms and objects.
 
     Args:
         engine: engine data, which include the contacts of objects.
         sparsity: unused sparsity pattern.
-        work: workspace after the friction solve.
-        force: output for the friction on the hull of each pair in the world frame, shape
+        workspace: workspace after the friction solve.
+        force: output for the friction on the collision geom of each pair in the world frame, shape
             (pairs, 3), N.
     """
     o = engine.objects
     power = 0.0
     for w in range(o.force.shape[0]):
         f_t = o.response[w, _FORCE_ALONG]
-        f_n = o.response[w, _FORCE_ACROSS]
-        u_t, u_n = _velocity(o, work, w, 0.5)
-        power -= f_t * u_t + f_n * u_n
+        f_lat = o.response[w, _FORCE_ACROSS]
+        u_t, u_n = _velocity(o, workspace, w, 0.5)
+        power -= f_t * u_t + f_lat * u_n
         o.slip_speed[w] = np.sqrt(u_t * u_t + u_n * u_n)
         o.force[w, _FORCE_ALONG] = f_t
-        o.force[w, _FORCE_ACROSS] = f_n
+        o.force[w, _FORCE_ACROSS] = f_lat
         if w < o.pairs:
-            along = o.jacobian[w, _HULL, _ALONG]
+            along = o.jacobian[w, _COLLISION, _ALONG]
             force[w, 0] = f_t * along[3]
             force[w, 1] = f_t * along[4]
-            force[w, 2] = f_n
+            force[w, 2] = f_lat
             for side in range(2):
                 i = o.dof[w, side]
                 away = o.jacobian[w, side, _AWAY]
                 power -= o.load[w] * (
-                    dot(away, work.mid_motion[i]) + 0.5 * dot(away, work.motion[i])
+                    dot(away, workspace.mid_motion[i])
+                    + 0.5 * dot(away, workspace.motion[i])
                 )
     return power

@@ -26,7 +26,7 @@ from srs_twin.plants.twin.mjcf.numerics import (
     bend_joints,
 )
 from srs_twin.plants.twin.mjcf.surroundings import (
-    hulls as hull_names,
+    collision_geoms as collision_geom_names,
     object_force_sensor,
     object_names,
     place_of,
@@ -69,7 +69,7 @@ class SensorAddresses(NamedTuple):
         floor_force, foot_velocity: addresses of the floor's force on each wheel and of
             the velocity of each foot, shape (wheels,). Under loaded contact there are
             no sensors of velocity.
-        obstacle_force: address of the obstacles' force on each hull, shape (hulls,).
+        obstacle_force: address of the obstacles' force on each collision geom, shape (collision geoms,).
         external_force, external_velocity: addresses of other force components that take
             energy from the snake, and of the corresponding velocities, shape
             (components,).
@@ -100,9 +100,9 @@ class Sensors(NamedTuple):
     Attributes:
         floor_force, foot_velocity: force of the floor on each wheel and velocity of each
             foot, shape (axles, 2, 3). The velocities are empty under loaded contact.
-        hull_force, hull_velocity: force of the obstacles on each hull and velocity of the
-            hull's centre, shape (hulls, 3).
-        object_force: force of each object on each hull, shape (objects, hulls, 3).
+        collision_force, collision_velocity: force of the obstacles on each collision geom and velocity of the
+            collision geom's centre, shape (collision geoms, 3).
+        object_force: force of each object on each collision geom, shape (objects, collision geoms, 3).
         drag_force, drag_velocity: axial drag on each connector, and velocity of the
             connector along its heading, shape (N,). The forces are empty without drag.
         kinetic_energy: address of the kinetic energy.
@@ -110,8 +110,8 @@ class Sensors(NamedTuple):
 
     floor_force: np.ndarray
     foot_velocity: np.ndarray
-    hull_force: np.ndarray
-    hull_velocity: np.ndarray
+    collision_force: np.ndarray
+    collision_velocity: np.ndarray
     object_force: np.ndarray
     drag_force: np.ndarray
     drag_velocity: np.ndarray
@@ -129,9 +129,13 @@ def find_sensors(
 
     treads_on_floor = treads(spec, settings) if settings.base == "free" else []
     feet = [tread.replace("tread", "foot") for tread in treads_on_floor]
-    hulls = hull_names(model)
+    collision_geoms = collision_geom_names(model)
     objects = object_names(model)
-    on_hulls = [object_force_sensor(name, hull) for name in objects for hull in hulls]
+    on_collision_geoms = [
+        object_force_sensor(name, collision_geom)
+        for name in objects
+        for collision_geom in collision_geoms
+    ]
     has_drag = settings.base == "free" and spec.friction.drag > 0.0
     dragged = range(1, spec.geometry.connectors + 1) if has_drag else ()
     return Sensors(
@@ -141,9 +145,15 @@ def find_sensors(
         foot_velocity=addresses(
             [] if settings.loaded else [f"velocity_{foot}" for foot in feet]
         ).reshape(-1, 2, 3),
-        hull_force=addresses([f"obstacle_force_{hull}" for hull in hulls]),
-        hull_velocity=addresses([f"velocity_{hull}" for hull in hulls]),
-        object_force=addresses(on_hulls).reshape(len(objects), len(hulls), 3),
+        collision_force=addresses(
+            [f"obstacle_force_{collision_geom}" for collision_geom in collision_geoms]
+        ),
+        collision_velocity=addresses(
+            [f"velocity_{collision_geom}" for collision_geom in collision_geoms]
+        ),
+        object_force=addresses(on_collision_geoms).reshape(
+            len(objects), len(collision_geoms), 3
+        ),
         drag_force=addresses([f"drag_frc_{i}" for i in dragged])[:, 0],
         drag_velocity=addresses([f"drag_vel_{i}" for i in dragged])[:, 0],
         kinetic_energy=int(model.sensor("kinetic_energy").adr[0]),
@@ -271,7 +281,9 @@ class SnakePhysics(Stateful):
         self._probe = mujoco.MjData(model)
         self._start = np.empty((1, mujoco.mj_stateSize(model, _ROLLOUT_STATE)))
         self._sensors = find_sensors(model, spec, settings)
-        self._hull_shares = _hull_shares(hull_names(model), len(connectors))
+        self._collision_fractions = _collision_fractions(
+            collision_geom_names(model), len(connectors)
+        )
         self._angles, self._rates = _bend_matrices(model, spec, settings)
         self.internal_joints = InternalJoints(model, spec, settings)
         self.stepper = None
@@ -314,7 +326,7 @@ class SnakePhysics(Stateful):
         return SensorAddresses(
             floor_force=sensors.floor_force[..., 0].ravel(),
             foot_velocity=sensors.foot_velocity[..., 0].ravel(),
-            obstacle_force=sensors.hull_force[:, 0],
+            obstacle_force=sensors.collision_force[:, 0],
             external_force=sensors.drag_force,
             external_velocity=sensors.drag_velocity,
             kinetic_energy=sensors.kinetic_energy,
@@ -333,15 +345,17 @@ class SnakePhysics(Stateful):
         bends = self._by_segment(qpos @ self._angles.T)
         return bends, self._by_segment(qvel @ self._rates.T)
 
-    def connector_forces(self, hull_force: np.ndarray) -> np.ndarray:
+    def connector_forces(self, collision_force: np.ndarray) -> np.ndarray:
         """Return the obstacles' forces on the connectors, shape (…, N, 3), N.
 
-        The forces are computed from the forces on the hulls, shape (…, hulls, 3), N.
+        The forces are computed from the forces on the collision geoms, shape (…, collision geoms, 3), N.
         """
-        force: np.ndarray = np.einsum("ih,...hk->...ik", self._hull_shares, hull_force)
+        force: np.ndarray = np.einsum(
+            "ih,...hk->...ik", self._collision_fractions, collision_force
+        )
         return force
 
-    def lay_down(self, pose: Pose) -> None:
+    def reset_pose(self, pose: Pose) -> None:
         """Reset to a snake at rest with rest bends and empty chambers.
 
         Args:
@@ -369,10 +383,10 @@ class SnakePhysics(Stateful):
             # At rest each wheel carries its static load and its preload.
             self._floor_force[..., 2] = self._preload + self._static_load
 
-    def place(
+    def set_state(
         self, pose: Pose, velocity: np.ndarray, bend: np.ndarray, rate: np.ndarray
     ) -> None:
-        """Set pose, velocities and bends after `lay_down`.
+        """Set pose, velocities and bends after `reset_pose`.
 
         The wheels start rolling.
 
@@ -423,10 +437,10 @@ class SnakePhysics(Stateful):
                 velocity,
                 0,
             )
-            ahead = np.cross(data.xaxis[joint], [0.0, 0.0, 1.0])
+            forward = np.cross(data.xaxis[joint], [0.0, 0.0, 1.0])
             radius = self._spec.geometry.wheel_radius
             data.qvel[model.jnt_dofadr[joint]] = (
-                velocity[3:] @ ahead / (radius * (ahead @ ahead))
+                velocity[3:] @ forward / (radius * (forward @ forward))
             )
 
     def state_dict(self) -> dict[str, object]:
@@ -531,13 +545,13 @@ class SnakePhysics(Stateful):
                 sensors.
             contact_power: power that floor, obstacles and objects take from the snake, shape
                 (steps,), W, or None to compute it from the sensors.
-            obstacle_friction: friction of obstacles, then of each object, on hulls,
-                shape (steps, 1 + objects, hulls, 3), N. The sensors do not measure this
+            obstacle_friction: friction of obstacles, then of each object, on collision geoms,
+                shape (steps, 1 + objects, collision geoms, 3), N. The sensors do not measure this
                 friction.
         """
         self.refresh()
         at = self._sensors
-        hull_force = sensors[:, at.hull_force]
+        collision_force = sensors[:, at.collision_force]
         if floor_force is None or contact_power is None:
             floor_force = self._at_feet(sensors, at.floor_force)
             # The engine is implicit, so a force does work with the velocity at the end
@@ -546,12 +560,12 @@ class SnakePhysics(Stateful):
             velocity = self._at_feet(sensors, at.foot_velocity)
             on_feet = earlier[..., :2] * velocity[..., :2]
             contact_power = -on_feet.sum(axis=(1, 2, 3))
-            on_hulls = hull_force * sensors[:, at.hull_velocity]
-            contact_power -= on_hulls.sum(axis=(1, 2))
+            on_collision_geoms = collision_force * sensors[:, at.collision_velocity]
+            contact_power -= on_collision_geoms.sum(axis=(1, 2))
         drag = sensors[:, at.drag_force] * sensors[:, at.drag_velocity]
         power = contact_power - drag.sum(axis=1)
         object_force = sensors[:, at.object_force]
-        normal = np.concatenate([hull_force[:, None], object_force], axis=1)
+        normal = np.concatenate([collision_force[:, None], object_force], axis=1)
         obstacle_force = self.connector_forces((normal + obstacle_friction).sum(axis=1))
         self._floor_force = floor_force.mean(axis=0)
         self._last_force = floor_force[-1]
@@ -684,15 +698,17 @@ class SnakePhysics(Stateful):
         return self.floor_forces()[..., 2]
 
 
-def _hull_shares(hulls: list[str], connectors: int) -> np.ndarray:
-    shares = np.zeros((connectors, len(hulls)))
-    for k, hull in enumerate(hulls):
-        segment, number = place_of(hull)
-        count = sum(name.startswith(f"hull_{segment}_") for name in hulls)
-        share = np.clip(count / 2 - number, 0.0, 1.0)
-        shares[segment - 1, k] = share
-        shares[segment, k] = 1 - share
-    return shares
+def _collision_fractions(collision_geoms: list[str], connectors: int) -> np.ndarray:
+    fractions = np.zeros((connectors, len(collision_geoms)))
+    for k, collision_geom in enumerate(collision_geoms):
+        segment, number = place_of(collision_geom)
+        count = sum(
+            name.startswith(f"collision_{segment}_") for name in collision_geoms
+        )
+        fraction = np.clip(count / 2 - number, 0.0, 1.0)
+        fractions[segment - 1, k] = fraction
+        fractions[segment, k] = 1 - fraction
+    return fractions
 
 
 def _bend_matrices(

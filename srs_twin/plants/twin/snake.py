@@ -182,7 +182,7 @@ class TwinSnake(PneumaticPlant):
         self.world = world
         self._world = short_digest(world)
         given = world or World()
-        self.touches = given.is_solid
+        self.has_contact = given.is_solid
         self.uneven = given.uneven
         self.objects = len(given.objects)
         self._first_step_x = min((step.x for step in given.steps), default=math.inf)
@@ -195,7 +195,7 @@ class TwinSnake(PneumaticPlant):
             seed: random seed of the sensor noise.
         """
         physics = self.physics
-        physics.lay_down(pose)
+        physics.reset_pose(pose)
         foremost = (
             float(physics.connector_positions()[:, 0].max())
             + self.spec.geometry.wheel_radius
@@ -205,10 +205,10 @@ class TwinSnake(PneumaticPlant):
                 "a snake must start before the first step, at x ="
                 f" {self._first_step_x:g} m; its front is at x = {foremost:.3g} m"
             )
-        self._theta = np.full(self.spec.geometry.connectors, float(pose[2]))
+        self._connector_heading = np.full(self.spec.geometry.connectors, float(pose[2]))
         return self._begin(seed, self.pneumatics.rest_trace())
 
-    def place(
+    def set_state(
         self, snake: SnakeState, *, yaw_rate: float = 0.0, seed: int = 0
     ) -> SnakeState:
         """See `Plant.place`."""
@@ -218,8 +218,8 @@ class TwinSnake(PneumaticPlant):
         pose = x, y, float(snake.heading)
         self.reset(pose=pose, seed=seed)
         bend = np.array(snake.bend, dtype=float)
-        self.pneumatics.place(snake.pressure, bend)
-        self.physics.place(
+        self.pneumatics.set_state(snake.pressure, bend)
+        self.physics.set_state(
             pose,
             np.array([*snake.com_velocity, yaw_rate]),
             bend,
@@ -236,7 +236,7 @@ class TwinSnake(PneumaticPlant):
         state = np.concatenate([[0.0], physics.data.qpos, physics.data.qvel])[None]
         loads = Loads(
             floor_force=np.zeros((1, len(physics.wheel_loads()), 2, 3)),
-            obstacle_force=np.zeros((1, len(self._theta), 2)),
+            obstacle_force=np.zeros((1, len(self._connector_heading), 2)),
             body_work=np.array([physics.kinetic_energy()]),
             internal_loss=np.zeros(1),
         )
@@ -306,7 +306,7 @@ class TwinSnake(PneumaticPlant):
             self.name,
             begun + self.timestep,
             before,
-            self._theta,
+            self._connector_heading,
             self._energy_loss,
             self._internal_loss,
         )
@@ -379,7 +379,7 @@ class TwinSnake(PneumaticPlant):
         self, times: np.ndarray, states: np.ndarray, trace: Trace, loads: Loads
     ) -> SnakeState:
         kinematics = self.physics.kinematics(states)
-        theta = self._unwrap(kinematics.headings)
+        connector_heading = self._unwrap(kinematics.headings)
         body_work = loads.body_work
         if self.uneven or self.spec.is_spatial:
             height_energy = self._potential_energy(kinematics.com)
@@ -394,21 +394,21 @@ class TwinSnake(PneumaticPlant):
             time=times,
             com=kinematics.com[:, :2],
             com_velocity=kinematics.com_velocity[:, :2],
-            heading=theta.mean(axis=1),
+            heading=connector_heading.mean(axis=1),
             position=kinematics.positions[..., :2],
-            theta=theta,
+            connector_heading=connector_heading,
             bend=kinematics.bends,
             bend_rate=kinematics.bend_rates,
             pressure=trace.pressure,
             valves=trace.valves,
-            sensed=self.sensor.read(kinematics.bends, times, self.seed),
+            measured_bend=self.sensor.read(kinematics.bends, times, self.seed),
             contact_force=self._force_on_connectors(floor_force[..., :2]),
             obstacle_force=loads.obstacle_force,
             torque=self._stiffness * deviation,
             # The work is ∫ Σ T q̇_f dt (`internal_joints`).
             work=body_work + loads.internal_loss + stored,
             internal_loss=loads.internal_loss,
-            air=trace.air,
+            pneumatic_energy=trace.pneumatic_energy,
             qpos=kinematics.qpos,
         )
         if not self.spec.is_spatial:
@@ -426,11 +426,13 @@ class TwinSnake(PneumaticPlant):
         A connector turns by far less than π between two samples. The last headings are
         stored.
         """
-        theta = np.concatenate([self._theta[None], headings])
-        if (np.abs(theta[1:] - theta[:-1]) >= math.pi).any():
-            theta = np.unwrap(theta, axis=0)
-        self._theta = theta[-1].copy()  # callers may change the returned arrays
-        return theta[1:]
+        connector_heading = np.concatenate([self._connector_heading[None], headings])
+        if (np.abs(connector_heading[1:] - connector_heading[:-1]) >= math.pi).any():
+            connector_heading = np.unwrap(connector_heading, axis=0)
+        self._connector_heading = connector_heading[
+            -1
+        ].copy()  # callers may change the returned arrays
+        return connector_heading[1:]
 
     def _force_on_connectors(self, force: np.ndarray) -> np.ndarray:
         if self.spec.skin is not None:
@@ -474,7 +476,7 @@ class TwinSnake(PneumaticPlant):
         bends = ", ".join(f"{bend:.3g}" for bend in physics.bend_angles())
         pose = (
             f"centre of mass ({x:.3g}, {y:.3g}, {z:.3g}) m, heading"
-            f" {float(self._theta.mean()):.3g} rad"
+            f" {float(self._connector_heading.mean()):.3g} rad"
         )
         fastest = f"largest speed {np.abs(before[1 + count :]).max():.3g} m/s or rad/s"
         reason = warned or "implausible speeds"

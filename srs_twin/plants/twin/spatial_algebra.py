@@ -116,7 +116,7 @@ def project(cdof, sparsity, force, out):  # type: ignore[no-untyped-def]
 
 
 @kernel_only
-def project_slopes(cdof, sparsity, slope, force, matrix):  # type: ignore[no-untyped-def]
+def project_jacobian(cdof, sparsity, derivative, force, matrix):  # type: ignore[no-untyped-def]
     """Sum spatial derivatives towards the root and add their projection to a matrix.
 
     As in the composite-rigid-body algorithm, the sum of the derivatives beyond a degree
@@ -125,13 +125,13 @@ def project_slopes(cdof, sparsity, slope, force, matrix):  # type: ignore[no-unt
     Args:
         cdof: spatial axes of the degrees of freedom, shape (nv, 6).
         sparsity: sparsity pattern of the matrix.
-        slope: spatial derivatives, changed in place, shape (nv, 6, 6).
+        derivative: spatial derivatives, changed in place, shape (nv, 6, 6).
         force: workspace, shape (nv, 6).
         matrix: matrix that is changed in place, shape (nM,).
     """
     for i in range(sparsity.row_length.shape[0] - 1, -1, -1):
         d = cdof[i]
-        composite = slope[i]
+        composite = derivative[i]
         p = sparsity.parent[i]
         row = sparsity.row_start[i]
         reaction = force[i]
@@ -142,7 +142,7 @@ def project_slopes(cdof, sparsity, slope, force, matrix):  # type: ignore[no-unt
         if p >= 0:
             for a in range(6):
                 for b in range(6):
-                    slope[p, a, b] += composite[a, b]
+                    derivative[p, a, b] += composite[a, b]
 
 
 @kernel_only

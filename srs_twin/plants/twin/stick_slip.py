@@ -4,12 +4,12 @@ Both laws map the velocity of a contact to its friction force and the derivative
 force. The functions take and return plain numbers, because numba and Warp compile them.
 
 The contact force is elastic-plastic. Let N be the normal force, ε the slip speed, and
-v_t and v_n the velocities along and across the heading. The friction force of the
+v_t and v_lat the velocities along and across the heading. The friction force of the
 previous step, divided by the friction limits μ_t N along and μ_n N across the heading,
 is q̂. The friction force f then follows from an elastic trial value y:
 
-$$ y = \hat q - \frac{1}{\varepsilon \mu}\,(\mu_t v_t, \mu_n v_n), \qquad
-   f = N\,(\mu_t y_t, \mu_n y_n)\,/\,\max(1, |y|), \qquad \mu = \min(\mu_t, \mu_n) . $$
+$$ y = \hat q - \frac{1}{\varepsilon \mu}\,(\mu_t v_t, \mu_lat v_lat), \qquad
+   f = N\,(\mu_t y_t, \mu_lat y_lat)\,/\,\max(1, |y|), \qquad \mu = \min(\mu_t, \mu_lat) . $$
 
 For |y| ≤ 1 the contact sticks, so the force changes in proportion to the velocity and
 is constant at rest. For |y| > 1 the contact slides with the force of
@@ -68,83 +68,83 @@ class Traction(NamedTuple):
     """Friction force of a contact and its derivatives.
 
     Attributes:
-        along, across: forces f_t and f_n along and across the heading, N.
-        slope_along, slope_mixed, slope_across: derivatives ∂f_t/∂v_t, ∂f_t/∂v_n = ∂f_n/∂v_t
-            and ∂f_n/∂v_n, N·s/m.
+        along, across: forces f_t and f_lat along and across the heading, N.
+        derivative_along, off_diagonal, derivative_across: derivatives ∂f_t/∂v_t, ∂f_t/∂v_lat = ∂f_lat/∂v_t
+            and ∂f_lat/∂v_lat, N·s/m.
     """
 
     along: float
     across: float
-    slope_along: float
-    slope_mixed: float
-    slope_across: float
+    derivative_along: float
+    off_diagonal: float
+    derivative_across: float
 
 
 @compiled
-def stick_slip_friction(v_t, v_n, load, mu_t, mu_n, slip, p_t, p_n):  # type: ignore[no-untyped-def]  # noqa: D417
+def stick_slip_friction(v_t, v_lat, load, mu_t, mu_lat, slip, p_t, p_lat):  # type: ignore[no-untyped-def]  # noqa: D417
     """Return the `Traction` of a contact that can stick. See the module docstring.
 
     Args:
-        v_t, v_n: velocity along and across the heading, m/s.
+        v_t, v_lat: velocity along and across the heading, m/s.
         load: normal force N, N.
-        mu_t, mu_n: friction coefficients along and across the heading, dimensionless.
+        mu_t, mu_lat: friction coefficients along and across the heading, dimensionless.
         slip: slip speed ε, m/s.
-        p_t, p_n: friction force of the previous step, N.
+        p_t, p_lat: friction force of the previous step, N.
     """
     limit_t = mu_t * load
-    limit_n = mu_n * load
-    greatest = max(mu_t, mu_n)
+    limit_lat = mu_lat * load
+    greatest = max(mu_t, mu_lat)
     if not greatest * load > 0.0:
         return Traction(0.0, 0.0, 0.0, 0.0, 0.0)
     # In the direction of the smaller coefficient the contact yields at the slip speed
     # ε. In the other direction it yields at a lower speed.
-    stiffness = 1.0 / (slip * max(min(mu_t, mu_n), _MIN_RATIO * greatest))
+    stiffness = 1.0 / (slip * max(min(mu_t, mu_lat), _MIN_RATIO * greatest))
     # The vector q is the previous force divided by the friction limits. If the load has
     # decreased, q is scaled back onto the friction ellipse.
     q_t = p_t / max(limit_t, _MIN_LIMIT)
-    q_n = p_n / max(limit_n, _MIN_LIMIT)
-    shrink = 1.0 / max(1.0, np.sqrt(q_t * q_t + q_n * q_n))
+    q_lat = p_lat / max(limit_lat, _MIN_LIMIT)
+    shrink = 1.0 / max(1.0, np.sqrt(q_t * q_t + q_lat * q_lat))
     # The vector y is the elastic trial force, and a is the trial force limited to the
     # ellipse. Both are divided by the friction limits.
     y_t = shrink * q_t - mu_t * stiffness * v_t
-    y_n = shrink * q_n - mu_n * stiffness * v_n
-    size = np.sqrt(y_t * y_t + y_n * y_n)
+    y_lat = shrink * q_lat - mu_lat * stiffness * v_lat
+    size = np.sqrt(y_t * y_t + y_lat * y_lat)
     sliding = 1.0 if size > 1.0 else 0.0
     r = 1.0 / max(1.0, size)
     a_t = y_t * r
-    a_n = y_n * r
+    a_lat = y_lat * r
     k_t = limit_t * r * stiffness
-    k_n = limit_n * r * stiffness
+    k_lat = limit_lat * r * stiffness
     return Traction(
         limit_t * a_t,
-        limit_n * a_n,
+        limit_lat * a_lat,
         -k_t * mu_t * (1.0 - sliding * a_t * a_t),
-        sliding * k_t * mu_n * a_t * a_n,
-        -k_n * mu_n * (1.0 - sliding * a_n * a_n),
+        sliding * k_t * mu_lat * a_t * a_lat,
+        -k_lat * mu_lat * (1.0 - sliding * a_lat * a_lat),
     )
 
 
 @compiled
-def skin_friction(v_t, v_n, load, law, p_t, p_n, is_cosine):  # type: ignore[no-untyped-def]  # noqa: D417
+def skin_friction(v_t, v_lat, load, law, p_t, p_lat, is_cosine):  # type: ignore[no-untyped-def]  # noqa: D417
     """Return friction and its derivatives for a skin that can stick.
 
     The module docstring states the law.
 
     Args:
-        v_t, v_n, load, p_t, p_n: arguments of `stick_slip_friction`.
+        v_t, v_lat, load, p_t, p_lat: arguments of `stick_slip_friction`.
         law: friction on the floor, a `FloorLaw`.
         is_cosine: whether the law is `cosine` instead of `ellipse`.
 
     Returns:
-        The forces f_t and f_n (N), and the derivatives ∂f_t/∂v_t, ∂f_t/∂v_n, ∂f_n/∂v_t and
-        ∂f_n/∂v_n (N·s/m).
+        The forces f_t and f_lat (N), and the derivatives ∂f_t/∂v_t, ∂f_t/∂v_lat, ∂f_lat/∂v_t and
+        ∂f_lat/∂v_lat (N·s/m).
     """
     mu_ahead = law.forward
     mu_back = law.backward
-    mu_n = law.across
+    mu_lat = law.across
     slip = law.slip_speed
     along = max(mu_ahead, mu_back)  # Warp's max takes two numbers
-    greatest = max(along, mu_n)
+    greatest = max(along, mu_lat)
     if not greatest * load > 0.0:
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     # Friction opposes the slip, so a force towards the tail has the coefficient for
@@ -152,35 +152,35 @@ def skin_friction(v_t, v_n, load, law, p_t, p_n, is_cosine):  # type: ignore[no-
     mu_p = mu_ahead if p_t <= 0.0 else mu_back
     mu_v = mu_ahead if v_t >= 0.0 else mu_back
     q_t = p_t / max(mu_p * load, _MIN_LIMIT)
-    q_n = p_n / max(mu_n * load, _MIN_LIMIT)
-    shrink = 1.0 / max(1.0, np.sqrt(q_t * q_t + q_n * q_n))
+    q_lat = p_lat / max(mu_lat * load, _MIN_LIMIT)
+    shrink = 1.0 / max(1.0, np.sqrt(q_t * q_t + q_lat * q_lat))
     k_t = 1.0 / slip
-    k_n = 1.0 / slip
+    k_lat = 1.0 / slip
     if not is_cosine:
-        stiffness = 1.0 / (slip * max(min(mu_v, mu_n), _MIN_RATIO * greatest))
+        stiffness = 1.0 / (slip * max(min(mu_v, mu_lat), _MIN_RATIO * greatest))
         k_t = mu_v * stiffness
-        k_n = mu_n * stiffness
+        k_lat = mu_lat * stiffness
     y_t = shrink * q_t - k_t * v_t
-    y_n = shrink * q_n - k_n * v_n
-    size = np.sqrt(y_t * y_t + y_n * y_n)
+    y_lat = shrink * q_lat - k_lat * v_lat
+    size = np.sqrt(y_t * y_t + y_lat * y_lat)
     sliding = 1.0 if size > 1.0 else 0.0
     r = 1.0 / max(1.0, size)
     a_t = y_t * r
-    a_n = y_n * r
+    a_lat = y_lat * r
     limit_t = (mu_ahead if y_t <= 0.0 else mu_back) * load
-    limit_n = mu_n * load
+    limit_lat = mu_lat * load
     return (
         limit_t * a_t,
-        limit_n * a_n,
+        limit_lat * a_lat,
         -limit_t * r * k_t * (1.0 - sliding * a_t * a_t),
-        sliding * limit_t * r * k_n * a_t * a_n,
-        sliding * limit_n * r * k_t * a_t * a_n,
-        -limit_n * r * k_n * (1.0 - sliding * a_n * a_n),
+        sliding * limit_t * r * k_lat * a_t * a_lat,
+        sliding * limit_lat * r * k_t * a_t * a_lat,
+        -limit_lat * r * k_lat * (1.0 - sliding * a_lat * a_lat),
     )
 
 
 @compiled
-def rolling_friction(v_t, v_n, load, law, p_t, p_n, rim, inertia):  # type: ignore[no-untyped-def]  # noqa: D417
+def rolling_friction(v_t, v_lat, load, law, p_t, p_lat, rim, inertia):  # type: ignore[no-untyped-def]  # noqa: D417
     r"""Return the `Traction` and rim speed (m/s) of a wheel whose spin has inertia.
 
     The contact has the friction coefficient μ_n in every direction. The axle brakes the
@@ -194,17 +194,17 @@ def rolling_friction(v_t, v_n, load, law, p_t, p_n, rim, inertia):  # type: igno
     wheel without inertia follows `robot.friction.wheel`.
 
     Args:
-        v_t, v_n, load, p_t, p_n: arguments of `stick_slip_friction`.
+        v_t, v_lat, load, p_t, p_lat: arguments of `stick_slip_friction`.
         law: friction on the floor, a `FloorLaw` with equal coefficients for forward and
             backward slip.
         rim: rim speed w₀ at the beginning of the step, m/s.
         inertia: coefficient k, kg/s. It is the moment of inertia of the wheel divided
             by its squared radius and by the time step.
     """
-    mu_n = law.across
+    mu_lat = law.across
     slip = law.slip_speed
     drag = law.forward * load
-    grip = stick_slip_friction(v_t, v_n, load, mu_n, mu_n, slip, p_t, p_n)
+    grip = stick_slip_friction(v_t, v_lat, load, mu_lat, mu_lat, slip, p_t, p_lat)
     demand = inertia * rim - grip.along
     if abs(demand) <= drag:
         return grip, 0.0
@@ -216,14 +216,14 @@ def rolling_friction(v_t, v_n, load, law, p_t, p_n, rim, inertia):  # type: igno
     w = min(max(side * v_t, low), high)
     for _ in range(_MAX_RIM_ITERATIONS):
         grip = stick_slip_friction(
-            v_t - side * w, v_n, load, mu_n, mu_n, slip, p_t, p_n
+            v_t - side * w, v_lat, load, mu_lat, mu_lat, slip, p_t, p_lat
         )
         excess = -side * grip.along - drag - inertia * (w - side * rim)
         if excess > 0.0:
             low = w
         else:
             high = w
-        step = excess / (inertia - grip.slope_along)
+        step = excess / (inertia - grip.derivative_along)
         if abs(step) <= _RIM_TOLERANCE * (abs(w) + slip):
             break
         w += step
@@ -231,40 +231,40 @@ def rolling_friction(v_t, v_n, load, law, p_t, p_n, rim, inertia):  # type: igno
             w = 0.5 * (low + high)
     # The rim follows the wheel's motion, which reduces the derivative along the
     # heading by the implicit function theorem.
-    softness = inertia - grip.slope_along
-    share = inertia / softness
-    mixed = grip.slope_mixed
+    softness = inertia - grip.derivative_along
+    fraction = inertia / softness
+    mixed = grip.off_diagonal
     return (
         Traction(
             grip.along,
             grip.across,
-            grip.slope_along * share,
-            mixed * share,
-            grip.slope_across + mixed * mixed / softness,
+            grip.derivative_along * fraction,
+            mixed * fraction,
+            grip.derivative_across + mixed * mixed / softness,
         ),
         side * w,
     )
 
 
 @compiled
-def axis_friction(v_t, v_n, load, law, p_t, p_n, rim, inertia):  # type: ignore[no-untyped-def]  # noqa: D417
+def axis_friction(v_t, v_lat, load, law, p_t, p_lat, rim, inertia):  # type: ignore[no-untyped-def]  # noqa: D417
     """Return the `Traction` of a rolling wheel whose two directions are independent.
 
     The spin of the wheel adds mass along the heading.
 
     Args:
-        v_t, v_n, load, law, p_t, p_n, rim, inertia: arguments of `rolling_friction`,
+        v_t, v_lat, load, law, p_t, p_lat, rim, inertia: arguments of `rolling_friction`,
             except that p_t excludes the part that spins the wheel.
     """
     mu_t = law.forward
-    mu_n = law.across
+    mu_lat = law.across
     slip = law.slip_speed
-    ahead = stick_slip_friction(v_t, 0.0, load, mu_t, mu_t, slip, p_t, 0.0)
-    aside = stick_slip_friction(0.0, v_n, load, mu_n, mu_n, slip, 0.0, p_n)
+    forward = stick_slip_friction(v_t, 0.0, load, mu_t, mu_t, slip, p_t, 0.0)
+    lateral = stick_slip_friction(0.0, v_lat, load, mu_lat, mu_lat, slip, 0.0, p_lat)
     return Traction(
-        ahead.along - inertia * (v_t - rim),
-        aside.across,
-        ahead.slope_along - inertia,
+        forward.along - inertia * (v_t - rim),
+        lateral.across,
+        forward.derivative_along - inertia,
         0.0,
-        aside.slope_across,
+        lateral.derivative_across,
     )

@@ -11,7 +11,7 @@ a rotation is a multiplication. Adjacent connectors are joined by an arc of leng
 and bend q_j, with half of the rigid gap g at both ends,
 
 $$ P_{j+1} = P_j - e^{i\theta_j}\Bigl(\tfrac g2 + \ell_j E(q_j) + \tfrac g2 e^{-iq_j}\Bigr),
-   \qquad E(\varphi) = \int_0^1 e^{-i\varphi u}\,du, \qquad \theta_{j+1} = \theta_j -
+   \qquad E(\varphi) = \int_0^1 e^{-i\varphi u}\,du, \qquad \connector_heading_{j+1} = \theta_j -
    q_j. $$
 
 **Estimation.** The state (x, y, θ_1, q, ℓ) of each frame minimises
@@ -113,7 +113,7 @@ class MarkerPlacement:
         direction = np.exp(1j * theta)
         rotation = np.exp(-1j * turn)
         front_direction = direction[:, :-1]
-        arc, arc_slope = _mean_direction(turn)
+        arc, arc_derivative = _mean_direction(turn)
         span = front_direction * (before + length * arc + after * rotation)
         station = (
             state[:, :1]
@@ -128,8 +128,10 @@ class MarkerPlacement:
         # The bend of a half segment rotates all stations behind it about its rear end
         # and changes its chord. The length displaces the stations behind it.
         moved = self.station[:, None] > np.arange(2 * count)
-        chord_slope = front_direction * (length * arc_slope - 1j * after * rotation)
-        by_turn = -chord_slope[:, None] - 1j * (
+        chord_derivative = front_direction * (
+            length * arc_derivative - 1j * after * rotation
+        )
+        by_turn = -chord_derivative[:, None] - 1j * (
             marker[..., None] - station[:, None, 1:]
         )
         by_length = -(front_direction * arc)[:, None]
@@ -144,9 +146,9 @@ class MarkerPlacement:
 
 def _mean_direction(turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return E(φ) and dE/dφ of an arc with the bend φ, rad."""
-    cosine, sine, arc, slope, _ = half_angle_terms(turn)
+    cosine, sine, arc, derivative, _ = half_angle_terms(turn)
     rotation = cosine - 1j * sine
-    return arc * rotation, (slope - 0.5j * arc) * rotation
+    return arc * rotation, (derivative - 0.5j * arc) * rotation
 
 
 def marker_offsets(

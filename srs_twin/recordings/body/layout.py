@@ -179,9 +179,9 @@ def robot_markers(
     if layout == "auto":
         # Markers are counted per frame, because a marker that was hidden for long may
         # have become two tracks.
-        jobs_option = visible[:, candidates].sum(axis=1)
+        visible_count = visible[:, candidates].sum(axis=1)
         if candidates.size:
-            count = int(np.quantile(jobs_option, 0.95, method="lower"))
+            count = int(np.quantile(visible_count, 0.95, method="lower"))
         else:
             count = 0
         possible = [name for name, required in counts.items() if required == count]
@@ -196,12 +196,12 @@ def _wrong_number(
     candidates: int, connectors: int, counts: dict[str, int], coverage: np.ndarray
 ) -> str:
     listed = ", ".join(f"{count} ({layout})" for layout, count in counts.items())
-    shares = ", ".join(
-        f"{100 * share:.0f} %" for share in sorted(coverage, reverse=True)[:12]
+    fractions = ", ".join(
+        f"{100 * fraction:.0f} %" for fraction in sorted(coverage, reverse=True)[:12]
     )
     return (
         f"{candidates} markers may belong to the robot, but {connectors} connectors"
-        f" have {listed}; the tracks are visible on {shares} of the frames. Give"
+        f" have {listed}; the tracks are visible on {fractions} of the frames. Give"
         " --layout, export without other markers, or give the place of each marker in"
         " a map (--map)"
     )

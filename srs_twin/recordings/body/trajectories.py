@@ -277,7 +277,7 @@ def pose_columns(
     columns |= numbered_columns("x", connector.real) | numbered_columns(
         "y", connector.imag
     )
-    return columns | numbered_columns("theta", theta)
+    return columns | numbered_columns("connector_heading", theta)
 
 
 def name_of(path: str) -> str:

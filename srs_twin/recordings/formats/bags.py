@@ -12,9 +12,9 @@ from typing import final
 
 from srs_twin.recordings.formats.topics import (
     Bag,
+    BagMessage,
     ChunkError,
     CutError,
-    Message,
     Topic,
     check_unpacked,
     unpacked,
@@ -52,7 +52,7 @@ class Mcap(Bag):
         """Return whether a file starts with the magic bytes of MCAP."""
         return start.data.startswith(MCAP_MAGIC)
 
-    def messages(self, file: RecordedFile) -> Iterator[Message]:
+    def messages(self, file: RecordedFile) -> Iterator[BagMessage]:
         """Yield the messages of a file in file order.
 
         Raises:
@@ -69,7 +69,7 @@ class Mcap(Bag):
         return stream_messages(data)
 
 
-def stream_messages(data: memoryview) -> Iterator[Message]:
+def stream_messages(data: memoryview) -> Iterator[BagMessage]:
     """Yield the messages of a file without a limit on the unpacked size."""
     kinds: dict[int, str] = {}
     channels: dict[int, Topic] = {}
@@ -81,7 +81,9 @@ def stream_messages(data: memoryview) -> Iterator[Message]:
         ):
             if kind == _McapRecord.MESSAGE:
                 number, _, log_time, _ = _MESSAGE_HEAD.unpack_from(content)
-                yield Message(channels[number], log_time, content[_MESSAGE_HEAD.size :])
+                yield BagMessage(
+                    channels[number], log_time, content[_MESSAGE_HEAD.size :]
+                )
             elif kind == _McapRecord.SCHEMA:
                 kinds[int.from_bytes(content[:2], "little")] = _text(content, 2)[0]
             elif kind == _McapRecord.CHANNEL:
@@ -141,7 +143,7 @@ class Ros1Bag(Bag):
         """Return whether a file starts with the magic line of a bag."""
         return start.data.startswith(_ROS1_MAGIC)
 
-    def messages(self, file: RecordedFile) -> Iterator[Message]:
+    def messages(self, file: RecordedFile) -> Iterator[BagMessage]:
         """Yield the messages of a bag in file order.
 
         Raises:
@@ -172,7 +174,7 @@ class Ros1Bag(Bag):
                     time = _number(fields["time"][:4]) * 10**9 + _number(
                         fields["time"][4:]
                     )
-                    yield Message(connections[fields["conn"].hex()], time, content)
+                    yield BagMessage(connections[fields["conn"].hex()], time, content)
 
 
 def _ros1_records(data: memoryview) -> Iterator[tuple[dict[str, bytes], memoryview]]:
@@ -227,7 +229,7 @@ class Ros2Bag(Bag):
         """Return whether a file is an SQLite database."""
         return start.data.startswith(_SQLITE_MAGIC)
 
-    def messages(self, file: RecordedFile) -> Iterator[Message]:
+    def messages(self, file: RecordedFile) -> Iterator[BagMessage]:
         """Yield the messages of a bag in file order.
 
         Raises:
@@ -261,4 +263,4 @@ class Ros2Bag(Bag):
                     raise ChunkError("the tables contain more data than the file")
                 packed = content.startswith(_ZSTD)
                 plain = unpacked(content, "zstd", None) if packed else content
-                yield Message(known[number], int(time), memoryview(plain))
+                yield BagMessage(known[number], int(time), memoryview(plain))

@@ -90,7 +90,7 @@ class Topic(NamedTuple):
     encoding: str
 
 
-class Message(NamedTuple):
+class BagMessage(NamedTuple):
     """Message before decoding, with the log time in ns."""
 
     topic: Topic
@@ -172,7 +172,7 @@ class Bag(Format):
     suffix: ClassVar[str]
 
     @abstractmethod
-    def messages(self, file: RecordedFile) -> Iterator[Message]:
+    def messages(self, file: RecordedFile) -> Iterator[BagMessage]:
         """Yield the messages of a file in file order.
 
         Raises:
@@ -251,7 +251,7 @@ class _Topics:
     )  # topic → stamp minus log time, s
     notes: list[str] = field(default_factory=list)
 
-    def add(self, message: Message) -> None:
+    def add(self, message: BagMessage) -> None:
         self.messages += 1
         if self.messages > _MAX_MESSAGES:
             raise self.file.error(
@@ -287,7 +287,7 @@ class _Topics:
         series: _Series,
         label: str,
         content: object,
-        message: Message,
+        message: BagMessage,
         values: _Numbers,
     ) -> None:
         stamp = getattr(getattr(content, "header", None), "stamp", None)

@@ -426,7 +426,7 @@ def on_bench(recording: Recording, spec: RobotSpec) -> Recording:
     """
     trajectory = recording.trajectory
     head = trajectory.position[:, 0]
-    head_heading = trajectory["theta_1"]
+    head_heading = trajectory["connector_heading_1"]
     # The medians are not affected by a few wrong frames.
     clamp = np.median(head, axis=0)
     heading = float(np.median(head_heading))
@@ -447,7 +447,7 @@ def on_bench(recording: Recording, spec: RobotSpec) -> Recording:
     origin = clamp @ [1, 1j]
     com = (trajectory.com @ [1, 1j] - origin) * rotation + distance
     connector = (trajectory.position @ [1, 1j] - origin) * rotation + distance
-    theta = trajectory.stack("theta") - heading
+    theta = trajectory.stack("connector_heading") - heading
     pose = pose_columns(com, trajectory["heading"] - heading, connector, theta)
     columns = {**trajectory.columns, **pose}
     if "com_velocity_x" in columns:

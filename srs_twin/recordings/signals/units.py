@@ -31,12 +31,12 @@ PRESSURES |= {
     "kgf/cm2": 98066.5,
 }
 """Units of gauge pressures. Units of absolute pressures (psia, bara) are excluded."""
-SHARES = {"1": 1.0, "%": 1e-2}
+FRACTIONS = {"1": 1.0, "%": 1e-2}
 
 QUANTITIES: dict[str, dict[str, float]] = {
     "time": TIMES,
     "valve": {},
-    "duty": SHARES,
+    "duty": FRACTIONS,
     "pressure": PRESSURES,
     "setpoint": PRESSURES,
     "bend": ANGLES,

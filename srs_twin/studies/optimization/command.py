@@ -154,12 +154,12 @@ def _design_lines(design: DesignDocument, k: int) -> Iterator[str]:
     from srs_twin.studies.optimization.report import percentage
     from srs_twin.viewing.plots.labels import metric_label
 
-    share = design["beats_next"]
-    if share is not None:
-        others = f"{100 * share:.0f} % of the drawn robots"
+    fraction = design["beats_next"]
+    if fraction is not None:
+        others = f"{100 * fraction:.0f} % of the drawn robots"
         yield f" is better than best/{k + 1} for {others}"
     for metric, gain in design["gains"].items():
-        text = f": {metric_label(metric)} {percentage(gain['share'])}"
+        text = f": {metric_label(metric)} {percentage(gain['fraction'])}"
         if gain["interval_95"] is not None:
             low, high = map(percentage, gain["interval_95"])
             text += f" (95 %: {low} to {high})"

@@ -67,9 +67,9 @@ class VariableFile(Section):
     """Physical reason for low and high, which the result repeats for designs on a
     bound."""
 
-    def value_at(self, share: float) -> float | int:
+    def value_at(self, fraction: float) -> float | int:
         """Return the value at a fraction of the range, rounded."""
-        value = value_at(share, self.low, self.high, self.scale)
+        value = value_at(fraction, self.low, self.high, self.scale)
         # With six digits, designs that differ only by rounding share one run.
         return round(value) if self.whole else float(f"{value:.6g}")
 
@@ -209,34 +209,38 @@ class DesignSpace:
         """Number of variables."""
         return len(self.variables)
 
-    def values(self, shares: np.ndarray) -> tuple[float | int, ...]:
+    def values(self, fractions: np.ndarray) -> tuple[float | int, ...]:
         """Return the values of a design given as fractions from 0 to 1, shape (d,)."""
-        ranges = zip(self.variables.values(), np.clip(shares, 0.0, 1.0), strict=True)
-        return tuple(variable.value_at(share) for variable, share in ranges)
+        ranges = zip(self.variables.values(), np.clip(fractions, 0.0, 1.0), strict=True)
+        return tuple(variable.value_at(fraction) for variable, fraction in ranges)
 
-    def shares(self, values: Sequence[float]) -> np.ndarray:
+    def fractions(self, values: Sequence[float]) -> np.ndarray:
         """Return a design as fractions of the ranges, shape (d,)."""
         ranges = zip(self.variables.values(), values, strict=True)
         return np.array([variable.share_of(value) for variable, value in ranges])
 
-    def bounds(self, shares: np.ndarray) -> dict[str, str]:
+    def bounds(self, fractions: np.ndarray) -> dict[str, str]:
         """Map each variable of a design that lies on a bound to "low" or "high"."""
-        shares_by_name = zip(self.variables, self.snapped(shares[None])[0], strict=True)
+        fractions_by_name = zip(
+            self.variables, self.snapped(fractions[None])[0], strict=True
+        )
         return {
-            name: "low" if share < ON_BOUND else "high"
-            for name, share in shares_by_name
-            if not ON_BOUND <= share <= 1 - ON_BOUND
+            name: "low" if fraction < ON_BOUND else "high"
+            for name, fraction in fractions_by_name
+            if not ON_BOUND <= fraction <= 1 - ON_BOUND
         }
 
-    def snapped(self, shares: np.ndarray) -> np.ndarray:
+    def snapped(self, fractions: np.ndarray) -> np.ndarray:
         """Return designs, shape (designs, d), with rounded values."""
-        return np.array([self.shares(self.values(share)) for share in shares])
+        return np.array(
+            [self.fractions(self.values(fraction)) for fraction in fractions]
+        )
 
-    def changes(self, shares: np.ndarray) -> Changes:
+    def changes(self, fractions: np.ndarray) -> Changes:
         """Return the fields that a design changes in the scenario."""
         changes: dict[str, Value] = {}
         for (name, variable), value in zip(
-            self.variables.items(), self.values(shares), strict=True
+            self.variables.items(), self.values(fractions), strict=True
         ):
             if name == SEGMENTS:
                 changes |= self._segment_changes(int(value), variable.hold or [])
@@ -378,10 +382,10 @@ def _check_metrics(document: Document, file: StudyFile) -> None:
 def _check_range_ends(document: Document, study: OptimizationStudy) -> None:
     points: list[tuple[Loc, Experiment, Changes]] = []
     for i, name in enumerate(study.file.variables):
-        for end, share in (("low", 0.0), ("high", 1.0)):
-            shares = np.full(study.space.size, 0.5)
-            shares[i] = share
-            changes = study.space.changes(shares)
+        for end, fraction in (("low", 0.0), ("high", 1.0)):
+            fractions = np.full(study.space.size, 0.5)
+            fractions[i] = fraction
+            changes = study.space.changes(fractions)
             for experiment in study.experiments.values():
                 points.append((("variables", name, end), experiment, changes))
     known = [SEGMENTS, *leaf_names(study.experiments["twin"].base)]

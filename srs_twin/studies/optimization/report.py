@@ -127,7 +127,7 @@ def draw_parallel(
         is_good = ranks[k] < max(len(runs) // 10, 1)
         axes.plot(
             places,
-            runs[k].shares,
+            runs[k].fractions,
             "o-",
             color=_BEST_COLOR if is_good else _RUN_COLOR,
             alpha=1.0 - 0.85 * ranks[k] / max(len(runs) - 1, 1),
@@ -137,7 +137,7 @@ def draw_parallel(
     caption = (
         "Designs run by the twin; better ones are more opaque, the best tenth is blue."
     )
-    bounds = [space.bounds(run.shares) for run in best]
+    bounds = [space.bounds(run.fractions) for run in best]
     marked = [
         (place, bound == "high")
         for place, name in enumerate(space.variables)
@@ -184,7 +184,7 @@ def _write(result: StudyResult, folder: Path) -> tuple[str, ...]:
     scenario = result.study.scenario.document
     for k, design in enumerate(result.designs, start=1):
         document = study.experiments["twin"].document(
-            study.space.changes(design.run.shares)
+            study.space.changes(design.run.fractions)
         )
         document |= {
             "plants": scenario["plants"],
@@ -289,7 +289,7 @@ def _best_table(result: StudyResult, document: StudyDocument) -> Table:
             row.append(cell(design["metrics"][name]) + interval)
         for gain in design["gains"].values():
             interval = _interval_text(gain["interval_95"], percentage)
-            row.append(percentage(gain["share"]) + interval)
+            row.append(percentage(gain["fraction"]) + interval)
         change = max(filter(None, design["refined"].values()), default=0.0)
         rows.append([*row, f"changes by {percentage(change)}"])
     notes = bound_lines(document)

@@ -45,7 +45,7 @@ _MIN_RANKED = 4
 class Gain(TypedDict):
     """Relative gain over the initial scenario, and its 95 % interval over robots."""
 
-    share: float | None
+    fraction: float | None
     interval_95: list[float | None] | None
 
 
@@ -151,7 +151,7 @@ class StudyResult:
             {"plants.twin.timestep_s": settings["timestep_s"] / 2},
             {"plants.twin.hinges_per_segment": 2 * settings["hinges_per_segment"]},
         ]
-        designs = [study.space.changes(run.shares) for run in optimum.best]
+        designs = [study.space.changes(run.fractions) for run in optimum.best]
         initial = Run("twin", np.zeros(0), runs.rows("twin", [{}])[0])
         refined = runs.rows(
             "twin", [{**design, **fine} for design in designs for fine in refinements]
@@ -177,9 +177,9 @@ class StudyResult:
     def ranked_by_quantile(self) -> StudyResult:
         """Return the result with designs ranked by a quantile of the objective."""
         objective = self.study.file.objectives[0]
-        share = objective.quantile or 0.5
+        fraction = objective.quantile or 0.5
         samples = [design.sampled(objective.metric) for design in self.designs]
-        order = np.argsort(objective.sign * np.nanquantile(samples, share, axis=1))
+        order = np.argsort(objective.sign * np.nanquantile(samples, fraction, axis=1))
         return replace(self, designs=tuple(self.designs[k] for k in order))
 
     def document(self) -> StudyDocument:
@@ -222,7 +222,7 @@ class StudyResult:
         objectives = [objective.metric for objective in study.file.objectives]
         changes = {name: design.refinement_change(name) for name in names}
         known = [changes[name] for name in objectives]
-        values = study.space.values(design.run.shares)
+        values = study.space.values(design.run.fractions)
         intervals = None
         if design.samples:
             intervals = {name: _interval_95(design.sampled(name)) for name in names}
@@ -235,7 +235,8 @@ class StudyResult:
             "on_bound": self._on_bound(design),
             "refined": changes,
             "survives": all(
-                share is not None and share <= _MAX_REFINEMENT_CHANGE for share in known
+                fraction is not None and fraction <= _MAX_REFINEMENT_CHANGE
+                for fraction in known
             ),
             "intervals": intervals,
             "beats_next": self._beats_next(k),
@@ -244,7 +245,7 @@ class StudyResult:
 
     def _on_bound(self, design: EvaluatedDesign) -> dict[str, Bound]:
         on_bound: dict[str, Bound] = {}
-        for name, bound in self.study.space.bounds(design.run.shares).items():
+        for name, bound in self.study.space.bounds(design.run.fractions).items():
             variable = self.study.file.variables[name]
             value = getattr(variable, bound)
             source = variable.bounds_source
@@ -269,12 +270,12 @@ class StudyResult:
         return float(np.mean(this < following))
 
     def _gain(self, design: EvaluatedDesign, name: str) -> Gain:
-        share = design.run.metric(name) / self.initial.run.metric(name) - 1
+        fraction = design.run.metric(name) / self.initial.run.metric(name) - 1
         interval = None
         if design.samples:
             ratios = design.sampled(name) / self.initial.sampled(name) - 1
             interval = _interval_95(ratios)
-        return {"share": _number(share), "interval_95": interval}
+        return {"fraction": _number(fraction), "interval_95": interval}
 
     def _fidelity_correlation(
         self, objective: ObjectiveFile
@@ -287,7 +288,7 @@ class StudyResult:
 
         values: dict[str, dict[bytes, float]] = {"compliant": {}, "twin": {}}
         for run in self.runs:
-            values[run.part][run.shares.tobytes()] = run.metric(objective.metric)
+            values[run.part][run.fractions.tobytes()] = run.metric(objective.metric)
         pairs = np.array(
             [
                 (values["compliant"].get(design, math.nan), value)
@@ -310,7 +311,7 @@ class StudyResult:
         space = self.study.space
         runs = self.runs
         columns: dict[str, list[Any]] = {"part": [run.part for run in runs]}
-        values = np.array([space.values(run.shares) for run in runs], dtype=float)
+        values = np.array([space.values(run.fractions) for run in runs], dtype=float)
         columns |= dict(zip(space.variables, values.T.tolist(), strict=True))
         columns["status"] = [run.row.status for run in runs]
         columns["reason"] = [run.row.reason for run in runs]
@@ -332,7 +333,7 @@ def _draw_robots(study: OptimizationStudy, count: int) -> list[Changes]:
     middle = study.space.changes(np.full(study.space.size, 0.5))
     paths = Priors.from_robot(robot).paths
     chosen = [path for path in paths if f"robot.{path}" in middle]
-    priors = Priors.from_robot(robot, without=chosen)
+    priors = Priors.from_robot(robot, exclude=chosen)
     values = priors.quantile(sobol_points(len(priors.paths), count, study.file.seed))
     names = [f"robot.{path}" for path in priors.paths]
     robots: list[Changes] = [

@@ -36,12 +36,12 @@ class Run:
 
     Attributes:
         part: fidelity, "compliant" or "twin".
-        shares: design variables as fractions of their ranges, shape (d,).
+        fractions: design variables as fractions of their ranges, shape (d,).
         row: stored result.
     """
 
     part: str
-    shares: np.ndarray
+    fractions: np.ndarray
     row: Row
 
     def metric(self, name: str) -> float:
@@ -108,19 +108,21 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
         """Unlock the folder."""
         self._opened.close()
 
-    def run(self, part: str, shares: np.ndarray) -> list[Run]:
+    def run(self, part: str, fractions: np.ndarray) -> list[Run]:
         """Return the runs of designs at one fidelity.
 
         Args:
             part: fidelity, "compliant" or "twin".
-            shares: designs as fractions of the ranges, shape (designs, d).
+            fractions: designs as fractions of the ranges, shape (designs, d).
 
         Raises:
             InputError: a row cannot be written.
         """
         runs = []
-        rows = self.rows(part, [self._study.space.changes(design) for design in shares])
-        for row, design in zip(rows, shares, strict=True):
+        rows = self.rows(
+            part, [self._study.space.changes(design) for design in fractions]
+        )
+        for row, design in zip(rows, fractions, strict=True):
             if row.key not in self._requested_by_key:
                 self._requested_by_key[row.key] = Run(part, design, row)
                 self.requested.append(self._requested_by_key[row.key])

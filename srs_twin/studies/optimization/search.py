@@ -60,7 +60,7 @@ of the ranges."""
 _NEIGHBOURS = {1: 8, 2: 16}
 """Number of new candidates per round, by number of objectives."""
 
-_INITIAL_SHARE = 0.3
+_INITIAL_FRACTION = 0.3
 """Fraction of the twin's budget for the initial designs."""
 
 _EDGE_OVERDRAW = 0.2
@@ -76,7 +76,7 @@ MAX_REPORTED = 3
 _OPTIMUM_DISTANCE = 0.1
 """Minimum distance between two reported designs."""
 
-_CMA_SHARE = 0.6
+_CMA_FRACTION = 0.6
 """Fraction of the low-fidelity budget for CMA-ES. The rest is for candidates."""
 
 _POPULATION = 12
@@ -204,7 +204,7 @@ class _Search:
     def search_compliant(self) -> None:
         """Search the low-fidelity model with CMA-ES and several objective weights."""
         cma = _cma()
-        budget = int(_CMA_SHARE * self._study.file.budget.compliant)
+        budget = int(_CMA_FRACTION * self._study.file.budget.compliant)
         weights = self._weights_of(
             np.linspace(0.02, 0.98, 7 if self._objectives > 1 else 1)
         )
@@ -213,9 +213,9 @@ class _Search:
         sampled = max(2 * self._size, budget // (len(weights) + 1))
         self._run("compliant", self._sample_space(sampled))
         for k, weight in enumerate(weights):
-            share = (budget - len(self._compliant_runs)) // (len(weights) - k)
+            fraction = (budget - len(self._compliant_runs)) // (len(weights) - k)
             scalars = self._scalarise(self._compliant_runs, weight)
-            start = self._compliant_runs[int(np.argmin(scalars))].shares
+            start = self._compliant_runs[int(np.argmin(scalars))].fractions
             options = {
                 "bounds": [0, 1],
                 "seed": self._study.file.seed + 1 + k,
@@ -225,17 +225,17 @@ class _Search:
             strategy = cma.CMAEvolutionStrategy(
                 np.clip(start, 0.01, 0.99), 0.2, options
             )
-            while share >= _POPULATION and not strategy.stop():
+            while fraction >= _POPULATION and not strategy.stop():
                 designs = self._study.space.snapped(np.array(strategy.ask()))
                 before = len(self._compliant_runs)
                 runs = self._run("compliant", designs)
                 values = self._scalarise(runs, weight, relative_to=self._compliant_runs)
                 strategy.tell(list(designs), values.tolist())
-                share -= max(len(self._compliant_runs) - before, 1)
+                fraction -= max(len(self._compliant_runs) - before, 1)
 
     def run_initial_designs(self) -> None:
         budget = self._study.file.budget.twin
-        count = max(int(_INITIAL_SHARE * budget), min(4, budget))
+        count = max(int(_INITIAL_FRACTION * budget), min(4, budget))
         if not self._compliant_runs:
             self._run("twin", self._sample_space(max(count, 2 * self._size)))
             return
@@ -243,7 +243,7 @@ class _Search:
         chosen: list[np.ndarray] = []
         for weight in self._random_weights(count - len(random_designs)):
             order = np.argsort(self._scalarise(self._compliant_runs, weight))
-            for design in (self._compliant_runs[k].shares for k in order):
+            for design in (self._compliant_runs[k].fractions for k in order):
                 if _is_far(design, chosen, _OPTIMUM_DISTANCE):
                     chosen.append(design)
                     break
@@ -264,7 +264,7 @@ class _Search:
         candidates = self._candidates()
         if not candidates:
             return False
-        near_failures = self._near_failures([run.shares for run in candidates])
+        near_failures = self._near_failures([run.fractions for run in candidates])
         chosen: list[np.ndarray] = []
         assumed_costs = self._outputs(self._twin_runs)
         for k_batch in range(min(_BATCH_SIZE, self.budget_left())):
@@ -277,11 +277,11 @@ class _Search:
                 mean, sd = self._predict(candidates, objective)
             score = self.improvement(mean, sd, assumed_costs, objective)
             score[near_failures] = 0.0
-            score[[not _is_far(run.shares, chosen) for run in candidates]] = -1.0
+            score[[not _is_far(run.fractions, chosen) for run in candidates]] = -1.0
             k = int(np.argmax(score))
             if score[k] < 0:
                 break
-            chosen.append(candidates[k].shares)
+            chosen.append(candidates[k].fractions)
             # The next design is chosen as if this run had given its expected result.
             assumed_costs = np.vstack([assumed_costs, mean[k]])
         self._run("twin", np.array(chosen))
@@ -296,7 +296,7 @@ class _Search:
         best = self.best()[:1]
         if self._objectives > 1 or (excesses(self._study, best) > 0).any():
             return None
-        finished = [run.shares for run in self._twin_runs]
+        finished = [run.fractions for run in self._twin_runs]
         designs = self._study.space.snapped(self._screened_designs())
         new = np.array([design for design in designs if _is_far(design, finished)])
         if not len(new):
@@ -334,9 +334,9 @@ class _Search:
         feasible = self._most_feasible()
         chosen: list[Run] = []
         for k in np.argsort(costs(self._study, feasible)[:, objective]):
-            others = [run.shares for run in chosen]
+            others = [run.fractions for run in chosen]
             if len(chosen) < MAX_REPORTED and _is_far(
-                feasible[k].shares, others, _OPTIMUM_DISTANCE
+                feasible[k].fractions, others, _OPTIMUM_DISTANCE
             ):
                 chosen.append(feasible[k])
         return tuple(chosen)
@@ -363,10 +363,10 @@ class _Search:
             self._rng.permutation((np.arange(count) + self._rng.random()) / count)
         )
 
-    def _weights_of(self, shares: np.ndarray) -> list[np.ndarray]:
+    def _weights_of(self, fractions: np.ndarray) -> list[np.ndarray]:
         return [
-            np.array([share, 1 - share] if self._objectives == 2 else [1.0])
-            for share in shares
+            np.array([fraction, 1 - fraction] if self._objectives == 2 else [1.0])
+            for fraction in fractions
         ]
 
     def _scalarise(
@@ -412,9 +412,11 @@ class _Search:
             designs = self._study.space.snapped(
                 np.vstack([new, self._sample_space(256)])
             )
-            candidates = [Run("twin", shares, Row("", DONE)) for shares in designs]
-        finished = [run.shares for run in self._twin_runs]
-        return [run for run in candidates if _is_far(run.shares, finished)]
+            candidates = [
+                Run("twin", fractions, Row("", DONE)) for fractions in designs
+            ]
+        finished = [run.fractions for run in self._twin_runs]
+        return [run for run in candidates if _is_far(run.fractions, finished)]
 
     def _screened_designs(self) -> np.ndarray:
         return np.vstack([self._neighbours(_SCREENED), self._sample_space(_SCREENED)])
@@ -434,7 +436,7 @@ class _Search:
             for runs in (optima, best)
             for k in self._rng.integers(len(runs), size=count // 2)
         ]
-        centres = np.array([run.shares for run in parents])
+        centres = np.array([run.fractions for run in parents])
         std = _NEIGHBOUR_STD * 0.5 ** (self._rng.integers(0, 4, size=count))[:, None]
         new = np.clip(centres + std * self._rng.normal(size=centres.shape), 0.0, 1.0)
         # One variable of every third candidate is redrawn from the whole range, half of
@@ -448,13 +450,13 @@ class _Search:
     def _scores(self, designs: np.ndarray) -> np.ndarray:
         low_fidelity = None
         if self._compliant_runs:
-            shares = np.array([run.shares for run in self._compliant_runs])
+            fractions = np.array([run.fractions for run in self._compliant_runs])
             outputs = self._outputs(self._compliant_runs)
             known = np.isfinite(outputs).all(axis=1)
             low_fidelity = np.full((len(designs), outputs.shape[1]), np.nan)
             if known.sum() > self._size + 1:
                 low_fidelity = RBFInterpolator(
-                    shares[known], outputs[known], smoothing=_SMOOTHING
+                    fractions[known], outputs[known], smoothing=_SMOOTHING
                 )(designs)
         runs = [Run("twin", design, Row("", DONE)) for design in designs]
         mean, sd = self._predict(runs, 0, low_fidelity)
@@ -465,7 +467,7 @@ class _Search:
     def _near_failures(self, designs: Sequence[np.ndarray] | np.ndarray) -> np.ndarray:
         runs = [*self._twin_runs, *self._compliant_runs]
         failed = ~np.isfinite(self._outputs(runs)).all(axis=1)
-        distances = cdist(designs, [run.shares for run in runs])
+        distances = cdist(designs, [run.fractions for run in runs])
         return np.asarray(failed[distances.argmin(axis=1)])
 
     def _predict(
@@ -481,13 +483,13 @@ class _Search:
         known = self._twin_runs
         outputs = self._outputs(known)
         scaled = self._compliant_outputs(candidates, low_fidelity)
-        shares = 2 * np.array([run.shares for run in (*known, *candidates)]) - 1
+        fractions = 2 * np.array([run.fractions for run in (*known, *candidates)]) - 1
         predictions = []
         for column in range(outputs.shape[1]):
             y = outputs[:, column]
-            x = shares
+            x = fractions
             if scaled is not None:
-                x = np.column_stack([shares, scaled[:, column]])
+                x = np.column_stack([fractions, scaled[:, column]])
             rows = np.flatnonzero(np.isfinite(y))
             if column == objective:
                 # Results far from the optimum would distort the fit near the optimum.
@@ -508,14 +510,16 @@ class _Search:
         runs = [*self._twin_runs]
         if given is None:
             runs += candidates
-        known = {run.shares.tobytes(): run for run in self._compliant_runs}
-        missing = [run.shares for run in runs if run.shares.tobytes() not in known]
+        known = {run.fractions.tobytes(): run for run in self._compliant_runs}
+        missing = [
+            run.fractions for run in runs if run.fractions.tobytes() not in known
+        ]
         if missing:
             known |= {
-                run.shares.tobytes(): run
+                run.fractions.tobytes(): run
                 for run in self._run("compliant", np.array(missing))
             }
-        outputs = self._outputs([known[run.shares.tobytes()] for run in runs])
+        outputs = self._outputs([known[run.fractions.tobytes()] for run in runs])
         if given is not None:
             outputs = np.vstack([outputs, given])
         # Clipping limits the effect of outliers on the linear part of the Gaussian

@@ -15,9 +15,9 @@ from srs_twin.cli.options import (
     JsonOption,
     QuietOption,
     argument,
-    jobs_option,
     parse_plants,
     print_json,
+    workers_option,
 )
 from srs_twin.io.files import display_path
 
@@ -47,7 +47,7 @@ class StudyOptions:
     """
 
     engine: str = "local"
-    workers: Annotated[int | None, jobs_option("--workers N")] = None
+    workers: Annotated[int | None, workers_option("--workers N")] = None
     address: str | None = None
     changed: bool = False
 
@@ -72,7 +72,7 @@ def sweep(
     out: str | None = None,
     study: StudyOptions = DEFAULT_STUDY,
     retry_failed: bool = False,
-    without: list[str] | None = None,
+    exclude: list[str] | None = None,
     plants: str | None = None,
     changed_fields: ChangeOptions = NO_CHANGES,
     quiet: QuietOption = False,
@@ -87,7 +87,7 @@ def sweep(
         name: Name of a shipped sweep, or path of a sweep file.
         --out DIR: Output folder. [default: runs/sweeps/SWEEP]
         --retry-failed: Run the points that failed earlier once more.
-        --without FIELD=VALUE: Leave out all points in which the field has this value.
+        --exclude FIELD=VALUE: Leave out all points in which the field has this value.
             Can be repeated.
         --plants LIST: Models to simulate: analytical, twin or analytical,twin.
             [default: from the sweep]
@@ -98,7 +98,7 @@ def sweep(
 
     loaded = load_sweep(name, set=changed_fields.changes(), plants=parse_plants(plants))
     say(*(f"warning: {warning}" for warning in loaded.warnings), quiet=quiet)
-    left_out = without or ()
+    left_out = exclude or ()
     wanted = len(select_points(loaded, left_out))
     with interruptible(), RunCounter(loaded.name, 0, quiet=quiet) as counting:
 
@@ -111,7 +111,7 @@ def sweep(
         summary = run_sweep(
             loaded,
             out=out or SWEEPS / loaded.name,
-            without=left_out,
+            exclude=left_out,
             engine=runner,
             retry_failed=retry_failed,
             changed=study.changed,

@@ -187,18 +187,18 @@ def make_engine(
     return local(workers)
 
 
-def select_points(swept: Sweep, without: Sequence[str]) -> set[str]:
+def select_points(swept: Sweep, exclude: Sequence[str]) -> set[str]:
     """Return the keys of the points of a sweep that are not excluded.
 
     Args:
         swept: sweep whose points are selected.
-        without: excluded values, each as `field=value`.
+        exclude: excluded values, each as `field=value`.
 
     Raises:
         UnknownNameError: a field is not varied, or never has this value.
     """
     selected = {point.key: point.changes for point in swept.points}
-    for excluded in without:
+    for excluded in exclude:
         field, _, value = excluded.partition("=")
         if field not in swept.fields:
             raise UnknownNameError("varied field", field, swept.fields)
@@ -220,7 +220,7 @@ def sweep(
     out: StrPath | None = None,
     set: Overrides = (),
     plants: Sequence[str] | None = None,
-    without: Sequence[str] = (),
+    exclude: Sequence[str] = (),
     engine: str | Engine = "local",
     workers: int | None = None,
     retry_failed: bool = False,
@@ -236,7 +236,7 @@ def sweep(
         out: output folder, or None to keep nothing but the returned rows.
         set: scenario fields to fix, as described in `load_sweep`.
         plants: plants that run, or None for the plants of the sweep.
-        without: excluded values, each as `field=value`.
+        exclude: excluded values, each as `field=value`.
         engine: name of the engine ("local", "ray" or "warp"), or an engine object
             (`local`, `on_ray`, `on_device`).
         workers: number of parallel runs, or None for one per processor.
@@ -251,7 +251,7 @@ def sweep(
     """
     runner = make_engine(engine, workers)
     loaded = load_sweep(sweep, set=set, plants=plants)
-    selected = select_points(loaded, without)
+    selected = select_points(loaded, exclude)
     with (
         folder_or_temporary(out) as folder,
         open_sweep(loaded, folder, changed=changed) as opened,
@@ -570,7 +570,7 @@ def _group_key(experiment: Experiment, scenario: Scenario) -> tuple[object, ...]
     timing = scenario.timing
     if "twin" not in experiment.plants:
         raise InputError("engine 'warp' runs only twins; add twin to plants")
-    if scenario.begin is not None:
+    if scenario.initial_state is not None:
         raise InputError("engine 'warp' cannot start from a moving state")
     return tuple(timing[name] for name in ("duration", "seed", "record_hz"))
 

@@ -417,20 +417,24 @@ def _space_filling_points(
     engine = qmc.Sobol if sampling.kind == "sobol" else qmc.LatinHypercube
     unit = engine(d=len(fields), rng=sampling.seed or 0).random(sampling.count)
     columns = [
-        _values_at(values, shares)
-        for values, shares in zip(fields, unit.T, strict=True)
+        _values_at(values, fractions)
+        for values, fractions in zip(fields, unit.T, strict=True)
     ]
     return list(zip(*columns, strict=True))
 
 
-def _values_at(values: Sequence[Value] | RangeFile, shares: np.ndarray) -> list[Value]:
+def _values_at(
+    values: Sequence[Value] | RangeFile, fractions: np.ndarray
+) -> list[Value]:
     if not isinstance(values, RangeFile):
-        return [values[int(share * len(values))] for share in shares]
-    return list(map(float, value_at(shares, values.start, values.stop, values.scale)))
+        return [values[int(fraction * len(values))] for fraction in fractions]
+    return list(
+        map(float, value_at(fractions, values.start, values.stop, values.scale))
+    )
 
 
-def value_at(share: Any, low: float, high: float, scale: str) -> Any:
+def value_at(fraction: Any, low: float, high: float, scale: str) -> Any:
     """Return the values at fractions (0 to 1) of a linear or logarithmic range."""
     if scale == "log":
-        return low * (high / low) ** share
-    return low + (high - low) * share
+        return low * (high / low) ** fraction
+    return low + (high - low) * fraction

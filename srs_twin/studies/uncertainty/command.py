@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 from srs_twin.cli.console import RunCounter, interruptible, say
 from srs_twin.cli.options import (
     NO_CHANGES,
-    Bounds,
     ChangeOptions,
     JsonOption,
+    OptionRange,
     QuietOption,
     ScenarioArgument,
     parse_plants,
@@ -36,10 +36,10 @@ def uncertainty(
     scenario: ScenarioArgument,
     out: str | None = None,
     plants: str | None = None,
-    samples: Annotated[int, Bounds(16, 65536)] = 2048,
-    twin: Annotated[int, Bounds(16, 65536)] = 64,
-    without: list[str] | None = None,
-    form: list[str] | None = None,
+    samples: Annotated[int, OptionRange(16, 65536)] = 2048,
+    twin: Annotated[int, OptionRange(16, 65536)] = 64,
+    exclude: list[str] | None = None,
+    model_form: list[str] | None = None,
     options: StudyOptions = DEFAULT_STUDY,
     write: bool = False,
     changes: ChangeOptions = NO_CHANGES,
@@ -60,9 +60,9 @@ def uncertainty(
         --samples N: Number of random robots drawn from the distributions of the
             parameters.
         --twin N: Number of runs of the twin if the compliant model runs all samples.
-        --without NAME: Parameter that keeps its value from the robot file, for example
+        --exclude NAME: Parameter that keeps its value from the robot file, for example
             friction.drag_n. Can be repeated.
-        --form FIELD=A,B: Scenario field with its possible values, which are equally
+        --model-form FIELD=A,B: Scenario field with its possible values, which are equally
             likely, for example pneumatics.kind=lag,orifice. Can be repeated.
         --write: Also write the intervals to calibration/intervals, where expectations
             of scenarios can use them.
@@ -85,8 +85,8 @@ def uncertainty(
             plants=parse_plants(plants),
             samples=samples,
             twin=twin,
-            without=without or (),
-            choices=_parse_choices(form or ()),
+            exclude=exclude or (),
+            choices=_parse_choices(model_form or ()),
             engine=runner,
             changed=options.changed,
             progress=lambda part, *row: counting.follow(f"{loaded.name}, {part}", *row),
@@ -110,7 +110,7 @@ def _parse_choices(options: Sequence[str]) -> dict[str, tuple[Any, ...]]:
     for text in options:
         name, _, values = text.partition("=")
         choices[name] = tuple(
-            Override.parse(f"--form {text}", name, value).value
+            Override.parse(f"--model-form {text}", name, value).value
             for value in values.split(",")
         )
     return choices
@@ -190,7 +190,7 @@ def _print_plant(result: Propagation, plant: str) -> bool:
         published = ""
         if uncertainty.published is not None and uncertainty.verdict is not None:
             published = f"{_short(uncertainty.published)} {uncertainty.verdict.value}"
-        ends = [uncertainty.interval(share) for share in RANGES]
+        ends = [uncertainty.interval(fraction) for fraction in RANGES]
         rows.append(
             (
                 name,

@@ -238,20 +238,20 @@ def sampling_errors(samples: Array) -> Array:
     return np.asarray(result.standard_error)
 
 
-def predict_twin(shares: Array, low: Array, high: Array) -> tuple[Array, Array]:
+def predict_twin(fractions: Array, low: Array, high: Array) -> tuple[Array, Array]:
     """Return the twin's metric at all samples, and the errors of interval ends.
 
     The errors are standard errors due to the surrogate.
 
     Args:
-        shares: inputs u of all samples, shape (samples, d).
+        fractions: inputs u of all samples, shape (samples, d).
         low: low-fidelity metric, NaN if unknown, shape (samples,).
         high: twin's metric at the first samples, shape (fewer,).
     """
     count = len(high)
     is_known = np.isfinite(low)
     is_known[:count] &= np.isfinite(high)
-    x = shares[is_known]
+    x = fractions[is_known]
     y = low[is_known]
     runs = high[is_known[:count]]
     samples = np.full(len(low), np.nan)

@@ -169,8 +169,8 @@ def _draw_swings(
         axes.errorbar([low, high], [y, y], xerr=swing["error"], **_ERROR)
         rank = f"{best} to {worst}" if is_tied else f"{best}"
         error = min(100 * index["total_error"], 100.0)
-        share = f"{100 * index['total']:.0f} ± {error:.0f} %, rank {rank}"
-        labels.append(field_label(f"robot.{swing['parameter']}") + f"\n{share}")
+        fraction = f"{100 * index['total']:.0f} ± {error:.0f} %, rank {rank}"
+        labels.append(field_label(f"robot.{swing['parameter']}") + f"\n{fraction}")
     axes.axvline(row["value"], color="#888888", linewidth=0.8)
     axes.set_yticks(range(len(labels)), labels)
     ends = [

@@ -177,14 +177,14 @@ class Propagation:
         for metric, column in self.rows[plant].items():
             samples = runs = column[:-REFERENCE_ROWS]
             at_medians, value, half_timestep = map(float, column[-REFERENCE_ROWS:])
-            if not np.isfinite(value) or _known_share(runs) < _MIN_KNOWN:
+            if not np.isfinite(value) or _known_fraction(runs) < _MIN_KNOWN:
                 continue
             surrogate = np.zeros(2 * len(RANGES))
             if low_fidelity is not None:
                 low = low_fidelity.get(metric, np.full(1, np.nan))[: self.study.samples]
-                if _known_share(low) < _MIN_KNOWN:
+                if _known_fraction(low) < _MIN_KNOWN:
                     continue
-                samples, surrogate = predict_twin(self.study.shares, low, runs)
+                samples, surrogate = predict_twin(self.study.fractions, low, runs)
             uncertainties[metric] = MetricUncertainty(
                 value,
                 half_timestep,
@@ -209,7 +209,7 @@ class Propagation:
         results = np.stack(
             [_fill_missing(uncertainties[name].samples) for name in names], axis=1
         )
-        chaos = PolynomialChaos.fit(self.study.shares, results)
+        chaos = PolynomialChaos.fit(self.study.fractions, results)
         for k, name in enumerate(names):
             first, total = chaos.indices[..., k]
             indices = SobolIndices(first, total, chaos.index_half_width[..., k])
@@ -243,7 +243,7 @@ class Propagation:
         width_now = float(np.ptp(self._target.interval("interval_95")))
         if not width_now > 0 or self._target.indices is None:
             return []
-        shares = self.study.draw(_PREDICTION_SAMPLES, self.study.seed + 1)
+        fractions = self.study.draw(_PREDICTION_SAMPLES, self.study.seed + 1)
         # The residuals add the error of the surrogate to the predicted intervals.
         rng = np.random.default_rng(self.study.seed)
         residuals = rng.choice(chaos.residuals[:, 0], _PREDICTION_SAMPLES)
@@ -253,9 +253,9 @@ class Propagation:
             for centre in prior.quantile(np.array(_CENTRES)):
                 sd = _MEASUREMENT_ERROR / 1.96 * abs(float(centre))
                 measured = prior.with_measurement(float(centre), sd)
-                shares_after = shares.copy()
-                shares_after[:, i] = prior.cdf(measured.quantile(shares[:, i]))
-                values = chaos.at(shares_after)[:, 0] + residuals
+                fractions_after = fractions.copy()
+                fractions_after[:, i] = prior.cdf(measured.quantile(fractions[:, i]))
+                values = chaos.at(fractions_after)[:, 0] + residuals
                 ends.append(np.quantile(values, RANGES["interval_95"]))
             width = float(np.mean(np.ptp(ends, axis=1)))
             if width < width_now:
@@ -273,11 +273,11 @@ class Propagation:
         count = len(names)
         # Two rows per quantity have the quantity at the ends of its 95 % interval. All
         # others are just below the median, so that a choice of two has its first value.
-        shares = np.full((2 * count, count), 0.5 - 1e-9)
-        shares[np.arange(2 * count), np.repeat(np.arange(count), 2)] = np.tile(
+        fractions = np.full((2 * count, count), 0.5 - 1e-9)
+        fractions[np.arange(2 * count), np.repeat(np.arange(count), 2)] = np.tile(
             RANGES["interval_95"], count
         )
-        ends = chaos.at(self.study.snapped(shares))[:, 0].reshape(count, 2).tolist()
+        ends = chaos.at(self.study.snapped(fractions))[:, 0].reshape(count, 2).tolist()
         error = 2 * float(np.sqrt((chaos.residuals[:, 0] ** 2).mean()))
         return [
             Swing(names[i], ends[i][0], ends[i][1], error)
@@ -321,7 +321,7 @@ class Propagation:
     @cached_property
     def _chaos(self) -> PolynomialChaos:
         return PolynomialChaos.fit(
-            self.study.shares, _fill_missing(self._target.samples)[:, None]
+            self.study.fractions, _fill_missing(self._target.samples)[:, None]
         )
 
     def document(self) -> dict[str, object]:
@@ -367,7 +367,7 @@ class Propagation:
         from srs_twin.viewing.plots.style import save
 
         parameters = self.study.priors.quantile(
-            self.study.shares[:, : len(self.study.priors.parameters)]
+            self.study.fractions[:, : len(self.study.priors.parameters)]
         )
         columns = dict(zip(self.study.priors.paths, parameters.T, strict=True))
         for plant, uncertainties in self.plants.items():
@@ -424,13 +424,13 @@ def _rounded(data: Any) -> Any:
     return data
 
 
-def _known_share(samples: np.ndarray) -> float:
+def _known_fraction(samples: np.ndarray) -> float:
     return float(np.isfinite(samples).mean())
 
 
 def _varies(samples: np.ndarray) -> bool:
     known = samples[np.isfinite(samples)]
-    return _known_share(samples) >= _MIN_KNOWN and bool(
+    return _known_fraction(samples) >= _MIN_KNOWN and bool(
         np.std(known) > 1e-9 * abs(known.mean())
     )
 
@@ -485,7 +485,7 @@ def uncertainty(
     plants: Sequence[str] | None = None,
     samples: int = 2048,
     twin: int = 64,
-    without: Sequence[str] = (),
+    exclude: Sequence[str] = (),
     choices: Mapping[str, tuple[Value, ...]] = MappingProxyType({}),
     engine: str | Engine = "local",
     workers: int | None = None,
@@ -503,7 +503,7 @@ def uncertainty(
         plants: plants that run, or None for the plants of the scenario.
         samples: number of robots drawn from the distributions.
         twin: number of runs of the twin if the model `compliant` runs all samples.
-        without: robot parameters that keep their values in the robot file.
+        exclude: robot parameters that keep their values in the robot file.
         choices: equally likely values of each scenario field. If the damping of the
             bends is uncertain, the two readings of their delay (`bending.lead`) are
             added.
@@ -519,7 +519,7 @@ def uncertainty(
     """
     loaded = load_scenario(scenario, set=set)
     robot = RobotFile.model_validate(loaded.document["robot"])
-    priors = Priors.from_robot(robot, without=without)
+    priors = Priors.from_robot(robot, exclude=exclude)
     if DAMPING in priors.paths and robot.bending.lead is None:
         choices = {LEAD: (True, False), **choices}
     study = UncertaintyStudy(

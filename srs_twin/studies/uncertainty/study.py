@@ -62,13 +62,15 @@ class UncertaintyStudy:
         """Return snapped Sobol points u in the unit cube, shape (count, d)."""
         return self.snapped(sobol_points(len(self.names), count, seed))
 
-    def snapped(self, shares: np.ndarray) -> np.ndarray:
+    def snapped(self, fractions: np.ndarray) -> np.ndarray:
         """Return points with each discrete choice at the middle of its interval."""
-        snapped = shares.copy()
+        snapped = fractions.copy()
         for i, values in enumerate(
             self.discrete_choices.values(), start=len(self.priors.parameters)
         ):
-            snapped[:, i] = (np.floor(shares[:, i] * len(values)) + 0.5) / len(values)
+            snapped[:, i] = (np.floor(fractions[:, i] * len(values)) + 0.5) / len(
+                values
+            )
         return snapped
 
     @cached_property
@@ -98,7 +100,7 @@ class UncertaintyStudy:
         return tuple(self.runs)
 
     @cached_property
-    def shares(self) -> np.ndarray:
+    def fractions(self) -> np.ndarray:
         """Sobol points u of all samples, shape (samples, d)."""
         return self.draw(self.samples, self.seed)
 
@@ -122,7 +124,7 @@ class UncertaintyStudy:
             middle = np.full(len(self.priors.parameters), 0.5)
             medians = [*self.priors.quantile(middle).tolist(), *choices]
             rows = [
-                *self._sampled(self.shares[: self.runs[part]], plant, step),
+                *self._sampled(self.fractions[: self.runs[part]], plant, step),
                 [*medians, step],
                 [*nominal, step],
                 [*nominal, step / 2],
@@ -144,14 +146,14 @@ class UncertaintyStudy:
         )
 
     def _sampled(
-        self, shares: np.ndarray, plant: str, step: float
+        self, fractions: np.ndarray, plant: str, step: float
     ) -> Iterator[list[Any]]:
         """Yield a row for each point u; short damping times shorten the time step."""
-        parameters, choices = np.split(shares, [len(self.priors.parameters)], axis=1)
-        for values, fractions in zip(
+        parameters, choices = np.split(fractions, [len(self.priors.parameters)], axis=1)
+        for values, chosen in zip(
             self.priors.quantile(parameters).tolist(), choices, strict=True
         ):
-            options = zip(self.discrete_choices.values(), fractions, strict=True)
+            options = zip(self.discrete_choices.values(), chosen, strict=True)
             own_step = step
             if plant == "twin" and DAMPING in self.priors.paths:
                 damping_time = values[self.priors.paths.index(DAMPING)]

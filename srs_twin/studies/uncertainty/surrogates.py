@@ -93,16 +93,16 @@ class PolynomialChaos:
     index_std: Array
 
     @classmethod
-    def fit(cls, shares: Array, results: Array, *, seed: int = 0) -> PolynomialChaos:
+    def fit(cls, fractions: Array, results: Array, *, seed: int = 0) -> PolynomialChaos:
         """Fit results, shape (samples, results), to inputs u, shape (samples, d)."""
-        count, variables = shares.shape
+        count, variables = fractions.shape
         variance = np.maximum(results.var(axis=0), 1e-300)
         best: tuple[float, Array, Array, Array] | None = None
         for degree in range(1, _MAX_DEGREE + 1):
             terms = _terms(variables, degree)
             if degree > 1 and len(terms) * _SAMPLES_PER_TERM > count:
                 break
-            design = _design_matrix(shares, terms)
+            design = _design_matrix(fractions, terms)
             coefficients, residuals = _cross_validate(design, results)
             unexplained = (residuals**2).mean(axis=0) / variance
             if best is None or unexplained.mean() < best[0]:
@@ -111,7 +111,7 @@ class PolynomialChaos:
         _, terms, coefficients, residuals = best
         ridge = 1e-9 * count * np.eye(len(terms))
         rng = np.random.default_rng(seed)
-        design = _design_matrix(shares, terms)
+        design = _design_matrix(fractions, terms)
         indices = []
         for _ in range(_RESAMPLINGS):
             rows = rng.integers(count, size=count)
@@ -123,9 +123,9 @@ class PolynomialChaos:
         unexplained = np.minimum((residuals**2).mean(axis=0) / variance, 1.0)
         return cls(terms, coefficients, unexplained, residuals, np.std(indices, axis=0))
 
-    def at(self, shares: Array) -> Array:
+    def at(self, fractions: Array) -> Array:
         """Return the predicted results at inputs u, shape (…, results)."""
-        return np.asarray(_design_matrix(shares, self.terms) @ self.coefficients)
+        return np.asarray(_design_matrix(fractions, self.terms) @ self.coefficients)
 
     @cached_property
     def indices(self) -> Array:
@@ -138,13 +138,13 @@ class PolynomialChaos:
         return np.asarray(2 * self.index_std + self.unexplained)
 
 
-def _design_matrix(shares: Array, terms: np.ndarray) -> Array:
+def _design_matrix(fractions: Array, terms: np.ndarray) -> Array:
     """Return each term at each sample, shape (samples, terms)."""
     orders = np.arange(terms.max(initial=0) + 1)
-    polynomials = eval_legendre(orders, 2 * shares[..., None] - 1) * np.sqrt(
+    polynomials = eval_legendre(orders, 2 * fractions[..., None] - 1) * np.sqrt(
         2 * orders + 1
     )
-    design = np.ones((len(shares), len(terms)))
+    design = np.ones((len(fractions), len(terms)))
     for i in range(terms.shape[1]):
         design *= polynomials[:, i, terms[:, i]]
     return design
@@ -265,7 +265,7 @@ def _kernel(log_hyperparameters: Array, x: Array, y: Array) -> Array:
 
 
 def predict_high_fidelity(
-    shares: Array, low: Array, high: Array, log_hyperparameters: Array | None = None
+    fractions: Array, low: Array, high: Array, log_hyperparameters: Array | None = None
 ) -> tuple[Array, Array]:
     """Predict a high-fidelity result at all samples from a low-fidelity result.
 
@@ -274,7 +274,7 @@ def predict_high_fidelity(
     variance of left-out samples.
 
     Args:
-        shares: inputs u of all samples, shape (samples, d).
+        fractions: inputs u of all samples, shape (samples, d).
         low: low-fidelity result, shape (samples,).
         high: high-fidelity result at the first samples, shape (fewer,).
         log_hyperparameters: hyperparameters of the Gaussian process, or None to search
@@ -289,7 +289,7 @@ def predict_high_fidelity(
     mean = float(high.mean())
     low_scale = max(float(low.std()), 1e-300)
     low_mean = float(low.mean())
-    x = np.column_stack([2 * shares - 1, (low - low_mean) / low_scale])
+    x = np.column_stack([2 * fractions - 1, (low - low_mean) / low_scale])
     y = (high - mean) / scale
     process = GaussianProcess(x[:count], y, log_hyperparameters=log_hyperparameters)
     prediction = mean + scale * process.at(x)

@@ -177,8 +177,8 @@ def _expectations(
     expectations: Sequence[ExpectationRow], verdicts: Sequence[str]
 ) -> Table:
     keys = ["source"]
-    if not {"known", "holds"}.isdisjoint(verdicts):
-        keys.append("known")
+    if not {"expected_failure", "holds"}.isdisjoint(verdicts):
+        keys.append("expected_failure")
     if "not_judged" in verdicts:
         keys.append("reason")
     rows = []

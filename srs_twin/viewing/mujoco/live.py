@@ -189,7 +189,7 @@ class LiveSnake:
             self.state = self.twin.reset()
             self._take_over()
             return
-        begin = scenario.begin
+        begin = scenario.initial_state
         seed = scenario.seed
         twin = self.twin
         if begin is None:

@@ -304,9 +304,9 @@ def tracking_plot(trajectories: Runs) -> Figure:
     ):
         shown = window.contains(run)
         time = run.time[shown]
-        if run.has("sensed_1"):
-            sensed = run["sensed_1"][shown]
-            bends.plot(time, sensed, color=style.color, linewidth=0.4, alpha=0.3)
+        if run.has("measured_bend_1"):
+            measured_bend = run["measured_bend_1"][shown]
+            bends.plot(time, measured_bend, color=style.color, linewidth=0.4, alpha=0.3)
         bends.plot(time, run["bend_1"][shown], **style.line, zorder=style.zorder)
         state = (run["valve_plus_1"] - run["valve_minus_1"])[shown] / 2
         # The valve states of a sample have been valid since the previous sample.
@@ -340,7 +340,7 @@ def reading_plot(trajectories: Runs) -> Figure | None:
     readings.plot(ends, ends, **REFERENCE.line | {"label": "bend"})
     for style, run, curve in curves:
         subset = slice(None, None, math.ceil(len(run) / _MAX_DOTS))
-        dots = np.degrees([run["bend_1"][subset], run["sensed_1"][subset]])
+        dots = np.degrees([run["bend_1"][subset], run["measured_bend_1"][subset]])
         readings.plot(*dots, ".", color=style.color, markersize=1.5, alpha=0.3)
         bend = np.degrees(curve.bend)
         readings.plot(bend, np.degrees(curve.reading), **style.line)

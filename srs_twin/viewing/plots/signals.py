@@ -34,7 +34,7 @@ def goal_ring(x: float, y: float, radius: float) -> Array:
 
 def wheel_centres(trajectory: Trajectory, geometry: Geometry) -> Array:
     """Return the centres of the wheels (left, right), shape (samples, N, 2, 2), m."""
-    theta = trajectory.stack("theta")[..., None]
+    theta = trajectory.stack("connector_heading")[..., None]
     return offset_to_sides(trajectory.position[:, :, None], theta, geometry.half_track)
 
 
@@ -44,7 +44,7 @@ def wheel_turns(trajectory: Trajectory, geometry: Geometry) -> Array:
     Forward rolling is positive.
     """
     centres = wheel_centres(trajectory, geometry)
-    theta = trajectory.stack("theta")
+    theta = trajectory.stack("connector_heading")
     mean_theta = (theta[1:] + theta[:-1]) / 2
     forward = np.stack([np.cos(mean_theta), np.sin(mean_theta)], axis=-1)[:, :, None]
     paths = (np.diff(centres, axis=0) * forward).sum(axis=-1)

@@ -156,7 +156,7 @@ class LiveView:
         columns: dict[str, np.ndarray] = {}
         for i, pose in enumerate(poses, start=1):
             x, y, theta = pose[:, None]
-            columns |= {f"x_{i}": x, f"y_{i}": y, f"theta_{i}": theta}
+            columns |= {f"x_{i}": x, f"y_{i}": y, f"connector_heading_{i}": theta}
         line = body_line(Trajectory(columns), geometry)[0]
         color = _LOST_COLOR if estimate.lost else rgb(STYLES["twin"].color)
         thickness = geometry.width / 4

@@ -5,7 +5,7 @@ Entities:
 - `world/floor`, `world/eye` (target of the camera), `world/obstacles`,
   `world/plan/{path, edges, goal}`
 - `world/<plant>/{body/segment_j, connectors, wheels, spokes, trail, com, contact}`
-- `module/<j>/{bend, pressure, valve, sensed, duty}/<plant>`
+- `module/<j>/{bend, pressure, valve, measured_bend, duty}/<plant>`
 - `body/{speed, heading}/<plant>`, `follow/{cross_track, offset}/<plant>`
 - `comparison/{shape, path}`, `measured/{shape, path, bend}/<plant>`
 - `events/<plant>`: text of controller events and contacts with obstacles
@@ -309,9 +309,11 @@ def _send_modules(to: Entities, plant: str, run: Trajectory, style: Style) -> No
     if run.has("valve_plus"):
         states = (run.stack("valve_plus") - run.stack("valve_minus")) / 2
         send(f"valve/{plant}", states, style, steps=True)
-    if run.has("sensed") and not np.array_equal(run.stack("sensed"), bends):
+    if run.has("measured_bend") and not np.array_equal(
+        run.stack("measured_bend"), bends
+    ):
         thin = replace(style, label=f"{style.label}, sensed", width=_READING_WIDTH)
-        send(f"sensed/{plant}", run.stack("sensed"), thin)
+        send(f"sensed/{plant}", run.stack("measured_bend"), thin)
     for side, color in _CHAMBER_COLORS.items():
         if run.has(f"duty_{side}"):
             colored = replace(style, label=f"{style.label}, {side}", color=color)

@@ -257,7 +257,7 @@ def _lines(snake: Trajectory, geometry: Geometry) -> np.ndarray:
 def _orientations(snake: Trajectory) -> np.ndarray:
     if snake.has("quaternion_w"):
         return np.stack([snake.stack(f"quaternion_{axis}") for axis in "xyzw"], axis=-1)
-    half = snake.stack("theta") / 2
+    half = snake.stack("connector_heading") / 2
     zero = np.zeros_like(half)
     return np.stack([zero, zero, np.sin(half), np.cos(half)], axis=-1)
 
@@ -344,7 +344,7 @@ def _send_wheels(
     to: Entities, snake: Trajectory, geometry: Geometry, color: Rgba
 ) -> None:
     radius = geometry.wheel_radius
-    axle = np.repeat(snake.stack("theta") + np.pi / 2, 2, axis=1)
+    axle = np.repeat(snake.stack("connector_heading") + np.pi / 2, 2, axis=1)
     centres = _at_height(wheel_centres(snake, geometry), radius)
     look = {"lengths": [0.4 * radius], "radii": [radius], "colors": [color]}
     _send_solids(to, "wheels", rr.Cylinders3D, centres, _yaw_quaternions(axle), **look)
@@ -354,7 +354,7 @@ def _send_spokes(to: Entities, snake: Trajectory, geometry: Geometry) -> None:
     """Log a bar on each wheel that makes the wheel's rotation visible."""
     radius = geometry.wheel_radius
     half = [0.85 * radius, 0.22 * radius, 0.13 * radius]
-    yaw = snake.stack("theta")[:, :, None] / 2
+    yaw = snake.stack("connector_heading")[:, :, None] / 2
     turn = wheel_turns(snake, geometry) / 2
     c = np.cos(yaw)
     s = np.sin(yaw)

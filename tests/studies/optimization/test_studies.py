@@ -197,12 +197,12 @@ def test_few_runs_of_the_twin_find_an_optimum_that_the_cheap_model_misses(
     best, *others = result.best
     assert best.part == "twin" and sum(run.part == "twin" for run in result.runs) == 24
     assert best.metric("com_speed_m_s") > 0.98 * 0.4
-    assert all(math.dist(best.shares, run.shares) > 0.1 for run in others)
+    assert all(math.dist(best.fractions, run.fractions) > 0.1 for run in others)
     cheap = max(
         (run for run in result.runs if run.part == "compliant"),
         key=lambda run: run.metric("com_speed_m_s"),
     )
-    assert speed(*question.space.values(cheap.shares), "twin") < 0.9 * 0.4
+    assert speed(*question.space.values(cheap.fractions), "twin") < 0.9 * 0.4
 
 
 @pytest.mark.slow
@@ -220,7 +220,7 @@ def test_optimum_at_two_bounds_is_found(tmp_path, most_f, most_p):
     question = load_study(path)
     best, *_ = run_search(question, tmp_path / "out", Engine(speed=slope)).best
     bound = np.array([most_f == 2.8, most_p == 2.6])
-    assert np.abs(best.shares - bound).max() < 0.015
+    assert np.abs(best.fractions - bound).max() < 0.015
 
 
 def test_designs_on_a_bound_are_marked_in_document_and_text(tmp_path):
@@ -250,17 +250,20 @@ def test_designs_on_a_bound_are_marked_in_document_and_text(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("share", "bound"), [(0.0, "low"), (0.009, "low"), (0.011, None), (0.995, "high")]
+    ("fraction", "bound"),
+    [(0.0, "low"), (0.009, "low"), (0.011, None), (0.995, "high")],
 )
 @pytest.mark.parametrize("scale", ["linear", "log"])
-def test_a_design_within_one_per_cent_of_the_range_is_on_the_bound(share, bound, scale):
+def test_a_design_within_one_per_cent_of_the_range_is_on_the_bound(
+    fraction, bound, scale
+):
     space = DesignSpace({"a": VariableFile(low=1, high=100, scale=scale)}, {})
-    assert space.bounds(np.array([share])) == ({} if bound is None else {"a": bound})
+    assert space.bounds(np.array([fraction])) == ({} if bound is None else {"a": bound})
 
 
 @pytest.mark.parametrize("scale", ["linear", "log"])
 @pytest.mark.parametrize("whole", [False, True])
-def test_shares_map_to_both_bounds_and_back(scale, whole):
+def test_fractions_map_to_both_bounds_and_back(scale, whole):
     ranges = {
         name: VariableFile(low=low, high=high, scale=scale, whole=whole)
         for name, low, high in (("a", 1, 7), ("b", 3, 4000), ("c", 20, 21))
@@ -274,12 +277,12 @@ def test_shares_map_to_both_bounds_and_back(scale, whole):
     assert space.values(np.full(3, -0.1)) == (1, 3, 20) and space.values(
         np.full(3, 1.1)
     ) == (7, 4000, 21)
-    for share in np.linspace(0, 1, 11):
-        values = space.values(np.full(3, share))
-        back = space.values(space.shares(values))
+    for fraction in np.linspace(0, 1, 11):
+        values = space.values(np.full(3, fraction))
+        back = space.values(space.fractions(values))
         assert back == pytest.approx(values, rel=2e-6)
         if not whole:
-            assert space.shares(values) == pytest.approx(share, abs=1e-4)
+            assert space.fractions(values) == pytest.approx(fraction, abs=1e-4)
     middle = space.values(np.full(3, 0.5))
     assert middle[0] == pytest.approx(
         {"linear": 4, "log": math.sqrt(7)}[scale], abs=0.5 if whole else 1e-5
@@ -315,7 +318,8 @@ def test_an_optimum_that_violates_a_constraint_of_the_low_fidelity_model_is_foun
     cheap = [
         run
         for run in result.runs
-        if run.part == "compliant" and run.shares.tobytes() == best.shares.tobytes()
+        if run.part == "compliant"
+        and run.fractions.tobytes() == best.fractions.tobytes()
     ]
     assert cheap[0].metric("cost_of_transport") > 0.5
     assert result.improvement < 0.005
@@ -387,7 +391,7 @@ def test_searches_with_infeasible_constraints_or_exhausted_spaces_end(tmp_path):
         "utf-8",
     )
     result = run_search(load_study(few), tmp_path / "few")
-    assert {load_study(few).space.values(run.shares) for run in result.runs} == {
+    assert {load_study(few).space.values(run.fractions) for run in result.runs} == {
         (2,),
         (3,),
         (4,),
@@ -467,8 +471,8 @@ def test_the_number_of_segments_keeps_total_length_and_mass(tmp_path):
     )
     question = load_study(path)
     before = load_scenario("gen2_straight").robot
-    for count, share in ((2, 0.0), (5, 0.5), (8, 1.0)):
-        changes = question.space.changes(np.array([share]))
+    for count, fraction in ((2, 0.0), (5, 0.5), (8, 1.0)):
+        changes = question.space.changes(np.array([fraction]))
         robot = parse_scenario(question.experiments["twin"].document(changes)).robot
         assert robot.segments == count
         assert robot.geometry.body_length == pytest.approx(before.geometry.body_length)
@@ -537,8 +541,8 @@ def test_the_best_scenario_of_the_command_can_be_run(srs_twin, tmp_path):
 @pytest.mark.parametrize("name", shipped_names("study"))
 def test_shipped_studies_load_and_their_designs_are_scenarios(name):
     question = load_study(name)
-    for share in (0.0, 0.5, 1.0):
-        design = question.space.changes(np.full(question.space.size, share))
+    for fraction in (0.0, 0.5, 1.0):
+        design = question.space.changes(np.full(question.space.size, fraction))
         robot = parse_scenario(question.experiments["twin"].document(design)).robot
         assert robot.segments >= 2
         # The compliant model is planar.

@@ -91,9 +91,9 @@ def test_the_digest_does_not_depend_on_planning_time(tmp_path):
         ),
     ],
 )
-def test_invalid_exclusions_are_refused(without, says, tmp_path, srs_twin):
+def test_invalid_exclusions_are_refused(exclude, says, tmp_path, srs_twin):
     write(tmp_path, WORLDS)
-    done = srs_twin("sweep", "small.yaml", "--without", without, cwd=tmp_path)
+    done = srs_twin("sweep", "small.yaml", "--exclude", exclude, cwd=tmp_path)
     assert (
         done.returncode == 2 and says in done.stderr and "Traceback" not in done.stderr
     )

@@ -46,7 +46,7 @@ def law(f, p):
     return 0.1 + 0.02 * f + 0.003 * p
 
 
-def table(f, p, *, failed=(), missing=(), share=0.8):
+def table(f, p, *, failed=(), missing=(), fraction=0.8):
     rows = len(f)
     lost = np.isin(np.arange(rows), [*failed, *missing])
     ours = [None if gone else float(v) for gone, v in zip(lost, law(f, p), strict=True)]
@@ -57,8 +57,8 @@ def table(f, p, *, failed=(), missing=(), share=0.8):
         "status": ["failed" if i in failed else "done" for i in range(rows)],
         "reason": ["diverged" if i in failed else None for i in range(rows)],
         A: ours,
-        B: [None if v is None else share * v for v in ours],
-        "comparison.com_speed_rel": [None if v is None else share - 1 for v in ours],
+        B: [None if v is None else fraction * v for v in ours],
+        "comparison.com_speed_rel": [None if v is None else fraction - 1 for v in ours],
         "wall_s": [0.1] * rows,
     }
 
@@ -156,10 +156,10 @@ def test_lines_show_the_table_by_value_and_plant():
     assert len(drawn) == 2 * 3
     for k, line in enumerate(drawn):
         pressure = (20.0, 30.0, 40.0)[k % 3]
-        share = (1.0, 0.8)[k // 3]
+        fraction = (1.0, 0.8)[k // 3]
         x, y = line.get_data()
         assert np.array_equal(x, [0.5, 1.0, 1.5, 2.0])
-        expected = share * law(x, pressure)
+        expected = fraction * law(x, pressure)
         expected[(x == 1.0) & (pressure == 30.0)] = np.nan
         assert y == pytest.approx(expected, nan_ok=True)
     assert len({line.get_color() for line in drawn[:3]}) == 3
@@ -264,7 +264,7 @@ def test_a_plot_without_data_states_the_reason(values, message, request_, tmp_pa
 
 
 def test_a_single_value_is_stated_and_shown():
-    figure = draw(LINE, table(np.array([1.0]), np.array([30.0]), share=1.0))
+    figure = draw(LINE, table(np.array([1.0]), np.array([30.0]), fraction=1.0))
     assert f"every value is {law(1.0, 30.0):.4g}" in words(figure)
     assert curves(planes(figure)[0])[0].get_ydata() == pytest.approx([law(1.0, 30.0)])
 

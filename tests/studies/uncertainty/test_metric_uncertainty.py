@@ -49,7 +49,7 @@ def result_of(study: UncertaintyStudy, law: Law) -> Propagation:
     own = np.full((3, len(study.names)), 0.5)
     own[1:] = study.priors.parameters[0].value
     return Propagation(
-        study, {"analytical": {SPEED: law(np.concatenate([study.shares, own]))}}
+        study, {"analytical": {SPEED: law(np.concatenate([study.fractions, own]))}}
     )
 
 
@@ -59,7 +59,7 @@ def spread_of(study: UncertaintyStudy, law: Law) -> MetricUncertainty:
 
 def weighted(weights: np.ndarray) -> Law:
     """Return a weighted sum; its total indices are proportional to the squared weights."""
-    return lambda shares: shares @ weights
+    return lambda fractions: fractions @ weights
 
 
 @pytest.mark.parametrize("name", ["interval_50", "interval_95"])
@@ -127,12 +127,12 @@ def test_stated_errors_cover_the_ends_predicted_by_a_surrogate():
             + 0.5 * (u[:, 4] - 0.5) * u[:, 0] ** 2
         )
 
-    shares = study_of(5, 512).shares
+    fractions = study_of(5, 512).fractions
     result = []
     stated = []
     of_surrogate = []
     for seed in range(12):
-        x = shares[np.random.default_rng(seed).permutation(512)]
+        x = fractions[np.random.default_rng(seed).permutation(512)]
         samples, surrogate = predict_twin(x, cheap(x), costly(x[:32]))
         result.append(np.quantile(samples, [0.025, 0.975]))
         stated.append(np.hypot(sampling_errors(samples), surrogate)[2:])
@@ -163,9 +163,9 @@ def test_both_error_components_are_stated_at_both_ends():
 
 
 def test_an_exact_surrogate_adds_no_error():
-    shares = study_of(2, 64).shares
+    fractions = study_of(2, 64).fractions
     noise = np.random.default_rng(0).normal(size=64)
-    samples, surrogate = predict_twin(shares, shares[:, 0], noise[:32])
+    samples, surrogate = predict_twin(fractions, fractions[:, 0], noise[:32])
     assert np.isfinite(samples).sum() == 32
     assert not surrogate.any()
 

@@ -32,7 +32,7 @@ from srs_twin.studies.uncertainty.surrogates import (
     predict_high_fidelity,
 )
 
-SHARES = (np.arange(4000) + 0.5) / 4000
+FRACTIONS = (np.arange(4000) + 0.5) / 4000
 
 
 def robot(**uncertain: dict[str, Any]) -> RobotFile:
@@ -61,16 +61,16 @@ def robot(**uncertain: dict[str, Any]) -> RobotFile:
 )
 def test_samples_have_the_distribution_of_the_file(spread, expected):
     (prior,) = Priors.from_robot(robot(friction__mu_t=spread)).parameters
-    assert prior.quantile(SHARES) == pytest.approx(expected.ppf(SHARES), rel=1e-9)
+    assert prior.quantile(FRACTIONS) == pytest.approx(expected.ppf(FRACTIONS), rel=1e-9)
 
 
 @pytest.mark.slow
-@given(sd=st.floats(1e-4, 10.0), share=st.floats(0.0, 1.0), more=st.floats(0.0, 1.0))
-def test_normal_samples_are_truncated_and_monotone(sd, share, more):
+@given(sd=st.floats(1e-4, 10.0), fraction=st.floats(0.0, 1.0), more=st.floats(0.0, 1.0))
+def test_normal_samples_are_truncated_and_monotone(sd, fraction, more):
     (prior,) = Priors.from_robot(
         robot(friction__mu_t={"kind": "normal", "sd": sd})
     ).parameters
-    low, high = prior.quantile(np.sort([share, more]))
+    low, high = prior.quantile(np.sort([fraction, more]))
     assert 0.0 <= low <= high <= 10.0
 
 
@@ -161,14 +161,14 @@ def test_a_set_parameter_is_not_uncertain():
 @pytest.mark.slow
 def test_sensitivities_of_ishigamis_function():
     """With a = 7 and b = 0.1: S = 0.3139, 0.4424, 0; T = 0.5576, 0.4424, 0.2437."""
-    shares = stats.qmc.Sobol(3, rng=1).random(1024)
-    x = np.pi * (2 * shares - 1)
+    fractions = stats.qmc.Sobol(3, rng=1).random(1024)
+    x = np.pi * (2 * fractions - 1)
     y = (
         np.sin(x[:, 0])
         + 7 * np.sin(x[:, 1]) ** 2
         + 0.1 * x[:, 2] ** 4 * np.sin(x[:, 0])
     )
-    result = PolynomialChaos.fit(shares, y[:, None])
+    result = PolynomialChaos.fit(fractions, y[:, None])
     expected = np.array([[0.3139, 0.4424, 0.0], [0.5576, 0.4424, 0.2437]])
     assert result.indices[..., 0] == pytest.approx(expected, abs=2e-4)
     assert (
@@ -180,19 +180,20 @@ def test_sensitivities_of_ishigamis_function():
 def test_errors_of_indices_cover_their_sampling_error():
     held = []
     for seed in range(20):
-        shares = stats.qmc.Sobol(3, rng=seed).random(64)
+        fractions = stats.qmc.Sobol(3, rng=seed).random(64)
         noise = np.random.default_rng(seed).normal(size=64)
         y = (
-            2 * shares[:, 0]
-            + shares[:, 1]
-            + 0.3 * shares[:, 0] * shares[:, 2]
+            2 * fractions[:, 0]
+            + fractions[:, 1]
+            + 0.3 * fractions[:, 0] * fractions[:, 2]
             + 0.05 * noise
         )
         plain = np.array([2.15, 1.0, 0.15]) ** 2
-        share = plain / (plain.sum() + 0.3**2 / 12)
-        result = PolynomialChaos.fit(shares, y[:, None])
+        fraction = plain / (plain.sum() + 0.3**2 / 12)
+        result = PolynomialChaos.fit(fractions, y[:, None])
         held.append(
-            np.abs(result.indices[0, :, 0] - share) <= result.index_half_width[0, :, 0]
+            np.abs(result.indices[0, :, 0] - fraction)
+            <= result.index_half_width[0, :, 0]
         )
     assert np.mean(held) >= 0.9
 
@@ -221,7 +222,7 @@ def test_sensitivities_of_the_complete_model_by_brute_force(tmp_path):
     a, b = rng.random((2, 1000, 3))
     mixed = [np.where(np.arange(3) == i, b, a) for i in range(3)]
 
-    def speeds(shares: np.ndarray) -> np.ndarray:
+    def speeds(fractions: np.ndarray) -> np.ndarray:
         from dataclasses import replace
 
         from srs_twin import AnalyticalSnake, Gait, rollout
@@ -229,7 +230,7 @@ def test_sensitivities_of_the_complete_model_by_brute_force(tmp_path):
 
         out = []
         spec = study.scenario.robot
-        for row in priors.quantile(shares):
+        for row in priors.quantile(fractions):
             at = dict(zip(priors.paths, row, strict=True))
             one = replace(
                 spec,
@@ -296,14 +297,16 @@ def test_few_high_fidelity_runs_correct_a_low_fidelity_model():
             0.8 * cheap(u) + 0.3 * np.sin(3 * u[:, 1]) + 0.1 * u[:, 4] * u[:, 0]
         )
 
-    shares = stats.qmc.Sobol(5, rng=3).random(2048)
-    result, _ = predict_high_fidelity(shares, cheap(shares), costly(shares[:64]))
+    fractions = stats.qmc.Sobol(5, rng=3).random(2048)
+    result, _ = predict_high_fidelity(
+        fractions, cheap(fractions), costly(fractions[:64])
+    )
     ends, expected = (
-        np.quantile(item, [0.025, 0.975]) for item in (result, costly(shares))
+        np.quantile(item, [0.025, 0.975]) for item in (result, costly(fractions))
     )
     assert np.abs(ends - expected).max() < 0.03 * np.ptp(expected)
-    assert result == pytest.approx(costly(shares), abs=0.05)
-    alone = np.quantile(costly(shares[:64]), [0.025, 0.975])
+    assert result == pytest.approx(costly(fractions), abs=0.05)
+    alone = np.quantile(costly(fractions[:64]), [0.025, 0.975])
     assert np.abs(ends - expected).max() < 0.5 * np.abs(alone - expected).max()
 
 

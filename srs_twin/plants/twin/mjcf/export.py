@@ -52,9 +52,9 @@ _DEPARTURES = {
     "actuator.tau_vent_s": _PRESSURES,
     "actuator.response_time_s": _PRESSURES,
     "actuator.bend_limit_rad": _LIMIT,
-    "actuator.onset_share": _ONSET,
-    "actuator.onset_rad": _ONSET,
-    "actuator.onset_width_rad": _ONSET,
+    "actuator.onset_fraction": _ONSET,
+    "actuator.dead_zone_rad": _ONSET,
+    "actuator.dead_zone_transition_rad": _ONSET,
     "chamber.dead_volume_ml": _VOLUMES,
     "chamber.air_volume_ml": _VOLUMES,
     "modules.tau_fill": _PRESSURES,
@@ -125,10 +125,10 @@ def robot_files(
             f"{spec.name} cannot be exported, because an MJCF file cannot contain the"
             " friction law of a skin; export a robot with wheels"
         )
-    if spec.actuator.onset_share > 0.0 and not linear:
+    if spec.actuator.onset_fraction > 0.0 and not linear:
         raise InputError(
-            f"{spec.name} has a dead zone (actuator.onset_share"
-            f" {spec.actuator.onset_share:g}, onset_rad {spec.actuator.onset:g} rad),"
+            f"{spec.name} has a dead zone (actuator.onset_fraction"
+            f" {spec.actuator.onset_fraction:g}, dead_zone_rad {spec.actuator.dead_zone:g} rad),"
             " but the actuators of an MJCF file are linear, and the model would move"
             " as if it had none; --linear exports it for controls that you convert"
             " (models/README.md)"
@@ -169,8 +169,8 @@ def _add_lags(mj: mujoco.MjSpec, spec: RobotSpec) -> None:
     G is the gain and p⁺, p⁻ are the chamber pressures. With T = c/k the moment is (1 −
     T/τ₂) k x + (T/τ₂) k G (p⁺ − p⁻). No second actuator is needed if T = τ₂.
     """
-    share = spec.bending.damping_time / spec.actuator.tau_mode
-    if math.isclose(share, 1.0, rel_tol=1e-9):
+    fraction = spec.bending.damping_time / spec.actuator.tau_mode
+    if math.isclose(fraction, 1.0, rel_tol=1e-9):
         return
     for chamber in [
         each for each in mj.actuators if each.name.startswith(("plus_", "minus_"))
@@ -182,8 +182,8 @@ def _add_lags(mj: mujoco.MjSpec, spec: RobotSpec) -> None:
         lagged.trntype = chamber.trntype
         lagged.dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
         lagged.dynprm[0] = spec.actuator.tau_mode
-        lagged.gainprm[0] = (1 - share) * chamber.gainprm[0]
-        chamber.gainprm[0] *= share
+        lagged.gainprm[0] = (1 - fraction) * chamber.gainprm[0]
+        chamber.gainprm[0] *= fraction
     mj.keys[0].ctrl = [0.0] * len(mj.actuators)
     mj.keys[0].act = [0.0] * sum(each.name.endswith("_lag") for each in mj.actuators)
 

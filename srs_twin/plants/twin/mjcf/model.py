@@ -44,7 +44,7 @@ from srs_twin.plants.twin.mjcf.numerics import (
 )
 from srs_twin.plants.twin.mjcf.rules import check
 from srs_twin.plants.twin.mjcf.surroundings import (
-    add_hull_class,
+    add_collision_class,
     add_objects,
     add_obstacles,
     add_steps,
@@ -77,8 +77,8 @@ def robot_mjcf(
         settings: time step, discretisation and contact.
         supply_pa: upper limit of the controls, Pa. The limits of the robot are used if
             they are higher.
-        obstacle_friction: friction coefficient of hulls that touch obstacles
-            (`surroundings`), dimensionless, or None for a body without hulls.
+        obstacle_friction: friction coefficient of collision geoms that touch obstacles
+            (`surroundings`), dimensionless, or None for a body without collision geoms.
 
     Raises:
         InputError: the twin does not support the robot with these settings (`rules`).
@@ -94,7 +94,7 @@ def robot_mjcf(
     limit = max(supply.continuous_limit, supply.pulsed_limit, supply_pa or 0.0)
     add_classes(mj, spec, settings, limit_pa=limit)
     if obstacle_friction is not None:
-        add_hull_class(mj, spec, settings, obstacle_friction)
+        add_collision_class(mj, spec, settings, obstacle_friction)
     chain = _Chain(mj, spec, settings)
     chain.add_bodies()
     if spec.skin is not None:
@@ -136,7 +136,7 @@ def scene_mjcf(
     check(spec, settings, world)
     friction = world.friction if world.is_solid else None
     mj = robot_mjcf(spec, settings, supply_pa=supply_pa, obstacle_friction=friction)
-    mj.option.gravity = [GRAVITY * share for share in world.floor.down]
+    mj.option.gravity = [GRAVITY * fraction for fraction in world.floor.down]
     add_surroundings(mj, spec.geometry.body_length)
     if world.is_solid:
         add_obstacles(mj, spec, world)
@@ -306,9 +306,12 @@ class _Chain:
         self._add_geom(
             body, "skin", name=f"skin_{name}", fromto=[front, 0, z, back, 0, z]
         )
-        if self.mj.find_default("hull"):
+        if self.mj.find_default("collision"):
             self._add_geom(
-                body, "hull", name=f"hull_{name}", fromto=[front, 0, 0, back, 0, 0]
+                body,
+                "collision",
+                name=f"collision_{name}",
+                fromto=[front, 0, 0, back, 0, 0],
             )
 
     def _add_geom(self, body: MjsBody, kind: str, **attributes: Any) -> None:

@@ -33,10 +33,10 @@ Law = Literal["wheel", "ellipse", "axis", "cosine"]
 LAWS_ON_LOADS: tuple[Law, ...] = get_args(Law)
 """Friction laws for loaded contact."""
 
-LOADS = ("momentary", "across", "static")
+LOADS = ("instantaneous", "across", "static")
 """Ways to compute the load of a wheel in the friction law.
 
-- momentary: the instantaneous normal force.
+- instantaneous: the instantaneous normal force.
 - across: the weight of the connector, divided in the ratio of the normal forces on its
   two wheels, as in the analytical model.
 - static: half of the weight of the connector.
@@ -66,7 +66,7 @@ class LoadedContact:
         law: friction law, "wheel", "ellipse", "axis" or "cosine" (docs/friction.md). A skin
             has its own law.
         load: load of a wheel in the friction law, one of `LOADS`. All loads except
-            "momentary" serve for comparison.
+            "instantaneous" serve for comparison.
         slip_speed: slip speed ε, m/s. Below the friction limit μN the force changes by μN/ε
             times the velocity, so that a resting contact does not creep (`stick_slip`).
             None means `SLIP_SPEED_M_S` times the time unit of the robot (`robot.scale`).
@@ -76,7 +76,7 @@ class LoadedContact:
     rolling: ClassVar = True
 
     law: Law = "wheel"
-    load: str = "momentary"
+    load: str = "instantaneous"
     slip_speed: float | None = None
 
     def __post_init__(self) -> None:
@@ -191,7 +191,7 @@ class Numerics:
     """Switches for studies of the twin itself.
 
     Attributes:
-        link_share: fraction of the lightest connector's mass that is placed between the
+        link_fraction: fraction of the lightest connector's mass that is placed between the
             hinges of a segment, dimensionless. The dissertation places all mass at the
             connectors.
         wheel_spin: factor on the wheels' moment of inertia about their axles,
@@ -200,7 +200,7 @@ class Numerics:
             in the analytical model. Otherwise a loaded segment also bends into an S.
     """
 
-    link_share: float = 0.02
+    link_fraction: float = 0.02
     wheel_spin: float = 1.0
     constant_curvature: bool = False
 
@@ -236,7 +236,7 @@ class ModelSettings:
     def link_mass(self, spec: RobotSpec) -> float:
         """Return the mass of a link between two hinges, taken from connectors, kg."""
         links = max(1, self.hinges_per_segment - 1)
-        return self.numerics.link_share * min(spec.mass.connectors) / links
+        return self.numerics.link_fraction * min(spec.mass.connectors) / links
 
     def contact_time(self, spec: RobotSpec) -> float:
         """Return the time constant of the normal contact, s.

@@ -2,9 +2,9 @@
 
 **Obstacles** consist of capsules. A circle is represented by an upright capsule with
 the radius of the circle. A polygon has a capsule of 1 mm radius along each side, which
-enlarges the polygon by 1 mm. The body touches obstacles with its hulls. Hulls are
+enlarges the polygon by 1 mm. The body touches obstacles with its collision geoms. Hulls are
 copies of the capsules of the skin with the width of the robot, at the height of the
-centres of mass. MuJoCo therefore computes the contact between hull and obstacle in
+centres of mass. MuJoCo therefore computes the contact between collision geom and obstacle in
 closed form, in the plane. Hulls exist only in worlds with obstacles or objects, so
 other worlds have no additional cost.
 
@@ -32,9 +32,9 @@ from srs_twin.plants.twin.mjcf.classes import ROOT
 from srs_twin.plants.twin.mjcf.numerics import ModelSettings
 from srs_twin.plants.twin.mjcf.wheels import add_force_sensor, add_velocity_sensor
 from srs_twin.robot.spec import RobotSpec
-from srs_twin.robot.world import WALL_M, MovableObject, Step, World
+from srs_twin.robot.world import WALL_M, FloorStep, MovableObject, World
 
-# MuJoCo's contype of obstacles and conaffinity of hulls. Floor and wheels touch through
+# MuJoCo's contype of obstacles and conaffinity of collision geoms. Floor and wheels touch through
 # explicit pairs.
 CONTACT_BIT = 2
 HEIGHT_RATIO = 2.0  # ratio of a round obstacle's half height to the body's width
@@ -49,34 +49,34 @@ _IMPEDANCE = 0.99, 0.999
 # Depth over which a contact reaches its full stiffness, at a length unit of 1, m.
 _TRANSITION_DEPTH = 0.0005
 _GREY = [0.45, 0.47, 0.5, 1]  # RGBA
-_HULL_GROUP = 4  # geom group; viewers do not show it
+_COLLISION_GROUP = 4  # geom group; viewers do not show it
 _GRADIENT = mujoco.mjtBuiltin.mjBUILTIN_GRADIENT
 _CHECKER = mujoco.mjtBuiltin.mjBUILTIN_CHECKER
 
 
-def add_hull_class(
+def add_collision_class(
     mj: mujoco.MjSpec, spec: RobotSpec, settings: ModelSettings, friction: float
 ) -> None:
-    """Add the class ``hull`` for the geoms of the body that touch obstacles."""
+    """Add the class ``collision_geom`` for the geoms of the body that touch obstacles."""
     depth = _TRANSITION_DEPTH * spec.scale.length
-    hull = mj.add_default("hull", mj.find_default(ROOT)).geom
-    hull.type = mjtGeom.mjGEOM_CAPSULE
-    hull.size = [spec.geometry.width / 2, 0, 0]
-    hull.conaffinity = CONTACT_BIT
-    hull.group = _HULL_GROUP
-    hull.priority = 1
+    collision_geom = mj.add_default("collision", mj.find_default(ROOT)).geom
+    collision_geom.type = mjtGeom.mjGEOM_CAPSULE
+    collision_geom.size = [spec.geometry.width / 2, 0, 0]
+    collision_geom.conaffinity = CONTACT_BIT
+    collision_geom.group = _COLLISION_GROUP
+    collision_geom.priority = 1
     # Under loaded contact MuJoCo computes only the normal forces.
-    hull.condim = 1 if settings.loaded else 3
-    hull.friction = [friction, 0.005, 0.0001]
-    hull.solref = [_MIN_CONTACT_STEPS * settings.timestep, 1]
-    hull.solimp = [*_IMPEDANCE, depth, 0.5, 2]
+    collision_geom.condim = 1 if settings.loaded else 3
+    collision_geom.friction = [friction, 0.005, 0.0001]
+    collision_geom.solref = [_MIN_CONTACT_STEPS * settings.timestep, 1]
+    collision_geom.solimp = [*_IMPEDANCE, depth, 0.5, 2]
 
 
 def add_obstacles(mj: mujoco.MjSpec, spec: RobotSpec, world: World) -> None:
-    """Add the obstacles of a world, and sensors on each hull.
+    """Add the obstacles of a world, and sensors on each collision geom.
 
-    The sensors measure the force of all obstacles on the hull (N) with its point of
-    application (m), and the velocity of the hull's centre (m/s), all in the world
+    The sensors measure the force of all obstacles on the collision geom (N) with its point of
+    application (m), and the velocity of the collision geom's centre (m/s), all in the world
     frame.
     """
     solid = mj.add_default("obstacle", mj.default).geom
@@ -98,19 +98,23 @@ def add_obstacles(mj: mujoco.MjSpec, spec: RobotSpec, world: World) -> None:
             zip(corners, np.roll(corners, -1, axis=0), strict=True), start=1
         ):
             _add_capsule(mj, f"polygon_{k}_side_{side}", WALL_M, [*begin, z], [*end, z])
-    for hull in hulls(mj):
+    for collision_geom in collision_geoms(mj):
         add_force_sensor(
             mj,
-            f"obstacle_force_{hull}",
+            f"obstacle_force_{collision_geom}",
             mjtObj.mjOBJ_BODY,
             "world",
-            on=hull,
+            on=collision_geom,
             position=True,
         )
-        add_velocity_sensor(mj, f"velocity_{hull}", mjtObj.mjOBJ_GEOM, hull)
+        add_velocity_sensor(
+            mj, f"velocity_{collision_geom}", mjtObj.mjOBJ_GEOM, collision_geom
+        )
 
 
-def add_steps(mj: mujoco.MjSpec, steps: tuple[Step, ...], spec: RobotSpec) -> list[str]:
+def add_steps(
+    mj: mujoco.MjSpec, steps: tuple[FloorStep, ...], spec: RobotSpec
+) -> list[str]:
     """Lower the floor, add boxes for raised levels, and return the names of the boxes.
 
     The floor before the first step, at the smallest x, has the height 0. Cameras use
@@ -152,18 +156,18 @@ def _add_capsule(
     )
 
 
-def hulls(mj: mujoco.MjSpec | mujoco.MjModel) -> list[str]:
+def collision_geoms(mj: mujoco.MjSpec | mujoco.MjModel) -> list[str]:
     """Return the names of the body's geoms that touch obstacles."""
     if isinstance(mj, mujoco.MjSpec):
         geoms = mj.geoms
     else:
         geoms = [mj.geom(k) for k in range(mj.ngeom)]
-    return [geom.name for geom in geoms if geom.name.startswith("hull_")]
+    return [geom.name for geom in geoms if geom.name.startswith("collision_")]
 
 
 def friction_of(model: mujoco.MjModel) -> float:
-    """Return the friction coefficient between body and obstacles, 0 without hulls."""
-    names = hulls(model)
+    """Return the friction coefficient between body and obstacles, 0 without collision geoms."""
+    names = collision_geoms(model)
     if names:
         return float(model.geom(names[0]).friction[0])
     return 0.0
@@ -228,12 +232,12 @@ _COLOR = [0.86, 0.56, 0.22, 1]  # RGBA
 def add_objects(mj: mujoco.MjSpec, spec: RobotSpec, world: World) -> None:
     """Add the objects of a world after the robot, and their poses to keyframe ``home``.
 
-    Sensors measure the force of each object on each hull with its point of application.
+    Sensors measure the force of each object on each collision geom with its point of application.
     They also measure the velocity and the angular velocity of each object. All values
     are in the world frame.
     """
     default = mj.add_default("object", mj.default)
-    hull = mj.find_default("hull").geom
+    collision_geom = mj.find_default("collision").geom
     solid = default.geom
     # Hulls have a higher priority than objects, so contacts between them have only
     # normal forces in the engine.
@@ -241,13 +245,13 @@ def add_objects(mj: mujoco.MjSpec, spec: RobotSpec, world: World) -> None:
     solid.condim = 3
     solid.friction = [world.friction, 0.005, 0.0001]
     solid.rgba = _COLOR
-    solid.solref = hull.solref
-    solid.solimp = hull.solimp
+    solid.solref = collision_geom.solref
+    solid.solimp = collision_geom.solimp
     poses: list[float] = []
     for name, item in zip(_names(len(world.objects)), world.objects, strict=True):
         _add_object(mj, default, spec, name, item)
         poses += [item.x, item.y, item.heading]
-        for part in hulls(mj):
+        for part in collision_geoms(mj):
             sensor = object_force_sensor(name, part)
             add_force_sensor(
                 mj, sensor, mjtObj.mjOBJ_BODY, name, on=part, position=True
@@ -257,12 +261,12 @@ def add_objects(mj: mujoco.MjSpec, spec: RobotSpec, world: World) -> None:
 
 
 def _add_self_contacts(mj: mujoco.MjSpec, spec: RobotSpec) -> None:
-    hull = mj.find_default("hull").geom
+    collision_geom = mj.find_default("collision").geom
     default = mj.add_default("self_contact", mj.default)
     default.pair.condim = 1
-    default.pair.solref = hull.solref
-    default.pair.solimp = hull.solimp
-    for first, second in combinations(hulls(mj), 2):
+    default.pair.solref = collision_geom.solref
+    default.pair.solimp = collision_geom.solimp
+    for first, second in combinations(collision_geoms(mj), 2):
         between = abs(place_of(first)[0] - place_of(second)[0]) - 1
         if between * spec.geometry.pitch > spec.geometry.width:
             mj.add_pair(
@@ -270,9 +274,9 @@ def _add_self_contacts(mj: mujoco.MjSpec, spec: RobotSpec) -> None:
             )
 
 
-def place_of(hull: str) -> tuple[int, int]:
-    """Return the segment of a hull and its number in the segment, counted from 1."""
-    _, segment, number = hull.split("_")
+def place_of(collision_geom: str) -> tuple[int, int]:
+    """Return the segment of a collision geom and its number in the segment, counted from 1."""
+    _, segment, number = collision_geom.split("_")
     return int(segment), int(number)
 
 
@@ -322,6 +326,6 @@ def object_names(model: mujoco.MjModel) -> list[str]:
     )
 
 
-def object_force_sensor(name: str, hull: str) -> str:
-    """Return the name of the sensor for the force of an object on a hull."""
-    return f"force_{name}_{hull}"
+def object_force_sensor(name: str, collision_geom: str) -> str:
+    """Return the name of the sensor for the force of an object on a collision geom."""
+    return f"force_{name}_{collision_geom}"

@@ -37,7 +37,7 @@ With this ratio the number of tries grows only with the logarithm of the distanc
 """
 
 
-class MoveSet(NamedTuple):
+class MotionPrimitives(NamedTuple):
     """Arcs that the snake can follow.
 
     Attributes:
@@ -46,7 +46,7 @@ class MoveSet(NamedTuple):
         transients: extra left width, extra right width and length (m) of the transient
             after a change of curvature, shape (n + 1, n, 3). Row n applies at the
             start.
-        primitives: indices of the curvatures that lead to a node's children, shape
+        children: indices of the curvatures that lead to a node's children, shape
             (m,).
         radius_factors: turning radii of the tested Dubins paths relative to the minimum
             radius, starting with 1, shape (k,).
@@ -60,7 +60,7 @@ class MoveSet(NamedTuple):
     left: np.ndarray
     right: np.ndarray
     transients: np.ndarray
-    primitives: np.ndarray
+    children: np.ndarray
     radius_factors: np.ndarray
     dubins_moves: np.ndarray
     length: float
@@ -89,7 +89,9 @@ class ArcState(NamedTuple):
     lasting: float
 
 
-def make_move_set(primitives: Primitives, footprint: Footprint) -> MoveSet:
+def make_motion_primitives(
+    primitives: Primitives, footprint: Footprint
+) -> MotionPrimitives:
     """Return the primitives, the tightest and wider turns, and the straight line.
 
     Raises:
@@ -115,7 +117,7 @@ def make_move_set(primitives: Primitives, footprint: Footprint) -> MoveSet:
         [np.argmin(abs(curvatures - side * both / factor)) for side in (-1, 0, 1)]
         for factor in _RADIUS_FACTORS
     ]
-    return MoveSet(
+    return MotionPrimitives(
         curvatures,
         np.array([row.left for row in rows]),
         np.array([row.right for row in rows]),
@@ -130,48 +132,48 @@ def make_move_set(primitives: Primitives, footprint: Footprint) -> MoveSet:
 
 
 @compiled
-def initial_state(x, y, heading, moves):  # type: ignore[no-untyped-def]
+def initial_state(x, y, heading, primitives):  # type: ignore[no-untyped-def]
     """Return the arc state at the start of a path, without a previous move."""
-    return ArcState(x, y, heading, len(moves.curvatures), 0.0, 0.0, 0.0)
+    return ArcState(x, y, heading, len(primitives.curvatures), 0.0, 0.0, 0.0)
 
 
 @compiled
-def follow_dubins_path(state, path, factor, moves, grid):  # type: ignore[no-untyped-def]
+def follow_dubins_path(state, path, factor, primitives, grid):  # type: ignore[no-untyped-def]
     """Return whether a Dubins path is free, and the arc state at its end.
 
     Args:
         state: initial arc state.
         path: Dubins path.
-        factor: index of the turning radius in `MoveSet.radius_factors`.
-        moves: arcs that the snake can follow.
+        factor: index of the turning radius in `MotionPrimitives.radius_factors`.
+        primitives: arcs that the snake can follow.
         grid: obstacles and bounds.
     """
     free = True
     for piece in range(3):
         length = path.lengths[piece]
         if length > 0:
-            move = moves.dubins_moves[factor, 1 + int(path.turns[piece])]
-            free, state = follow_arc(state, move, length, moves, grid)
+            move = primitives.dubins_moves[factor, 1 + int(path.turns[piece])]
+            free, state = follow_arc(state, move, length, primitives, grid)
             if not free:
                 break
     return free, state
 
 
 @compiled
-def follow_arc(state, move, length, moves, grid):  # type: ignore[no-untyped-def]
+def follow_arc(state, move, length, primitives, grid):  # type: ignore[no-untyped-def]
     """Return whether an arc is free, and the arc state at its end.
 
     Args:
         state: initial arc state.
         move: index of the curvature.
         length: arc length, m.
-        moves: arcs that the snake can follow.
+        primitives: arcs that the snake can follow.
         grid: obstacles and bounds.
     """
     x = state.x
     y = state.y
     heading = state.heading
-    change = moves.transients[state.move, move]
+    change = primitives.transients[state.move, move]
     left = change[0]
     right = change[1]
     lasting = change[2]
@@ -180,8 +182,13 @@ def follow_arc(state, move, length, moves, grid):  # type: ignore[no-untyped-def
         left = max(state.left, left)
         right = max(state.right, right)
         lasting = max(state.lasting, lasting)
-    curvature = moves.curvatures[move]
-    steady = Extent(moves.ahead, moves.behind, moves.left[move], moves.right[move])
+    curvature = primitives.curvatures[move]
+    steady = Extent(
+        primitives.ahead,
+        primitives.behind,
+        primitives.left[move],
+        primitives.right[move],
+    )
     # Only the first part of the arc has wider edges.
     first = min(lasting, length)
     free = True
@@ -199,20 +206,24 @@ def follow_arc(state, move, length, moves, grid):  # type: ignore[no-untyped-def
 
 
 def shorten_path(
-    start: Pose, path: ArcSequence, moves: MoveSet, grid: ObstacleGrid, radius: float
+    start: Pose,
+    path: ArcSequence,
+    primitives: MotionPrimitives,
+    grid: ObstacleGrid,
+    radius: float,
 ) -> ArcSequence:
     """Return a collision-free path with the same ends that is not longer.
 
     Args:
         start: start pose.
         path: collision-free path, with curvatures of the moves.
-        moves: arcs that the snake can follow.
+        primitives: arcs that the snake can follow.
         grid: obstacles and bounds.
         radius: turning radius of the short cuts, m.
     """
     arcs = [(c, length) for c, length in path if length > 0]
     indices = np.array(
-        [np.argmin(abs(moves.curvatures - c)) for c, _ in arcs], dtype=np.int64
+        [np.argmin(abs(primitives.curvatures - c)) for c, _ in arcs], dtype=np.int64
     )
     lengths = np.array([length for _, length in arcs])
     for turn in range(_SHORTENING_ROUNDS):
@@ -221,28 +232,30 @@ def shorten_path(
         # at other poses.
         counts = np.ceil(lengths * (2 + turn) / radius).astype(np.int64)
         pieces = np.repeat(indices, counts), np.repeat(lengths / counts, counts)
-        indices, lengths = _cut_corners(*start, *pieces, moves, grid, radius)
+        indices, lengths = _cut_corners(*start, *pieces, primitives, grid, radius)
         if math.fsum(lengths) > before * (1 - _MIN_SAVING):
             break
-    return list(zip(moves.curvatures[indices].tolist(), lengths.tolist(), strict=True))
+    return list(
+        zip(primitives.curvatures[indices].tolist(), lengths.tolist(), strict=True)
+    )
 
 
 @allocating
-def _cut_corners(x, y, heading, indices, lengths, moves, grid, radius):  # type: ignore[no-untyped-def]  # noqa: D417
+def _cut_corners(x, y, heading, indices, lengths, primitives, grid, radius):  # type: ignore[no-untyped-def]  # noqa: D417
     """Follow a path, and take the longest free short cut from each pose."""
     count = len(indices)
-    state = initial_state(x, y, heading, moves)
+    state = initial_state(x, y, heading, primitives)
     distances = np.zeros(count + 1)
     # These are the arc states at the ends of the pieces of the original path.
     states = [state]
     for k in range(count):
-        _, state = follow_arc(state, indices[k], lengths[k], moves, grid)
+        _, state = follow_arc(state, indices[k], lengths[k], primitives, grid)
         states.append(state)
         distances[k + 1] = distances[k] + lengths[k]
     new_indices = np.empty(3 * count, dtype=np.int64)
     new_lengths = np.empty(3 * count)
     size = 0
-    state = initial_state(x, y, heading, moves)
+    state = initial_state(x, y, heading, primitives)
     k = 0
     while k < count:
         last = count
@@ -259,11 +272,11 @@ def _cut_corners(x, y, heading, indices, lengths, moves, grid, radius):  # type:
                 radius,
             )
             if path.length < distances[last] - distances[k] - 1e-9:
-                free, end = follow_dubins_path(state, path, 0, moves, grid)
+                free, end = follow_dubins_path(state, path, 0, primitives, grid)
                 # The last transient of the short cut also widens the edges on the rest
                 # of the path.
                 if free and _stays_free(
-                    end, last, indices, lengths, states, moves, grid
+                    end, last, indices, lengths, states, primitives, grid
                 ):
                     break
             # The next try is at a nearer pose. The steps shrink with the distance.
@@ -272,13 +285,13 @@ def _cut_corners(x, y, heading, indices, lengths, moves, grid, radius):  # type:
             for piece in range(3):
                 length = path.lengths[piece]
                 if length > 0:
-                    move = moves.dubins_moves[0, 1 + int(path.turns[piece])]
+                    move = primitives.dubins_moves[0, 1 + int(path.turns[piece])]
                     size = _append_arc(new_indices, new_lengths, size, move, length)
             state = end
             k = last
         else:
             size = _append_arc(new_indices, new_lengths, size, indices[k], lengths[k])
-            _, state = follow_arc(state, indices[k], lengths[k], moves, grid)
+            _, state = follow_arc(state, indices[k], lengths[k], primitives, grid)
             k += 1
     return new_indices[:size], new_lengths[:size]
 
@@ -294,7 +307,7 @@ def _append_arc(indices, lengths, size, move, length):  # type: ignore[no-untype
 
 
 @allocating
-def _stays_free(state, k, indices, lengths, states, moves, grid):  # type: ignore[no-untyped-def]
+def _stays_free(state, k, indices, lengths, states, primitives, grid):  # type: ignore[no-untyped-def]
     """Return whether the path from piece k on is free after a changed arc state."""
     while k < len(indices):
         original = states[k]
@@ -305,7 +318,7 @@ def _stays_free(state, k, indices, lengths, states, moves, grid):  # type: ignor
         )
         if state.move == original.move and (state.lasting <= 0 or covered):
             return True
-        free, state = follow_arc(state, indices[k], lengths[k], moves, grid)
+        free, state = follow_arc(state, indices[k], lengths[k], primitives, grid)
         if not free:
             return False
         k += 1
