@@ -74,7 +74,7 @@ def test_a_number_in_place_of_an_inner_block_is_refused_with_set(tmp_path, capfd
     assert "mine.yaml:2:31: robot.friction: must be a block of keys, not 3" in error
 
 
-@pytest.mark.parametrize("share", ["1e400%", "nan", "-5%", "0%", "inf", "much"])
+@pytest.mark.parametrize("fraction", ["1e400%", "nan", "-5%", "0%", "inf", "much"])
 def test_impossible_accuracy_is_refused(capfd, fraction):
     error = refused(
         capfd,

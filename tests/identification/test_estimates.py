@@ -231,7 +231,7 @@ def test_a_reference_fit_adds_the_model_error_to_the_intervals(bias):
     assert ("model error" in fit.why) == (bias > 0)
 
 
-@pytest.mark.parametrize("slope", [-0.7, 0.0, 0.5])
+@pytest.mark.parametrize("derivative", [-0.7, 0.0, 0.5])
 def test_the_bias_is_evaluated_at_the_true_value(derivative):
     """Five searches converge to the bias at the truth, 0.05; after two with slope −0.7 it would be 0.026."""
     true = 2.0

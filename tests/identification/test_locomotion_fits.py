@@ -66,7 +66,7 @@ def straight_and_curved() -> list[GaitRun]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "against", [pytest.param("averages", marks=pytest.mark.slow), "shapes"]
+    "compare_signals", [pytest.param("averages", marks=pytest.mark.slow), "shapes"]
 )
 def test_friction_and_gap_are_recovered_within_one_per_cent(compare_signals):
     fit = fit_locomotion(

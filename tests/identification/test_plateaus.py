@@ -419,7 +419,7 @@ def test_plateaus_are_found_in_logs_with_few_rows_per_plateau(tmp_path, rows):
 
 
 @pytest.mark.parametrize(
-    ("ramp", "step", "share"), [(0.0, 0.0, 0.0), (20.0, 0.0, 0.0), (0.0, 100.0, 0.2)]
+    ("ramp", "step", "fraction"), [(0.0, 0.0, 0.0), (20.0, 0.0, 0.0), (0.0, 100.0, 0.2)]
 )
 def test_noise_of_a_log_is_estimated_without_ramps_and_steps(ramp, step, fraction):
     """Steps in a share of the differences move the median to a higher quantile of the noise."""

@@ -50,7 +50,7 @@ def test_loads_of_a_crawling_snake_vary_less_than_their_mean(crawling_loads):
 # a little.
 @pytest.mark.parametrize("floor", FLOORS)
 @pytest.mark.parametrize(
-    ("name", "share"), [("gen2", 0.03), ("gen4", 0.03), ("gen3", 0.06)]
+    ("name", "fraction"), [("gen2", 0.03), ("gen4", 0.03), ("gen3", 0.06)]
 )
 def test_loads_at_rest_are_static(name, fraction, floor):
     plant = TwinSnake(robot(name), **FLOORS[floor])

@@ -19,7 +19,7 @@ from srs_twin.live import emulator
 from srs_twin.live.emulator import KINDS, EmulatedRobot, Fault, Simulation
 from srs_twin.live.links import BrokerAccess, MqttLink
 from srs_twin.live.messages import BENDS, COMMAND, PRESSURES, STATUS, VALVES, Message
-from srs_twin.live.natnet import turned
+from srs_twin.live.natnet import rotate
 from srs_twin.live.optitrack import NatNetLink
 
 QUIET = {"simulation": Simulation(gain_spread=0.0), "noise_rad": 0.0}
@@ -137,7 +137,7 @@ def test_sensor_and_camera_noise_is_independent_in_every_component():
     seen = []
     bends = []
     for _ in range(1000):
-        seen.append([turned(each, "y")[[0, 1, 3]] for each in robot.bodies().values()])
+        seen.append([rotate(each, "y")[[0, 1, 3]] for each in robot.bodies().values()])
         bends.append(robot.bends())
     state = robot.state
     bends = np.array(bends)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from srs_twin import AnalyticalSnake, Gait, load_robot
-from srs_twin.live.ensemble import EnsembleFilter, ModelError, correct
+from srs_twin.live.ensemble import EnsembleFilter, ModelError, measurement_update
 from srs_twin.live.member_dynamics import ValveInput
 
 EXACT = ModelError(disturbance=0.0, pressure=0.0, position=0.0)
@@ -24,7 +24,7 @@ def test_one_measurement_corrects_as_in_a_kalman_filter():
     gain = covariance[:, 0] / (covariance[0, 0] + noise)
     predicted = members[:, :1].copy()
     kept = members.copy()
-    off = correct(
+    off = measurement_update(
         kept, predicted, np.array([measured]), np.array([noise]), np.ones((1, 2)), False
     )
     assert off[0] == pytest.approx(
@@ -44,7 +44,7 @@ def test_chance_correlations_correct_little():
     for _ in range(200):
         members = rng.normal(size=(32, 2))
         before = members.copy()
-        correct(
+        measurement_update(
             members,
             before[:, :1].copy(),
             np.array([1.0]),
@@ -62,7 +62,7 @@ def test_outliers_count_less():
     near = members.copy()
     far = members.copy()
     for copy, measured in ((near, 3.0), (far, 300.0)):
-        correct(
+        measurement_update(
             copy,
             copy.copy(),
             np.array([measured]),

@@ -321,7 +321,7 @@ def test_snake_at_rest_has_the_rest_bends(kind):
 
 @both
 @pytest.mark.parametrize(
-    ("side", "share", "supply", "chambers"),
+    ("side", "fraction", "supply", "chambers"),
     [
         ("plus", 0.0, 48e3, "lag"),
         ("minus", 0.0, 48e3, "lag"),

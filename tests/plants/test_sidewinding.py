@@ -25,7 +25,7 @@ SETTLED_S = 8.0
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("share", [0.3, 0.15])
+@pytest.mark.parametrize("fraction", [0.3, 0.15])
 def test_a_stiff_sidewinder_travels_as_the_kinematics_without_slip_predict(fraction):
     spec = load_robot("spatial_slender")
     gait = Gait(FREQUENCY_HZ, pitch=PitchWave(fraction, math.pi / 2))

@@ -216,7 +216,7 @@ def test_wall_friction_follows_coulomb():
     assert lost == pytest.approx(0.0, abs=0.01 * SPEC.mass.total * 0.3**2 / 2)
 
 
-@pytest.mark.parametrize(("share", "moves"), [(0.98, False), (1.02, True)])
+@pytest.mark.parametrize(("fraction", "moves"), [(0.98, False), (1.02, True)])
 def test_snake_against_a_wall_sticks_up_to_the_friction_angle(fraction, moves):
     lean = math.atan(fraction * FRICTION)  # slope of the wall in the plane of the floor
     drift = (

@@ -84,7 +84,7 @@ def test_markers_are_assigned_by_a_map(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("layout", ["head", "pair", "middles", "head_middles"])
-@pytest.mark.parametrize("share", first_by_default(1, [0.25, 0.0]))
+@pytest.mark.parametrize("fraction", first_by_default(1, [0.25, 0.0]))
 def test_segments_that_stretch_are_measured(tmp_path, layout, fraction):
     truth = stretched(motion(), fraction)
     found = recorded(tmp_path, Take(layout=layout), truth)

@@ -586,7 +586,7 @@ def test_row_contains_the_published_value():
 
 
 @pytest.mark.parametrize(
-    ("expected_failure", "value", "expected"),
+    ("known", "value", "expected"),
     [
         (None, 0.2, "met"),
         (None, 0.3, "missed"),

@@ -79,7 +79,7 @@ def test_the_digest_does_not_depend_on_planning_time(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("without", "says"),
+    ("exclude", "says"),
     [
         (
             "planner.weigh=1",
