@@ -141,9 +141,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     words.add_argument("--objects", type=int, default=50)
-    words.add_argument(
-        "--mode", choices=["measured_bend", "open_loop"], default="measured_bend"
-    )
+    words.add_argument("--mode", choices=["sensed", "open_loop"], default="sensed")
     words.add_argument("--payload", action="store_true")
     words.add_argument("--workers", type=int, default=1)
     words.add_argument("--json", type=Path, metavar="FILE")

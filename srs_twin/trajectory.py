@@ -37,7 +37,7 @@ _COLUMNS_OF_UNIT = {
     "Pa": "pressure_plus pressure_minus pressure",
     "N": "obstacle_force_x obstacle_force_y load",
     "N·m": "torque torque_pitch",
-    "J": "work internal_loss air",
+    "J": "work internal_loss pneumatic_energy",
     "mixed": "qpos",
 }
 # The name of a numbered column is its stem, such as "bend". All other columns are

@@ -30,7 +30,7 @@ from srs_twin.trajectory import Event
 if TYPE_CHECKING:
     from srs_twin.plants.base import SnakeState
 
-MODES = ("open_loop", "measured_bend")
+MODES = ("open_loop", "sensed")
 SIDES = ("left", "right")
 _SLOTS = 20  # slots per tick, which resolve the duty of the curl
 _SETTLED_RAD_PER_S = 0.3  # bend rate below which the curl has ended
@@ -123,7 +123,7 @@ class Grasp(Controller):
         self,
         frequency: float,
         *,
-        mode: str = "measured_bend",
+        mode: str = "sensed",
         side: str = "left",
         hold: int = 4,
         curl_s: float = 1.5,
@@ -213,7 +213,7 @@ class Grasp(Controller):
         if self.phase is Phase.CURL and time >= self.curl_s:
             change = np.abs(self._past[-1] - self._past[0]).max()
             rate = change / (self._tick * (len(self._past) - 1))
-            is_sensed = self.mode == "measured_bend"
+            is_sensed = self.mode == "sensed"
             has_settled = is_sensed and rate < _SETTLED_RAD_PER_S
             if not (has_settled or time >= self.drag_after_s):
                 return

@@ -435,7 +435,7 @@ def _read_plateaus(task: _Task) -> list[StaticTable]:
 def _read_gait_runs(task: _Task) -> list[GaitRun]:
     def measured() -> Parameter | None:
         fitted = [recording for _, recording in recordings[: len(task.fitted)]]
-        return measured_length(fitted, task.spec, task.given["find"])
+        return measured_length(fitted, task.spec, task.given["parameters"])
 
     recordings = task.recordings()
     length = measured()

@@ -90,8 +90,8 @@ def _fits(declaration: Callable[..., None]) -> None:
 
         if "markers" in given:
             given["reader"] = given.pop("markers").reader(**reading)
-        if given.get("find") is not None:
-            given["find"] = parse_names(given["find"])
+        if given.get("parameters") is not None:
+            given["parameters"] = parse_names(given["parameters"])
         settings = {key: value for key, value in given.items() if value is not None}
         output.run(getattr(calibration, f"calibrate_{name}"), files, **settings)
 

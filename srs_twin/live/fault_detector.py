@@ -157,7 +157,7 @@ class FaultDetector(Stateful):
         "mean",
         "_covariance",
         "_levels",
-        "naming",
+        "decision",
         "leaks",
         "supply",
     )

@@ -178,7 +178,7 @@ class Follower(Controller):
             "_frames",
             "_mean",
             "_predictor",
-            "law",
+            "steering",
             "plans",
             "ending",
             "_s",

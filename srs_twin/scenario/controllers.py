@@ -407,7 +407,7 @@ class GraspFile(ControllerSection):
     """Kind of controller."""
     frequency_hz: float = _FREQUENCY
     """Gait frequency of the dragging segments."""
-    mode: Literal["open_loop", "measured_bend"] = constructor_default()
+    mode: Literal["open_loop", "sensed"] = constructor_default()
     """Condition for changing from one phase of the grasp to the next; either a given
     time, or the measured bends."""
     side: Literal["left", "right"] = constructor_default()

@@ -62,7 +62,7 @@ class Scenario:
         record_hz: recording rate, Hz.
         supply_pa: supply pressure, gauge, Pa.
         pose: initial centre of mass x, y (m) and mean heading (rad).
-        begin: function that sets the initial state of a plant, or None for straight and
+        initial_state: function that sets the initial state of a plant, or None for straight and
             at rest at `pose`.
         world: obstacles, bounds and goal.
         file: sections of the file, with all defaults written out.

@@ -1,4 +1,6 @@
-"""Explicit simulation of gaits on instantaneous wheel loads, independent of srs_twin: reference for its twins.
+"""Explicit simulation of gaits with instantaneous wheel loads.
+
+It is independent of srs_twin, and a reference for the twins.
 
     uv run python tests/helpers/load_reference.py                  # convergence of the stored values
     uv run python tests/helpers/load_reference.py --run            # run all points and store their values

@@ -54,7 +54,7 @@ def test_a_straight_line_fit_agrees_with_the_closed_form(a, b, seed, noise, scal
     )
     fit = stats.linregress(TIME, measured)
     assert result["a"].value == pytest.approx(fit.intercept, abs=1e-7)
-    assert result["b"].value == pytest.approx(fit.derivative, abs=1e-7)
+    assert result["b"].value == pytest.approx(fit.slope, abs=1e-7)
     # Seemingly correlated noise widens the interval; nothing narrows it.
     grown = math.sqrt(result.samples / result.independent)
     freedom = (result.samples - 2) / (result.independent - 2) / grown**2

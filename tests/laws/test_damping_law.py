@@ -18,7 +18,7 @@ FRICTIONLESS = {"mu_t": 1e-9, "mu_n": 1e-9}
 
 
 def damped(time: float, *, fraction: float = 1.0) -> RobotSpec:
-    """Return generation 2 without friction, with a damping time (s) and all masses multiplied by `fraction`."""
+    """Return generation 2 without friction, with its masses multiplied by `fraction`."""
     spec = robot(**FRICTIONLESS)
     masses = tuple(fraction * mass for mass in spec.mass.connectors)
     mass = replace(spec.mass, connectors=masses, wheel=fraction * spec.mass.wheel)

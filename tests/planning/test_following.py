@@ -53,7 +53,7 @@ def follow(
     plan,
     *,
     start=(0.0, 0.0, 0.0),
-    law=None,
+    steering=None,
     camera=CLEAR,
     delay=0.0,
     duration=30.0,
@@ -84,7 +84,7 @@ def follow(
     )
     follower = Follower(
         wheel,
-        law or ours(),
+        steering or ours(),
         plan,
         goal or Goal(end.x, end.y, None, radius),
         BODY,
@@ -178,7 +178,7 @@ def test_mirrored_paths_are_followed_symmetrically(law):
     ways = []
     for side in (1.0, -1.0):
         plan = a_plan(tuple((side * k, length) for k, length in WINDING))
-        _, plant, way = follow(plan, law=law(), wag=side * 0.3, delay=0.1)
+        _, plant, way = follow(plan, steering=law(), wag=side * 0.3, delay=0.1)
         ways.append(way * (1, 1, side, side))
         assert np.isfinite([offset for _, offset in plant.offsets]).all()
     assert len(ways[0]) == len(ways[1])
@@ -188,7 +188,7 @@ def test_mirrored_paths_are_followed_symmetrically(law):
 def test_bearing_law_visits_all_nodes_and_arrives():
     law = WaypointSteering(0.6, 0.2, 0.2)
     plan = a_plan(WINDING)
-    follower, _, way = follow(plan, law=law, radius=0.1)
+    follower, _, way = follow(plan, steering=law, radius=0.1)
     assert follower.ending == "goal_reached"
     assert law.node == math.ceil(plan.length / 0.2 - 1e-9) - 1
     ours_beside = beside(plan, follow(plan)[2])
@@ -224,7 +224,7 @@ def test_law_receives_the_pose_at_which_its_command_takes_effect():
     """Also while earlier commands are still delayed."""
     law = Watcher()
     delay = 0.3
-    _, plant, way = follow(a_plan(), law=law, delay=delay, duration=8.0)
+    _, plant, way = follow(a_plan(), steering=law, delay=delay, duration=8.0)
     ahead = round(delay / plant.tick)
     given = np.array([(pose.x, pose.y) for pose in law.poses])[:-ahead]
     apart = np.hypot(*(given - way[ahead : ahead + len(given), 1:3]).T)

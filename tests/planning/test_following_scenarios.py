@@ -235,7 +235,7 @@ def test_resolved_file_contains_the_defaults_of_gait_and_follower():
     controller = scenario.build_controller()
     assert isinstance(controller, Follower) and controller.frequency == 2.0
     document = scenario.document["controller"]
-    assert (document["follower"], document["delay_s"], document["replans"]) == (
+    assert (document["follower"], document["delay_s"], document["max_replans"]) == (
         "path",
         0.1,
         3,
@@ -318,7 +318,7 @@ def test_run_up_is_straight_and_must_be_free():
     }
     with pytest.raises(
         InputError,
-        match=r"straight run-up of 0\.25 m touches .*; set a shorter lead_in_m",
+        match=r"straight lead-in of 0\.25 m touches .*; set a shorter lead_in_m",
     ):
         parse_scenario(data(planner=planner, world=world)).build_controller()
 

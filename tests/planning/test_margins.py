@@ -133,7 +133,7 @@ def test_footprint_of_another_contact_causes_a_warning():
         return [
             each
             for each in load_scenario("follow_fig57", set=changes).warnings
-            if "contact" in each
+            if "planner.footprint" in each
         ]
 
     assert warned() == []

@@ -95,7 +95,7 @@ def test_search_and_checker_agree_on_the_width_of_arcs(seed, one, other, length)
     world = World(tuple(Circle(*rng.uniform(-1.0, 1.0, 2), 0.05) for _ in range(6)))
     way = initial_state(0.0, 0.0, 0.0, moves)
     pieces = []
-    for move in moves.primitives[[one, other]]:
+    for move in moves.children[[one, other]]:
         free, way = follow_arc(way, move, length, moves, obstacle_grid(world))
         pieces.append((float(moves.curvatures[move]), length))
         assert (

@@ -221,8 +221,8 @@ def test_a_time_budget_ends_the_search():
 def test_coarsest_cells_separate_the_children_of_a_node():
     """A cell is half of the smallest change of heading wide and a third of an arc long, within a tenth."""
     spec = _Search(fig54(0, 0), Settings()).start_trees(0)[0].spec
-    moves = spec.moves
-    turn = np.diff(moves.curvatures[moves.primitives]).min() * moves.length
+    moves = spec.primitives
+    turn = np.diff(moves.curvatures[moves.children]).min() * moves.length
     assert turn / spec.sector == pytest.approx(2, rel=0.1)
     assert moves.length / spec.cell == pytest.approx(3, rel=0.1)
 

@@ -229,7 +229,7 @@ def scenario(**changes: object) -> dict:
             {"shape_changes": True},
             "contact: allowed and shape_changes exclude each other",
         ),
-        ({"touch": "yes"}, "planner.contact"),
+        ({"contact": "yes"}, "planner.contact"),
     ],
 )
 def test_touch_is_refused_by_name(changes, message):

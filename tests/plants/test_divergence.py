@@ -78,7 +78,7 @@ TWIN = {
     "speed": put("physics.data.qvel", 1),
     "spin": put("physics.data.qvel", 5),
     "hinge's rate": put("physics.data.qvel", 8),
-    "heading": put("_theta", 2),
+    "heading": put("_connector_heading", 2),
     "work": put("_energy_loss"),
     "internal loss": put("_internal_loss"),
 }

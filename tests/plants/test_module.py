@@ -448,7 +448,7 @@ def test_sensor_drift_biases_the_bend():
             record_hz=1000,
         )
         errors.append(plant_metrics(run)["steady_error_rad"])
-        shift = abs(sensor.calibration.derivative) * bias
+        shift = abs(sensor.calibration.slope) * bias
     assert abs(errors[1] - errors[0]) == pytest.approx(shift, rel=0.3)
 
 

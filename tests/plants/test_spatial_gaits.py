@@ -37,9 +37,10 @@ def rolling_speed(spec, frequency, supply):
         np.sqrt(2) * spec.actuator.gain * supply
     )  # two neighbouring chambers are full
     headings = np.linspace(-1, 1, 2001) * spec.segments * bend / 2
-    slip = lambda fraction: np.sqrt(
-        fraction**2 - 2 * fraction * np.cos(headings) + 1
-    ).sum()  # noqa: E731
+
+    def slip(fraction):
+        return np.sqrt(fraction**2 - 2 * fraction * np.cos(headings) + 1).sum()
+
     return rim * minimize_scalar(slip, bounds=(0, 1), method="bounded").x
 
 

@@ -134,7 +134,7 @@ class QuasistaticArcs(Body):
         workspace: arrays of a step.
     """
 
-    state_attributes: ClassVar[tuple[str, ...]] = ("_sampled", "_theta")
+    state_attributes: ClassVar[tuple[str, ...]] = ("_sampled", "_connector_heading")
 
     def __init__(self, spec: RobotSpec, slip_speed: float, base: str) -> None:
         """Set the constants with the arguments of `make_constants`."""

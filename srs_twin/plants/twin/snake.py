@@ -97,7 +97,7 @@ class TwinSnake(PneumaticPlant):
         "physics",
         "_energy_loss",
         "_internal_loss",
-        "_theta",
+        "_connector_heading",
         "_start_height_energy",
     )
     max_chunk_s = 1.0
