@@ -227,7 +227,7 @@ class ILC(Controller):
         return super().events() + self.faults.events()
 
     def describe(self) -> dict[str, object]:
-        """Return the settings, start times, target amplitude and detected faults."""
+        """Return the settings, the target amplitude and the detected faults."""
         return {
             "k_per_rad": self._k,
             "carrier_hz": self._carrier_hz,
