@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from srs_twin.live.links import MqttLink
     from srs_twin.live.optitrack import NatNetServer
 
-PASSWORD = "SRS_TWIN_MQTT_PASSWORD"  # noqa: S105  # the name of a variable
+PASSWORD = "SRS_TWIN_MQTT_PASSWORD"  # noqa: S105  # This is the name of a variable.
 
 
 _LONGEST_NAME = 200
@@ -42,14 +42,6 @@ def broker_link(
     **settings: Any,
 ) -> MqttLink:
     """Connect to the topics of a robot at an MQTT broker.
-
-    Args:
-        robot: name of the robot.
-        segments: number of segments.
-        address: address of the broker, HOST or HOST:PORT.
-        user: user name, or None for an anonymous login.
-        ca: CA certificate file of the broker, or None for a connection without TLS.
-        **settings: keyword arguments passed on to `MqttLink`.
 
     Raises:
         InputError: the name cannot be part of a topic, or the broker does not answer.
@@ -67,7 +59,7 @@ def broker_link(
 
 
 def interruption() -> threading.Event:
-    """Return an event that is set by Ctrl-C and by SIGTERM and SIGHUP."""
+    """Return an event that is set when Ctrl-C, SIGTERM or SIGHUP is received."""
     over = threading.Event()
     handle_signals(lambda *_: over.set(), signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     return over

@@ -90,9 +90,7 @@ _SECOND = np.uint64(0x94D049BB133111EB)
 
 _SEED_STEP = 2**63  # difference between the seeds of the two axes
 
-_MAX_TIME = (
-    2.0**53 * SLOT
-)  # maximum time, s, at which slot numbers are exact in double precision
+_MAX_TIME = 2.0**53 * SLOT  # maximum time, s, at which slot numbers are exact
 _BLOCK = 1024  # number of slots per cached block
 
 
