@@ -162,7 +162,7 @@ class PredictionCalibration:
         self._path: deque[np.ndarray] = deque(maxlen=200)
 
     def observe(self, time: float, pose: np.ndarray) -> None:
-        """Add an observed pose (m, m, rad) at a time (s), and learn from ended predictions."""
+        """Add an observed pose (m, m, rad) at a time (s), and learn from its errors."""
         self._path.append(np.append(time, pose))
         while self._open and self._open[0].time[-1] <= time:
             past = self._open.popleft()

@@ -226,7 +226,7 @@ class FaultDetector(Stateful):
             self.probability[number - 1, 0] = 1.0
 
     def restart(self) -> None:
-        """Treat the pressures as unknown after a restart, but keep the learnt values."""
+        """Treat the pressures as unknown after a restart, but keep learnt values."""
         self.time = 0.0
         self._level = math.nan
         self.leaks.drop_all()
@@ -535,7 +535,10 @@ class FaultDetector(Stateful):
         self._delayed *= fraction
 
     def _judge_supply(self) -> None:
-        """Correct the supply pressure if most segments appear weak, and update its fault."""
+        """Correct the supply pressure if most segments appear weak.
+
+        The fault of the supply is updated as well.
+        """
         weak = SUPPLY_FRACTIONS < 1.0
         weak_or_leaks = weak | (LEAK_RATES > 0.0)
         kind = np.flatnonzero(weak)[self.probability[:, weak].sum(axis=0).argmax()]

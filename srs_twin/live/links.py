@@ -261,10 +261,8 @@ class MqttLink(Link):
         place = f"{broker.host}:{broker.port}"
         try:
             client.connect(broker.host, broker.port, keepalive=5)
-        except (
-            OSError,
-            ValueError,
-        ) as error:  # An invalid host name raises ValueError.
+        # An invalid host name raises ValueError.
+        except (OSError, ValueError) as error:
             raise InputError(f"no broker answers at {place}: {error}") from error
         client.loop_start()
         if not self._answered.wait(_ANSWER_S) or not self.connected:
@@ -365,8 +363,8 @@ KEYS = {"p": PAUSE, "g": GO, "v": VENT, "s": STOP}
 def typed_words(terminal: TextIO | None = None) -> Iterator[Callable[[], list[str]]]:
     """Yield a function that returns the control words typed since the last call.
 
-    Keys act without Enter until the context ends, which restores the terminal. In the
-    background or without a terminal no key is read.
+    Keys are read without Enter until the context ends. No keys are read if the process
+    runs in the background or has no terminal.
     """
     stream = sys.stdin if terminal is None else terminal
     if stream is None or stream.closed or not stream.isatty():

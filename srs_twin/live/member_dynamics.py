@@ -23,7 +23,7 @@ _SLIP_SPEED = 0.001
 """Speed below which friction is viscous, m/s, for a time unit of 1 s (`robot.scale`).
 """
 _LARGEST_VELOCITY = 20.0, 20.0, 1000.0
-"""Maximum forward velocity, lateral velocity (m/s) and yaw rate (rad/s) of a valid member.
+"""Maximum forward and lateral velocity (m/s) and yaw rate (rad/s) of a valid member.
 
 The limit of the yaw rate is large, because the yaw rate of generation 2 reaches 50
 rad/s during oscillations after a valve has switched.
@@ -64,7 +64,7 @@ class Air(NamedTuple):
 
 
 class Drive(NamedTuple):
-    """Linear bends due to the pressures at the start and at the two stages of each step.
+    """Linear bends due to the pressures, at the start and at two stages per step.
 
     Attributes:
         bend: linear bends, shape (1 + 2 steps, members, segments), rad.
@@ -90,7 +90,7 @@ class MemberDynamics:
     rates of `pressure_table`.
 
     Attributes:
-        mass: lumped mass of each connector, including half of each adjacent segment,
+        mass: lumped mass of each connector, including parts of the adjacent segments,
             kg.
     """
 
@@ -211,7 +211,7 @@ class MemberDynamics:
 
 @allocating
 def _free_bends(linear, speed, bias, law):  # type: ignore[no-untyped-def]
-    """Return the free bends (rad) and their rates (rad/s), shape (members, times, segments).
+    """Return the free bends (rad) and rates (rad/s), shape (members, times, segments).
 
     The linear bends and the rates `speed` have the shape (times, members, segments).
     """
@@ -250,9 +250,8 @@ def _set_momenta(states, velocities, model, workspace):  # type: ignore[no-untyp
     segments = workspace.bend.shape[0]
     ahead = compliant_kernels.BENDS
     momentum = workspace.momentum
-    moment = (
-        workspace.bend
-    )  # The values are arbitrary, because moments due to air do not affect the momenta.
+    # Moments due to air do not affect the momenta, so their values are arbitrary.
+    moment = workspace.bend
     for m in range(states.shape[0]):
         state = states[m]
         u = velocities[m]
