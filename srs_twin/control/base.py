@@ -1,4 +1,4 @@
-"""Base class of the controllers, and filtering of lost sensor readings."""
+"""Base class of the controllers, and replacement of lost sensor readings."""
 
 from __future__ import annotations
 
@@ -53,7 +53,8 @@ class Controller(Claimable, Stateful, ABC):
             seed: random seed of the controller.
 
         Raises:
-            InputError: the controller supports neither the valve layout nor the tick.
+            InputError: the controller does not support the valve layout or the tick of
+                the robot.
         """
 
     @abstractmethod
@@ -74,7 +75,10 @@ class Controller(Claimable, Stateful, ABC):
         return SavedState(self.identity(), self.state_dict())
 
     def restore(self, state: SavedState) -> None:
-        """Continue from a saved state after `reset` with an equal robot and tick.
+        """Continue from a saved state.
+
+        Before this call, the controller must be reset with an equal robot and an equal
+        tick.
 
         Raises:
             InputError: the state belongs to another controller, or `reset` has not been

@@ -68,7 +68,7 @@ class GaitLimits:
 
     @classmethod
     def for_robot(cls, spec: RobotSpec) -> GaitLimits:
-        """Return the limits of a robot, which respect its pulsed pressure limit."""
+        """Return the allowed ranges for a robot."""
         low, high = (ratio * spec.supply.nominal for ratio in RELATIVE_PRESSURE_RANGE)
         return cls(
             (-MAX_OFFSET, MAX_OFFSET),
@@ -97,7 +97,7 @@ class CommandedGait(Stateful):
         The pneumatics must be built for the maximum pressure that will be commanded.
 
         Raises:
-            InputError: the gait or the supply cannot follow the command.
+            InputError: a gait parameter or the supply pressure is out of range.
         """
         self._pneumatics = pneumatics
         self.command = command
@@ -114,7 +114,7 @@ class CommandedGait(Stateful):
         supply pressure acts immediately. A spatial robot also needs a pitch wave.
 
         Raises:
-            InputError: the gait or the supply cannot follow the command.
+            InputError: a gait parameter or the supply pressure is out of range.
         """
         if command.frequency != self.gait.frequency:
             self.gait.change_frequency(command.frequency, time)

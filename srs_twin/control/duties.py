@@ -1,8 +1,8 @@
 r"""Duties, target amplitudes and periods in iterative learning control (Section 5.1).
 
 **Targets.** The chambers on the side towards which the snake turns have the target
-amplitude A, 0.7 rad in the dissertation. The target amplitude on the other side
-decreases linearly with the offset φ, to 4 A / 7 (0.4 rad) at |φ| = 0.3:
+amplitude A, 0.7 rad in the dissertation. The target amplitude on the opposite side
+decreases linearly with |φ|, to 4 A / 7 (0.4 rad) at |φ| = 0.3:
 
 $$ A_{\text{larger}} = A, \qquad
 A_{\text{smaller}} = A \Bigl(1 - \tfrac{3}{7} \tfrac{|\varphi|}{0.3}\Bigr). $$
@@ -95,7 +95,7 @@ class ChamberPeriods(Stateful):
             rad. The + chamber is on the left.
         span: difference between the maximum and the minimum reading in the last
             completed period, rad.
-        lost: fraction of the readings in the last completed period that were lost.
+        lost: fraction of lost readings in the last completed period.
         started: start time of the last completed period, s.
     """
 
@@ -116,8 +116,8 @@ class ChamberPeriods(Stateful):
 
         Args:
             phase_lag: phase lag of the wave sin(2πft − phase_lag) of each segment,
-                shape (segments,), rad. The + chamber fills where the wave is positive,
-                the − chamber where the wave is negative.
+                shape (segments,), rad. The + chamber fills while the wave is positive,
+                and the − chamber fills while the wave is negative.
             frequency: gait frequency f, Hz.
             tick: time between successive readings, s.
             common: whether all chambers share one sequence of periods that begins at
@@ -225,7 +225,7 @@ class Duties(Stateful):
     )
 
     def __init__(self, segments: int, gain: float) -> None:
-        """Initialise all duties to 1; `gain` is the learning gain k in 1/rad."""
+        """Initialise all duties to 1. `gain` is the learning gain k in 1/rad."""
         self.value: np.ndarray = np.ones((segments, 2))
         self.error: np.ndarray = np.full((segments, 2), math.nan)
         self._gain = gain
@@ -263,7 +263,7 @@ class Duties(Stateful):
         return events
 
     def restart_convergence(self) -> None:
-        """Mark all amplitudes as not converged after a change of their targets."""
+        """Mark all amplitudes as not converged, because the targets have changed."""
         self._relative_error = np.full_like(self._relative_error, math.inf)
         self._converged = False
 

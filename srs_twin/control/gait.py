@@ -1,4 +1,4 @@
-r"""Lateral undulation: a square wave of valve states from head to tail (Eq. 13).
+r"""Lateral undulation by a square wave of valve states from head to tail (Eq. 13).
 
 $$ S_j = \operatorname{sign}\bigl(\sin(2\pi f t - \beta (j-1) + \psi) + \varphi\bigr) $$
 
@@ -7,7 +7,7 @@ steering offset. S_j = +1 fills the + chamber of segment j and vents the − cha
 = −1 vents the + chamber and fills the − chamber. The sign of 0 is +1. The wave travels
 from head to tail and propels the snake forward. The wave of Eq. 13 as printed travels
 in the opposite direction (E12). A positive φ turns the snake to the left. The mirror
-image of a gait has the offset −φ and its phase ψ shifted by π.
+image of a gait has the offset −φ and the phase ψ + π.
 
 The wave has two extensions that are not part of the dissertation. Each segment may have
 an additional phase lag α_j, and both chambers may vent for a fraction r of the period,
@@ -63,7 +63,7 @@ _BLOCK = 20_000
 
 @dataclass(frozen=True)
 class PitchWave:
-    """Wave that bends a spatial robot upwards and downwards; see the module docstring.
+    """Wave that bends a spatial robot upwards and downwards. See the module docstring.
 
     Attributes:
         fraction: pitch fraction s, from 0 to 1, which is the amplitude of the pitch
@@ -260,8 +260,8 @@ class Gait(Controller):
             return self._spatial_valves(time + self._tick * self._slot_centres)
         first, last = self._wave(time + self._tick * self._slot_centres[[0, -1]])
         # A tick that is shorter than the shortest constant section of the wave contains
-        # at most one change. Equal states at the two ends of such a tick therefore
-        # exclude a change.
+        # at most one change. If the states at the two ends of a short tick are equal,
+        # there is no change within the tick.
         if self._tick < self._shortest_level() and (first == last).all():
             return _antagonistic(first)
         wave = self._wave(time + self._tick * self._slot_centres)

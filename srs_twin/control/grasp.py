@@ -1,7 +1,7 @@
 """Whole-body grasp, in which the tail curls around an object and the front drags it.
 
-In open loop, the phases begin at given times. In the sensed mode, the drag begins
-depending on the sensed bends. The phases are:
+In open loop, the phases begin at given times. In the sensed mode, the start of the drag
+depends on the sensed bends. The phases are:
 
 1. *Curl.* The valves of the holding segments at the tail fill one side with a duty that
    rises from 0 to 1, because a fast curl would push the object away. The valves of the
@@ -33,10 +33,14 @@ if TYPE_CHECKING:
 
 MODES = ("open_loop", "measured_bend")
 SIDES = ("left", "right")
-_SLOTS = 20  # number of slots per tick, which determines the resolution of the duty
-_SETTLED_RAD_PER_S = 0.3  # bend rate below which the tail counts as settled
-_SETTLING_S = 0.3  # time over which the bend rate is averaged
-_GRIP_RAD = 0.1  # minimum decrease of the mean bend that indicates an object
+_SLOTS = 20
+"""Number of slots per tick, which determines the resolution of the duty."""
+_SETTLED_RAD_PER_S = 0.3
+"""Bend rate below which the tail counts as settled, rad/s."""
+_SETTLING_S = 0.3
+"""Time over which the bend rate is averaged, s."""
+_GRIP_RAD = 0.1
+"""Minimum decrease of the mean bend that indicates an object, rad."""
 
 
 class Phase(IntEnum):
@@ -96,7 +100,7 @@ def hold_with(valves: np.ndarray, hold: int, duty: float, pulses: int = 1) -> No
 
 
 class Grasp(Controller):
-    """Grasp and drag of an object next to the tail; see the module docstring.
+    """Grasp and drag of an object next to the tail. See the module docstring.
 
     Attributes:
         frequency: gait frequency of the dragging segments, Hz.
@@ -145,7 +149,7 @@ class Grasp(Controller):
             drag_after_s: start time of the drag in open-loop mode, or the latest start
                 time in the sensed mode, s.
             release_after_s: time from the start of the drag to the release, s. If None,
-                elapsed time does not release the object.
+                the object is not released after a given time.
             drag_m: distance after which the object is released, m. A distance is
                 allowed only in the sensed mode.
             phase_step: phase lag of the gait per segment, rad. If None, the phase lag

@@ -1,6 +1,6 @@
 """Iterative learning control of a gait (Section 5.1).
 
-Each gait period, the duty of each chamber is updated once.
+The duty of each chamber is updated once per gait period.
 
 The controller uses the wave of the open-loop gait without offset (Eq. 13). While the
 wave fills a chamber, the valve is pulse-width modulated with the duty of the chamber.
@@ -62,13 +62,14 @@ _MAX_LOST = 0.5
 
 
 class ILC(Controller):
-    """Iterative learning control of a gait; see the module docstring.
+    """Iterative learning control of a gait. See the module docstring.
 
     Attributes:
         frequency: gait frequency f, Hz.
         offset: steering offset φ, between −0.3 and 0.3, positive to the left. The
             offset may be changed during a run.
-        amplitude: target amplitude A, rad, or None until it is known.
+        amplitude: target amplitude A, rad, or None before the target amplitude is
+            known.
         duties: learnt duties. The chambers of faulty segments vent regardless of the
             learnt duties.
         faults: fault detection for the modules.
@@ -107,13 +108,14 @@ class ILC(Controller):
             k: learning gain, 1/rad.
             free_periods: number of gait periods before the amplitudes are recorded.
             carrier_hz: carrier frequency of the pulse-width modulation, Hz.
-            on_fault: action after a fault is detected: "go_on" continues without the
-                faulty module, and "stop" ends the run.
-            clock: periods of the updates: "chamber" updates each duty at the end of the
-                chamber's own period, and "common" updates all duties together once per
-                gait period, as in the dissertation.
-            steering: quantities changed by φ: "targets" changes only the target
-                amplitudes, and "targets_and_wave" also changes the wave as in Eq. 13.
+            on_fault: action after the detection of a fault. "go_on" continues without
+                the faulty module, and "stop" ends the run.
+            clock: times of the updates. "chamber" updates the duty of each chamber at
+                the end of the chamber's own period. "common" updates all duties at the
+                same time, as in the dissertation.
+            steering: quantities that depend on φ. With "targets" only the target
+                amplitudes depend on φ, and with "targets_and_wave" also the wave of Eq.
+                13.
             phase: phase ψ of the wave, rad.
             phase_step: phase lag β per segment, rad. If None, the phase lag of the
                 robot is used.

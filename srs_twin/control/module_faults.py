@@ -47,10 +47,10 @@ class ModuleFaults(Stateful):
     """Fault detection for the modules of a snake.
 
     Attributes:
-        detected: descriptions of the detected faults, in order of time.
-        faulty: segments with a detected fault, shape (segments,).
-        tested: segments whose chambers vent for a test, shape (segments,).
-        resumed: end of the last test of each segment, shape (segments,), s.
+        detected: descriptions of the detected faults, in chronological order.
+        faulty: whether each segment has a detected fault, shape (segments,).
+        tested: whether the chambers of each segment vent for a test, shape (segments,).
+        resumed: end time of the last test of each segment, shape (segments,), s.
     """
 
     state_attributes = (
@@ -65,7 +65,6 @@ class ModuleFaults(Stateful):
         self.tested = np.zeros(segments, dtype=bool)
         self.resumed = np.full(segments, -math.inf)
         self._period = period
-        # These arrays count successive periods with too small and too large amplitudes.
         self._weak = np.zeros((segments, 2), dtype=int)
         self._strong = np.zeros((segments, 2), dtype=int)
         self._cleared = np.zeros((segments, 2), dtype=bool)

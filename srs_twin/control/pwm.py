@@ -59,16 +59,16 @@ class PulseWidthModulator(Stateful):
             segments: number of segments.
             aligned: whether the pulses of all chambers begin at the start of the
                 period.
-            allow_long_ticks: whether a tick may be longer than a carrier period.
-                Controllers that update the duties less than once per carrier period set
-                this argument.
+            allow_long_ticks: whether a tick may be longer than a carrier period. Long
+                ticks are useful for controllers that do not update the duties in every
+                carrier period.
             scale: scale of the robot, which determines the duration of the slots.
             chambers: number of chambers per segment. `aligned` is required unless the
                 number is 2.
 
         Raises:
-            InputError: the carrier frequency or the tick is not above 0, or the tick is
-                longer than a period without `allow_long_ticks`.
+            InputError: the carrier frequency or the tick is not positive, or the tick
+                is longer than a carrier period although `allow_long_ticks` is False.
         """
         check_positive("carrier_hz", carrier_hz)
         slot = valve_slot(tick, scale)
@@ -88,7 +88,7 @@ class PulseWidthModulator(Stateful):
     def due(self) -> bool:
         """Return whether a carrier period begins in the next tick.
 
-        `step` uses new duties only in such a tick.
+        `step` uses new duties only if a carrier period begins.
         """
         return self._last_period() != self._period_number
 

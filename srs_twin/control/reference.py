@@ -54,7 +54,7 @@ class Reference(ABC):
         Args:
             limit: maximum bend of the module, rad, which is the bend per pressure times
                 the supply pressure.
-            policy: treatment of a reference beyond the limit: "refuse" raises an error,
+            policy: treatment of a reference beyond the limit. "refuse" raises an error,
                 and "saturate" clips the reference.
 
         Raises:
@@ -208,9 +208,9 @@ class Sine(_Periodic):
 
 @dataclass(frozen=True)
 class Square(_Periodic):
-    """Square wave, offset ± amplitude, with the sign of the sine of the same phase.
+    """Square wave, offset ± amplitude, which is in phase with a sine wave.
 
-    Where the sine is 0, the sign is positive.
+    The value is offset + amplitude in the first half of each period.
 
     Attributes:
         amplitude: amplitude, rad, above 0.

@@ -19,7 +19,8 @@ class Replay(Controller):
 
     Attributes:
         schedule: recorded valve states.
-        frequency: gait frequency of the recording, Hz, or None if it was not periodic.
+        frequency: gait frequency of the recording, Hz, or None if the recording is not
+            periodic.
         layouts: names of the valve layouts that support all recorded states.
     """
 

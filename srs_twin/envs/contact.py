@@ -1,4 +1,4 @@
-"""Tasks Pegs and Grasp: crawl to a goal among pegs, and drag an object with the tail.
+"""Tasks Pegs and Grasp, in which a snake crawls among pegs or drags an object.
 
 In the task Pegs, the snake crawls to a goal among pegs. The skin has isotropic
 friction, so the snake hardly moves without pegs. Between pegs almost every gait moves

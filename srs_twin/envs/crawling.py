@@ -87,7 +87,7 @@ the camera is noisy.
 
 @dataclass(frozen=True)
 class Arena:
-    """Floor of an episode, and distributions of start and goal.
+    """Floor of an episode, and distributions of the initial heading and of the goal.
 
     The snake starts at the origin.
 
@@ -462,7 +462,7 @@ class SpatialCrawlTask(CrawlTask):
         """Create the task with the arguments of `CrawlTask`.
 
         Raises:
-            InputError: the robot is planar, or `CrawlTask` refuses an argument.
+            InputError: the robot is planar, or an argument is invalid.
         """
         super().__init__("Crawl3D", FLOOR, robot=robot, **settings)
 

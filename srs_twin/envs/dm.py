@@ -35,7 +35,7 @@ except ImportError as error:
 
 
 class EpisodePhysics(Claimable, control.Physics):  # type: ignore[misc]  # dm_control has no types
-    """Episodes of a task in the form of a dm_control physics.
+    """dm_control physics that runs the episodes of a task.
 
     One step of the physics corresponds to one step of the task.
 

@@ -120,7 +120,7 @@ class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
     def draw_episode(
         self, seed: int | None, options: dict[str, Any] | None
     ) -> tuple[np.random.Generator, Episode]:
-        """Draw a new episode, and return it with the random number generator used.
+        """Draw a new episode, and return the random number generator and the episode.
 
         This method does not change the environment.
 
@@ -134,8 +134,8 @@ class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
             rng = copy.deepcopy(self.np_random)
         else:
             rng = seeding.np_random(seed)[0]
-        # Given options may be invalid, so the twin of the running episode is not reused
-        # for them.
+        # If options are given, the twin of the running episode is not reused, because
+        # the options may be invalid.
         episode = self.task.begin(rng, None if checked else self.episode)
         if "snake" in checked:
             episode.set_state(checked["snake"], checked.get("yaw_rate", 0.0))

@@ -106,7 +106,7 @@ class NetworkPolicy:
 
 
 def load_policy(name_or_path: StrPath) -> NetworkPolicy:
-    """Load a policy from a path, or load a shipped policy by its name.
+    """Load a policy from a path, or load a shipped policy with the given name.
 
     Raises:
         UnknownNameError: no shipped policy has this name.
@@ -299,7 +299,7 @@ class ProportionalIntegral(_Baseline):
 
 
 class PegSteering(_Baseline):
-    """Policy that steers the wave of scenario pegs_skin towards the goal."""
+    """Policy that steers the gait of the scenario pegs_skin towards the goal."""
 
     gain_per_rad = 0.3
     """Ratio of the steering offset to the bearing of the goal, 1/rad."""

@@ -88,7 +88,7 @@ def as_finite_array(numbers: object, shape: tuple[int, ...]) -> np.ndarray | Non
     """
     try:
         values = np.asarray(numbers)
-    except (TypeError, ValueError):  # ragged lists, or tensors on a device
+    except (TypeError, ValueError):
         return None
     if values.dtype.kind not in "biuf" or values.shape != shape:
         return None
@@ -187,7 +187,7 @@ class Task(ABC):
         limit_s: time limit of an episode, s.
         robot: nominal robot, without random variation.
         has_obstacles: whether each episode contains randomly drawn obstacles.
-        spatial: whether the task is for spatial robots instead of planar ones.
+        spatial: whether the task needs a spatial robot.
     """
 
     name: str
@@ -357,7 +357,9 @@ class Task(ABC):
 
 
 class Episode(Stateful, ABC):
-    """One episode of a task. `save` and `restore` allow branching.
+    """One episode of a task.
+
+    The methods `save` and `restore` make it possible to branch an episode.
 
     Attributes:
         twin: simulated robot.

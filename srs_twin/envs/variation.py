@@ -36,7 +36,7 @@ class Variation:
     """Distribution of robots over episodes.
 
     Attributes:
-        file: nominal robot with the tolerances of its modules.
+        file: nominal robot, including the tolerances of the modules.
         fit: fit whose parameters are drawn, or None.
         ranges: lower and upper limit of a uniform distribution, keyed by parameter
             name.
@@ -83,7 +83,6 @@ class Variation:
                     " lower limit first"
                 )
             for limit in (low, high):
-                # This call raises an error for a limit that is not allowed.
                 free_parameters(spec, [name], starts={name: limit})
         return variation
 

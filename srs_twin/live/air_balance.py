@@ -1,7 +1,7 @@
 r"""Estimates of the supply pressure and of leaks from the air that flows into chambers.
 
 While the valve of a chamber is open, the chamber pressure P and the bend q of the
-segment satisfy the balance of air
+segment satisfy the air balance
 
 $$ \Delta (P\,V(q)) = c \int \dot n_{in}\,dt - (\lambda_0 + \lambda)\,K \int (P - P_a)\,dt, $$
 
@@ -9,7 +9,7 @@ where V is the chamber volume, ṅ_in the flow through an orifice (`pneumatics/f
 P_a the ambient pressure and K the capacity of a nominal chamber. A stroke is an
 interval in which the valve stays open. The flow factor c and the apparent loss λ₀ of an
 intact chamber are estimated from many strokes by linear regression with forgetting. The
-scatter between strokes is estimated as well. A leak λ can then be detected within one
+scatter between strokes is also estimated. A leak λ can then be detected within one
 stroke.
 
 All chambers share one supply, whose gauge pressure S is modelled as a random walk. Let
@@ -136,8 +136,8 @@ class SupplyFilter(Stateful):
             chance = np.pi / 2 / len(residual) * scatter
             if change**2 > _SURPRISE**2 * (self.variance + chance):
                 self.variance += change**2
-                # Earlier messages do not show the change, so their errors are not
-                # correlated with the error of this message.
+                # Messages before a sudden change are not correlated with messages after
+                # the change.
                 repeats = 1.0
         expected = variance + response**2 * self.variance
         square = (residual - response * change) ** 2 / expected
@@ -226,15 +226,13 @@ _volume = np.vectorize(volume, otypes=[float, float])
 _flow = np.vectorize(
     lambda first, second: flow(first, second, CRITICAL_RATIO)[0], otypes=[float]
 )
-# The following constants are columns of the integrals over a stroke. The columns
-# contain the gauge pressure, the inflow of each variant, and the derivative of the
-# inflow with respect to the supply pressure. The first variant has no fault.
+# The integrals over a stroke have columns for the gauge pressure, the inflow of each
+# variant, and the derivative of the inflow with respect to the supply pressure.
 _OUTFLOW = 0
 _SOUND_INFLOW = 1
 _INFLOWS = slice(1, -1)
 _DERIVATIVE = -1
-# The following constants are columns of the supply pressures at the start of a stroke
-# and at the last message.
+# The supply pressure is stored at the start of a stroke and at the last message.
 _FIRST = 0
 _LAST = 1
 
@@ -336,18 +334,12 @@ class LeakDetector(Stateful):
         self.fit = np.tile([1.0, 0.0], (*shape, 1))
         self.scatter = np.full(shape, SCATTER**2)
         self.learnt = np.zeros(shape)
-        # The information matrix is the inverse of the covariance of the fit.
         self._prior = np.diag([1 / FLOW_SD**2, 1 / LOSS_SD**2])
         self._information = np.tile(self._prior, (*shape, 1, 1))
         self._pending = np.zeros((*shape, len(_Message)))
-        # Time of the last pressure message of each stroke. Between strokes the time is
-        # NaN.
         self._time = np.full(shape, np.nan)
-        # The last axis holds the amount of air and the standard deviation of the
-        # amount.
         self._begun = np.zeros((*shape, 2))
         self._reached = np.zeros((*shape, 2))
-        # The last axis contains the columns from `_OUTFLOW` to `_DERIVATIVE`.
         self._rates = np.zeros((*shape, count + 2))
         self._sums = np.zeros((*shape, count + 2))
         self._supply = np.zeros((*shape, 2))
@@ -399,7 +391,7 @@ class LeakDetector(Stateful):
                 pressures are NaN.
             bend: estimated bend of each segment, rad.
             filled: time for which each chamber has been filled, shape (segments, 2), s.
-                The time is 0 while a chamber vents.
+                The filling time of a venting chamber is 0.
             sound: probability that a segment has no fault, shape (segments,).
             supply: filter for the supply pressure.
 
@@ -465,8 +457,8 @@ class LeakDetector(Stateful):
         lines = np.append(self._fractions * line, [line + sd, line - sd])
         flows = self._conductance * _flow(lines + AMBIENT_PA, inside[..., None])
         flows[..., :-2] *= self._fractions > 0.0
-        # A difference quotient is used because the derivative diverges at equal
-        # pressures.
+        # The derivative is computed by finite differences, because the exact derivative
+        # diverges at equal pressures.
         derivative = (flows[..., -2:-1] - flows[..., -1:]) / (2 * sd)
         gauge = np.nan_to_num(pressure)[..., None] / self._nominal
         rates = np.concatenate([gauge, flows[..., :-2], derivative], axis=-1)

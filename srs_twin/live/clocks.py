@@ -3,7 +3,7 @@ r"""Clock offsets of the senders, and a buffer that sorts messages by sending ti
 A message is sent at the time s on the sender's clock and received at the time a on the
 local clock. The difference a − s is the offset of the two clocks plus the transport
 delay, which is not negative. The offset is estimated as the minimum of a − s over the
-last ten seconds. The jitter of a message is its difference a − s minus the offset.
+last ten seconds. The jitter of a message is the difference a − s minus the offset.
 Quartz clocks drift by about 5·10⁻⁵, which is half a millisecond in ten seconds.
 """
 
@@ -62,10 +62,10 @@ class SenderClock:
     A message confirms the offset if the delay of the message differs from the offset by
     at most `AGREEMENT_S`. A single message with another delay may have a wrong time
     stamp. The offset is decreased after `CONFIRMING` successive messages with lower
-    delays. The offset is increased after `CONFIRMING_S` without any message that
-    confirms it. An increase is caused either by setting back the sender's clock or by
-    slower transport. These causes cannot be distinguished, so the increase is added to
-    the uncertainty of the age of messages.
+    delays. The offset is increased if no message has confirmed the offset for
+    `CONFIRMING_S`. An increase is caused either by setting back the sender's clock or
+    by slower transport. The cause of an increase is unknown, so the increase is added
+    to the uncertainty of the age of messages.
 
     Attributes:
         offset: local clock minus the sender's clock, including the minimum delay, s.
@@ -80,10 +80,7 @@ class SenderClock:
         self.uncertainty = 0.0
         self._agreed = -math.inf
         self._seen: deque[_Arrival] = deque(maxlen=KEPT)
-        # Candidates for the minimum delay are sorted by increasing delay.
         self._least: deque[_Arrival] = deque()
-        # These queues contain successive messages with delays below and above the
-        # offset.
         self._early: deque[_Arrival] = deque(maxlen=CONFIRMING)
         self._late: deque[_Arrival] = deque(maxlen=KEPT)
 

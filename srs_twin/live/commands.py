@@ -84,8 +84,8 @@ class CommandHistory:
             # duty.
             return None
         else:
-            # The shortest interval between reports is the robot's tick. Longer
-            # intervals are due to lost reports.
+            # The tick of the robot is estimated by the shortest interval between
+            # reports, because longer intervals are due to lost reports.
             if _LEAST_INTERVAL_S < message.sent - self._reported < self._report_s:
                 self._report_s = message.sent - self._reported
             self._reported = message.sent
@@ -169,12 +169,12 @@ class CommandPeriod:
         return np.repeat(past[-1:], slots, axis=0)
 
     def period(self) -> int:
-        """Return the period of the commands in slots, or 0 without a period."""
+        """Return the period in slots, or 0 if the commands are not periodic."""
         if not self._duties:
             return 0
         past = np.array(self._duties)
         recent = past[-_LAGS[-1] // 2 :]
-        if not np.ptp(recent, axis=0).any():  # Constant commands have no period.
+        if not np.ptp(recent, axis=0).any():
             return 0
         least = _SAME
         period = 0

@@ -172,8 +172,8 @@ class Hypotheses:
         """Return the factor by which model errors increase the noise variance.
 
         The factor is the mean square of the normalised residuals of the best
-        hypothesis, but at least 1. A sample contributes `independent` independent
-        values.
+        hypothesis, but at least 1. `independent` is the number of independent values
+        per sample.
         """
         return max(float(self.cost.min()) / max(self.compared * independent, 1.0), 1.0)
 
@@ -187,14 +187,14 @@ class Hypotheses:
 _OF_EACH = ("station", "force", "velocity", "bend", "cost")
 """Attributes of `Hypotheses` with one row per hypothesis."""
 
-# The following constants are row indices of a sample and of the learnt means.
+# Each sample has rows for the bend, the free bend and the commands.
 _BEND = 0
 _FREE = 1
 _COMMANDS = slice(2, None)
 
 
 def _deviation(sample: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    """Return the deviation e defined in the module docstring, rad."""
+    """Return the deviation e of a sample from the learnt mean, rad."""
     return np.asarray(sample[_BEND] - mean[_BEND] - sample[_FREE] + mean[_FREE])
 
 
@@ -278,7 +278,6 @@ class ContactObserver(Stateful):
         # A first-order filter with the gain g divides the variance of white noise and
         # the number of independent values by (2 - g)/g.
         self._independent = spec.segments * self._gain / (2 - self._gain)
-        # This is the maximum friction force of the floor on the whole robot, N.
         self._friction = spec.friction.mu_n * spec.mass.total * GRAVITY
         self.set_period(period)
 
@@ -290,8 +289,6 @@ class ContactObserver(Stateful):
         self._count = 0
         self._changed = 0
         self._bins = np.zeros(max(period, 1), dtype=int)
-        # The rows are the means of the bend, the free bend and the two commands in each
-        # phase.
         self._sums = np.zeros((max(period, 1), 4, n))
         self._variance = np.zeros(n)
         self._filtered = np.zeros(n)
@@ -299,7 +296,7 @@ class ContactObserver(Stateful):
         # A contact may have begun during the last samples, whose filtered deviations
         # are kept.
         self._recent: deque[np.ndarray | None] = deque(maxlen=self._past + 1)
-        self._shape = np.zeros((0, n))  # mean bends when learning ended
+        self._shape = np.zeros((0, n))
         self._gait: _Gait | None = None
         self._hypotheses: Hypotheses | None = None
 

@@ -150,9 +150,10 @@ def emulate(
     """Emulate a robot that communicates over MQTT and NatNet.
 
     The emulated robot is a twin with unequal modules, compressible flow in the
-    chambers, sensor noise and faults. It executes valve commands and publishes bends,
-    pressures, valve states and poses in real time. docs/live.md describes the messages.
-    The environment variable SRS_TWIN_MQTT_PASSWORD contains the password of --user.
+    chambers, sensor noise and faults. The emulated robot executes valve commands and
+    publishes bends, pressures, valve states and poses in real time. docs/live.md
+    describes the messages. The environment variable SRS_TWIN_MQTT_PASSWORD contains the
+    password of --user.
 
     Options:
         mqtt: Address of the MQTT broker.

@@ -216,7 +216,7 @@ class EmulatedRobot:
             seed: random seed of the module properties and the noise.
             faults: faults in the format of `Fault.parse`.
             noise_rad: standard deviation of bend readings, rad.
-            start: initial pose: x, y (m), heading (rad).
+            start: initial position x, y (m) and initial heading (rad).
 
         Raises:
             InputError: the robot does not exist, or a fault is invalid.
@@ -393,7 +393,7 @@ class Transport:
 
         Args:
             due: time on the local clock at which the message is sent, s. A random delay
-                is added.
+                is added to this time.
             send: function that sends the message.
             *values: positional arguments of `send`.
             **named: keyword arguments of `send`.
@@ -405,7 +405,7 @@ class Transport:
             heapq.heappush(self._waiting, entry)
 
     def send_until(self, due: float) -> None:
-        """Send all messages that are due by a local time (s), and wait for this time."""
+        """Wait until a local time (s), and send all messages that are due by then."""
         while True:
             while self._waiting and self._waiting[0].due <= clock():
                 heapq.heappop(self._waiting).call()
@@ -459,8 +459,8 @@ def emulate(
                     heard = message.arrived
             state = robot.step(command if clock() - heard <= SILENT_S else None)
             done += 1
-            # The simulated state is published at the end of the tick, to which the
-            # state refers.
+            # The state is published at the end of the tick, because the state refers to
+            # this time.
             due = begun + done * tick
             messages = {
                 BENDS: robot.bends(),
@@ -475,7 +475,7 @@ def emulate(
                 transport.add(due, capture.send, due, robot.bodies())
             late += clock() > due + tick
             if clock() - due > _LATE_S:
-                begun = clock() - done * tick  # This skips the missed ticks.
+                begun = clock() - done * tick
             transport.send_until(due)
             time.sleep(_LETS_GO_S)
     finally:

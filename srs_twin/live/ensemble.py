@@ -5,8 +5,8 @@ gains and biases of the modules. A disturbance of each bend, modelled as a first
 Gauss–Markov process, represents the model error. The chambers and bodies are simulated
 with the `compliant` model (`member_dynamics`), and the motion of the body is computed
 from the changes of the bends (`odometry`). The gains and biases are not corrected by
-the ensemble, because correlations in a small ensemble are partly spurious. They are
-drawn from the estimates of the fault detector.
+the ensemble, because correlations in a small ensemble are partly spurious. Instead, the
+gains and biases are drawn from the estimates of the fault detector.
 
 Measurements are processed one after another by the ensemble square root filter
 (Whitaker and Hamill 2002):
@@ -298,7 +298,7 @@ class EnsembleFilter:
         return innovation
 
     def apply_odometry(self) -> None:
-        """Move the members according to the changes of their bends since the last call."""
+        """Move the members according to the changes of bends since the last call."""
         self.odometry.apply(self.members[:, _POSE], self._of("bend"))
 
     def poses(self) -> np.ndarray:
@@ -322,11 +322,11 @@ class EnsembleFilter:
         )
 
     def mean(self, name: str) -> np.ndarray:
-        """Return the ensemble means of the columns with the given name."""
+        """Return the means of the columns with the given name."""
         return np.asarray(self._of(name).mean(axis=0))
 
     def sd(self, name: str) -> np.ndarray:
-        """Return the ensemble standard deviations of the columns with the given name."""
+        """Return the standard deviations of the columns with the given name."""
         return np.asarray(self._of(name).std(axis=0, ddof=1))
 
     def copy(self, members: int | None = None) -> EnsembleFilter:
@@ -372,7 +372,7 @@ class EnsembleFilter:
         return self.members[:, self.columns[name]]
 
     def _random(self, name: str) -> np.ndarray:
-        """Draw normal numbers with a mean of 0, which do not change the ensemble mean."""
+        """Draw normal numbers whose sample mean is 0, so that the mean is unchanged."""
         numbers = self._rng.normal(size=self._of(name).shape)
         return np.asarray(numbers - numbers.mean(axis=0))
 
@@ -423,8 +423,9 @@ class EnsembleFilter:
             return
         usual = getattr(self.noise, name)
         variance = self._frame_noise[name] ** 2
-        # In a consistent filter, the expected product of the residuals equals the noise
-        # variance. The limits restrict the effect of a single frame.
+        # In a consistent filter, the expected product of the residuals before and after
+        # the correction equals the noise variance. The limits restrict the effect of a
+        # single frame.
         product = min(max(float(np.nanmean(before * after)), 0.0), 4 * variance)
         estimate = math.sqrt(variance + (product - variance) / _NOISE_FRAMES)
         self._frame_noise[name] = min(

@@ -37,8 +37,8 @@ class Estimate:
     """Estimated state of a robot, with standard deviations.
 
     Attributes:
-        time: time of the estimate on the local clock, s. The state at the last used
-            message is predicted to this time.
+        time: time of the estimate on the local clock, s. The state at the last message
+            is predicted to the time of the estimate.
         bend: bend of each segment, rad.
         bend_sd: standard deviation of the bends, rad.
         pose: position x, y of the centre of mass (m) and mean heading (rad).
@@ -49,7 +49,7 @@ class Estimate:
             (connectors, 3).
         parameters: estimates of "gain" (gain of each chamber relative to the robot
             file) and "bias_rad" (bend of each module without pressure).
-        faults: faults that are detected at this time.
+        faults: currently detected faults.
         off: RMS innovation of the last message of each kind, in standard deviations.
         lost: reason why the position is unknown, or an empty string if the position is
             known.
@@ -149,16 +149,13 @@ class Prediction:
 
 
 class PredictionCalibration:
-    """Calibration of prediction intervals based on the errors of earlier predictions."""
+    """Calibration of prediction intervals with the errors of earlier predictions."""
 
     def __init__(self) -> None:
         """Create a calibration without earlier predictions."""
-        # The two arrays contain the mean squared errors and the mean predicted
-        # variances.
         self._error = self._stated = np.zeros(3)
         self._count = 0
         self._open: deque[Prediction] = deque(maxlen=20)
-        # Each entry contains the time, x, y and the heading.
         self._path: deque[np.ndarray] = deque(maxlen=200)
 
     def observe(self, time: float, pose: np.ndarray) -> None:
@@ -308,8 +305,7 @@ class LiveContact:
     def _update_period(self, period: int) -> None:
         """Adopt a period of the commands that has been constant for half a second.
 
-        The period is adopted only if it is constant, because the period estimated from
-        few commands may be too short.
+        A period that is estimated from few commands may be too short.
         """
         if not period:
             return

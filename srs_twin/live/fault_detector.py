@@ -27,14 +27,14 @@ product e q is linearised. Under the hypothesis of a drifting sensor, the offset
 large random walk. The filters are mixed as in Blom and Bar-Shalom (1988). Faults are
 assumed to be rare and permanent.
 
-While a segment has no fault, the detector learns how its pressures deviate from the
-first-order law (`pressure_table`). Leaks are detected by means of air balances
+While a segment has no fault, the detector learns the deviations of the pressures from
+the first-order law (`pressure_table`). Leaks are detected by means of air balances
 (`air_balance`).
 
 All pressures are relative to the estimated supply pressure (`air_balance`), so a slowly
 decreasing supply pressure is not reported as a fault of a segment. After a sudden loss
-of supply pressure, all segments appear to be weak or to leak at the same time. In this
-case the detector corrects the estimated supply pressure. The fault
+of supply pressure, all segments appear to be weak or to leak at the same time. After a
+sudden loss, the detector corrects the estimated supply pressure. The fault
 `low_supply_pressure` is reported if the supply pressure is below the fraction
 `STARVED_BELOW` of the nominal pressure.
 """
@@ -217,7 +217,7 @@ class FaultDetector(Stateful):
         return self.decision.detected_faults
 
     def clear_fault(self, number: int) -> None:
-        """Clear the detected fault of a segment, or of the supply (number 0)."""
+        """Clear the detected fault of a segment, or of the supply if `number` is 0."""
         self.decision.clear(number)
         if number == 0:
             self.supply = SupplyFilter(self.supply.nominal)
@@ -248,7 +248,7 @@ class FaultDetector(Stateful):
         return self.decision.most_likely(self.probability)
 
     def modules(self) -> Estimates:
-        """Return estimates of g⁺, g⁻ and b (rad) of each module, shape (segments, 3)."""
+        """Return estimates of g⁺, g⁻ and b (rad) per module, shape (segments, 3)."""
         values = self.mean[..., _MODULE]
         variances = np.einsum("smii->smi", self._covariance)[..., _MODULE]
         mean = np.einsum("sm,smi->si", self.probability, values)
@@ -430,7 +430,8 @@ class FaultDetector(Stateful):
             used: whether each hypothesis uses the measurements, shape (hypotheses,).
 
         Returns:
-            Log-likelihood of each hypothesis. For a missing measurement the value is 0.
+            Log-likelihood of each hypothesis. The log-likelihood of a missing
+            measurement is 0.
         """
         available = ~np.isnan(measured)[:, None] & used
         # `gain` is the cross covariance P Hᵀ, and `weight` is the Kalman gain.
@@ -560,8 +561,8 @@ class FaultDetector(Stateful):
         if self.time < START_S:
             return
         if self.decision.low_supply_pressure:
-            # At a low supply pressure, segments appear to leak. Without this
-            # correction, the false leaks would remain after the supply has recovered.
+            # At a low supply pressure, segments appear to leak. If these false leaks
+            # were not corrected, they would remain after the supply has recovered.
             likely = np.where(weak_or_leaks, self.probability, 0.0).argmax(axis=1)
             self._attribute_to_supply(weak_or_leaks, likely)
         # If no pressures are measured, the standard deviation of the supply pressure

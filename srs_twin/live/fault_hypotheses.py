@@ -163,8 +163,8 @@ class FaultDecision(Stateful):
     def __init__(self, segments: int) -> None:
         """Create a decision without any detected fault."""
         self.pairs = np.full((segments + 1, 2), -1, dtype=int)
-        # The arrays contain the times since which the probability of each fault, and of
-        # each pair of indistinguishable faults, has exceeded the threshold.
+        # The time at which the probability of a fault exceeds the threshold is stored
+        # for each fault and for each pair of indistinguishable faults.
         self._since = np.full((segments, len(NAMES)), np.inf)
         self._either_since = np.full((segments, len(INDISTINGUISHABLE)), np.inf)
 

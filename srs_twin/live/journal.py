@@ -50,7 +50,7 @@ class Journal:
 
     Attributes:
         trouble: path and reason of the error that ended the journal, or an empty string
-            if none occurred.
+            if there was no error.
     """
 
     def __init__(self, path: Path) -> None:
@@ -161,8 +161,8 @@ def journal_messages(
 ) -> Iterator[Message]:
     """Yield the messages of a robot and of motion capture in the order of arrival.
 
-    `refuse` is called with the error of each invalid message. `others` receives the
-    names of other robots in the journal.
+    The function `refuse` is called with the error of each invalid message. The names of
+    other robots in the journal are added to `others`.
 
     Reading stops at the first damaged record.
 
@@ -307,7 +307,8 @@ class McapLink(Link):
     def clock(self) -> float:
         """Return the current time in the recording, s, or NaN before the first message.
 
-        The time does not pass the next message before this message has been replayed.
+        The time does not exceed the time of the next message before the next message is
+        replayed.
         """
         return min(self._first + (clock() - self._begun) * self._speed, self._next)
 
@@ -355,7 +356,7 @@ class McapLink(Link):
                     if self._over.wait(_FULL_S):
                         return
                 self._take(message)
-        except Exception as error:  # The thread ends here, so the error is counted.
+        except Exception as error:
             self._refuse(error)
         finally:
             self._next = math.inf

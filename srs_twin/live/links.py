@@ -1,4 +1,4 @@
-"""Links to message sources, which are MQTT brokers and the keys of the terminal.
+"""Links to message sources such as an MQTT broker, and input from the terminal.
 
 Each link receives messages in its own thread, which records the times of arrival. A
 link reconnects after the connection is lost, and counts the invalid messages.
@@ -149,7 +149,7 @@ def address(given: str, port: int) -> tuple[str, int]:
 
 def _is_host(name: str) -> bool:
     try:
-        encoded = name.encode("idna")  # Sockets use the same encoding.
+        encoded = name.encode("idna")
     except UnicodeError:
         return False
     labels = name.removesuffix(".").split(".")
@@ -162,7 +162,7 @@ def resolved(host: str) -> str:
     """Return the IPv4 address of a host.
 
     Raises:
-        InputError: no host has this name.
+        InputError: there is no host with the given name.
     """
     try:
         return socket.gethostbyname(host)
@@ -218,7 +218,7 @@ class MqttLink(Link):
         """Connect to a broker and subscribe to the topics of a robot.
 
         Args:
-            robot: name of the robot, which is part of its topics.
+            robot: name of the robot, which is part of the topics.
             segments: number of segments of the robot.
             broker: address and login of the broker.
             kinds: kinds of messages to receive.
@@ -346,7 +346,9 @@ class MqttLink(Link):
 
 
 def _trust(client: mqtt.Client, ca: Path) -> None:
-    place = require_file(ca, suffix=".pem")  # Opening a pipe would block.
+    place = require_file(
+        ca, suffix=".pem"
+    )  # The check excludes pipes, because opening a pipe would block.
     try:
         client.tls_set(str(place))
     except (OSError, ValueError) as error:
@@ -381,7 +383,7 @@ def typed_words(terminal: TextIO | None = None) -> Iterator[Callable[[], list[st
         if not _in_foreground(handle) or not select.select([handle], [], [], 0)[0]:
             return []
         typed = b""
-        with suppress(OSError):  # The terminal has been closed.
+        with suppress(OSError):
             typed = os.read(handle, 1024)
         keys = typed.decode("ascii", "replace").lower()
         return [KEYS[key] for key in keys if key in KEYS]

@@ -246,7 +246,7 @@ def _advance(states, velocities, steps, free, model, workspace):  # type: ignore
 
 @compiled
 def _set_momenta(states, velocities, model, workspace):  # type: ignore[no-untyped-def]
-    """Write velocities and momenta, given velocities in the frame of the mean heading."""
+    """Compute world-frame velocities and momenta from body-frame velocities."""
     segments = workspace.bend.shape[0]
     ahead = compliant_kernels.BENDS
     momentum = workspace.momentum

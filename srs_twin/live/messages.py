@@ -80,8 +80,7 @@ class Message:
 
     Attributes:
         kind: kind of the message, one of `KINDS` or `POSES`.
-        source: name of the robot or of the motion capture system, whose clock defines
-            `sent`.
+        source: name of the sender, which is the robot or the motion capture system.
         sent: sending time on the sender's clock, s.
         arrived: time of arrival on the local monotonic clock, s.
         values: values of the message, as described above.
@@ -192,7 +191,7 @@ def decode(
     """
     if kind not in KINDS:
         raise BadMessageError(f"{kind!r} is not a kind of message")
-    if kind == CONTROL and payload in _PLAIN_WORDS:  # A person may send a plain word.
+    if kind == CONTROL and payload in _PLAIN_WORDS:
         return Message(kind, source, arrived, arrived, names=(payload.decode(),))
     document = _document(payload)
     sent = _number(document.get("t"), "t", -LATEST_S, LATEST_S)

@@ -33,7 +33,8 @@ VERSIONS = (
     (4, 2),
 )
 """NatNet versions that the reader supports."""
-_MOST = 10_000  # maximum number of entries of a list in a frame
+_MOST = 10_000
+"""Maximum number of entries of a list in a frame."""
 _TRACKED = 0x01
 _NAME = 256
 _FURTHEST_M = 1000.0
@@ -86,7 +87,7 @@ class Frame:
 
     Attributes:
         number: frame number assigned by the sender.
-        time: time stamp on the clock of the sender, s.
+        time: time stamp on the sender's clock, s.
     """
 
     number: int
@@ -102,7 +103,7 @@ class Group(NamedTuple):
 
 
 class Server(NamedTuple):
-    """NatNet version of a server, and its multicast group or None."""
+    """NatNet version and multicast group of a server."""
 
     version: Version
     group: Group | None = None
@@ -130,7 +131,7 @@ class _Reader:
         return int(count)
 
     def listed(self, version: Version) -> tuple[int, int | None]:
-        """Read the number of entries of a list and, from version 4.1 on, its end."""
+        """Read the length of a list and, from version 4.1 on, the end of the list."""
         count = self.count()
         if version < (4, 1):
             return count, None
@@ -214,7 +215,7 @@ def read_models(content: bytes, version: Version) -> dict[int, str]:
     """Read the names of the rigid bodies, keyed by id.
 
     Before version 4.1, reading ends at the first description of an unknown type,
-    because the length of this description is unknown.
+    because the packet does not state the length of descriptions.
 
     Raises:
         BadMessageError: the content is invalid.
@@ -231,7 +232,8 @@ def read_models(content: bytes, version: Version) -> dict[int, str]:
         elif kind == _RIGID_BODY:
             number, name = _model(packet, version)
             names[number] = name
-        # The end of an unknown description without a length cannot be found.
+        # If a description of an unknown type has no length, the end of the description
+        # cannot be found.
         elif end is None:
             break
         if end is not None:
@@ -316,8 +318,8 @@ def _body(packet: _Reader, version: Version) -> tuple[int, RigidBody]:
     error, params = packet.read("fH")
     place = tuple(rest[:3])
     turn = tuple(rest[3:])
-    # The flag is not sufficient, because some senders set it together with an invalid
-    # orientation of zeros.
+    # The flag alone is not sufficient, because some senders mark a body as tracked
+    # although the orientation is invalid.
     has_pose = is_place(place) and unit_quaternion(turn) is not None
     tracked = has_pose and bool(params & _TRACKED)
     return number, RigidBody(place, turn, error, tracked)
@@ -330,7 +332,8 @@ def _skeleton(packet: _Reader, version: Version) -> None:
 
 
 def _asset(packet: _Reader, version: Version) -> None:
-    # Lists of assets exist only from version 4.1 on, in which they state their length.
+    # Lists of assets exist only from version 4.1 on, and lists in these versions state
+    # their length.
     raise BadMessageError("the list of assets does not state its length")
 
 
@@ -409,7 +412,6 @@ def rotate(body: RigidBody, up: str) -> np.ndarray:
         return np.full(4, math.nan)
     x, y, z = body.place
     i, j, k, w = turn
-    # This is the component of the body's x axis along the x axis of the frame.
     forward = 1 - 2 * (j * j + k * k)
     if up == "y":
         return np.array([x, -z, y, math.atan2(-2 * (i * k - j * w), forward)])

@@ -104,9 +104,9 @@ class LocalConnection(Stateful):
         self._root: Array = np.eye(count) * PRIOR / _NOISE_RAD
 
     def snapshot(self) -> LocalConnection:
-        """Return a copy for another thread, which cannot learn."""
+        """Return a copy for predictions in another thread."""
         made = object.__new__(LocalConnection)
-        # The arrays are shared, because they are replaced but never changed in place.
+        # The copy shares the arrays, because the arrays are never changed in place.
         for name in ("_spec", "_mass", "_powers", "weights", "_root", "_scatter"):
             setattr(made, name, getattr(self, name))
         return made
@@ -187,8 +187,8 @@ class LocalConnection(Stateful):
         if self._frames % _BLOCK:
             return
         # The noise of a frame has opposite signs in successive displacements and
-        # cancels in sums over a block. The scatter is therefore computed from these
-        # sums.
+        # cancels in sums over a block. The scatter is therefore computed from sums over
+        # blocks.
         kept = max(min(self._frames // _BLOCK, _KEPT_BLOCKS), 2)
         self._scatter = self._scatter + (self._block**2 / _BLOCK - self._scatter) / kept
         self._block = np.zeros(3)
@@ -244,8 +244,8 @@ class Odometry:
         draws = rng.normal(size=(len(bends), len(self._features), 3))
         self._draws = draws - draws.mean(axis=0)
         self._forecasting = False
-        # The following attributes are the bends at the last call of `apply` and the
-        # time since that call.
+        # The bends at the last call of `apply` and the time since the last call are
+        # stored.
         self._bends = bends.copy()
         self._elapsed = 0.0
         self._frame_age = math.inf
@@ -302,9 +302,9 @@ class Odometry:
             c = math.cos(pose[2])
             s = math.sin(pose[2])
             residual = np.array([c * x + s * y, c * y - s * x, turn])
-            # The predicted pose already contains the learnt part of the motion. This
-            # part is added to the residual, because W is fitted to the whole deviation
-            # from A_w.
+            # The predicted pose already contains the learnt part of the motion. The
+            # learnt part is added to the residual, because W is fitted to the whole
+            # deviation from A_w.
             residual += self._features @ connection.weights
             residual -= connection.kinematic_matrix((bend + now) / 2) @ (now - bend)
             connection.learn(self._features + connection.features(bend, now), residual)
@@ -325,8 +325,8 @@ class Odometry:
         """Return a copy for predictions, in which the members move independently.
 
         Args:
-            before: bends in the filter of the members that are predicted, rad.
-            bends: initial bends of these members in the prediction, rad.
+            before: bends of the predicted members in the filter, rad.
+            bends: bends of the predicted members at the start of the prediction, rad.
         """
         other = copy.copy(self)
         vars(other).update(

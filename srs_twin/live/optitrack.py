@@ -24,7 +24,7 @@ _ASKS_NAMES_EVERY_S = 10.0
 The server does not report changed names, so the names are requested repeatedly.
 """
 _WINDOW = 1000
-"""Minimum difference of successive frame numbers that indicates a restart of the server.
+"""Minimum difference of successive frame numbers that indicates a restart.
 """
 _LISTENS_S = 0.1
 
@@ -58,7 +58,7 @@ class _UdpLink(Link):
                 continue
             except OSError:
                 if own not in self._sockets:
-                    return  # The link has left this multicast group.
+                    return
                 self.counts["unreachable"] += 1
                 time.sleep(_LISTENS_S)
                 continue
@@ -75,7 +75,7 @@ class _UdpLink(Link):
     def _idle(self) -> None:
         """Send the requests that are due.
 
-        This method is called before each wait for a packet.
+        Before each wait for a packet, the link calls this method.
         """
 
     @abstractmethod
@@ -232,7 +232,7 @@ class NatNetLink(_UdpLink):
 
     def _meet(self, server: natnet.Server) -> None:
         if self.version is None:
-            self._asked = 0.0  # The names of the bodies are requested immediately.
+            self._asked = 0.0
         self.version = server.version
         if server.group is not None and server.group != self._group:
             try:

@@ -180,7 +180,7 @@ class PressureLevels(Stateful):
         self._variance = np.full(self.ages.shape, sd**2)
 
     def read(self) -> Estimates:
-        """Return mean and standard deviation in the current bins, shape (segments, 2)."""
+        """Return mean and standard deviation in current bins, shape (segments, 2)."""
         index = self.ages.index()
         return Estimates(self._mean[index], np.sqrt(self._variance[index]))
 
@@ -188,8 +188,8 @@ class PressureLevels(Stateful):
         """Learn from pressures that were measured in the current bins.
 
         Args:
-            residual: measured minus expected pressure, fraction of the supply pressure,
-                shape (segments, 2).
+            residual: measured minus modelled pressure, as a fraction of the supply
+                pressure, shape (segments, 2).
             learns: whether each chamber is used for learning, shape (segments, 2).
         """
         index = self.ages.index()

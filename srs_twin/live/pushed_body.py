@@ -1,10 +1,10 @@
-r"""Motion of a crawling snake under a lateral contact force, and moments on the segments.
+r"""Motion of a crawling snake under a lateral contact force, and segment moments.
 
 The bends q(t) are periodic and known, so the motion of the body is described by three
-velocities u. These are the velocity components of the centre of mass in the frame of
-the mean heading, and the yaw rate ω. With the Jacobians J_c(q) of the two wheels of
-each connector and the friction forces f of the floor (`robot.friction`), the equations
-of motion are
+velocities u. The velocities u are the two velocity components of the centre of mass in
+the frame of the mean heading, and the yaw rate ω. With the Jacobians J_c(q) of the two
+wheels of each connector and the friction forces f of the floor (`robot.friction`), the
+equations of motion are
 
 $$ M \dot v = \sum f_c + F n, \qquad \frac{d}{dt}(I(q)\,\omega + h(q, \dot q)) = \sum r_c \times f_c +
    r_s \times F n, \qquad v_c = J_c u + b_c . $$
@@ -40,7 +40,9 @@ If the time step is 4 ms, the median error of an estimated force changes by less
 SLIP_SPEED_M_S = 0.005
 """Speed below which friction is viscous, m/s, for a time unit of 1 s."""
 _SETTLING_S = 3.0
-"""Simulated time from rest until the motion without contact is periodic, s, for a time unit of 1 s.
+"""Simulated time until the motion without contact is periodic, s.
+
+The time is multiplied by the time unit of the robot.
 """
 
 
@@ -203,7 +205,8 @@ class PushedBody:
         )
         moments = _cross(arms, normal[:: self._steps, :, None])
         self._on_push = np.where(j[:, None] < np.arange(n), moments, 0.0)
-        # The lever arm max(c - s, 0) is averaged over the cross-sections c of the arc.
+        # The lever arm max(c - s, 0) of the force is averaged over the cross-sections c
+        # of the arc.
         begin = g.rigid_gap / 2
         end = g.rigid_gap / 2 + g.segment_length
         behind = fraction[:, 0] * g.pitch

@@ -1,7 +1,7 @@
 """Session of a live twin in real time.
 
 In each tick, the messages of the links are passed to the live twin, and commands are
-sent to the robot. The journal and the results are written to a folder.
+sent to the robot. The journal of all messages and the results are written to a folder.
 """
 
 from __future__ import annotations
@@ -409,7 +409,10 @@ class Session:
             self._saving = self._pool.submit(save, self._out / STATE)
 
     def _watch(self) -> None:
-        """Warn if the machine is too slow, and end the steering if it remains too slow."""
+        """Warn if the machine is too slow.
+
+        The steering ends if the machine remains too slow.
+        """
         skipped = self.shadow.skipped - self._skipped
         self._skipped = self.shadow.skipped
         self._behind = self._behind + skipped if skipped else 0.0
@@ -570,7 +573,7 @@ class Session:
         """Perform all final steps, even if one of them fails."""
         seconds = time.monotonic() - self._start
         error = sys.exception()
-        with ExitStack() as steps:  # The callbacks are called in reverse order.
+        with ExitStack() as steps:
             steps.callback(self._write)
             steps.callback(self._close_journal)
             # The summary is created before the journal is closed, so that the journal

@@ -132,8 +132,8 @@ def load_setup(path: Path, overridden: Container[str] = ()) -> SetupFile:
 
     Args:
         path: path of the file.
-        overridden: keys that are overridden on the command line. The files of these
-            keys need not exist.
+        overridden: keys that are overridden on the command line. The files of
+            overridden keys need not exist.
 
     Raises:
         InputError: the file cannot be read.

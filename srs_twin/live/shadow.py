@@ -1,7 +1,7 @@
 """Live twin of one robot.
 
-Messages are sorted by sending time (`clocks.ReorderBuffer`). The messages then update
-an ensemble filter (`ensemble`) and a fault detector (`fault_detector`). The ensemble
+Messages are sorted by sending time (`clocks.ReorderBuffer`). Each message updates an
+ensemble filter (`ensemble`) and a fault detector (`fault_detector`). The ensemble
 filter takes detected faults into account. A stuck valve is simulated in the ensemble,
 and the readings of a faulty sensor are ignored. The live twin reads neither links nor
 clocks, because messages and time are arguments of `update`.
@@ -140,8 +140,6 @@ class Shadow:
         self.interruptions = 0
         self._commands = CommandHistory(n)
         self._heard = dict.fromkeys(_KINDS, -math.inf)
-        # This dictionary contains the sending time of the last measurement that was
-        # used from each sender.
         self._used: dict[str, float] = {}
         self._missing = np.zeros(n + 1, dtype=int)
         self._lost_markers = np.zeros(n + 1, dtype=bool)
@@ -200,8 +198,7 @@ class Shadow:
             self._use(at, simultaneous)
         if self._due and now - self._due[0].time > MOST_BEHIND_S:
             self._skip_due()
-        # Within this delay, earlier messages may still arrive. The comparison is false
-        # if the time is NaN.
+        # Before this delay has passed, earlier messages may still arrive.
         elif now - self.buffer.hold - self.time > _EXTRAPOLATE_AFTER_S:
             self._advance(now - self.buffer.hold)
         return not math.isnan(self.time)
@@ -269,7 +266,7 @@ class Shadow:
         }
 
     def _skip_due(self) -> None:
-        """Skip all waiting measurements, and set the time to their maximum."""
+        """Skip all waiting measurements, and continue at the latest sending time."""
         newest = self._due[-1].time
         for at, message in self._due:
             if message.kind in (COMMAND, VALVES) and at > newest - KEPT_S:
@@ -408,7 +405,8 @@ class Shadow:
         steps = math.ceil(dt / _PRESENT_STEP_S - 1e-6)
         times = now - dt + (np.arange(steps) + 0.5) * dt / steps
         duties = self._commands.at(times, self.buffer.waiting(COMMAND))
-        # The prediction uses a copy, because messages for this time may still arrive.
+        # The prediction uses a copy of the filter, because messages for the predicted
+        # time may still arrive.
         present = self.ensemble.copy(_PREDICTION_MEMBERS)
         present.predict(self._valve_input(duties), dt, _PRESENT_STEP_S)
         present.apply_odometry()

@@ -207,7 +207,7 @@ class EstimateSteering:
             self._log(ending)
 
     def summary(self) -> dict[str, object]:
-        """Return the reason for the end, the duration and the events, as JSON values."""
+        """Return the reason for the end, the duration and the events as JSON values."""
         return {
             "ending": self._given_up or self.follower.ending or STOPPED,
             "seconds": self._steps * self._tick,
@@ -285,8 +285,9 @@ class EstimateSteering:
 
     def _begin(self, estimate: Estimate, shadow: Shadow) -> None:
         """Prepare the follower, and plan a new path if the initial pose differs."""
-        # The follower must not simulate noise and delays, because the real robot has
-        # them. Commands take effect one tick after the estimate.
+        # The follower must not simulate noise and delays, because the noise and delays
+        # of the real robot already affect the estimate. Commands take effect one tick
+        # after the estimate.
         follower = self.follower
         follower.conditions = replace(
             follower.conditions,

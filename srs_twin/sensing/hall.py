@@ -1,11 +1,12 @@
 r"""Hall sensor on the neutral axis of a segment, and its calibration.
 
 **Strip and field.** The strip bends with constant curvature κ = q/l. The coordinate
-frame is at the magnet: x points along the strip towards the element and the head, and y
-points to the left, normal to the strip. At the arc length L the strip has turned by θ =
-κL. The element lies at the distance h_s from the neutral axis, and the centre of the
-magnet lies at the distance h_m from the neutral axis. Positive distances are to the
-left. The positions S of the element and M of the magnet are
+frame has its origin at the magnet. The x axis points along the strip towards the
+element and the head. The y axis is normal to the strip and points to the left. At the
+arc length L the strip has turned by θ = κL. The element lies at the distance h_s from
+the neutral axis, and the centre of the magnet lies at the distance h_m from the neutral
+axis. Positive distances are to the left. The positions S of the element and M of the
+magnet are
 
 $$ S = \begin{pmatrix} \sin\theta/\kappa - h_s \sin\theta \\
 (1 - \cos\theta)/\kappa + h_s \cos\theta \end{pmatrix}, \qquad
@@ -49,8 +50,9 @@ the calibration, which are due to temperature, supply voltage or displacement of
 magnet.
 
 **Calibration.** As in Section 3.4.3, a straight line is fitted to the bending angle as
-a function of the voltage. The angles are evenly spaced over ± span. The readings
-contain no noise, as if they were averaged for a long time. The line is fitted by least
+a function of the voltage. The angles are evenly spaced over the range ± span. The
+readings contain no noise, as if they were averaged for a long time. The line is fitted
+by least
 squares:
 
 $$ q \approx a V + b. $$
@@ -87,7 +89,8 @@ def strip_bend(bend: Array, chamber: str) -> Array:
     """Return the bend q_s of the strip, rad.
 
     Args:
-        bend: bend q of the segment, any shape, rad. For a NaN, the result is NaN.
+        bend: bend q of the segment, any shape, rad. If the bend is NaN, the result is
+            NaN.
         chamber: cross-section of the chambers, a name in `STRIP_PRESSURE_FACTOR`.
     """
     factor = STRIP_PRESSURE_FACTOR[chamber]
@@ -225,9 +228,9 @@ def field(bend: Array | float, strip: Strip) -> Array:
     """Return the field component B_n normal to the element, T.
 
     Args:
-        bend: bend q of the segment, any shape, rad. For a NaN, the result is NaN. The
-            result is also NaN if the strip turns by more than half a revolution between
-            magnet and element.
+        bend: bend q of the segment, any shape, rad. The result is NaN if the bend is
+            NaN or if the strip turns by more than half a revolution between magnet and
+            element.
         strip: strip geometry.
     """
     x, y, theta = element_place(bend, strip)
@@ -360,8 +363,8 @@ class HallSensor:
         """Return the voltage that the controller reads, V.
 
         Args:
-            bend: bend of any shape, rad. For a NaN, the voltage is NaN, so a diverged
-                state does not look valid.
+            bend: bend of any shape, rad. If the bend is NaN, the voltage is NaN, so
+                that a diverged state does not look valid.
             noise: standard normal random numbers, whose shape can be broadcast with the
                 bends.
         """
@@ -378,7 +381,10 @@ class HallSensor:
 
 
 def _within(values: Array, low: float, high: float) -> Array:
-    """Clip values to a range three times as fast as `np.clip`, and keep NaN."""
+    """Clip values to a range.
+
+    The function keeps NaN and is three times as fast as `np.clip`.
+    """
     clipped: Array = np.minimum(np.maximum(values, low), high)
     return clipped
 
@@ -405,7 +411,7 @@ class HallCalibration:
         slope: slope a of the line, rad/V.
         intercept: intercept b of the line, rad.
         r_squared: fraction of the variance that the line explains, dimensionless.
-        span: maximum angle to both sides, rad.
+        span: maximum angle to either side, rad.
         voltage_range: minimum and maximum voltage, V.
         worst_error: maximum absolute difference between the line and the angle, rad.
         monotonic: whether the voltage is a monotonic function of the angle.
@@ -476,7 +482,7 @@ def calibrate(sensor: HallSensor, span: float = SPAN) -> HallCalibration:
     Args:
         sensor: Hall sensor. The `bias` and the `gain_error` of the sensor are ignored,
             because drift begins after the calibration.
-        span: maximum angle to both sides, rad.
+        span: maximum angle to either side, rad.
 
     Raises:
         InputError: the span is not positive, or a line does not fit the readings.

@@ -51,8 +51,8 @@ class Sensor(ABC):
         """Return sensor readings, shape (…, segments), rad.
 
         Args:
-            bend: actual bends, shape (…, segments), rad. For a NaN, the reading is NaN,
-                which the controller must handle as a lost reading.
+            bend: actual bends, shape (…, segments), rad. If a bend is NaN, the reading
+                is NaN, which the controller must handle as a lost reading.
             time: times of the readings, shape (…,), s.
             seed: noise seed.
 
@@ -88,10 +88,13 @@ _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _FIRST = np.uint64(0xBF58476D1CE4E5B9)
 _SECOND = np.uint64(0x94D049BB133111EB)
 
-_SEED_STEP = 2**63  # difference between the seeds of the two axes
+_SEED_STEP = 2**63
+"""Difference between the seeds of the two axes."""
 
-_MAX_TIME = 2.0**53 * SLOT  # maximum time, s, at which slot numbers are exact
-_BLOCK = 1024  # number of slots per cached block
+_MAX_TIME = 2.0**53 * SLOT
+"""Maximum time at which slot numbers are exact in double precision, s."""
+_BLOCK = 1024
+"""Number of slots per cached block."""
 
 
 def standard_normal(seed: int, time: np.ndarray | float, segments: int) -> np.ndarray:
@@ -124,17 +127,16 @@ def _block(seed: int, number: int, segments: int) -> np.ndarray:
     numbers = _normal_numbers(
         seed, np.arange(number * _BLOCK, (number + 1) * _BLOCK), segments
     )
-    numbers.setflags(write=False)  # The cache returns the same array to all callers.
+    numbers.setflags(write=False)
     return numbers
 
 
 def _normal_numbers(seed: int, slot: np.ndarray, segments: int) -> np.ndarray:
-    # Arrays are used, because NumPy would warn about the intended overflow of a scalar.
     start = _splitmix(np.full(segments, seed, dtype=np.uint64) + _GOLDEN)
     start = _splitmix(start ^ (np.arange(1, segments + 1, dtype=np.uint64) * _GOLDEN))
     place = start + (slot.view(np.uint64)[..., None] << np.uint64(1)) * _GOLDEN
     # Two uniform 53-bit integers per number enter the Box-Muller transform.
-    radius = (_splitmix(place) >> np.uint64(11)).astype(float) + 1  # from 1 to 2⁵³
+    radius = (_splitmix(place) >> np.uint64(11)).astype(float) + 1
     angle = (_splitmix(place + _GOLDEN) >> np.uint64(11)).astype(float)
     return np.asarray(
         np.sqrt(-2 * np.log(radius * 2.0**-53)) * np.cos(2 * np.pi * 2.0**-53 * angle)
@@ -158,7 +160,7 @@ class CurvatureSensor(Sensor):
 
     Attributes:
         hall: Hall sensor in each segment.
-        calibration: straight line from voltage to bend.
+        calibration: linear calibration from voltage to bend.
     """
 
     hall: HallSensor
@@ -274,7 +276,7 @@ class DeadSensor:
 
 @dataclass(frozen=True)
 class FaultySensor(_AlteredSensor):
-    """Sensors of which individual sensors have failed.
+    """Sensors that have failed in some segments.
 
     Attributes:
         sensor: sensors without faults.
@@ -293,7 +295,7 @@ class FaultySensor(_AlteredSensor):
             segments = (
                 measured_bend if self.axes == 1 else np.moveaxis(measured_bend, -1, 0)
             )
-            reading = segments[..., fault.segment - 1]  # This array is a view.
+            reading = segments[..., fault.segment - 1]
             reading[...] = np.where(failed, fault.reading, reading)
         return measured_bend
 
