@@ -239,12 +239,6 @@ class Duties(Stateful):
         """Update the duties of the selected chambers and return saturation events.
 
         All arrays have the shape (segments, 2).
-
-        Args:
-            time: time of the update, s.
-            chambers: mask of the chambers that have completed a period.
-            peak: amplitudes measured in the completed period, rad.
-            target: target amplitudes, rad.
         """
         self.error = np.where(chambers, target - peak, self.error)
         relative = np.abs(target - peak) / target

@@ -24,12 +24,12 @@ $$ P_j = \operatorname{sign}
    \sin\bigl(\rho\,(2\pi f t - \beta (j-1) + \psi - \alpha_j) - \lambda\bigr) . $$
 
 Valves only open and close, so the amplitude of a wave is reduced by holding the wave at
-0 for a fraction r of each period. The fundamental of such a square wave has the
-amplitude cos(π r/2). The pitch fraction s, from 0 to 1, is the amplitude of the pitch
-wave divided by the sum of the amplitudes of the pitch wave and the lateral wave. For s
-< 1/2 the pitch wave has the amplitude s/(1 − s), and for s > 1/2 the lateral wave has
-the amplitude (1 − s)/s. Chamber c with the direction d_c fills where d_c · (S_j, P_j) >
-0.
+0 for a fraction r of each period. The fundamental of a square wave that rests for the
+fraction r of each period has the amplitude cos(π r/2). The pitch fraction s, from 0 to
+1, is the amplitude of the pitch wave divided by the sum of the amplitudes of the pitch
+wave and the lateral wave. For s < 1/2 the pitch wave has the amplitude s/(1 − s), and
+for s > 1/2 the lateral wave has the amplitude (1 − s)/s. Chamber c with the direction
+d_c fills where d_c · (S_j, P_j) > 0.
 
 | gait | pitch wave |
 |---|---|
@@ -97,7 +97,7 @@ class PitchWave:
             )
 
     def check(self, spec: RobotSpec) -> None:
-        """Check that a robot can perform this wave.
+        """Check that a robot can perform the pitch wave.
 
         Raises:
             InputError: the robot bends in one plane, or has fewer segments than the
@@ -176,7 +176,8 @@ class Gait(Controller):
         Raises:
             InputError: a rest fraction is given together with a pitch wave, the
                 frequency is not above 0, or the offset or the rest fraction is out of
-                range. Setting `offset` later raises this error as well.
+                range. Setting `offset` to a value that is out of range raises the same
+                error.
         """
         rest_fraction = rest_fraction or 0.0
         if not 0 <= rest_fraction < 1:
@@ -211,7 +212,11 @@ class Gait(Controller):
         self._offset = float(value)
 
     def change_frequency(self, frequency: float, time: float) -> None:
-        """Change the frequency (Hz) at a time (s) without a jump in the phase.
+        """Change the frequency without a jump in the phase of the wave.
+
+        Args:
+            frequency: new gait frequency f, Hz.
+            time: time of the change, s.
 
         Raises:
             InputError: the frequency is not above 0.

@@ -259,11 +259,6 @@ class ILC(Controller):
         self._set_commands()
 
     def _set_commands(self) -> None:
-        """Set the duties to 0 and the targets to NaN in faulty and tested segments.
-
-        To save computing time, this method is called only when the duties, the targets
-        or the faults have changed.
-        """
         working = self.faults.working[:, None]
         amplitude = math.nan if self.amplitude is None else self.amplitude
         sides = targets(amplitude, self._offset)

@@ -7,13 +7,14 @@ readings do not change during a whole period in which a chamber of the segment f
 amplitude of the chamber is below a tenth of the target at full duty or above the target
 at duty 0. A + chamber that never vents and a − chamber that never fills produce the
 same readings, because in either case the segment moves between straight and bent to the
-left. Both chambers are therefore vented in a test. If the segment remains bent, the
-valve of the chamber that bends the segment to this side is stuck open. If the segment
-becomes straight, the valve of the chamber whose amplitude was too small is stuck shut.
-If the segment becomes straight but an amplitude was too large, the cause is a load or a
-biased sensor, and the segment is used again. The bend at rest is averaged over a whole
-period, which cancels the effect of the gait of the remaining segments. The average
-begins half a period after the start of venting, when the chambers are empty.
+left. A suspected segment is therefore tested by venting both chambers. If the segment
+remains bent, the valve of the chamber that bends the segment to this side is stuck
+open. If the segment becomes straight, the valve of the chamber whose amplitude was too
+small is stuck shut. If the segment becomes straight but an amplitude was too large, the
+cause is a load or a biased sensor, and the segment is used again. The bend at rest is
+averaged over a whole period, which cancels the effect of the gait of the remaining
+segments. The average begins half a period after the start of venting, when the chambers
+are empty.
 """
 
 from __future__ import annotations
@@ -88,15 +89,7 @@ class ModuleFaults(Stateful):
     def check_sensors(
         self, time: float, ended: np.ndarray, duty: np.ndarray, periods: ChamberPeriods
     ) -> None:
-        """Detect dead sensors.
-
-        Args:
-            time: time of the check, s.
-            ended: mask of the chambers that have completed a period, shape (segments,
-                2).
-            duty: duties in the completed period, shape (segments, 2).
-            periods: periods of all chambers, with the readings of the completed period.
-        """
+        """Detect dead sensors."""
         # The first period of a chamber is incomplete if the chamber already fills at
         # time 0.
         whole = ended & (periods.number > 2) & self.working[:, None]
@@ -121,13 +114,6 @@ class ModuleFaults(Stateful):
         """Start tests of the segments whose amplitudes contradict the duties.
 
         All arrays have the shape (segments, 2).
-
-        Args:
-            time: time of the check, s.
-            ended: mask of the chambers that have completed a period.
-            duty: duties in the completed period.
-            peak: amplitudes in the completed period, rad. Unknown amplitudes are NaN.
-            target: target amplitudes, rad.
         """
         ended = ended & self.working[:, None] & ~np.isnan(peak)
         weak = (duty >= 1) & (peak < WEAK_RATIO * target)
@@ -138,13 +124,7 @@ class ModuleFaults(Stateful):
         self._start_tests(time, suspected, target)
 
     def check_amplitudes(self, time: float, peaks: np.ndarray) -> None:
-        """Start tests of segments whose amplitude is far below the median.
-
-        Args:
-            time: time of the check, s.
-            peaks: amplitudes in the recorded free periods, shape (periods, segments,
-                2), rad.
-        """
+        """Start tests of segments whose amplitude is far below the median."""
         median = float(np.nanmedian(peaks[-1][self.working]))
         weak = (peaks <= max(WEAK_RATIO * median, 0.0)).all(axis=0)
         weak &= self.working[:, None]

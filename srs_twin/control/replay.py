@@ -87,11 +87,7 @@ class HoldValves(Controller):
     state_attributes = ()
 
     def __init__(self, plus: str = "fill", minus: str = "vent") -> None:
-        """Create the controller.
-
-        Args:
-            plus: state of the + chambers, a name in `STATES`.
-            minus: state of the − chambers, a name in `STATES`.
+        """Create the controller from the names of two states in `STATES`.
 
         Raises:
             UnknownNameError: a name is not in `STATES`.

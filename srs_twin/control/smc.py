@@ -48,7 +48,7 @@ ripple caused by the valves. A single reading per period would always sample the
 at the same phase, which would cause an offset of several degrees. A step of the
 reference contributes to ė.
 
-Eq. 29 and Eq. 30 disagree on whether K multiplies D e (E6). In this module, K
+Eq. 29 and Eq. 30 disagree on whether K multiplies D e (E6). In the implemented law, K
 multiplies D e.
 """
 
@@ -344,10 +344,6 @@ class IterativeSMC(SlidingMode):
         }
 
     def _update(self) -> None:
-        """Update μ from the mean errors since the last update.
-
-        The mean error before the first update is 0.
-        """
         elapsed = self._count * self._tick or self._pulses.period
         mean = self._error_sum / max(self._count, 1)
         self._sigma = (self._error - self._last_error) / elapsed + self.D * mean

@@ -48,9 +48,9 @@ FPS = 10
 class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
     """Gymnasium environment of a task.
 
-    Such an environment is created by `gymnasium.make("srs_twin.envs:SRSTwin/GoTo-v0")`.
-    The action and observation spaces are float32 boxes with one number per signal of
-    the task. The environment sets `truncated` at the time limit of the task, so no
+    An environment is created by `gymnasium.make("srs_twin.envs:SRSTwin/GoTo-v0")`. The
+    action and observation spaces are float32 boxes with one number per signal of the
+    task. The environment sets `truncated` at the time limit of the task, so no
     `TimeLimit` wrapper is needed.
 
     Attributes:
@@ -112,8 +112,8 @@ class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
 
         Raises:
             UnknownNameError: an option does not exist.
-            InputError: the saved state does not belong to this episode, or a value is
-                not allowed. After this error, the environment is unchanged.
+            InputError: the saved state does not belong to the episode, or a value is
+                not allowed. If an error is raised, the environment is unchanged.
         """
         return self.start_episode(seed, self.draw_episode(seed, options))
 
@@ -122,7 +122,7 @@ class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
     ) -> tuple[np.random.Generator, Episode]:
         """Draw a new episode, and return the random number generator and the episode.
 
-        This method does not change the environment.
+        The environment is not changed before `start_episode` is called.
 
         Raises:
             UnknownNameError: an option does not exist.
@@ -237,7 +237,7 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
     A vector environment is created by
     `gymnasium.make_vec("srs_twin.envs:SRSTwin/GoTo-v0", num_envs=64)`. An environment
     whose episode has ended ignores its next action and starts a new episode instead.
-    This behaviour is Gymnasium's default, `AutoresetMode.NEXT_STEP`.
+    The reset behaviour is Gymnasium's default, `AutoresetMode.NEXT_STEP`.
 
     Attributes:
         envs: single environments.
@@ -262,8 +262,9 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
             num_envs: number of environments.
             threads: number of threads. If None, one thread per processor is used.
             engine: "cpu", or "warp" to step all twins on a device. Warp requires that
-                all episodes have the same robot and no obstacles. If this requirement
-                is not met, the environments run on the CPU, and a warning is issued.
+                all episodes have the same robot and no obstacles. If the episodes
+                differ or have obstacles, the environments run on the CPU, and a warning
+                is issued.
             device: device of Warp. If None, Warp selects the device.
             **settings: further arguments of `SnakeEnv`.
 
@@ -296,8 +297,8 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
             options: options for all environments, as in `SnakeEnv.reset`.
 
         Raises:
-            InputError: the number of seeds is wrong, or an option is invalid. After
-                this error, all environments are unchanged.
+            InputError: the number of seeds is wrong, or an option is invalid. If an
+                error is raised, all environments are unchanged.
         """
         if np.iterable(seed):
             seeds = list(seed)
@@ -334,8 +335,8 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
         The array of actions has the shape (environments, signals).
 
         Raises:
-            InputError: the shape is wrong, or a value is not finite. After this error,
-                no environment has been stepped.
+            InputError: the shape is wrong, or a value is not finite. If an error is
+                raised, no environment is stepped.
         """
         shape = self.action_space.shape
         assert shape is not None, "a box has a shape"
@@ -401,7 +402,7 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
         for k in running:
             valves[k] = self.envs[k].current_episode().command(actions[k])
         # Valve states that change within a step have three dimensions. Constant valve
-        # states are repeated to match this shape.
+        # states are repeated to match the shape of valve states that change.
         substeps = max(states.shape[0] if states.ndim == 3 else 1 for states in valves)
         shape = (substeps, *vented.shape)
         batch.update_supply_pressure()

@@ -109,7 +109,7 @@ def load_policy(name_or_path: StrPath) -> NetworkPolicy:
     """Load a policy from a path, or load a shipped policy with the given name.
 
     Raises:
-        UnknownNameError: no shipped policy has this name.
+        UnknownNameError: there is no shipped policy with the given name.
         InputError: the file does not exist or does not contain a policy.
     """
     path = Path(os.fspath(name_or_path))
@@ -365,8 +365,6 @@ def play_episode(task: Task, policy: Policy, rng: np.random.Generator) -> Score:
 
 
 class _OffsetStore(Controller):
-    """Controller that only stores the steering offset set by a follower."""
-
     kind = "helm"
     frequency = FREQUENCY_HZ
     offset = 0.0

@@ -384,7 +384,7 @@ class Episode(Stateful, ABC):
     def __init__(self, task: Task, twin: TwinSnake, state: SnakeState) -> None:
         """Initialise the episode and compute the first observation.
 
-        A subclass must set its own attributes before this call.
+        A subclass must set its own attributes before it calls this method.
         """
         self.twin = twin
         self.state = state
@@ -418,7 +418,7 @@ class Episode(Stateful, ABC):
         """Start the episode from a given physical state.
 
         Raises:
-            InputError: the twin cannot be in this state.
+            InputError: the twin cannot be in the given state.
         """
         self.state = self.twin.set_state(snake, yaw_rate=yaw_rate, seed=self.twin.seed)
         self._initialise_from_state()

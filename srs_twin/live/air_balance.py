@@ -151,11 +151,6 @@ class SupplyFilter(Stateful):
     ) -> bool:
         """Adopt a sudden change that most chambers indicate.
 
-        Args:
-            residual: measured minus expected pressure of filling chambers, Pa.
-            response: derivative of each pressure with respect to the supply pressure.
-            sd: standard deviation of each pressure, Pa.
-
         Returns:
             Whether a sudden change was detected.
         """
@@ -271,8 +266,6 @@ class _Residual(NamedTuple):
 
 
 class _Message(IntEnum):
-    """Columns of the array with the most informative message of each stroke."""
-
     INFLOW = 0
     OUTFLOW = 1
     RESIDUAL = 2
@@ -316,12 +309,9 @@ class LeakDetector(Stateful):
         supply_pa: float,
         variants: Sequence[Inflow],
     ) -> None:
-        """Initialise the detector with the values of the robot file.
+        """Initialise the detector for a nominal gauge pressure of the supply (Pa).
 
-        Args:
-            spec: specification of the robot.
-            supply_pa: nominal gauge pressure of the supply, Pa.
-            variants: possible inflows of a chamber. The first variant has no fault.
+        The first variant of the inflow must be that of a chamber without a fault.
         """
         conductance, _, capacity = conductances(spec, CRITICAL_RATIO)
         self._chamber = spec.chamber
@@ -359,13 +349,7 @@ class LeakDetector(Stateful):
     def residuals(
         self, time: float, pressure: np.ndarray, filled: np.ndarray
     ) -> SupplyResidual:
-        """Return the residuals from which the supply pressure is estimated.
-
-        Args:
-            time: current time, s.
-            pressure: gauge pressures as in `update`, Pa.
-            filled: filling times as in `update`, s.
-        """
+        """Return the residuals from which the supply pressure is estimated."""
         used = self._continues(time, pressure, filled) & self._is_informative()
         residual = self._residual().sound()
         return SupplyResidual(

@@ -174,8 +174,6 @@ class TimedMessage(NamedTuple):
 
 
 class _Held(NamedTuple):
-    """Held message, which is sorted by sending time, rank and number."""
-
     time: float
     rank: int
     number: int

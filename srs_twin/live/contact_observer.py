@@ -6,8 +6,8 @@ pressures, and the deflection due to the external moment M_j:
 $$ q_j = b_j + \varphi_j(p) + M_j/k . $$
 
 In a steady gait all terms are periodic. The observer learns the means of q_j and φ_j in
-each phase of the gait. Subtracting these means cancels differences between modules,
-sensor offsets and the moments exerted by the floor. The deviation
+each phase of the gait. Subtracting the means of q_j and φ_j cancels differences between
+modules, sensor offsets and the moments exerted by the floor. The deviation
 
 $$ e_j = (q_j - \bar q_j) - (\varphi_j - \bar\varphi_j) $$
 
@@ -21,11 +21,11 @@ time window by weighted least squares. The score of a position is the ratio of F
 standard deviation of F. A contact is detected if the maximum score exceeds a threshold.
 
 **Estimate.** A force comparable to the floor friction moves and turns the snake, which
-changes the friction forces and causes inertial forces. `PushedBody` predicts this
-motion for hypotheses about the position, the force and the start of the contact. The
-estimate is the posterior mean of the force at the most probable position. The noise
-variance is multiplied by the mean squared residual of the best hypothesis, which
-accounts for model errors. No means are learnt while the score is high.
+changes the friction forces and causes inertial forces. `PushedBody` predicts the motion
+of the pushed body for hypotheses about the position, the force and the start of the
+contact. The estimate is the posterior mean of the force at the most probable position.
+The noise variance is multiplied by the mean squared residual of the best hypothesis,
+which accounts for model errors. No means are learnt while the score is high.
 
 **Limits.** A force along the body is not observable. Two simultaneous contacts are
 estimated as one contact. The force is assumed to be constant during a contact.
@@ -194,31 +194,18 @@ _COMMANDS = slice(2, None)
 
 
 def _deviation(sample: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    """Return the deviation e of a sample from the learnt mean, rad."""
     return np.asarray(sample[_BEND] - mean[_BEND] - sample[_FREE] + mean[_FREE])
 
 
 class _Fit(NamedTuple):
-    """Terms of the least-squares fit of F to one sample, for each station.
-
-    Attributes:
-        moment: product of the deviations and the bends per force, divided by the
-            variance.
-        information: sum of the squared bends per force, divided by the variance.
-    """
+    """Terms of the least-squares fit of F to one sample, for each station."""
 
     moment: np.ndarray
     information: np.ndarray
 
 
 class _Gait(NamedTuple):
-    """Model of the learnt gait.
-
-    Attributes:
-        shape: mean bends at each sample of the period, rad.
-        body: model of the body motion in this gait.
-        patterns: bends per force, shape (period, stations, segments), rad/N.
-    """
+    """Model of the learnt gait."""
 
     shape: np.ndarray
     body: PushedBody

@@ -93,9 +93,6 @@ class EmulationOptions:
     def emulated(self, robot: str) -> EmulatedRobot:
         """Create the emulated robot with these options.
 
-        Args:
-            robot: name of a shipped robot, or path of a robot file.
-
         Raises:
             InputError: the robot does not exist, or an option is invalid.
         """

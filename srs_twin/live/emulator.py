@@ -103,7 +103,8 @@ class Fault:
         """Parse a fault such as ``stuck_valve:2+@5``.
 
         Raises:
-            InputError: the text is malformed, or the robot does not have this part.
+            InputError: the text is malformed, or the robot does not have the given
+                part.
             UnknownNameError: the kind or variant is unknown.
         """
         match = _FAULT.fullmatch(text)
@@ -368,8 +369,6 @@ _POLL_S = 0.002
 
 
 class _DelayedCall(NamedTuple):
-    """Call that is due at a given time on the local clock (s)."""
-
     due: float
     number: int
     call: partial[None]
@@ -389,14 +388,9 @@ class Transport:
     def add(
         self, due: float, send: Callable[..., None], *values: object, **named: object
     ) -> None:
-        """Schedule the sending of a message by `send`, unless the message is lost.
+        """Schedule a call of `send` at a local time (s), unless the message is lost.
 
-        Args:
-            due: time on the local clock at which the message is sent, s. A random delay
-                is added to this time.
-            send: function that sends the message.
-            *values: positional arguments of `send`.
-            **named: keyword arguments of `send`.
+        A random delay is added to the sending time.
         """
         if self._rng.random() >= self._loss:
             delayed = due + self._rng.random() * self._jitter
@@ -459,8 +453,7 @@ def emulate(
                     heard = message.arrived
             state = robot.step(command if clock() - heard <= SILENT_S else None)
             done += 1
-            # The state is published at the end of the tick, because the state refers to
-            # this time.
+            # The state at the end of the tick is published when the tick ends.
             due = begun + done * tick
             messages = {
                 BENDS: robot.bends(),

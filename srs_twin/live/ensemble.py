@@ -372,12 +372,10 @@ class EnsembleFilter:
         return self.members[:, self.columns[name]]
 
     def _random(self, name: str) -> np.ndarray:
-        """Draw normal numbers whose sample mean is 0, so that the mean is unchanged."""
         numbers = self._rng.normal(size=self._of(name).shape)
         return np.asarray(numbers - numbers.mean(axis=0))
 
     def _localisation(self) -> dict[str, np.ndarray]:
-        """Return masks of the columns that each measurement corrects."""
         n = self._segments
         width = self.members.shape[1]
         bend = np.zeros((n, width))
@@ -487,16 +485,7 @@ class EnsembleFilter:
 
 
 class _Innovation(NamedTuple):
-    """Innovation of one measurement.
-
-    Attributes:
-        value: measurement minus the mean of the predictions.
-        mean: mean of the predictions.
-        spread: variance of the predictions.
-        total: sum of the variance of the predictions and the noise variance.
-        reduction: fraction of the Kalman gain that is applied to deviations from the
-            mean.
-    """
+    """Innovation of one measurement."""
 
     value: float
     mean: float

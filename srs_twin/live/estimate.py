@@ -210,12 +210,7 @@ class IntervalCalibration:
     """
 
     def __init__(self, groups: Sequence[int]) -> None:
-        """Initialise all scales to 1.
-
-        Args:
-            groups: number of values in each group. All values of a group have a common
-                scale.
-        """
+        """Initialise all scales to 1, with one scale for each group of values."""
         self._starts = np.cumsum([0, *groups[:-1]])
         self._counts = np.array(groups)
         self._square = np.ones(len(groups))
@@ -303,10 +298,6 @@ class LiveContact:
         )
 
     def _update_period(self, period: int) -> None:
-        """Adopt a period of the commands that has been constant for half a second.
-
-        A period that is estimated from few commands may be too short.
-        """
         if not period:
             return
         self._repeated = self._repeated + 1 if period == self._period else 0

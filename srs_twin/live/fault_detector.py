@@ -170,9 +170,7 @@ class FaultDetector(Stateful):
     def __init__(self, spec: RobotSpec, *, supply_pa: float) -> None:
         """Initialise the detector for a robot at rest with empty chambers.
 
-        Args:
-            spec: specification of the robot.
-            supply_pa: nominal gauge pressure of the supply, Pa.
+        `supply_pa` is the nominal gauge pressure of the supply.
         """
         self._spec = spec
         actuator = spec.actuator
@@ -232,11 +230,9 @@ class FaultDetector(Stateful):
         self.leaks.drop_all()
 
     def inflate(self, switched: np.ndarray, dt: float) -> None:
-        """Increase the variance of the disturbance after valves switched unobserved.
+        """Increase the variance of the disturbance after unobserved changes of duties.
 
-        Args:
-            switched: change of each valve's duty, shape (segments, 2).
-            dt: duration of the interval in which the valves switched, s.
+        The duties changed by `switched` within the time `dt` (s).
         """
         self.leaks.drop(switched > 0)
         reached = 1 - math.exp(-dt / self._fill)
@@ -277,13 +273,7 @@ class FaultDetector(Stateful):
         }
 
     def predict(self, duty: np.ndarray, dt: float) -> None:
-        """Advance all hypotheses by one time step.
-
-        Args:
-            duty: commanded fraction of time in which each valve fills, shape
-                (segments, 2).
-            dt: time step, s.
-        """
+        """Advance all hypotheses by one time step (s) with the commanded duties."""
         self.time += dt
         self.supply.predict(dt)
         self._mix(dt)
@@ -422,13 +412,6 @@ class FaultDetector(Stateful):
     ) -> np.ndarray:
         """Correct the Kalman filters with one measurement per segment.
 
-        Args:
-            rows: measurement matrix, shape (segments, hypotheses, 6).
-            measured: measured bends, shape (segments,), rad. Missing measurements are
-                NaN.
-            noise: standard deviation of the measurement noise, rad.
-            used: whether each hypothesis uses the measurements, shape (hypotheses,).
-
         Returns:
             Log-likelihood of each hypothesis. The log-likelihood of a missing
             measurement is 0.
@@ -450,7 +433,6 @@ class FaultDetector(Stateful):
         return np.where(available, log, 0.0)
 
     def _sensor_log_likelihood(self, readings: np.ndarray) -> np.ndarray:
-        """Return the log-likelihoods of missing and of constant readings."""
         log_likelihood = np.zeros(self.probability.shape)
         lost = np.isnan(readings)[:, None]
         silent = SENSORS == SensorBehaviour.SILENT
@@ -468,10 +450,6 @@ class FaultDetector(Stateful):
         return log_likelihood
 
     def _pressure_log_likelihood(self, pressures: np.ndarray, dt: float) -> np.ndarray:
-        """Return the log-likelihoods of measured pressures.
-
-        Successive residuals are correlated, so the log-likelihoods are reduced.
-        """
         usual, sd = self._levels.read()
         self._update_supply(pressures, Estimates(usual, sd + _LEAST_PRESSURE_SD))
         residual = pressures[:, None] - self._pressure
@@ -536,10 +514,6 @@ class FaultDetector(Stateful):
         self._delayed *= fraction
 
     def _judge_supply(self) -> None:
-        """Correct the supply pressure if most segments appear weak.
-
-        The fault of the supply is updated as well.
-        """
         weak = SUPPLY_FRACTIONS < 1.0
         weak_or_leaks = weak | (LEAK_RATES > 0.0)
         kind = np.flatnonzero(weak)[self.probability[:, weak].sum(axis=0).argmax()]
@@ -561,8 +535,8 @@ class FaultDetector(Stateful):
         if self.time < START_S:
             return
         if self.decision.low_supply_pressure:
-            # At a low supply pressure, segments appear to leak. If these false leaks
-            # were not corrected, they would remain after the supply has recovered.
+            # At a low supply pressure, segments appear to leak. False leaks that were
+            # not corrected would remain after the supply has recovered.
             likely = np.where(weak_or_leaks, self.probability, 0.0).argmax(axis=1)
             self._attribute_to_supply(weak_or_leaks, likely)
         # If no pressures are measured, the standard deviation of the supply pressure
@@ -574,11 +548,6 @@ class FaultDetector(Stateful):
             self.decision.clear(0)
 
     def _attribute_to_supply(self, common: np.ndarray, kind: np.ndarray) -> None:
-        """Move the probability of the hypotheses `common` to the fault-free hypothesis.
-
-        The fault-free hypothesis of each segment adopts the state of the hypothesis
-        `kind`.
-        """
         moved = self.probability[:, common].sum(axis=1)
         segments = np.flatnonzero(moved > 0.5)
         for states in (self.mean, self._covariance):

@@ -203,12 +203,7 @@ class FaultDecision(Stateful):
         return likely
 
     def update(self, time: float, probability: np.ndarray) -> None:
-        """Detect and clear faults from the current probabilities.
-
-        Args:
-            time: current time, s.
-            probability: probabilities of the hypotheses, shape (segments, hypotheses).
-        """
+        """Detect and clear faults at a time (s), given all hypothesis probabilities."""
         pairs = self.pairs
         if time < START_S:
             self._since[:] = np.inf

@@ -313,7 +313,6 @@ class McapLink(Link):
         return min(self._first + (clock() - self._begun) * self._speed, self._next)
 
     def _of_the_robot(self, path: Path, robot: str, segments: int) -> Iterator[Message]:
-        """Return the messages, and raise an error if none belongs to the robot."""
         others: set[str] = set()
         messages = in_order(
             journal_messages(path, robot, segments, self._refuse, others), self._refuse

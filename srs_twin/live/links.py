@@ -101,7 +101,6 @@ class Link(ABC):
             self.counts["nobody asked"] += 1
 
     def _refuse(self, error: Exception) -> None:
-        """Count a refused message under the reason or the class of the error."""
         reason = type(error).__name__
         if isinstance(error, BadMessageError):
             reason = str(error)[:80]
@@ -222,8 +221,8 @@ class MqttLink(Link):
             segments: number of segments of the robot.
             broker: address and login of the broker.
             kinds: kinds of messages to receive.
-            speaks: name of the robot whose status is set to `LOST` if this connection
-                is lost. If None, no status is published.
+            speaks: name of the robot whose status is set to `LOST` if the connection is
+                lost. If None, no status is published.
             chambers: number of chambers per segment of a spatial robot, or 0 for a
                 planar robot.
 
@@ -396,7 +395,6 @@ def typed_words(terminal: TextIO | None = None) -> Iterator[Callable[[], list[st
 
 
 def _in_foreground(handle: int) -> bool:
-    """Return whether the process may read from the terminal without being stopped."""
     try:
         return os.tcgetpgrp(handle) == os.getpgrp()
     except OSError:  # `handle` is not the controlling terminal.

@@ -124,14 +124,9 @@ class MemberDynamics:
         air: Air,
         rates: PressureRates,
     ) -> Drive:
-        """Advance the pressures, and return the linear bends due to the pressures.
+        """Advance the pressures by a time (s), and return the linear bends.
 
-        Args:
-            valves: input of the chambers.
-            dt: duration, s.
-            step: maximum time step, s.
-            air: state of the chambers, which is advanced in place.
-            rates: learnt rates of the pressures.
+        The state of the chambers is changed in place.
         """
         actuator = self._spec.actuator
         slots = len(valves.duty)
@@ -140,7 +135,7 @@ class MemberDynamics:
         stages = (np.arange(steps)[:, None] + [kernels.GAMMA, 1.0]).ravel() * h
         after = stages[:, None, None, None]
         # The random walk is distributed over the steps, because a random step at the
-        # end would not affect the bends of this period.
+        # end of the period would not affect the bends.
         noise = air.noise / math.sqrt(dt)
         pressures = [air.pressure[None].copy()]
         lags = [air.lagged[None].copy()]
@@ -211,10 +206,6 @@ class MemberDynamics:
 
 @allocating
 def _free_bends(linear, speed, bias, law):  # type: ignore[no-untyped-def]
-    """Return the free bends (rad) and rates (rad/s), shape (members, times, segments).
-
-    The linear bends and the rates `speed` have the shape (times, members, segments).
-    """
     times, members, segments = linear.shape
     bends = np.empty((members, times, segments))
     rates = np.empty((members, times, segments))
@@ -246,7 +237,6 @@ def _advance(states, velocities, steps, free, model, workspace):  # type: ignore
 
 @compiled
 def _set_momenta(states, velocities, model, workspace):  # type: ignore[no-untyped-def]
-    """Compute world-frame velocities and momenta from body-frame velocities."""
     segments = workspace.bend.shape[0]
     ahead = compliant_kernels.BENDS
     momentum = workspace.momentum

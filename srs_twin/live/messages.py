@@ -136,12 +136,9 @@ def _chamber_keys(chambers: int) -> tuple[str, ...]:
 
 
 def encode_contact(time: float, contact: ContactEstimate) -> bytes:
-    """Encode a contact estimate as JSON.
+    """Encode a contact estimate at a local time (s) as JSON.
 
-    Args:
-        time: time of the estimate on the local clock, s.
-        contact: contact estimate. If no contact is detected, force and position are
-            null.
+    If no contact is detected, force and position are null.
     """
     keys: dict[str, object] = {
         "t": time,

@@ -332,8 +332,8 @@ def _skeleton(packet: _Reader, version: Version) -> None:
 
 
 def _asset(packet: _Reader, version: Version) -> None:
-    # Lists of assets exist only from version 4.1 on, and lists in these versions state
-    # their length.
+    # Lists of assets exist only from version 4.1 on, in which all lists state their
+    # length.
     raise BadMessageError("the list of assets does not state its length")
 
 

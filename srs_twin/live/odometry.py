@@ -8,10 +8,10 @@ $$ ξ = A(q) \, \dot q , \qquad A = A_w(q) + \sum_k W_k \, φ_k(\tanh(q / q_0)) 
 
 where q contains the bends, and ξ contains the forward velocity, the lateral velocity
 and the yaw rate. The matrix A_w minimises the dissipation of wheels whose friction is
-proportional to the speed. The weights W describe the deviation of the robot from this
-model. The weights are fitted to successive frames of motion capture by regularised
-least squares. Cubic features φ are needed, for example, to describe that a turning gait
-is slower than a straight gait.
+proportional to the speed. The weights W describe the deviation of the robot from the
+motion predicted by A_w. The weights are fitted to successive frames of motion capture
+by regularised least squares. Cubic features φ are needed, for example, to describe that
+a turning gait is slower than a straight gait.
 """
 
 from __future__ import annotations
@@ -81,10 +81,8 @@ class LocalConnection(Stateful):
     def __init__(self, spec: RobotSpec, mass: Array) -> None:
         """Initialise the weights W to 0.
 
-        Args:
-            spec: specification of the robot.
-            mass: lumped mass of each connector, including parts of the adjacent
-                segments, kg.
+        `mass` is the lumped mass of each connector, including parts of the adjacent
+        segments (kg).
         """
         n = spec.segments
         self._spec = spec
@@ -169,11 +167,9 @@ class LocalConnection(Stateful):
         )
 
     def learn(self, features: Array, residual: Array) -> None:
-        """Update the fit with the displacement between two frames.
+        """Update the fit with the features φ ⊗ dq of the motion between two frames.
 
-        Args:
-            features: products φ ⊗ dq for the motion between the frames.
-            residual: displacement (m, m, rad) minus the prediction A_w dq.
+        The residual is the measured displacement minus the prediction A_w dq.
         """
         remembered = 1 - 1 / _FORGETTING_FRAMES
         self._gram *= remembered
@@ -231,13 +227,7 @@ class Odometry:
     def __init__(
         self, connection: LocalConnection, bends: Array, rng: np.random.Generator
     ) -> None:
-        """Initialise the odometry of an ensemble.
-
-        Args:
-            connection: local connection of the robot.
-            bends: initial bends of the members, shape (members, segments), rad.
-            rng: random number generator for the model error.
-        """
+        """Initialise the odometry of an ensemble with given bends (rad)."""
         self.connection = connection
         self.twist = np.zeros(3)
         self._features = np.zeros(len(connection.weights))
@@ -256,13 +246,7 @@ class Odometry:
         self._frame_age += dt
 
     def apply(self, pose: Array, bends: Array) -> None:
-        """Move the bodies according to the changes of the bends since the last call.
-
-        Args:
-            pose: position x, y (m) and heading (rad) of each member, which are changed
-                in place.
-            bends: current bends of the members, shape (members, segments), rad.
-        """
+        """Move the bodies according to the changes of the bends since the last call."""
         if not self._elapsed:
             return
         before = self._bends.mean(axis=0)
@@ -322,12 +306,7 @@ class Odometry:
         self.interrupt()
 
     def forecaster(self, before: Array, bends: Array) -> Odometry:
-        """Return a copy for predictions, in which the members move independently.
-
-        Args:
-            before: bends of the predicted members in the filter, rad.
-            bends: bends of the predicted members at the start of the prediction, rad.
-        """
+        """Return a copy for predictions, in which the members move independently."""
         other = copy.copy(self)
         vars(other).update(
             connection=self.connection.snapshot(),

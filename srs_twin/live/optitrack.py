@@ -44,8 +44,7 @@ class _UdpLink(Link):
         ]
 
     def _start(self) -> None:
-        # An answer that the first thread receives may add another thread during this
-        # loop.
+        # An answer that the first thread receives may add another thread to the list.
         for thread in tuple(self._threads):
             thread.start()
 
@@ -75,7 +74,7 @@ class _UdpLink(Link):
     def _idle(self) -> None:
         """Send the requests that are due.
 
-        Before each wait for a packet, the link calls this method.
+        The link calls this method before each wait for a packet.
         """
 
     @abstractmethod
@@ -317,12 +316,7 @@ class NatNetServer(_UdpLink):
         self._start()
 
     def send(self, time: float, bodies: Mapping[int, natnet.RigidBody]) -> None:
-        """Send a frame to all clients.
-
-        Args:
-            time: time stamp of the frame on the local clock, s.
-            bodies: rigid bodies, keyed by id.
-        """
+        """Send a frame with a local time stamp (s) to all clients."""
         packet = natnet.write_frame(natnet.Frame(self._number, time, bodies))
         now = clock()
         self._number += 1

@@ -30,10 +30,7 @@ class ValveAges(Stateful):
     def __init__(self, segments: int, bins: int, width_s: float) -> None:
         """Initialise all valves as venting.
 
-        Args:
-            segments: number of segments.
-            bins: number of bins for the time since switching.
-            width_s: width of a bin, s.
+        The bins for the time since switching have the width `width_s` (s).
         """
         self.filling = np.zeros((segments, 2), dtype=int)
         self.age = np.zeros((segments, 2))
@@ -61,12 +58,7 @@ class ValveAges(Stateful):
         )
 
     def advance(self, duty: np.ndarray, dt: float) -> None:
-        """Advance the times since switching by one time step.
-
-        Args:
-            duty: fraction of time in which each valve fills, shape (segments, 2).
-            dt: time step, s.
-        """
+        """Advance the times since switching by one time step."""
         filling = (duty > 0.5).astype(int)
         # The time since switching refers to the start of the step, so the previous time
         # step is added.
@@ -101,11 +93,8 @@ class PressureRates:
     def __init__(self, segments: int, supply: float, wander: float) -> None:
         """Initialise the rates to 0.
 
-        Args:
-            segments: number of segments.
-            supply: nominal gauge pressure of the supply, Pa.
-            wander: initial random walk of the pressures, fraction of the supply
-                pressure per √s.
+        The initial random walk `wander` is a fraction of the nominal supply pressure
+        (Pa) per √s.
         """
         self.ages = ValveAges(segments, self._BINS, self._WIDTH_S)
         self.rate = np.zeros(self.ages.shape)
@@ -129,12 +118,9 @@ class PressureRates:
         return index
 
     def update(self, innovation: np.ndarray, noise: float) -> None:
-        """Learn from the innovations of measured pressures.
+        """Learn from the innovations (Pa) of measured pressures.
 
-        Args:
-            innovation: measured minus predicted pressure, shape (segments, 2), Pa.
-                Missing measurements are NaN.
-            noise: standard deviation of a measured pressure, Pa.
+        Missing innovations are NaN.
         """
         times = self._time_in_bin
         since = times.sum(axis=(2, 3), keepdims=True)
@@ -168,12 +154,7 @@ class PressureLevels(Stateful):
     """Number of pressures over which a mean is computed."""
 
     def __init__(self, segments: int, sd: float) -> None:
-        """Initialise the means to 0.
-
-        Args:
-            segments: number of segments.
-            sd: initial standard deviation, fraction of the supply pressure.
-        """
+        """Initialise the means to 0 and the standard deviations to `sd`."""
         self.ages = ValveAges(segments, self._BINS, self._WIDTH_S)
         self._count = np.ones(self.ages.shape)
         self._mean = np.zeros(self.ages.shape)
@@ -185,12 +166,9 @@ class PressureLevels(Stateful):
         return Estimates(self._mean[index], np.sqrt(self._variance[index]))
 
     def update(self, residual: np.ndarray, learns: np.ndarray) -> None:
-        """Learn from pressures that were measured in the current bins.
+        """Learn from the pressure residuals of the chambers with `learns`.
 
-        Args:
-            residual: measured minus modelled pressure, as a fraction of the supply
-                pressure, shape (segments, 2).
-            learns: whether each chamber is used for learning, shape (segments, 2).
+        The residuals are fractions of the supply pressure.
         """
         index = self.ages.index()
         count = np.minimum(self._count[index] + 1, self._MOST_COUNTED)

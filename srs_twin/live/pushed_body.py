@@ -141,11 +141,6 @@ class PushedBody:
         )
 
     def _tabulate_wheels(self, motion: _Motion) -> None:
-        """Compute the Jacobians of the longitudinal and lateral wheel velocities.
-
-        The array has the shape (steps, 4N, 3), in which the longitudinal velocities are
-        followed by the lateral velocities.
-        """
         arm = self._spec.geometry.half_track
         jacobian = []
         drift = []
@@ -189,7 +184,6 @@ class PushedBody:
         self._on_friction = np.tile(front.T, (4, 1)) * moved
 
     def _tabulate_push(self, motion: _Motion, stations: np.ndarray) -> None:
-        """Compute generalised force and moments due to a unit force at each station."""
         g = self._spec.geometry
         n = self._spec.segments
         j = np.minimum((stations / g.pitch).astype(int), n - 1)

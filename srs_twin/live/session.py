@@ -409,10 +409,6 @@ class Session:
             self._saving = self._pool.submit(save, self._out / STATE)
 
     def _watch(self) -> None:
-        """Warn if the machine is too slow.
-
-        The steering ends if the machine remains too slow.
-        """
         skipped = self.shadow.skipped - self._skipped
         self._skipped = self.shadow.skipped
         self._behind = self._behind + skipped if skipped else 0.0
@@ -496,13 +492,7 @@ class Session:
             warnings.warn(problem, SessionWarning, stacklevel=2)
 
     def _tick(self, now: float, since: float) -> None:
-        """Process the messages that have arrived, and send a command.
-
-        Args:
-            now: time on the clock of the links, s, or NaN before the first message of a
-                journal.
-            since: time since the start of the session, s.
-        """
+        """Process the messages that have arrived, and send a command."""
         if math.isnan(now):
             return
         messages = self._receive()
@@ -570,7 +560,6 @@ class Session:
             self._commands.send(COMMAND, self._steering.vented())
 
     def _end(self) -> None:
-        """Perform all final steps, even if one of them fails."""
         seconds = time.monotonic() - self._start
         error = sys.exception()
         with ExitStack() as steps:

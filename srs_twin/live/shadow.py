@@ -174,11 +174,6 @@ class Shadow:
     ) -> bool:
         """Advance the filters as `update` does, but do not compute an estimate.
 
-        Args:
-            now: current time on the local clock, s.
-            messages: messages that have arrived since the last call.
-            work_s: maximum computing time as in `update`, s.
-
         Returns:
             Whether the robot has sent a message.
         """
@@ -198,7 +193,8 @@ class Shadow:
             self._use(at, simultaneous)
         if self._due and now - self._due[0].time > MOST_BEHIND_S:
             self._skip_due()
-        # Before this delay has passed, earlier messages may still arrive.
+        # The filters lag behind the current time by the holding time, because earlier
+        # messages may still arrive.
         elif now - self.buffer.hold - self.time > _EXTRAPOLATE_AFTER_S:
             self._advance(now - self.buffer.hold)
         return not math.isnan(self.time)
@@ -266,7 +262,6 @@ class Shadow:
         }
 
     def _skip_due(self) -> None:
-        """Skip all waiting measurements, and continue at the latest sending time."""
         newest = self._due[-1].time
         for at, message in self._due:
             if message.kind in (COMMAND, VALVES) and at > newest - KEPT_S:
@@ -325,10 +320,6 @@ class Shadow:
         self._intervals.update(time, _state(self.ensemble), corrected)
 
     def _update_faults(self, time: float, message: Message) -> None:
-        """Update the fault detector.
-
-        A frame of motion capture also corrects the ensemble.
-        """
         if message.kind == POSES:
             self._use_frame(message)
         elif message.kind == BENDS:

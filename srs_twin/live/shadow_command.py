@@ -152,8 +152,7 @@ def shadow(
     from srs_twin.robot.file import load_robot
 
     lab = _checked(lab, options, context)
-    # A single thread is used, because several threads would wait for each other for
-    # such small matrices.
+    # A single thread is used, because the matrices are too small for several threads.
     threadpool_limits(limits=1, user_api="blas")
     twin, steering = _twin(load_robot(str(lab.robot)), lab, options)
     over = interruption()
@@ -180,7 +179,6 @@ def shadow(
 def _checked(
     lab: LabOptions, options: SessionOptions, context: typer.Context
 ) -> LabOptions:
-    """Return the checked options of the lab, including options of the set-up file."""
     from srs_twin.io.files import check_output_folder, require_file
     from srs_twin.live.session import KEPT
 
@@ -211,7 +209,6 @@ def _is_given(context: typer.Context, name: str) -> bool:
 def _twin(
     spec: RobotSpec, lab: LabOptions, options: SessionOptions
 ) -> tuple[Shadow, EstimateSteering | None]:
-    """Return the live twin and its steering after compiling the kernels."""
     from srs_twin.live.session import TICK_S, warm_up
     from srs_twin.live.shadow import Shadow, frames_of
     from srs_twin.live.steering import EstimateSteering
@@ -243,7 +240,6 @@ def _session(
     twin: Shadow,
     steering: EstimateSteering | None,
 ) -> tuple[Session, str]:
-    """Return a session, and the address of the live view in a browser."""
     from srs_twin.live.journal import McapLink
     from srs_twin.live.links import typed_words
     from srs_twin.live.session import Session

@@ -276,7 +276,8 @@ class EstimateSteering:
         if valves.ndim == 3:
             valves = valves.mean(axis=0)
         duty = valves / 2 + 0.5
-        # Equal pressures on both sides keep a segment with a stuck valve straight.
+        # Equal pressures in the + and − chambers keep a segment with a stuck valve
+        # straight.
         duty[stuck == ChamberBehaviour.FILLS] = 1.0
         duty[stuck == ChamberBehaviour.VENTS] = 0.0
         if np.isin(duty, (0.0, 1.0)).all():
@@ -284,7 +285,6 @@ class EstimateSteering:
         return duty
 
     def _begin(self, estimate: Estimate, shadow: Shadow) -> None:
-        """Prepare the follower, and plan a new path if the initial pose differs."""
         # The follower must not simulate noise and delays, because the noise and delays
         # of the real robot already affect the estimate. Commands take effect one tick
         # after the estimate.

@@ -43,8 +43,8 @@ def make_sensor(
         spec: robot specification, which determines the length of the strips and the
             drift of each sensor.
         span: maximum bend to either side for which a Hall sensor is calibrated, rad.
-            Unless `gain` is given, the gain is chosen for this span. Other sensors
-            ignore the span.
+            Unless `gain` is given, the gain of the amplifier is chosen for the span.
+            Other sensors ignore the span.
         **options: attributes of `Strip` and `HallSensor`.
 
     Raises:

@@ -25,15 +25,16 @@ of the whole segment, the reading would be neither linear nor monotonic over ±9
 **Chambers.** A rectangular chamber becomes round when it is filled, and presses on the
 adjacent strip (Section 2.2.2, Fig. 14a, c). The filled chamber is on the outside of the
 bend, so the chamber bends the strip in the opposite direction. When the chamber is
-round, it displaces the strip no further. If b is the strength of this effect and q_c is
-the bend at which the chamber is nearly round, the bend of the strip is
+round, it displaces the strip no further. If the factor b describes the strength of the
+pressing and q_c is the bend at which the chamber is nearly round, the bend of the strip
+is
 
 $$ q_s = q - b\,q_c \tanh(q / q_c) . $$
 
 The derivative of q_s is 1 − b at q = 0, negative for b > 1, and 1 for |q| ≫ q_c. The
 dissertation states that readings with rectangular chambers are not monotonic at small
-angles. The figure with the values is not available, so b and q_c are estimates. In this
-model the effect depends only on the bend, not on the pressure.
+angles. The figure with the values is not available, so b and q_c are estimates. The
+model of the pressing chamber depends only on the bend, not on the pressure.
 
 **Electronics.** The reading is produced by a Hall element, an amplifier and a
 converter:
@@ -207,13 +208,13 @@ def dipole(x: Array, y: Array, m_x: float, m_y: float) -> tuple[Array, Array]:
 
 
 def element_place(bend: Array | float, strip: Strip) -> tuple[Array, Array, Array]:
-    """Return the position x, y (m) of the element relative to the magnet, and θ (rad)."""
+    """Return the element's position x, y (m) relative to the magnet, and θ (rad)."""
     theta = strip_bend(np.asarray(bend, dtype=float), strip.chamber) * (
         strip.distance / strip.segment_length
     )
     theta = np.where(np.abs(theta) <= math.pi, theta, np.nan)
-    # The vector (sin θ, 1 − cos θ)/κ is a chord in the direction θ/2. This form of the
-    # chord is smooth at κ = 0. The function np.sinc(x) is sin(πx)/(πx).
+    # The vector (sin θ, 1 − cos θ)/κ is a chord in the direction θ/2. The expression
+    # for the chord is smooth at κ = 0. The function np.sinc(x) is sin(πx)/(πx).
     chord = strip.distance * np.sinc(theta / (2 * math.pi))
     x = chord * np.cos(theta / 2) - strip.element_height * np.sin(theta)
     y = (
