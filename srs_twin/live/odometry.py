@@ -110,7 +110,7 @@ class LocalConnection(Stateful):
         return made
 
     def features(self, before: Array, after: Array) -> Array:
-        """Return the products φ ⊗ dq for a change of bends (rad), shape (rows of W,)."""
+        """Return φ ⊗ dq for a change of the bends (rad), shape (rows of W,)."""
         return np.outer(self._features((before + after) / 2), after - before).ravel()
 
     def matrix(self, bends: Array) -> Array:
