@@ -55,9 +55,9 @@ STARVED_BELOW = 0.6
 RECOVERED_ABOVE = 0.7
 """Fraction of the nominal pressure above which `low_supply_pressure` is cleared."""
 SUDDEN = 0.12
-"""Minimum pressure change that is adopted at once, fraction of the nominal pressure."""
+"""Minimum size of a sudden pressure change, fraction of the nominal pressure."""
 _SUDDEN_SD = 3.0
-"""Minimum median residual for such a change, in standard deviations."""
+"""Minimum median residual of a sudden change, in standard deviations."""
 _SURPRISE = 3.0
 """Median change, in standard deviations, above which the variance is increased."""
 _AGREE = 3

@@ -52,7 +52,7 @@ _MOVED_SD = 6.0
 """Median innovation, in standard deviations, above which the robot may have been moved.
 """
 _MOVED_FRAMES = 5
-"""Number of such successive frames after which the estimated pose is replaced.
+"""Number of successive frames with large innovations that indicate a moved robot.
 """
 _PLACE_FACTOR = 5.0
 """Initial standard deviation of the position, as a multiple of the noise of a frame."""

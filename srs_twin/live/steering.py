@@ -49,7 +49,7 @@ _LARGEST_SD_M = 0.0125
 The value is half the usual margin to obstacles.
 """
 _UNCERTAIN_S = 0.2
-"""Duration of a larger standard deviation after which the robot is vented, s.
+"""Time with too large a standard deviation after which the robot is vented, s.
 
 A late frame of motion capture increases the standard deviation for some ticks.
 Generation 2 crawls 45 mm during this time.
