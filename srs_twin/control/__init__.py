@@ -1,1 +1,1 @@
-"""Controllers: functions of sensor readings and poses that return valve commands."""
+"""Controllers, which compute valve commands from sensor readings and poses."""

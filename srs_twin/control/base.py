@@ -1,4 +1,4 @@
-"""Base class of the controllers, and filtering of lost sensor readings."""
+"""Base class of the controllers, and replacement of lost sensor readings."""
 
 from __future__ import annotations
 
@@ -21,8 +21,9 @@ if TYPE_CHECKING:
 class Controller(Claimable, Stateful, ABC):
     """Controller that computes the valve commands of one control tick.
 
-    A controller reads the sensed bends in `SnakeState.measured_bend` and poses from a camera.
-    It never reads the true `bend`, and it does not know which plant it controls.
+    A controller reads the sensed bends in `SnakeState.measured_bend` and poses from a
+    camera. A controller never reads the true `bend`, and does not know which plant it
+    controls.
 
     Attributes:
         kind: name of the controller in scenario files.
@@ -30,7 +31,7 @@ class Controller(Claimable, Stateful, ABC):
         layouts: names of the supported valve layouts, a subset of `LAYOUTS`.
         spatial: whether the controller commands the chambers of a spatial robot.
         finished: whether the controller has ended its task. The rollout ends after the
-            tick in which it becomes True.
+            tick in which `finished` becomes True.
     """
 
     state_attributes: ClassVar[tuple[str, ...]] = ("finished",)
@@ -40,9 +41,7 @@ class Controller(Claimable, Stateful, ABC):
     layouts: tuple[str, ...] = tuple(LAYOUTS)
     spatial: bool = False
     finished: bool = False
-    _events: list[
-        Event
-    ]  # since the last call of `events`; `reset` creates it in controllers with events
+    _events: list[Event]
 
     @abstractmethod
     def reset(self, spec: RobotSpec, tick: float, *, seed: int = 0) -> None:
@@ -54,15 +53,16 @@ class Controller(Claimable, Stateful, ABC):
             seed: random seed of the controller.
 
         Raises:
-            InputError: the controller supports neither the valve layout nor the tick.
+            InputError: the controller does not support the valve layout or the tick of
+                the robot.
         """
 
     @abstractmethod
     def step(self, state: SnakeState) -> np.ndarray:
-        """Return the valve states of the next tick, int8.
+        """Return the valve states of the next tick.
 
-        The shape is (segments, 2), or (slots, segments, 2) if the states change within
-        the tick.
+        The array has the dtype int8 and the shape (segments, 2), or (slots, segments,
+        2) if the states change within the tick.
         """
 
     def save(self) -> SavedState:
@@ -75,7 +75,10 @@ class Controller(Claimable, Stateful, ABC):
         return SavedState(self.identity(), self.state_dict())
 
     def restore(self, state: SavedState) -> None:
-        """Continue from a saved state after `reset` with an equal robot and tick.
+        """Continue from a saved state.
+
+        Before this call, the controller must be reset with an equal robot and an equal
+        tick.
 
         Raises:
             InputError: the state belongs to another controller, or `reset` has not been
@@ -86,14 +89,14 @@ class Controller(Claimable, Stateful, ABC):
         self.load_state_dict(state.content)
 
     def identity(self) -> dict[str, object]:
-        """Return the properties that must match a saved state, as JSON values."""
+        """Return the properties, as JSON values, that a saved state must match."""
         return {"controller": self.kind, "class": type(self).__name__}
 
     def script(self, duration: float) -> Schedule | None:
-        """Return the valve states of a whole run that does not depend on measurements.
+        """Return the valve states of the whole run, or None in closed loop.
 
-        The rollout calls this method after `reset`. The result is None for a controller
-        in closed loop. A controller with a script has constant signals and no events.
+        The rollout calls this method after `reset`. A controller that returns a
+        schedule must have constant signals and must not record events.
 
         Args:
             duration: duration of the run, s, which is a whole number of ticks.
@@ -101,9 +104,10 @@ class Controller(Claimable, Stateful, ABC):
         return None
 
     def signals(self) -> dict[str, Any]:
-        """Return the signals to record, by name.
+        """Return the signals to record, keyed by name.
 
-        A value is a number, or an array whose elements are numbered from 1.
+        Each value is a number or an array. The recorded names of array elements are
+        numbered from 1.
         """
         return {}
 
@@ -114,20 +118,21 @@ class Controller(Claimable, Stateful, ABC):
         return events
 
     def describe(self) -> dict[str, object]:
-        """Return the settings and results that are recorded, as JSON values."""
+        """Return the settings and results to record, as JSON-compatible values."""
         return {}
 
 
 MAX_READING_RAD = 2 * math.pi
-"""Magnitude above which readings count as lost, rad: no segment bends by a full turn.
+"""Maximum plausible magnitude of a bend reading, rad. No segment bends by a full turn.
 """
 
 
 class SensorReadings(Stateful):
     """Latest valid bend readings of all segments.
 
-    A reading is lost if it is not finite or exceeds a full turn. The previous valid
-    reading, 0 at first, then replaces it, and an event records the loss.
+    A reading counts as lost if it is not finite or exceeds a full turn. A lost reading
+    is replaced by the previous valid reading, which is initially 0. Events record when
+    readings are lost and recovered.
 
     Attributes:
         value: latest valid readings, shape (segments,), rad.
@@ -142,12 +147,7 @@ class SensorReadings(Stateful):
         self.lost: np.ndarray = np.zeros(segments, dtype=bool)
 
     def update(self, time: float, measured_bend: np.ndarray) -> list[Event]:
-        """Store the readings of one tick, and return loss and recovery events.
-
-        Args:
-            time: time of the readings, s.
-            measured_bend: bends reported by the sensors, shape (segments,), rad.
-        """
+        """Store the readings (rad) of one tick, and return loss and recovery events."""
         measured_bend = np.asarray(measured_bend, dtype=float)
         lost = ~(np.abs(measured_bend) <= MAX_READING_RAD)
         self.value = np.where(lost, self.value, measured_bend)

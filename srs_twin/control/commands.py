@@ -1,4 +1,4 @@
-"""Gaits that follow external commands, and controllers with a scheduled offset."""
+"""Gaits that are steered by external commands or by a schedule of steering offsets."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ FREQUENCY_RANGE_HZ = (1.0, 2.0)
 RELATIVE_PRESSURE_RANGE = (0.85, 1.15)
 """Minimum and maximum supply pressure relative to the nominal pressure.
 
-The values correspond to 41 and 55 kPa for generation 2 (Section 3.4.2).
+In generation 2 the limits correspond to 41 and 55 kPa (Section 3.4.2).
 """
 _TIME_ROUNDING_S = 1e-9
-"""Tolerance for comparing times, s. Sums of ticks have rounding errors."""
+"""Tolerance for comparing times, s, because sums of ticks have rounding errors."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class GaitLimits:
 
     @classmethod
     def for_robot(cls, spec: RobotSpec) -> GaitLimits:
-        """Return the limits of a robot, up to its pressure limit when pulsed."""
+        """Return the allowed ranges for a robot."""
         low, high = (ratio * spec.supply.nominal for ratio in RELATIVE_PRESSURE_RANGE)
         return cls(
             (-MAX_OFFSET, MAX_OFFSET),
@@ -85,12 +85,7 @@ class GaitLimits:
 
 
 class CommandedGait(Stateful):
-    """Gait and supply pressure that follow commands.
-
-    Attributes:
-        gait: the open-loop gait.
-        command: the current command.
-    """
+    """Open-loop gait whose parameters and supply pressure are set by commands."""
 
     state_attributes = ("gait", "command")
 
@@ -99,15 +94,10 @@ class CommandedGait(Stateful):
     ) -> None:
         """Start the gait at time 0.
 
-        Args:
-            spec: robot that performs the gait.
-            tick: control tick of the plant, s.
-            pneumatics: pneumatics of the plant, built for the maximum pressure that
-                will be commanded.
-            command: first command.
+        The pneumatics must be built for the maximum pressure that will be commanded.
 
         Raises:
-            InputError: the gait or the supply cannot follow the command.
+            InputError: a gait parameter or the supply pressure is out of range.
         """
         self._pneumatics = pneumatics
         self.command = command
@@ -118,13 +108,13 @@ class CommandedGait(Stateful):
     def valves(
         self, time: float, command: GaitCommand, pitch: PitchWave | None = None
     ) -> np.ndarray:
-        """Apply a command and return the valve states of a tick.
+        """Apply a command and return the valve states of one tick.
 
         The tick begins at `time` (s). The phase of the wave is continuous, and the new
         supply pressure acts immediately. A spatial robot also needs a pitch wave.
 
         Raises:
-            InputError: the gait or the supply cannot follow the command.
+            InputError: a gait parameter or the supply pressure is out of range.
         """
         if command.frequency != self.gait.frequency:
             self.gait.change_frequency(command.frequency, time)
@@ -136,22 +126,18 @@ class CommandedGait(Stateful):
 
 
 class ScheduledOffset(Controller):
-    """Controller whose steering offset changes at given times.
-
-    Attributes:
-        changes: pairs of time (s) and new offset, in order of time.
-    """
+    """Controller whose steering offset changes at given times."""
 
     state_attributes = ("_inner", "_applied", "_events")
 
     def __init__(
         self, controller: Gait | ILC, changes: Sequence[tuple[float, float]]
     ) -> None:
-        """Wrap a controller.
+        """Wrap the controller to steer.
 
         Args:
-            controller: controller to steer, whose current offset is used until the
-                first change.
+            controller: controller to steer. The current offset of the controller is
+                used until the first change.
             changes: pairs of time (s) and new offset. A change takes effect at the
                 first tick that begins at or after its time.
 
@@ -206,7 +192,7 @@ class ScheduledOffset(Controller):
         return self._inner.signals()
 
     def events(self) -> list[Event]:
-        """Return the new offset changes and the new events of the inner controller."""
+        """Return the events of the offset changes and of the wrapped controller."""
         return super().events() + self._inner.events()
 
     def describe(self) -> dict[str, object]:

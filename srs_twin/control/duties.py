@@ -1,27 +1,28 @@
 r"""Duties, target amplitudes and periods in iterative learning control (Section 5.1).
 
 **Targets.** The chambers on the side towards which the snake turns have the target
-amplitude A, 0.7 rad in the dissertation. The target amplitude on the other side
-decreases linearly with the offset φ, to 4 A / 7 (0.4 rad) at |φ| = 0.3:
+amplitude A, 0.7 rad in the dissertation. The target amplitude on the opposite side
+decreases linearly with |φ|, to 4 A / 7 (0.4 rad) at |φ| = 0.3:
 
 $$ A_{\text{larger}} = A, \qquad
 A_{\text{smaller}} = A \Bigl(1 - \tfrac{3}{7} \tfrac{|\varphi|}{0.3}\Bigr). $$
 
-**Periods.** Each chamber has its own period, in which the bend of its segment is
-measured. Period n of a chamber begins with its n-th fill and ends with the next fill.
-Air flow and inertia delay the peak of the bend, but by less than the following vent
-lasts. The peak is therefore inside one period, and the duty is updated before the next
-fill. With one common period for all chambers, as in Section 5.1, some chambers' periods
-would end during a peak, and their duties would change during a fill.
+**Periods.** The amplitude of each chamber is measured over the chamber's own period.
+Period n of a chamber begins when the chamber is filled for the n-th time and ends when
+the chamber is filled again. Air flow and inertia delay the peak of the bend, but by
+less than the duration of the following vent. The peak therefore lies within one period,
+and the duty is updated before the next fill. Section 5.1 uses one common period for all
+chambers. For some chambers the common period ends during a peak, and the duty changes
+during a fill.
 
 **Duties.** The learning law updates one duty per chamber (Eq. 32),
 
 $$ u_n = \operatorname{clip}\bigl(u_{n-1} + k\,e_{n-1},\, 0,\, 1\bigr), \qquad
 e_{n-1} = \text{target} - \text{amplitude}. $$
 
-If the amplitude is c u, each update multiplies the error by 1 − k c. The duty itself is
-clipped, not an integral of the error, so there is no wind-up. A duty at its bound
-leaves the bound as soon as the error changes sign.
+If the amplitude is c u, each update multiplies the error by 1 − k c. Clipping the duty
+itself, instead of an integral of the error, avoids wind-up. A duty at a bound leaves
+the bound as soon as the error changes sign.
 """
 
 from __future__ import annotations
@@ -37,22 +38,24 @@ from srs_twin.trajectory import Event
 MAX_OFFSET = 0.3
 """Maximum |φ| for which Section 5.1 gives targets, dimensionless."""
 MIN_AMPLITUDE_RATIO = 4 / 7
-"""Ratio of the two target amplitudes at the maximum offset: 0.4 rad to 0.7 rad."""
+"""Ratio of the smaller to the larger target amplitude at the maximum offset (0.4
+rad/0.7 rad).
+"""
 MIN_READINGS_PER_PERIOD = 8
-"""Number of readings per gait period that an amplitude measurement needs."""
+"""Minimum number of readings per gait period for an amplitude measurement."""
 SIDES = ("+", "−")
-"""Chambers of a segment, in the order of the last axis of arrays."""
+"""Names of the two chambers of a segment, in the order of the last axis of arrays."""
 CONVERGENCE_TOLERANCE = 0.05
 """Relative amplitude error below which learning has converged, dimensionless."""
 
 _PERIOD_ROUNDING = 1e-9
 """Tolerance for comparing times, as a fraction of a period."""
 _DUTY_ROUNDING = 1e-12
-"""Tolerance for comparing duties with their bounds, dimensionless."""
+"""Tolerance for comparing duties with the bounds 0 and 1, dimensionless."""
 
 
 def validated_offset(offset: float) -> float:
-    """Return the offset if it has target amplitudes.
+    """Return the offset if its magnitude is at most `MAX_OFFSET`.
 
     Raises:
         InputError: the offset is outside ±0.3.
@@ -78,20 +81,22 @@ def targets(amplitude: float, offset: float) -> np.ndarray:
 
 
 class ChamberPeriods(Stateful):
-    """Periods of all chambers in a travelling wave, and the peak bend in each period.
+    """Gait periods of all chambers, and the maximum bend measured in each period.
 
     All arrays have the shape (segments, 2).
 
     Attributes:
         period: duration T of a period, s.
-        fill_starts: start of the first fill, s, from −T/2 to T/2. It is negative for a
-            chamber that is already filling at time 0.
-        number: number of the current period, 0 before the first.
-        peak: maximum bend to the side of the chamber (+: left) in the last completed
-            period, rad.
-        span: range of the readings in the last completed period, rad.
-        lost: fraction of the readings in the last completed period that were lost.
-        started: start of the last completed period, s.
+        fill_starts: start time of the first fill, s, from −T/2 to T/2. The start time
+            is negative for a chamber that is already filling at time 0.
+        number: number of the current period, counted from 1. Before the first period
+            the number is 0.
+        peak: maximum bend towards the side of the chamber in the last completed period,
+            rad. The + chamber is on the left.
+        span: difference between the maximum and the minimum reading in the last
+            completed period, rad.
+        lost: fraction of lost readings in the last completed period.
+        started: start time of the last completed period, s.
     """
 
     state_attributes = (
@@ -111,12 +116,12 @@ class ChamberPeriods(Stateful):
 
         Args:
             phase_lag: phase lag of the wave sin(2πft − phase_lag) of each segment,
-                shape (segments,), rad. The + chamber fills where the wave is positive,
-                the − chamber where the wave is negative.
+                shape (segments,), rad. The + chamber fills while the wave is positive,
+                and the − chamber fills while the wave is negative.
             frequency: gait frequency f, Hz.
-            tick: time between readings, s.
-            common: whether all chambers share periods that begin at time 0, as in
-                Section 5.1.
+            tick: time between successive readings, s.
+            common: whether all chambers share one sequence of periods that begins at
+                time 0, as in Section 5.1.
 
         Raises:
             InputError: a period has too few readings.
@@ -151,11 +156,11 @@ class ChamberPeriods(Stateful):
         self._set_next()
 
     def steer(self, shift: float) -> None:
-        """Shift the fill starts to the fill starts of a wave with an offset φ (Eq. 13).
+        """Shift the start times of the fills according to a steering offset φ (Eq. 13).
 
         Args:
-            shift: phase asin φ, rad, by which fills of + chambers lead and fills of −
-                chambers lag.
+            shift: phase asin φ, rad. The fills of the + chambers begin earlier and the
+                fills of the − chambers begin later by this phase.
         """
         if not self._common:
             lead = shift / (2 * math.pi) * self.period
@@ -163,12 +168,7 @@ class ChamberPeriods(Stateful):
             self._set_next()
 
     def update(self, reading: np.ndarray, lost: np.ndarray) -> None:
-        """Add the readings of one tick.
-
-        Args:
-            reading: sensed bends, shape (segments,), rad.
-            lost: whether each reading was lost, shape (segments,).
-        """
+        """Add the readings of one tick, shape (segments,), rad."""
         bends = self._bends
         bends[:, 0] = reading
         np.negative(reading, out=bends[:, 1])
@@ -178,11 +178,11 @@ class ChamberPeriods(Stateful):
         self._lost_readings += lost[:, None]
 
     def due(self, time: float) -> bool:
-        """Return whether a chamber's period begins in the tick from `time` (s) on."""
+        """Return whether any period begins in the tick that starts at `time` (s)."""
         return time + self._tick > self._next
 
     def advance(self, time: float) -> np.ndarray:
-        """Begin the periods that are due and return a mask of the completed ones.
+        """Begin the periods that are due and return a mask of the completed periods.
 
         The mask has the shape (segments, 2).
         """
@@ -208,12 +208,12 @@ class ChamberPeriods(Stateful):
 
 
 class Duties(Stateful):
-    """Learnt duty of each chamber, with its saturation and convergence.
+    """Learnt duty of each chamber. Events report saturation and convergence.
 
     Attributes:
         value: duties u, shape (segments, 2), from 0 to 1.
-        error: errors e in the last update, shape (segments, 2), rad, or NaN before the
-            first update.
+        error: amplitude errors e in the last update, shape (segments, 2), rad. The
+            errors are NaN before the first update.
     """
 
     state_attributes = (
@@ -225,12 +225,7 @@ class Duties(Stateful):
     )
 
     def __init__(self, segments: int, gain: float) -> None:
-        """Initialise all duties to 1.
-
-        Args:
-            segments: number of segments.
-            gain: learning gain k, 1/rad.
-        """
+        """Initialise all duties to 1. `gain` is the learning gain k in 1/rad."""
         self.value: np.ndarray = np.ones((segments, 2))
         self.error: np.ndarray = np.full((segments, 2), math.nan)
         self._gain = gain
@@ -241,15 +236,9 @@ class Duties(Stateful):
     def learn(
         self, time: float, chambers: np.ndarray, peak: np.ndarray, target: np.ndarray
     ) -> list[Event]:
-        """Update the duties of some chambers and return events of changed saturation.
+        """Update the duties of the selected chambers and return saturation events.
 
         All arrays have the shape (segments, 2).
-
-        Args:
-            time: time of the update, s.
-            chambers: mask of the chambers that have completed a period.
-            peak: amplitudes measured in the completed period, rad.
-            target: target amplitudes, rad.
         """
         self.error = np.where(chambers, target - peak, self.error)
         relative = np.abs(target - peak) / target
@@ -268,17 +257,12 @@ class Duties(Stateful):
         return events
 
     def restart_convergence(self) -> None:
-        """Mark all amplitudes as not converged after a change of their targets."""
+        """Mark all amplitudes as not converged, because the targets have changed."""
         self._relative_error = np.full_like(self._relative_error, math.inf)
         self._converged = False
 
     def converged(self, time: float, working: np.ndarray) -> list[Event]:
-        """Return an event if all working segments have just reached their targets.
-
-        Args:
-            time: time of the check, s.
-            working: mask of the segments without a fault, shape (segments,).
-        """
+        """Return an event when all working segments first reach their targets."""
         errors = self._relative_error[working]
         reached = errors.size and (errors <= CONVERGENCE_TOLERANCE).all()
         if self._converged or not reached:
@@ -291,13 +275,7 @@ class Duties(Stateful):
         return [Event(time, "converged", text)]
 
     def summary(self, time: float, period: int, working: np.ndarray) -> list[Event]:
-        """Return an event with the maximum amplitude error of the working segments.
-
-        Args:
-            time: time of the event, s.
-            period: number of the completed period.
-            working: mask of the segments without a fault, shape (segments,).
-        """
+        """Return an event with the maximum amplitude error of the working segments."""
         if not working.any() or np.isnan(self.error[working]).all():
             return []
         error = np.where(working[:, None], self.error, math.nan)

@@ -1,33 +1,34 @@
-r"""Lateral undulation: a square wave of valve states from head to tail (Eq. 13).
+r"""Lateral undulation by a square wave of valve states from head to tail (Eq. 13).
 
 $$ S_j = \operatorname{sign}\bigl(\sin(2\pi f t - \beta (j-1) + \psi) + \varphi\bigr) $$
 
 Here f is the gait frequency, β the phase lag per segment, ψ the phase and φ the
-steering offset. S_j = +1 fills the + chamber of segment j and vents the − chamber, −1
-does the reverse, and sign(0) = +1. The wave travels from head to tail and propels the
-snake forward. Eq. 13 as printed travels in the opposite direction (E12). A positive φ
-turns the snake to the left. The mirror image of a gait has the offset −φ and its phase
-ψ shifted by π.
+steering offset. S_j = +1 fills the + chamber of segment j and vents the − chamber. S_j
+= −1 vents the + chamber and fills the − chamber. The sign of 0 is +1. The wave travels
+from head to tail and propels the snake forward. The wave of Eq. 13 as printed travels
+in the opposite direction (E12). A positive φ turns the snake to the left. The mirror
+image of a gait has the offset −φ and the phase ψ + π.
 
-Two extensions are not part of the dissertation. Each segment may have an additional
-phase lag α_j, and both chambers may vent for a fraction r of the period, centred at the
-sign changes of the wave:
+The wave has two extensions that are not part of the dissertation. Each segment may have
+an additional phase lag α_j, and both chambers may vent for a fraction r of the period,
+centred at the sign changes of the wave:
 
 $$ S_j = 0 \quad \text{where} \quad
    |\sin(2\pi f t - \beta (j-1) + \psi - \alpha_j) + \varphi| < \sin(\pi r/2). $$
 
 **Spatial robots** have a second wave, the pitch wave, which bends the segments upwards
-and downwards. Its frequency is ρ times the frequency of the first wave, and its phase
-lag is λ:
+and downwards. The pitch wave has ρ times the frequency of the lateral wave and the
+phase lag λ:
 
 $$ P_j = \operatorname{sign}
    \sin\bigl(\rho\,(2\pi f t - \beta (j-1) + \psi - \alpha_j) - \lambda\bigr) . $$
 
-Valves only open and close, so an amplitude is reduced by letting the wave rest at 0 for
-a fraction r of its period. The fundamental of such a square wave has the amplitude
-cos(π r/2). The pitch fraction s, from 0 to 1, is the amplitude of the pitch wave
-divided by the sum of both amplitudes. With s < 1/2 the pitch wave rests so that its
-amplitude is s/(1 − s). With s > 1/2 the other wave rests. Chamber c with the direction
+Valves only open and close, so the amplitude of a wave is reduced by holding the wave at
+0 for a fraction r of each period. The fundamental of a square wave that rests for the
+fraction r of each period has the amplitude cos(π r/2). The pitch fraction s, from 0 to
+1, is the amplitude of the pitch wave divided by the sum of the amplitudes of the pitch
+wave and the lateral wave. For s < 1/2 the pitch wave has the amplitude s/(1 − s), and
+for s > 1/2 the lateral wave has the amplitude (1 − s)/s. Chamber c with the direction
 d_c fills where d_c · (S_j, P_j) > 0.
 
 | gait | pitch wave |
@@ -57,17 +58,18 @@ from srs_twin.pneumatics.valves import Schedule, count_slots
 from srs_twin.robot.spec import RobotSpec
 
 _BLOCK = 20_000
-"""Number of slots whose wave is evaluated at once, which bounds the memory used."""
+"""Maximum number of slots evaluated at once, which bounds the memory use."""
 
 
 @dataclass(frozen=True)
 class PitchWave:
-    """Wave that bends a spatial robot upwards and downwards; see the module docstring.
+    """Wave that bends a spatial robot upwards and downwards. See the module docstring.
 
     Attributes:
-        fraction: pitch fraction s, the amplitude of the pitch wave divided by the sum of
-            both amplitudes, 0 to 1.
-        lag_rad: phase lag λ behind the wave to the left and right, rad.
+        fraction: pitch fraction s, from 0 to 1, which is the amplitude of the pitch
+            wave divided by the sum of the amplitudes of the pitch wave and the lateral
+            wave.
+        lag_rad: phase lag λ behind the lateral wave, rad.
         frequency_ratio: ratio ρ of the pitch wave's frequency to the gait frequency,
             above 0.
         lifted_segments: number of segments, counted from the head, that always bend
@@ -95,10 +97,11 @@ class PitchWave:
             )
 
     def check(self, spec: RobotSpec) -> None:
-        """Check that a robot can perform this wave.
+        """Check that a robot can perform the pitch wave.
 
         Raises:
-            InputError: the robot bends in one plane, or has too few segments to lift.
+            InputError: the robot bends in one plane, or has fewer segments than the
+                wave lifts.
         """
         if not spec.is_spatial:
             raise InputError(
@@ -128,11 +131,13 @@ class Gait(Controller):
     """Open-loop gait of Eq. 13.
 
     Attributes:
-        frequency: gait frequency f, Hz; `change_frequency` changes it during a run.
-        offset: steering offset φ, between −1 and 1, which may change during a run.
+        frequency: gait frequency f, Hz. `change_frequency` changes the frequency during
+            a run.
+        offset: steering offset φ, between −1 and 1. The offset may be changed during a
+            run.
         phase: phase ψ, rad.
-        phase_lag: phase lag β (j − 1) − ψ of each segment, shape (segments,), rad;
-            available after `reset`.
+        phase_lag: phase lag β (j − 1) − ψ of each segment, shape (segments,), rad.
+            `reset` sets the phase lags.
     """
 
     kind = "gait"
@@ -160,18 +165,19 @@ class Gait(Controller):
             frequency: gait frequency f, Hz.
             offset: steering offset φ, between −1 and 1, positive to the left.
             phase: phase ψ at time 0, rad.
-            phase_step: phase lag β per segment, rad; None uses the phase lag of the
-                robot.
-            phases: additional phase lags α, rad, one value per segment; None means
-                zeros.
-            rest_fraction: fraction r of the period at rest, at least 0 and below 1; None
-                means 0.
+            phase_step: phase lag β per segment, rad. If None, the phase lag of the
+                robot is used.
+            phases: additional phase lags α, rad, with one value per segment. If None,
+                all additional phase lags are 0.
+            rest_fraction: fraction r of the period in which both chambers vent, at
+                least 0 and below 1. If None, the fraction is 0.
             pitch: pitch wave of a spatial robot, or None.
 
         Raises:
             InputError: a rest fraction is given together with a pitch wave, the
                 frequency is not above 0, or the offset or the rest fraction is out of
-                range. Setting `offset` later raises this error as well.
+                range. Setting `offset` to a value that is out of range raises the same
+                error.
         """
         rest_fraction = rest_fraction or 0.0
         if not 0 <= rest_fraction < 1:
@@ -227,7 +233,8 @@ class Gait(Controller):
         """See `Controller.reset`.
 
         Raises:
-            InputError: the number of phases is not the number of segments.
+            InputError: the number of additional phase lags differs from the number of
+                segments.
         """
         if len(self._phases) not in (0, spec.segments):
             raise InputError(
@@ -257,8 +264,9 @@ class Gait(Controller):
         if self._axes is not None:
             return self._spatial_valves(time + self._tick * self._slot_centres)
         first, last = self._wave(time + self._tick * self._slot_centres[[0, -1]])
-        # A tick that is shorter than every level of the wave contains at most one
-        # change, so equal states at the two ends of the tick exclude a change.
+        # A tick that is shorter than the shortest constant section of the wave contains
+        # at most one change. If the states at the two ends of a short tick are equal,
+        # there is no change within the tick.
         if self._tick < self._shortest_level() and (first == last).all():
             return _antagonistic(first)
         wave = self._wave(time + self._tick * self._slot_centres)
@@ -281,8 +289,8 @@ class Gait(Controller):
             return Schedule.from_slots(
                 _antagonistic(self._wave(slot * (np.arange(count) + 0.5))), duration
             )
-        # Evaluate the wave only near its changes: in the slot of a change and in the
-        # two adjacent slots, because rounding may move the change by one slot.
+        # Evaluate the wave only in the slot of each change and in the two adjacent
+        # slots, because rounding may move a change by one slot.
         period = 1 / self.frequency
         up, down = self._crossings()
         angles = [-up, math.pi + up]
@@ -343,15 +351,15 @@ class Gait(Controller):
 
 
 def _three_levels(value: np.ndarray, rest: float) -> np.ndarray:
-    """Return 1, 0 or −1 for values above, within and below the rest level.
+    """Return 1 above the rest level, −1 below the negated rest level, and 0 in between.
 
-    A value of 0 gives +1 if the wave does not rest.
+    Without a rest level, a value of 0 returns 1.
     """
     # The tolerance makes the sign of an exact zero independent of rounding.
     low = -rest - 1e-12
     high = rest - 1e-12
     if rest >= 1:
-        high = rest + 1e-12  # the wave only touches the level
+        high = rest + 1e-12  # The wave only touches the rest level.
     below_high = np.where(value >= low, 0, -1) if rest else -1
     return np.where(value >= high, 1, below_high)
 

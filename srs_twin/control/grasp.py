@@ -1,14 +1,15 @@
-"""Whole-body grasp: the tail curls around an object while the front drags it.
+"""Whole-body grasp, in which the tail curls around an object and the front drags it.
 
-The phases follow each other in open loop at given times, or depend on the sensed bends:
+In open loop, the phases begin at given times. In the sensed mode, the start of the drag
+depends on the sensed bends. The phases are:
 
 1. *Curl.* The valves of the holding segments at the tail fill one side with a duty that
-   rises from 0 to 1, because a fast curl would push the object away. The other segments
-   vent and lie still.
-2. *Drag.* The holding segments stay filled, and the other segments perform the gait of
-   Eq. 13. In the sensed mode this phase begins when the readings have settled, provided
-   that the holding segments bend less than they would without an object. Otherwise the
-   grasp has missed, and the run ends.
+   rises from 0 to 1, because a fast curl would push the object away. The valves of the
+   remaining segments vent.
+2. *Drag.* The holding segments stay filled, and the remaining segments perform the gait
+   of Eq. 13. In the sensed mode the drag begins when the bend readings have settled,
+   provided that the holding segments bend less than without an object. Otherwise the
+   tail has not enclosed an object, and the run ends.
 3. *Release.* The holding segments vent after a given time, or after the centre of mass
    has moved a given distance.
 """
@@ -32,10 +33,14 @@ if TYPE_CHECKING:
 
 MODES = ("open_loop", "sensed")
 SIDES = ("left", "right")
-_SLOTS = 20  # slots per tick, which resolve the duty of the curl
-_SETTLED_RAD_PER_S = 0.3  # bend rate below which the curl has ended
-_SETTLING_S = 0.3  # time over which this rate is measured
-_GRIP_RAD = 0.1  # minimum decrease of the mean bend due to an object
+_SLOTS = 20
+"""Number of slots per tick, which determines the resolution of the duty."""
+_SETTLED_RAD_PER_S = 0.3
+"""Bend rate below which the tail counts as settled, rad/s."""
+_SETTLING_S = 0.3
+"""Time over which the bend rate is averaged, s."""
+_GRIP_RAD = 0.1
+"""Minimum decrease of the mean bend that indicates an object, rad."""
 
 
 class Phase(IntEnum):
@@ -51,10 +56,10 @@ def _reached(value: float, limit: float | None) -> bool:
 
 
 def check_hold(hold: int, spec: RobotSpec) -> None:
-    """Check that enough segments remain for crawling.
+    """Check that at least two segments remain for crawling.
 
     Raises:
-        InputError: the robot has too few segments to hold and to crawl.
+        InputError: fewer than two segments would remain for crawling.
     """
     if not 1 <= hold <= spec.segments - 2:
         raise InputError(
@@ -67,7 +72,7 @@ def check_release(mode: str, drag_m: float | None) -> None:
     """Check that a drag distance is given only in the sensed mode.
 
     Raises:
-        InputError: a distance is given in open loop.
+        InputError: a drag distance is given in open-loop mode.
     """
     if drag_m is not None and mode == "open_loop":
         raise InputError(
@@ -82,8 +87,8 @@ def hold_with(valves: np.ndarray, hold: int, duty: float, pulses: int = 1) -> No
     Args:
         valves: valve states of a tick, shape (slots, segments, 2), changed in place.
         hold: number of holding segments.
-        duty: fraction of the slots in which a chamber fills. It ranges from −1 (right
-            chambers) to 1 (left chambers).
+        duty: signed fraction of the slots in which a chamber fills. Positive values
+            fill the left chambers, and negative values fill the right chambers.
         pulses: number of equal pulses in the tick.
     """
     slots = len(valves) // pulses
@@ -95,13 +100,14 @@ def hold_with(valves: np.ndarray, hold: int, duty: float, pulses: int = 1) -> No
 
 
 class Grasp(Controller):
-    """Grasp and drag of an object next to the tail; see the module docstring.
+    """Grasp and drag of an object next to the tail. See the module docstring.
 
     Attributes:
         frequency: gait frequency of the dragging segments, Hz.
         phase: current phase.
-        grip: mean of the free bend minus the sensed bend of the holding segments, rad.
-        duty: current duty of the holding segments, −1 to 1, positive on the left.
+        grip: free bend minus the mean sensed bend of the holding segments, rad.
+        duty: current duty of the holding segments, from −1 (right chambers) to 1 (left
+            chambers).
     """
 
     kind = "grasp"
@@ -140,17 +146,18 @@ class Grasp(Controller):
             side: side of the object, one of `SIDES`.
             hold: number of holding segments at the tail.
             curl_s: time in which the duty of the curl rises to 1, s.
-            drag_after_s: start of the drag in open loop, or its latest start in the
-                sensed mode, s.
-            release_after_s: time from the start of the drag to the release, s; None
-                means that the object is never released.
-            drag_m: distance of the drag after which the object is released, m; sensed
-                mode only.
-            phase_step: phase lag of the gait per segment, rad; None uses the phase lag
-                of the robot.
+            drag_after_s: start time of the drag in open-loop mode, or the latest start
+                time in the sensed mode, s.
+            release_after_s: time from the start of the drag to the release, s. If None,
+                the object is not released after a given time.
+            drag_m: distance after which the object is released, m. A distance is
+                allowed only in the sensed mode.
+            phase_step: phase lag of the gait per segment, rad. If None, the phase lag
+                of the robot is used.
 
         Raises:
-            InputError: a name is unknown, or an option does not belong to the mode.
+            InputError: the mode or side is unknown, or `drag_m` is given in open-loop
+                mode.
         """
         check_choice("mode", mode, MODES)
         check_choice("side", side, SIDES)
@@ -169,7 +176,7 @@ class Grasp(Controller):
         """See `Controller.reset`.
 
         Raises:
-            InputError: the robot has too few segments to hold and to crawl.
+            InputError: fewer than two segments would remain for crawling.
         """
         check_hold(self.hold, spec)
         self._gait.reset(spec, tick)

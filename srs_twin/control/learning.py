@@ -1,19 +1,22 @@
-"""Iterative learning control of a gait, with one update per chamber and gait period.
+"""Iterative learning control of a gait (Section 5.1).
 
-The controller follows Section 5.1. Its wave is the wave of the open-loop gait without
-offset (Eq. 13). Where the wave fills a chamber, the valve is pulse-width modulated with
-the duty of the chamber. With all duties at 1 the valve states equal the open-loop gait.
+The duty of each chamber is updated once per gait period.
 
-At the end of its own period (`ChamberPeriods`), each chamber's duty is corrected
+The controller uses the wave of the open-loop gait without offset (Eq. 13). While the
+wave fills a chamber, the valve is pulse-width modulated with the duty of the chamber.
+If all duties are 1, the valve states are equal to those of the open-loop gait.
+
+When a period of a chamber ends (`ChamberPeriods`), the duty of the chamber is corrected
 according to the measured amplitude (`Duties`, Eq. 32). The amplitude of a + chamber is
 the maximum sensed bend in the period. The amplitude of a − chamber is the negated
-minimum. Different target amplitudes of the two sides steer the snake (`targets`). With
-`steering="targets_and_wave"`, φ also acts on the wave as in Eq. 13, which lengthens the
-fills on the side towards which the snake turns.
+minimum sensed bend. The snake is steered by different target amplitudes on the two
+sides (`targets`). With `steering="targets_and_wave"`, the steering offset φ also enters
+the wave as in Eq. 13, which lengthens the fills on the side towards which the snake
+turns.
 
 During the first periods, called free periods, all duties stay at 1. The amplitudes of
-the following period are recorded. The target amplitude A is either given or the minimum
-recorded amplitude, which every chamber can reach.
+the following period are recorded. The target amplitude A is either a given value or the
+minimum recorded amplitude, which every chamber can reach.
 """
 
 from __future__ import annotations
@@ -37,9 +40,9 @@ if TYPE_CHECKING:
     from srs_twin.plants.base import SnakeState
 
 K_PER_RAD = 0.3
-"""Learning gain k, 1/rad (Section 5.1, read as duty per rad)."""
+"""Learning gain k of Section 5.1, interpreted as duty per rad."""
 FREE_PERIODS = 2
-"""Number of gait periods with all duties at 1 before the recorded period."""
+"""Number of gait periods with all duties at 1 before the amplitudes are recorded."""
 CARRIER_HZ = 60.0
 """Carrier frequency of the pulse-width modulation, Hz (about 60 Hz in Section 5.3)."""
 MIN_PULSES = 4
@@ -55,20 +58,21 @@ STEERINGS = (TARGETS, "targets_and_wave")
 _CHOICES = {"on_fault": ON_FAULT, "clock": CLOCKS, "steering": STEERINGS}
 
 _MAX_LOST = 0.5
-"""Fraction of lost readings above which the peak of a period is not used."""
+"""Fraction of lost readings in a period above which the amplitude is ignored."""
 
 
 class ILC(Controller):
-    """Iterative learning control of a gait; see the module docstring.
+    """Iterative learning control of a gait. See the module docstring.
 
     Attributes:
         frequency: gait frequency f, Hz.
-        offset: steering offset φ, between −0.3 and 0.3, positive to the left; it may
-            change during a run.
-        amplitude: target amplitude A, rad, or None until it is known.
-        duties: learnt duties; chambers of segments with a fault vent regardless of
-            their duties.
-        faults: fault detection of the modules.
+        offset: steering offset φ, between −0.3 and 0.3, positive to the left. The
+            offset may be changed during a run.
+        amplitude: target amplitude A, rad, or None before the target amplitude is
+            known.
+        duties: learnt duties. The chambers of faulty segments vent regardless of the
+            learnt duties.
+        faults: fault detection for the modules.
     """
 
     kind = "ilc"
@@ -102,17 +106,19 @@ class ILC(Controller):
             target: target amplitude A, rad, or "smallest" for the minimum recorded
                 amplitude.
             k: learning gain, 1/rad.
-            free_periods: number of periods before the recorded period.
+            free_periods: number of gait periods before the amplitudes are recorded.
             carrier_hz: carrier frequency of the pulse-width modulation, Hz.
-            on_fault: "go_on" to continue without a faulty module, or "stop" to end the
-                run.
-            clock: "chamber" for one period per chamber, or "common" for the single
-                interrupt per gait period of the dissertation.
-            steering: "targets", or "targets_and_wave", where φ also acts on the wave as
-                in Eq. 13.
+            on_fault: action after the detection of a fault. "go_on" continues without
+                the faulty module, and "stop" ends the run.
+            clock: times of the updates. "chamber" updates the duty of each chamber at
+                the end of the chamber's own period. "common" updates all duties at the
+                same time, as in the dissertation.
+            steering: quantities that depend on φ. With "targets" only the target
+                amplitudes depend on φ, and with "targets_and_wave" also the wave of Eq.
+                13.
             phase: phase ψ of the wave, rad.
-            phase_step: phase lag β per segment, rad; None uses the phase lag of the
-                robot.
+            phase_step: phase lag β per segment, rad. If None, the phase lag of the
+                robot is used.
 
         Raises:
             InputError: a number is out of range, or a fill has too few pulses.
@@ -154,7 +160,7 @@ class ILC(Controller):
 
     @property
     def offset(self) -> float:
-        """Steering offset φ of the targets and, if selected, of the wave."""
+        """Steering offset φ, positive to the left."""
         return self._offset
 
     @offset.setter
@@ -204,7 +210,10 @@ class ILC(Controller):
         return valves
 
     def signals(self) -> dict[str, Any]:
-        """Return duties, targets, latest amplitudes (NaN if unknown) and offset."""
+        """Return the duties, target amplitudes, measured amplitudes and the offset.
+
+        Unknown amplitudes are NaN.
+        """
         return {
             "duty_plus": self._command[:, 0],
             "duty_minus": self._command[:, 1],
@@ -216,11 +225,11 @@ class ILC(Controller):
         }
 
     def events(self) -> list[Event]:
-        """Return new events: updates, targets, saturated duties and faults."""
+        """Return the new events of updates, targets, saturated duties and faults."""
         return super().events() + self.faults.events()
 
     def describe(self) -> dict[str, object]:
-        """Return settings, fill starts, target amplitude and detected faults."""
+        """Return the settings, the target amplitude and the detected faults."""
         return {
             "k_per_rad": self._k,
             "carrier_hz": self._carrier_hz,
@@ -250,10 +259,6 @@ class ILC(Controller):
         self._set_commands()
 
     def _set_commands(self) -> None:
-        """Set duties and targets; idle segments get duty 0 and target NaN.
-
-        To save time, this method is called only after a change of its inputs.
-        """
         working = self.faults.working[:, None]
         amplitude = math.nan if self.amplitude is None else self.amplitude
         sides = targets(amplitude, self._offset)
@@ -269,8 +274,8 @@ class ILC(Controller):
             return
         faults.check_sensors(time, ended, self._command, periods)
         peak = np.where(periods.lost <= _MAX_LOST, periods.peak, math.nan)
-        # Ignore periods that began before the end of a test, because they include
-        # venting.
+        # Ignore periods that began before the end of a valve test, because both
+        # chambers vent during a test.
         measured = (
             ended & ~np.isnan(peak) & (periods.started >= faults.resumed[:, None])
         )
@@ -285,8 +290,8 @@ class ILC(Controller):
         updated = measured & ~free & faults.working[:, None]
         self._events += self.duties.learn(time, updated, peak, self._targets)
         self._events += self.duties.converged(time, faults.working)
-        # Report once per gait period, when the chamber that fills last has ended its
-        # period.
+        # Report once per gait period, at the end of the period of the chamber that
+        # fills last.
         if ended[self._last_chamber]:
             number = int(periods.number[self._last_chamber]) - 1
             self._events += self.duties.summary(time, number, faults.working)

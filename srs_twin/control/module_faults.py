@@ -1,17 +1,19 @@
 """Detection of dead sensors and stuck valves from the bend readings of a gait.
 
-**Sensors.** A sensor is dead if its readings do not change during a whole period
-although its chambers fill, or if all readings of a period are lost.
+**Sensors.** A sensor is considered dead if all readings of a period are lost, or if the
+readings do not change during a whole period in which a chamber of the segment fills.
 
-**Valves.** A valve is suspected if for two periods the amplitude of its chamber is
-below a tenth of the target at full duty, or above the target at duty 0. A + chamber
-that never vents and a − chamber that never fills produce the same readings: the segment
-swings between straight and left. Both chambers are therefore vented in a test. If the
-segment then rests bent, the chamber on that side is stuck open. If it rests straight,
-the chamber that was too weak is stuck shut. A chamber that was too strong although its
-segment rests straight has another cause (a load or a biased sensor), and the segment
-works again. The bend at rest is the mean over a whole period, so that the gait of the
-other segments cancels. The mean begins half a period after venting, when the chambers
+**Valves.** A valve is suspected to be stuck if, in two successive periods, the
+amplitude of the chamber is below a tenth of the target at full duty or above the target
+at duty 0. A + chamber that never vents and a − chamber that never fills produce the
+same readings, because in either case the segment moves between straight and bent to the
+left. A suspected segment is therefore tested by venting both chambers. If the segment
+remains bent, the valve of the chamber that bends the segment to this side is stuck
+open. If the segment becomes straight, the valve of the chamber whose amplitude was too
+small is stuck shut. If the segment becomes straight but an amplitude was too large, the
+cause is a load or a biased sensor, and the segment is used again. The bend at rest is
+averaged over a whole period, which cancels the effect of the gait of the remaining
+segments. The average begins half a period after the start of venting, when the chambers
 are empty.
 """
 
@@ -26,29 +28,30 @@ from srs_twin.io.saved_state import Stateful
 from srs_twin.trajectory import Event
 
 STILL_RAD = 0.02
-"""Range of the readings in a period up to which they count as unchanged, rad."""
+"""Maximum range of the readings of a dead sensor in one period, rad."""
 MIN_DRIVING_DUTY = 0.1
-"""Minimum duty that must move a segment, dimensionless."""
+"""Minimum duty at which a working segment must move, dimensionless."""
 WEAK_RATIO = 0.1
-"""Ratio of amplitude to target below which a chamber at full duty is too weak."""
+"""Ratio of amplitude to target below which a chamber at full duty is suspicious."""
 STRONG_RATIO = 1.05
-"""Ratio of amplitude to target above which a chamber at duty 0 is too strong."""
+"""Ratio of amplitude to target above which a chamber at duty 0 is suspicious."""
 SUSPICIOUS_PERIODS = 2
-"""Number of successive periods with too weak or too strong a chamber before a test."""
+"""Number of successive periods with a suspicious amplitude before a test starts."""
 VENTING_PERIODS = 0.5
-"""Venting time before the bend at rest is measured, in periods."""
+"""Venting time before the bend at rest is measured, in gait periods."""
 BENT_RATIO = 0.5
-"""Ratio of bend at rest to target above which a vented segment counts as bent."""
+"""Ratio of the bend at rest to the target above which a vented segment counts as bent.
+"""
 
 
 class ModuleFaults(Stateful):
     """Fault detection for the modules of a snake.
 
     Attributes:
-        detected: descriptions of the detected faults, in order of time.
-        faulty: segments with a detected fault, shape (segments,).
-        tested: segments whose chambers vent for a test, shape (segments,).
-        resumed: end of the last test of each segment, shape (segments,), s.
+        detected: descriptions of the detected faults, in chronological order.
+        faulty: whether each segment has a detected fault, shape (segments,).
+        tested: whether the chambers of each segment vent for a test, shape (segments,).
+        resumed: end time of the last test of each segment, shape (segments,), s.
     """
 
     state_attributes = (
@@ -57,19 +60,12 @@ class ModuleFaults(Stateful):
     )
 
     def __init__(self, segments: int, period: float) -> None:
-        """Initialise the detection without faults.
-
-        Args:
-            segments: number of segments.
-            period: gait period, s.
-        """
+        """Initialise the fault detection for a gait with the given period (s)."""
         self.detected: list[str] = []
         self.faulty = np.zeros(segments, dtype=bool)
         self.tested = np.zeros(segments, dtype=bool)
         self.resumed = np.full(segments, -math.inf)
         self._period = period
-        # The two arrays count successive periods in which a chamber was too weak or too
-        # strong.
         self._weak = np.zeros((segments, 2), dtype=int)
         self._strong = np.zeros((segments, 2), dtype=int)
         self._cleared = np.zeros((segments, 2), dtype=bool)
@@ -93,16 +89,8 @@ class ModuleFaults(Stateful):
     def check_sensors(
         self, time: float, ended: np.ndarray, duty: np.ndarray, periods: ChamberPeriods
     ) -> None:
-        """Detect dead sensors.
-
-        Args:
-            time: time of the check, s.
-            ended: mask of the chambers that have completed a period, shape (segments,
-                2).
-            duty: duties in the completed period, shape (segments, 2).
-            periods: periods of all chambers, with the readings of the completed period.
-        """
-        # The first period of a chamber may be incomplete: some chambers already fill at
+        """Detect dead sensors."""
+        # The first period of a chamber is incomplete if the chamber already fills at
         # time 0.
         whole = ended & (periods.number > 2) & self.working[:, None]
         driven = duty.max(axis=1, keepdims=True) >= MIN_DRIVING_DUTY
@@ -123,16 +111,9 @@ class ModuleFaults(Stateful):
         peak: np.ndarray,
         target: np.ndarray,
     ) -> None:
-        """Start tests of the segments with too weak or too strong chambers.
+        """Start tests of the segments whose amplitudes contradict the duties.
 
         All arrays have the shape (segments, 2).
-
-        Args:
-            time: time of the check, s.
-            ended: mask of the chambers that have completed a period.
-            duty: duties in the completed period.
-            peak: amplitudes in the completed period, rad, or NaN if unknown.
-            target: target amplitudes, rad.
         """
         ended = ended & self.working[:, None] & ~np.isnan(peak)
         weak = (duty >= 1) & (peak < WEAK_RATIO * target)
@@ -143,15 +124,7 @@ class ModuleFaults(Stateful):
         self._start_tests(time, suspected, target)
 
     def check_amplitudes(self, time: float, peaks: np.ndarray) -> None:
-        """Start tests of segments whose amplitude is far below the median.
-
-        The check is used before a target amplitude is known.
-
-        Args:
-            time: time of the check, s.
-            peaks: amplitudes in the recorded free periods, shape (periods, segments,
-                2), rad.
-        """
+        """Start tests of segments whose amplitude is far below the median."""
         median = float(np.nanmedian(peaks[-1][self.working]))
         weak = (peaks <= max(WEAK_RATIO * median, 0.0)).all(axis=0)
         weak &= self.working[:, None]
@@ -170,12 +143,7 @@ class ModuleFaults(Stateful):
             self._events.append(Event(time, "fault_suspected", text))
 
     def update_tests(self, time: float, reading: np.ndarray) -> None:
-        """Add the readings of one tick to the running tests and end the complete tests.
-
-        Args:
-            time: time of the readings, s.
-            reading: sensed bends, shape (segments,), rad.
-        """
+        """Add bend readings (rad) to the active tests, and end finished tests."""
         elapsed = (time - self._test_started) / self._period
         resting = self.tested & (elapsed >= VENTING_PERIODS)
         self._rest_sum[resting] += reading[resting]

@@ -16,20 +16,22 @@ from srs_twin.robot.scale import SHIPPED, Scale
 class PulseWidthModulator(Stateful):
     """Pulse-width modulation of 3/2 valves.
 
-    In each carrier period a chamber fills for the fraction of time given by its duty,
-    and vents for the rest. By default the pulse of the + chamber begins at the start of
-    the period, and the pulse of the − chamber ends at the end of the period. If the two
-    duties add up to 1, the two valves are then always in opposite states, as in Fig.
-    45c. With `aligned`, both pulses begin at the start of the period, so that both
-    chambers are treated alike.
+    In each carrier period, each chamber fills for a fraction of the period that equals
+    the chamber's duty, and vents for the remaining time. By default the pulse of the +
+    chamber begins at the start of the period, and the pulse of the − chamber ends at
+    the end of the period. If the two duties add up to 1, the two valves are always in
+    opposite states, as in Fig. 45c. If `aligned` is True, the pulses of the + and −
+    chambers begin at the start of the period.
 
-    A period may last a fractional number of ticks or slots. A slot belongs to the
-    period and to the pulse that contain its centre. The length of a pulse is therefore
-    wrong by at most one slot, and the mean over many periods is exact. A valve opens at
-    most once per period and does not switch at duties of 0 and 1.
+    The carrier period need not be a multiple of a tick or a slot. A valve is open in a
+    slot if the centre of the slot lies within the pulse. The duration of a pulse is
+    therefore wrong by at most one slot, and the mean duration over many periods is
+    exact. A valve opens at most once per period. A valve with duty 0 or 1 does not
+    switch.
 
     The modulator does not suppress pulses shorter than the switching time of 3 ms.
-    `LagPneumatics` smooths them, because its τ₂ includes the switching time.
+    `LagPneumatics` smooths short pulses, because its time constant τ₂ includes the
+    switching time.
 
     Attributes:
         period: carrier period, s.
@@ -49,23 +51,24 @@ class PulseWidthModulator(Stateful):
         scale: Scale = SHIPPED,
         chambers: int = 2,
     ) -> None:
-        """Create a modulator at the start of a period.
+        """Create a modulator at the start of a carrier period.
 
         Args:
             carrier_hz: carrier frequency, Hz.
             tick: control tick, s.
             segments: number of segments.
-            aligned: whether the pulses of both chambers begin at the start of the
+            aligned: whether the pulses of all chambers begin at the start of the
                 period.
-            allow_long_ticks: whether a tick may be longer than a period, for
-                controllers that do not update the duties in every period.
-            scale: scale of the robot, which sets the length of the slots.
-            chambers: number of chambers per segment. Numbers other than 2 need
-                `aligned`.
+            allow_long_ticks: whether a tick may be longer than a carrier period. Long
+                ticks are useful for controllers that do not update the duties in every
+                carrier period.
+            scale: scale of the robot, which determines the duration of the slots.
+            chambers: number of chambers per segment. `aligned` is required unless the
+                number is 2.
 
         Raises:
-            InputError: the carrier frequency or the tick is not above 0, or the tick is
-                longer than a period without `allow_long_ticks`.
+            InputError: the carrier frequency or the tick is not positive, or the tick
+                is longer than a carrier period although `allow_long_ticks` is False.
         """
         check_positive("carrier_hz", carrier_hz)
         slot = valve_slot(tick, scale)
@@ -83,9 +86,9 @@ class PulseWidthModulator(Stateful):
         self.duty = np.zeros((segments, chambers))
 
     def due(self) -> bool:
-        """Return whether a period begins in the next tick.
+        """Return whether a carrier period begins in the next tick.
 
-        In a tick in which a period begins, `step` uses new duties.
+        `step` uses new duties only if a carrier period begins.
         """
         return self._last_period() != self._period_number
 
@@ -94,8 +97,7 @@ class PulseWidthModulator(Stateful):
 
         Args:
             duty: duties of the + and − chambers, shape (segments, 2). The duties are
-                used if a period begins in this tick. Otherwise the current period
-                continues with its own duties.
+                ignored unless a carrier period begins in this tick.
 
         Returns:
             Valve states, +1 to fill and −1 to vent, shape (slots, segments, 2), int8.
@@ -115,7 +117,7 @@ class PulseWidthModulator(Stateful):
                 f"duty {new_duty[outside][0]:g} is not allowed; it must lie between 0"
                 " and 1"
             )
-        # Time at the centres of the slots, in carrier periods.
+        # The elapsed time at the centres of the slots is expressed in carrier periods.
         elapsed = (
             self._ticks * self._slots + np.arange(self._slots) + 0.5
         ) * self._periods_per_slot

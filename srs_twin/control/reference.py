@@ -1,4 +1,4 @@
-"""Reference signals: bends over time that a controller tracks."""
+"""Reference signals for the bends that a controller tracks."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from srs_twin.errors import InputError, UnknownNameError
 
 Policy = Literal["refuse", "saturate"]
 POLICIES: tuple[Policy, ...] = ("refuse", "saturate")
-"""Treatment of a reference that exceeds the range of the module."""
+"""Possible treatments of a reference that exceeds the range of the module."""
 
 _ROUNDING = 1e-9
-"""Tolerance for comparing times, s, or phases, as a fraction of a period."""
+"""Tolerance for comparing times (s) and phases (fraction of a period)."""
 
 
 @dataclass(frozen=True)
 class Reference(ABC):
-    """Bend over time, rad.
+    """Reference bend as a function of time, rad.
 
-    Methods accept a time or an array of times and return an array of equal shape.
+    The methods accept a time or an array of times and return an array of equal shape.
     """
 
     @property
@@ -38,7 +38,10 @@ class Reference(ABC):
         """Return the bend at a time (s), rad."""
 
     def rate(self, time: ArrayLike) -> Array:
-        """Return the rate of change at a time (s), rad/s; 0 at jumps."""
+        """Return the time derivative of the bend at a time (s), rad/s.
+
+        The derivative is 0 at jumps.
+        """
         return np.zeros_like(np.asarray(time, dtype=float))[()]
 
     def is_clipped(self, time: ArrayLike) -> np.ndarray:
@@ -49,14 +52,14 @@ class Reference(ABC):
         """Return a reference that stays within the range of the module.
 
         Args:
-            limit: maximum bend of the module, rad, which is its gain times the supply
-                pressure.
-            policy: "refuse" to reject a reference beyond the limit, or "saturate" to
-                clip it.
+            limit: maximum bend of the module, rad, which is the bend per pressure times
+                the supply pressure.
+            policy: treatment of a reference beyond the limit. "refuse" raises an error,
+                and "saturate" clips the reference.
 
         Raises:
             InputError: the reference exceeds the limit and the policy is "refuse", or
-                the limit is not above 0.
+                the limit is not positive.
             UnknownNameError: the policy is unknown.
         """
         if policy not in POLICIES:
@@ -87,11 +90,7 @@ class Reference(ABC):
 
 @dataclass(frozen=True)
 class Constant(Reference):
-    """Constant bend.
-
-    Attributes:
-        bend: value of the bend, rad.
-    """
+    """Constant bend, rad."""
 
     bend: float
 
@@ -107,7 +106,9 @@ class Constant(Reference):
 
 @dataclass(frozen=True)
 class Staircase(Reference):
-    """Sequence of bends of equal duration, the last of which continues for ever.
+    """Sequence of bends that are held for equal durations.
+
+    The last bend is held for ever.
 
     Attributes:
         bends: one or more bends, rad.
@@ -207,9 +208,9 @@ class Sine(_Periodic):
 
 @dataclass(frozen=True)
 class Square(_Periodic):
-    """Square wave, offset ± amplitude, with the sign of the corresponding sine.
+    """Square wave, offset ± amplitude, which is in phase with a sine wave.
 
-    The sign is positive where the sine is 0.
+    The value is offset + amplitude in the first half of each period.
 
     Attributes:
         amplitude: amplitude, rad, above 0.
@@ -228,7 +229,7 @@ class Square(_Periodic):
 
 @dataclass(frozen=True)
 class ClippedReference(Reference):
-    """Reference that is clipped to the range of the module (`Reference.limited`).
+    """Reference that is clipped to the range of the module. See `Reference.limited`.
 
     Attributes:
         unclipped: original reference.

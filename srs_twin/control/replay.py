@@ -19,9 +19,9 @@ class Replay(Controller):
 
     Attributes:
         schedule: recorded valve states.
-        frequency: gait frequency of the recording, Hz, or None if it was not periodic.
-        layouts: names of the valve layouts that have all recorded states. Only separate
-            inlet and outlet valves can hold.
+        frequency: gait frequency of the recording, Hz, or None if the recording is not
+            periodic.
+        layouts: names of the valve layouts that support all recorded states.
     """
 
     kind = "replay"
@@ -36,7 +36,7 @@ class Replay(Controller):
         """See `Controller.reset`.
 
         Raises:
-            InputError: the schedule is for another number of segments.
+            InputError: the schedule and the robot have different numbers of segments.
         """
         segments = self.schedule.states.shape[1]
         if segments != spec.segments:
@@ -67,32 +67,27 @@ class Replay(Controller):
 
 
 STATES = {"fill": 1, "hold": 0, "vent": -1}
-"""Valve states by name."""
+"""Valve states keyed by name."""
 
 
 def layouts_for(states: ArrayLike) -> tuple[str, ...]:
-    """Return the names of the valve layouts that have all these states."""
+    """Return the names of the valve layouts that support all given states."""
     needed = set(np.unique(states).tolist())
     return tuple(name for name, allowed in LAYOUTS.items() if needed <= set(allowed))
 
 
 class HoldValves(Controller):
-    """Open-loop controller with constant valve states, equal in all segments.
+    """Open-loop controller that holds the same constant valve states in all segments.
 
     Attributes:
-        layouts: names of the valve layouts that have both states. Only separate inlet
-            and outlet valves can hold.
+        layouts: names of the valve layouts that support the given states.
     """
 
     kind = "hold_valves"
     state_attributes = ()
 
     def __init__(self, plus: str = "fill", minus: str = "vent") -> None:
-        """Create the controller.
-
-        Args:
-            plus: state of the + chambers, a name in `STATES`.
-            minus: state of the − chambers, a name in `STATES`.
+        """Create the controller from the names of two states in `STATES`.
 
         Raises:
             UnknownNameError: a name is not in `STATES`.

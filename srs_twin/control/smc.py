@@ -1,54 +1,55 @@
-r"""Sliding mode control of a module (Chapter 4), by valve states or by duties.
+r"""Sliding mode control of modules by valve states or by duties (Chapter 4).
 
-Both controllers drive the sensed bend q of each segment to a reference r by means of
-the sliding variable
+`DirectSMC` and `IterativeSMC` make the sensed bend q of each segment track a reference
+r by means of the sliding variable
 
 $$ \sigma = \dot e + D e, \qquad e = r - q \qquad (\text{Eq. 24, 31}). $$
 
-The gain D is the rate of convergence: on σ = 0 the error decays as e^{−Dt}. The
-controllers differ in how they estimate ė from noisy readings, and in how they convert σ
-to valve states.
+On the sliding manifold σ = 0, the error decays as e^{−Dt}. The controllers differ in
+the estimation of ė from noisy readings and in the conversion of σ to valve states.
 
-`VelocityFilter` estimates the rate of a noisy reading, because finite differences would
-amplify the noise. It is a second-order Butterworth low-pass filter with the input x and
-the cutoff frequency ω_c. The filter provides both a value and its rate:
+`VelocityFilter` estimates the rate of a noisy reading x, because finite differences
+would amplify the noise. The second-order Butterworth low-pass filter with the cutoff
+frequency ω_c provides a filtered value x̂ and a rate v̂:
 
 $$ \ddot{\hat x} = \omega_c^2 (x - \hat x) - \sqrt2\,\omega_c \dot{\hat x}, \qquad \hat v = \dot{\hat x}, $$
 
-The equation is solved exactly for a reading that is linear between ticks. Both outputs
-are delayed by √2/ω_c at frequencies far below the cutoff (9 ms at 25 Hz, 0.34 rad of a
-6 Hz sine). White noise of standard deviation s, sampled every T, gives a noise of about
-s √(ω_c³ T / √8) in the rate; finite differences would give s √2 / T. For noise of 0.2°
-sampled every millisecond and a cutoff of 25 Hz, the two values are 7°/s and 283°/s.
+The equation is solved exactly for a reading that varies linearly between ticks. At
+frequencies far below the cutoff, the filtered value and the rate are delayed by √2/ω_c.
+For a cutoff of 25 Hz the delay is 9 ms, which is 0.34 rad of a 6 Hz sine. White noise
+with the standard deviation s, sampled with the period T, causes a standard deviation of
+about s √(ω_c³ T / √8) in the rate. Finite differences would cause s √2 / T. For noise
+of 0.2° sampled every millisecond and a cutoff of 25 Hz, the filter causes 7°/s and
+finite differences cause 283°/s.
 
 `DirectSMC` sets the states of separate inlet and outlet valves (Eq. 31):
 
 $$ \sigma > \varepsilon: \text{fill +, vent −}; \qquad \sigma < -\varepsilon: \text{vent +, fill −};
 \qquad |\sigma| \le \varepsilon: \text{hold both}. $$
 
-At rest σ = D e, so errors up to ε/D persist. One `VelocityFilter` estimates both the
-bend and its rate. The delays of e and ė are therefore equal, so that σ is the delayed
-true value, and the noise of D e is filtered as well. The printed D = 0.5 1/s would give
-a time constant of 2 s. The printed ε = 2°/s is below the noise of any rate estimate
-that is fast enough (E6).
+At rest σ = D e, so errors up to ε/D persist. One `VelocityFilter` estimates the bend
+and the bend rate. The delays of e and ė are therefore equal, and the noise of D e is
+filtered as well. The published value D = 0.5 1/s would result in a time constant of 2
+s. The published value ε = 2°/s is below the noise of any sufficiently fast rate
+estimate (E6).
 
-`IterativeSMC` sets the duties of pulse-width modulated 3/2 valves (Eq. 30). Once per
-carrier period T,
+`IterativeSMC` sets the duties of pulse-width modulated 3/2 valves (Eq. 30). The
+controller updates a variable μ once per carrier period T,
 
 $$ \mu \leftarrow \operatorname{clip}\bigl(\mu + K (\dot e + D e),\, -1,\, 1\bigr), $$
 
-and the chambers get the duties (1 + μ)/2 and (1 − μ)/2. The controller is equivalent to
-the proportional-integral law μ = (K/T) e + (K D/T) ∫e dt with clipping. There is no
-wind-up, because μ leaves its bound as soon as σ changes sign.
+and sets the duties of the chambers to (1 + μ)/2 and (1 − μ)/2. The controller is
+equivalent to the proportional-integral law μ = (K/T) e + (K D/T) ∫e dt with clipping.
+Clipping causes no wind-up, because μ leaves its bound as soon as σ changes sign.
 
-Both e and ė are means over the last period; the mean of ė is the difference of e
-between the ends of the period, divided by T. A mean over a whole period does not
-contain the ripple due to the valves. A single reading per period would always sample
-one phase of the ripple, which would cause an offset of several degrees. A step of the
+The errors e and ė are averaged over the last carrier period. The mean of ė is the
+change of e over the period divided by T. Averaging over a whole period removes the
+ripple caused by the valves. A single reading per period would always sample the ripple
+at the same phase, which would cause an offset of several degrees. A step of the
 reference contributes to ė.
 
-Eq. 29 and Eq. 30 disagree on whether K multiplies D e (E6). Here K multiplies D e. In
-the other form, D K takes the place of D.
+Eq. 29 and Eq. 30 disagree on whether K multiplies D e (E6). In the implemented law, K
+multiplies D e.
 """
 
 from __future__ import annotations
@@ -73,26 +74,28 @@ if TYPE_CHECKING:
 
 
 class VelocityFilter(Stateful):
-    """Second-order low-pass filter for a value and its rate; see the module docstring.
+    """Second-order low-pass filter for readings and their rates.
+
+    See the module docstring.
 
     Attributes:
         value: filtered readings x̂, shape (segments,), unit of the readings.
         rate: estimated rates v̂, shape (segments,), unit of the readings per second.
-        lag: delay √2/ω_c of both outputs, s.
+        lag: delay √2/ω_c of the filtered readings and of the rates, s.
     """
 
     state_attributes = ("_last", "value", "rate")
 
     def __init__(self, cutoff_hz: float | np.ndarray, tick: float) -> None:
-        """Create a filter, which treats its first reading as a state of rest.
+        """Create a filter. The rate is initially 0.
 
         Args:
-            cutoff_hz: cutoff frequency ω_c/2π, Hz, one value for all segments or one
-                per segment.
+            cutoff_hz: cutoff frequency ω_c/2π, Hz, as one value for all segments or an
+                array with one value per segment.
             tick: control tick T, s.
 
         Raises:
-            InputError: a cutoff is not finite and above 0.
+            InputError: a cutoff frequency is not a finite positive number.
         """
         cutoff = np.asarray(cutoff_hz, dtype=float)
         check_positive("cutoff_hz", cutoff_hz)
@@ -110,17 +113,14 @@ class VelocityFilter(Stateful):
         self.rate: np.ndarray = np.zeros(cutoff.shape)
 
     def step(self, reading: np.ndarray) -> None:
-        """Update the filter with the reading of one tick.
-
-        Args:
-            reading: sensed values, shape (segments,).
-        """
+        """Update the filter with the readings of one tick, shape (segments,)."""
         if self._last is None:
             self.value = np.array(reading, dtype=float)
             self.rate = np.zeros(np.shape(reading))
         else:
-            # For a linear reading, the particular solution is the reading delayed by
-            # the lag. The deviation from it is a homogeneous solution and decays.
+            # If the reading varies linearly, the particular solution is the reading
+            # delayed by the lag. The deviation from the particular solution is a
+            # homogeneous solution, which decays.
             slope = (reading - self._last) / self._tick
             deviation = self.value - (self._last - slope * self.lag)
             rate_deviation = self.rate - slope
@@ -138,22 +138,21 @@ class VelocityFilter(Stateful):
 
 
 Gain = float | np.ndarray
-"""One value for all segments, or one per segment, shape (segments,)."""
+"""One value for all segments, or an array of shape (segments,)."""
 
 
 @dataclass(eq=False)
 class SlidingMode(Controller):
     """Base class of the sliding mode controllers.
 
-    Each segment follows the reference independently. The controllers use sensed bends
-    only, and `SensorReadings` replaces lost readings.
+    Each segment tracks the reference independently of the other segments.
 
     Attributes:
-        gains: names of the attributes that may differ between segments.
-        reference: bend to follow.
+        gains: names of the attributes whose values may differ between segments.
+        reference: reference bend to track.
 
     Raises:
-        InputError: a gain is not finite and above 0.
+        InputError: a gain is not a finite positive number.
     """
 
     gains: ClassVar[tuple[str, ...]]
@@ -197,8 +196,8 @@ class SlidingMode(Controller):
     def signals(self) -> dict[str, Any]:
         """Return the reference, e and σ.
 
-        Signals are sampled at the end of the tick. The reference is its value at the
-        end of the tick, while e and σ are values at the start.
+        Signals are recorded at the end of a tick. The reference is evaluated at the end
+        of the tick, and e and σ are evaluated at the start.
         """
         return {
             "reference": self._next_reference,
@@ -222,8 +221,8 @@ class SlidingMode(Controller):
         return time
 
 
-# Tuned by benchmarks/gains.py for generation 4 at 7 psi, one set for all experiments of
-# Chapter 4.
+# The following values are tuned by benchmarks/gains.py for generation 4 at 7 psi. One
+# set of values is used for all experiments of Chapter 4.
 DIRECT_D_PER_S = 58.0
 """Slope D of the sliding manifold of `DirectSMC`, 1/s."""
 EPSILON_RAD_PER_S = math.radians(84.0)
@@ -275,15 +274,15 @@ class DirectSMC(SlidingMode):
         return super().signals() | {"rate": self._rate}
 
 
-# Tuned by benchmarks/gains.py for generation 4 at 7 psi, one set for all experiments of
-# Chapter 4.
+# The following values are tuned by benchmarks/gains.py for generation 4 at 7 psi. One
+# set of values is used for all experiments of Chapter 4.
 K_S_PER_RAD = 0.042
 """Gain K of `IterativeSMC`, s/rad."""
 ITERATIVE_D_PER_S = 16.0
 """Slope D of the sliding manifold of `IterativeSMC`, 1/s."""
 
 CARRIER_HZ = 60.0
-"""Carrier frequency of the pulse-width modulation, Hz (Section 5.3, not tuned)."""
+"""Carrier frequency of the pulse-width modulation, Hz (Section 5.3)."""
 
 
 @dataclass(eq=False)
@@ -336,7 +335,7 @@ class IterativeSMC(SlidingMode):
         )
 
     def signals(self) -> dict[str, Any]:
-        """Return the signals of `SlidingMode`, μ, and the current duties."""
+        """Return the signals of `SlidingMode`, μ and the current duties."""
         plus, minus = self._pulses.duty.T
         return super().signals() | {
             "mu": self._mu,
@@ -345,10 +344,6 @@ class IterativeSMC(SlidingMode):
         }
 
     def _update(self) -> None:
-        """Update μ from the mean errors since the last update.
-
-        The error before the first update counts as 0.
-        """
         elapsed = self._count * self._tick or self._pulses.period
         mean = self._error_sum / max(self._count, 1)
         self._sigma = (self._error - self._last_error) / elapsed + self.D * mean

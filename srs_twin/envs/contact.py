@@ -1,14 +1,15 @@
-"""Tasks Pegs and Grasp: crawl to a goal among pegs, and drag an object with the tail.
+"""Tasks Pegs and Grasp, in which a snake crawls among pegs or drags an object.
 
-Pegs: the skin of the snake has isotropic friction, so the snake hardly moves without
-pegs. Almost every gait moves the snake among pegs, but only steering brings it to a
-given place. The goal may therefore be in any direction.
+In the task Pegs, the snake crawls to a goal among pegs. The skin has isotropic
+friction, so the snake hardly moves without pegs. Between pegs almost every gait moves
+the snake, but only steering moves the snake to a given position. The goal may therefore
+be in any direction.
 
-Grasp: the tail of a chain of modules has to curl around a cylinder and drag it. The
-object is gripped in a step if it presses on opposite sides of the tail. The object is
-held if it was gripped and at rest in the tail for the last `HELD_S` seconds. The reward
-counts only motion of the object while it is gripped, so pushing the object away is no
-success.
+In the task Grasp, the tail of the snake has to curl around a cylinder and drag it. The
+cylinder counts as gripped if it presses on opposite sides of the tail. The cylinder
+counts as held if it has been gripped and at rest relative to the tail for the last
+`HELD_S` seconds. Only motion of the gripped cylinder is rewarded, so pushing the
+cylinder away is not successful.
 """
 
 from __future__ import annotations
@@ -52,7 +53,9 @@ _GOAL_DISTANCES_M = (0.8, 1.0)
 """Minimum and maximum distance of the goal, m."""
 
 _PITCH_M = 0.13
-"""Distance between adjacent pegs in a row and between rows, m, as in pegs_skin."""
+"""Distance between adjacent rows and between adjacent pegs of a row, m, as in
+pegs_skin.
+"""
 
 _RADIUS_M = 0.02
 """Radius of a peg, m, as in pegs_skin."""
@@ -64,13 +67,13 @@ _FRICTION = 0.2
 """Friction coefficient of the pegs, dimensionless, as in pegs_skin."""
 
 _ROWS = 18
-"""Number of rows, which is even so that the snake starts midway between two rows."""
+"""Number of rows of pegs. The number is even, so the snake starts between two rows."""
 
 _COLUMNS = 18
 """Number of pegs in a row."""
 
 _SEEN_PEGS = 4
-"""Number of pegs in an observation."""
+"""Number of nearest pegs whose positions are observed."""
 
 _FAR_M = 3.0
 """Maximum observed distance, m."""
@@ -94,7 +97,7 @@ class PegsEpisode(CrawlEpisode):
 
 
 class PegsTask(CrawlTask):
-    """Task of crawling to a goal among pegs; see the module docstring."""
+    """Task of crawling to a goal among pegs. See the module docstring."""
 
     episode_class = PegsEpisode
 
@@ -103,7 +106,7 @@ class PegsTask(CrawlTask):
     ) -> None:
         """Create the task with 3 hinges per segment.
 
-        See `CrawlTask` for arguments and errors.
+        The arguments and errors are described in `CrawlTask`.
         """
         arena = Arena(
             _ROOM,
@@ -137,7 +140,7 @@ CHAIN = {
     "geometry": {"connectors": 13},
     "gait": {"phase_step_rad": math.pi / 4},
 }
-"""Robot of scenario grasp_cylinder: twelve modules, of which eight crawl."""
+"""Robot of the scenario grasp_cylinder, with twelve modules, of which eight crawl."""
 
 HOLD = 4
 """Number of holding modules at the tail."""
@@ -146,16 +149,16 @@ DRAG_M = 0.3
 """Distance by which the object must move, m."""
 
 HELD_S = 2.0
-"""Time for which the object must be held at the end, s."""
+"""Time for which the object must be held to complete the task, s."""
 
 _OPPOSITE_RAD = 2 * math.pi / 3
-"""Minimum angle between two forces on opposite sides, rad."""
+"""Minimum angle between two contact forces that count as opposite, rad."""
 
 _TOUCH_N = 0.02
-"""Minimum mean force of a contact during a step, N."""
+"""Minimum mean contact force in a step that counts as a contact, N."""
 
 _SLIP_M = 0.02
-"""Maximum change of distance between a held object and a connector, m."""
+"""Maximum change of the distance between a held object and a connector, m."""
 
 GRASP_FREQUENCY_HZ = 2.0
 """Gait frequency of the crawling modules, Hz."""
@@ -164,19 +167,21 @@ TIMESTEP_S = 0.002
 """Time step of the twin, s, as in docs/objects.md."""
 
 _LOST_M = 0.25
-"""Distance from object to the middle of the holding modules in a lost grasp, m.
+"""Maximum distance of the object from the centre of the holding modules, m.
 
-The object starts within 0.1 m. A tail that curls to the wrong side stays closer than
-this limit.
+Beyond this distance, the object counts as lost.
+
+The initial distance is at most 0.1 m. If the tail curls to the wrong side, the distance
+remains below this limit.
 """
 
 _PULSES = 5
 """Number of pulses per step of the holding modules.
 
-A slower carrier would push the object away.
+With fewer pulses, the tail would push the object away.
 """
 _SLOTS = 100
-"""Number of slots per step, each with constant valve states."""
+"""Number of slots per step. The valve states are constant within a slot."""
 
 _OBJECT_RADII_M = (0.020, 0.030)
 """Minimum and maximum radius of an object, m, as in docs/objects.md."""
@@ -195,7 +200,7 @@ _GAPS_M = (0.002, 0.015)
 
 
 class GraspTask(CameraTask):
-    """Task of dragging a cylinder with the tail; see the module docstring."""
+    """Task of dragging a cylinder with the tail. See the module docstring."""
 
     name = "Grasp"
     has_obstacles = True
@@ -230,11 +235,11 @@ class GraspTask(CameraTask):
         Args:
             robot: name, path or keys of a robot with at least six modules.
             limit_s: time limit, s.
-            camera: noise of the camera.
+            camera: noise and frame rate of the camera.
             **settings: see `Task`.
 
         Raises:
-            UnknownNameError: the twin does not have a setting of that name.
+            UnknownNameError: a setting of the twin has an unknown name.
             InputError: the robot, fit, range or time limit is invalid.
         """
         super().__init__(robot, limit_s, **{"timestep": TIMESTEP_S, **settings})
@@ -306,7 +311,7 @@ class GraspEpisode(ObservedEpisode):
     def __init__(
         self, task: GraspTask, twin: TwinSnake, item: MovableObject, seed: int
     ) -> None:
-        """Place the straight snake at the origin."""
+        """Start with a straight snake at the origin."""
         state = twin.reset(seed=seed)
         self._item = item
         self._gait = Gait(GRASP_FREQUENCY_HZ)
@@ -335,7 +340,7 @@ class GraspEpisode(ObservedEpisode):
         return valves
 
     def _object_place(self) -> tuple[float, float]:
-        # The object is the last tree of the twin: x, y and heading.
+        # The last three coordinates of the twin are x, y and heading of the object.
         x, y, _ = self.twin.physics.data.qpos[-3:]
         return float(x), float(y)
 
@@ -374,8 +379,8 @@ class GraspEpisode(ObservedEpisode):
         self._moved = self._distance_moved()
         holding = np.asarray(self.state.position)[-HOLD - 1 :]
         gripped = self._is_gripped()
-        # Distances to the holding connectors behind the first one locate the object in
-        # the tail.
+        # The position of the object in the tail is measured by the distances to the
+        # holding connectors.
         distances = np.hypot(*(holding[1:] - self._object_place()).T)
         self._grips = [*self._grips, distances] if gripped else []
         if self._moved >= DRAG_M and self._is_held():

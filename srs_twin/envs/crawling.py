@@ -1,19 +1,20 @@
-"""Tasks GoTo, Obstacles and Crawl3D: crawl to a goal on a floor or through gates.
+"""Tasks GoTo, Obstacles and Crawl3D, in which a snake crawls to a goal.
 
-In Obstacles, two rows of circles close the room, and each row has a gate at a random
-place. Contact with a circle ends the episode, because a snake that does not see the
-circles could otherwise feel its way along a row.
+In the task Obstacles, two rows of circular obstacles divide the room, and each row has
+a gate at a random position. Contact with an obstacle ends the episode. Otherwise, a
+snake that does not observe the obstacles could find the gate by touching them.
 
 The reward of a step is the weighted sum of the terms in `CrawlTask.reward_terms`. By
-default it is the decrease of the distance to the goal in m, plus 1 at the goal, minus 1
-outside the room or in contact with an obstacle. The first term is potential-based
-shaping with the potential −distance and no discount. The sum of this term is the
-decrease of the distance, so the term does not change the ranking of policies that reach
-the goal.
+default the reward is the decrease of the distance to the goal in m, plus 1 when the
+goal is reached, and minus 1 when the snake leaves the room or touches an obstacle. The
+decrease of the distance is a potential-based shaping term without discount, whose
+potential is the negative distance. The sum of the shaping terms is the total decrease
+of the distance, so shaping does not change the ranking of policies that reach the goal.
 
-In Crawl3D a spatial robot crawls on an open floor. The agent also commands the pitch
-wave of the gait (`control.gait`), so that the robot can undulate, sidewind to both
-sides or crawl rectilinearly. With a pitch fraction of 0 only the lateral wave remains.
+In the task Crawl3D, a spatial robot crawls on an open floor. The agent also commands
+the pitch wave of the gait (`control.gait`). The robot can therefore undulate, sidewind
+to either side or crawl rectilinearly. If the pitch fraction is 0, the gait has only the
+lateral wave.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.robot.world import OBSTACLE_FRICTION, Bounds, Circle, Goal, World
 
 GOAL_RADIUS_M = 0.1
-"""Distance from the centre of mass to the goal at which it is reached, m."""
+"""Maximum distance of the centre of mass from a reached goal, m."""
 
 _PA_PER_KPA = 1e3
 
@@ -63,28 +64,30 @@ _RADII_M = (0.12, 0.14)
 """Minimum and maximum radius of an obstacle, m."""
 
 _SITES = 6
-"""Number of sites in a row of obstacles, including the free site of the gate."""
+"""Number of positions in a row of obstacles, including the free position of the gate.
+"""
 
 _SPACING_M = 0.30
 """Distance between neighbouring sites, m.
 
-A free site leaves a gate of 0.32 to 0.36 m, and other gaps are at most 0.06 m.
-Generation 2 sweeps a width of 0.1 m on a straight path and 0.17 m in tight turns.
+The gate is 0.32 to 0.36 m wide, and the remaining gaps are at most 0.06 m wide. The
+swept width of generation 2 is 0.1 m on a straight path and 0.17 m in tight turns.
 """
 
 _SHIFT_M = 0.05
-"""Maximum random displacement of a row along its own direction, m."""
+"""Maximum random displacement of a row of obstacles along the row, m."""
 
 _MARGIN_M = 0.5
 """Margin around the room within which positions can be observed, m.
 
-A step may end outside the room, and the camera has noise.
+Observed positions may lie outside the room, because a step may end outside the room and
+the camera is noisy.
 """
 
 
 @dataclass(frozen=True)
 class Arena:
-    """Floor of an episode, and distributions of start and goal.
+    """Floor of an episode, and distributions of the initial heading and of the goal.
 
     The snake starts at the origin.
 
@@ -93,7 +96,7 @@ class Arena:
         headings: minimum and maximum initial heading, rad.
         distances: minimum and maximum distance of the goal, m.
         bearings: minimum and maximum bearing of the goal relative to the heading, rad.
-        obstacles: number of circles.
+        obstacles: number of circular obstacles.
         rows: x coordinates of the rows of obstacles, m.
         friction: friction coefficient between obstacles and body.
     """
@@ -125,7 +128,9 @@ CIRCLES = Arena(
     obstacles=len(_ROWS_M) * (_SITES - 1),
     rows=_ROWS_M,
 )
-"""Floor of task Obstacles, which two rows of circles with one gate each close."""
+"""Floor of task Obstacles, which is divided by two rows of obstacles with one gate
+each.
+"""
 
 FLOOR = Arena(
     room=Bounds((-2.0, 2.0), (-2.0, 2.0)),
@@ -142,14 +147,14 @@ heading.
 SPATIAL_FREQUENCIES_HZ = (0.25, 1.0)
 """Minimum and maximum gait frequency of spatial robots, Hz.
 
-At 1 Hz the inertia of the lifted parts is no longer small (docs/spatial.md).
+At 1 Hz the inertia of the lifted segments is no longer negligible (docs/spatial.md).
 """
 
 SPATIAL_RELATIVE_PRESSURES = (0.25, 0.6)
 """Minimum and maximum supply pressure of spatial robots over the nominal pressure.
 
-For `spatial_example` they are 12 and 29 kPa, with bends of 0.4 and 0.9 rad per
-segment.
+For `spatial_example`, the pressures are 12 and 29 kPa and cause bends of 0.4 and 0.9
+rad per segment.
 """
 
 
@@ -169,7 +174,7 @@ class CrawlEpisode(ObservedEpisode):
     def __init__(
         self, task: CrawlTask, twin: TwinSnake, world: World, heading: float, seed: int
     ) -> None:
-        """Place the snake at the origin of a world with a goal."""
+        """Start with the snake at the origin of a world that has a goal."""
         assert world.goal is not None, "the task sets a goal"
         self.world = world
         self.goal = world.goal
@@ -186,8 +191,8 @@ class CrawlEpisode(ObservedEpisode):
     def identity(self) -> dict[str, Any]:
         """See `Episode.identity`.
 
-        The identity includes the world, because a reused twin was built with the goal
-        of an earlier episode.
+        The identity also includes a digest of the world, because a reused twin was
+        built with the goal of an earlier episode.
         """
         return super().identity() | {"world": short_digest(self.world)}
 
@@ -292,7 +297,7 @@ class SpatialCrawlEpisode(CrawlEpisode):
     state_attributes = ("_pitch",)
 
     _pitch = (0.0, 0.0)
-    """Pitch fraction (dimensionless) and lag (rad) of the last pitch wave."""
+    """Pitch fraction (dimensionless) and phase lag (rad) of the last pitch wave."""
 
     def _command(self, action: list[float]) -> tuple[GaitCommand, PitchWave | None]:
         fraction, lag = self._pitch = action[3], action[4]
@@ -303,12 +308,12 @@ class SpatialCrawlEpisode(CrawlEpisode):
 
 
 class CrawlTask(CameraTask):
-    """Task of crawling to a goal; see the module docstring.
+    """Task of crawling to a goal. See the module docstring.
 
     Attributes:
-        arena: floor, and distributions of start and goal.
+        arena: floor, and distributions of the initial heading and the goal.
         limits: bounds of the gait commands.
-        episode_class: class from which episodes are created.
+        episode_class: class of the episodes.
     """
 
     episode_class: ClassVar[type[CrawlEpisode]] = CrawlEpisode
@@ -342,16 +347,16 @@ class CrawlTask(CameraTask):
 
         Args:
             name: registered name of the task.
-            arena: floor, and distributions of start and goal.
-            robot: name, path or keys of the robot.
+            arena: floor, and distributions of the initial heading and the goal.
+            robot: name, path or mapping of the robot, as in `Task`.
             limit_s: time limit, s.
-            camera: frame rate and noise of the camera, with at least one frame per
-                step.
-            **settings: further arguments of `Task`: `fit`, `ranges`, `rewards`,
-                `observations` and settings of the twin.
+            camera: frame rate and noise of the camera. The frame rate must be at least
+                one frame per step.
+            **settings: further arguments of `Task`, which are `fit`, `ranges`,
+                `rewards`, `observations` and settings of the twin.
 
         Raises:
-            UnknownNameError: the twin does not have a setting of that name.
+            UnknownNameError: a setting of the twin has an unknown name.
             InputError: the robot, fit, range or time limit is invalid, or the camera is
                 too slow.
         """
@@ -448,7 +453,7 @@ class CrawlTask(CameraTask):
 
 
 class SpatialCrawlTask(CrawlTask):
-    """Task of crawling to a goal with a spatial robot; see the module docstring."""
+    """Task of crawling to a goal with a spatial robot. See the module docstring."""
 
     spatial = True
     episode_class = SpatialCrawlEpisode
@@ -457,7 +462,7 @@ class SpatialCrawlTask(CrawlTask):
         """Create the task with the arguments of `CrawlTask`.
 
         Raises:
-            InputError: the robot is planar, or `CrawlTask` refuses an argument.
+            InputError: the robot is planar, or an argument is invalid.
         """
         super().__init__("Crawl3D", FLOOR, robot=robot, **settings)
 

@@ -1,4 +1,4 @@
-"""dm_env interface to the tasks, built on `dm_control.rl.control.Environment`."""
+"""dm_env interface of the tasks, based on `dm_control.rl.control.Environment`."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ except ImportError as error:
 
 
 class EpisodePhysics(Claimable, control.Physics):  # type: ignore[misc]  # dm_control has no types
-    """Episodes of a task in the form of a dm_control physics.
+    """dm_control physics that runs the episodes of a task.
 
-    One step of the physics is one step of the task.
+    One step of the physics corresponds to one step of the task.
 
     Attributes:
         episode: current episode, or None before the first reset.
@@ -48,14 +48,14 @@ class EpisodePhysics(Claimable, control.Physics):  # type: ignore[misc]  # dm_co
     result: StepResult
 
     def __init__(self, task: Task, rng: np.random.Generator) -> None:
-        """Initialise with a task and the generator of its episodes."""
+        """Initialise with a task and the random number generator of its episodes."""
         self._task = task
         self._rng = rng
         self._renderer: EpisodeRenderer | None = None
 
     @property
     def twin(self) -> SnakePhysics:
-        """Physics of the twin, with MuJoCo's model and data."""
+        """Physics of the twin, which contains MuJoCo's model and data."""
         assert self.episode is not None, "reset first"
         return self.episode.twin.physics
 
@@ -63,7 +63,7 @@ class EpisodePhysics(Claimable, control.Physics):  # type: ignore[misc]  # dm_co
         """Return an image of the episode, shape (height, width, 3), uint8.
 
         Raises:
-            InputError: OpenGL cannot render without a display here.
+            InputError: OpenGL cannot render without a display on this machine.
         """
         assert self.episode is not None, "reset first"
         if self._renderer is None or self._renderer.size != (width, height):
@@ -89,7 +89,7 @@ class EpisodePhysics(Claimable, control.Physics):  # type: ignore[misc]  # dm_co
             self.result = self.episode.step(self._action)
 
     def time(self) -> float:
-        """Return the time of the episode, s."""
+        """Return the time since the start of the episode, s."""
         if self.episode is None:
             return 0.0
         return float(self.episode.state.time)
@@ -107,14 +107,14 @@ class DmTask(control.Task):  # type: ignore[misc]  # dm_control has no types
         self.task = task
 
     def initialize_episode(self, physics: EpisodePhysics) -> None:
-        """Do nothing; the physics has drawn the episode."""
+        """Do nothing, because the physics has already drawn the episode."""
 
     def before_step(self, action: np.ndarray, physics: EpisodePhysics) -> None:
         """Pass an action to the physics."""
         physics.set_control(action)
 
     def action_spec(self, physics: EpisodePhysics) -> specs.BoundedArray:
-        """Return shape and bounds of the actions.
+        """Return the shape and the bounds of the actions.
 
         The name of the specification lists the signals, separated by tabs.
         """
@@ -131,13 +131,13 @@ class DmTask(control.Task):  # type: ignore[misc]  # dm_control has no types
     def observation_spec(
         self, physics: EpisodePhysics
     ) -> OrderedDict[str, specs.BoundedArray]:
-        """Return the bounds of the observations, by signal name."""
+        """Return the bounds of the observations, keyed by signal name."""
         return OrderedDict(
             (signal.name, _spec(signal)) for signal in self.task.observations
         )
 
     def get_observation(self, physics: EpisodePhysics) -> OrderedDict[str, np.ndarray]:
-        """Return the observations by signal name, each with the shape (1,)."""
+        """Return the observations, which have the shape (1,), keyed by signal name."""
         names = [signal.name for signal in self.task.observations]
         return OrderedDict(zip(names, physics.result.observation[:, None], strict=True))
 
@@ -146,7 +146,7 @@ class DmTask(control.Task):  # type: ignore[misc]  # dm_control has no types
         return physics.result.reward
 
     def get_termination(self, physics: EpisodePhysics) -> float | None:
-        """Return the final discount, or None while the episode runs.
+        """Return the final discount, or None while the episode is running.
 
         The discount is 0 if the episode terminated and 1 if it was truncated.
         """
@@ -158,7 +158,7 @@ class DmTask(control.Task):  # type: ignore[misc]  # dm_control has no types
 
 
 class SnakeEnvironment(Claimable, control.Environment):  # type: ignore[misc]  # dm_control has no types
-    """dm_env environment whose copies are deep copies."""
+    """dm_env environment of a task."""
 
 
 def load(task: str, *, seed: int | None = None, **settings: Any) -> SnakeEnvironment:
@@ -166,8 +166,8 @@ def load(task: str, *, seed: int | None = None, **settings: Any) -> SnakeEnviron
 
     Args:
         task: name of a task, one of `TASKS`.
-        seed: random seed of the episodes, or None for a different seed each time.
-        **settings: settings of the task (`make_task`).
+        seed: random seed of the episodes. If None, every call uses a different seed.
+        **settings: settings of the task, as in `make_task`.
 
     Raises:
         UnknownNameError: the task does not exist.

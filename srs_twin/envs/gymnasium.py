@@ -1,9 +1,9 @@
-"""Gymnasium environments of a task: a single one, or several in parallel threads.
+"""Gymnasium environments of the tasks, and vector environments with parallel threads.
 
-Each environment of a `SnakeVectorEnv` is a `SnakeEnv` and gives the results that it
-would give alone. As in `TwinBatch`, each thread steps whole environments. Nearly all
-time of a step is spent in one engine call, which releases Python's global interpreter
-lock.
+Each environment of a `SnakeVectorEnv` is a `SnakeEnv`, and its results do not depend on
+the number of environments. Each thread steps whole environments. Threads run in
+parallel, because nearly all computing time is spent in one engine call per step, which
+releases Python's global interpreter lock.
 """
 
 from __future__ import annotations
@@ -42,19 +42,19 @@ from srs_twin.plants.twin.batch import ENGINES, warp_batch
 
 RENDER_MODES = ("rgb_array",)
 FPS = 10
-"""Frame rate of the class metadata, 1/s. Instances have one frame per step."""
+"""Frame rate in the metadata of the class, 1/s. Instances have one frame per step."""
 
 
 class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
     """Gymnasium environment of a task.
 
-    The call `gymnasium.make("srs_twin.envs:SRSTwin/GoTo-v0")` creates such an
-    environment. Actions and observations are float32 boxes with one number per signal
-    of the task. The environment itself sets `truncated` at the time limit of the task,
-    so no wrapper is needed.
+    An environment is created by `gymnasium.make("srs_twin.envs:SRSTwin/GoTo-v0")`. The
+    action and observation spaces are float32 boxes with one number per signal of the
+    task. The environment sets `truncated` at the time limit of the task, so no
+    `TimeLimit` wrapper is needed.
 
     Attributes:
-        task: definition of the task, with its signals.
+        task: task of the environment.
         episode: current episode, or None before the first `reset`.
     """
 
@@ -76,11 +76,11 @@ class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
 
         Args:
             task: name of a task, one of `TASKS`.
-            render_mode: "rgb_array" for images, which need no display, or None for no
-                images.
+            render_mode: "rgb_array" to render images without a display, or None to
+                render no images.
             width: image width, pixels.
             height: image height, pixels.
-            **settings: settings of the task (`make_task`).
+            **settings: settings of the task, as in `make_task`.
 
         Raises:
             UnknownNameError: the task or render mode does not exist.
@@ -99,33 +99,34 @@ class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start an episode whose random draws use `np_random`.
+        """Start an episode.
 
         Args:
-            seed: random seed of `np_random`, or None to continue with the current
-                generator.
-            options: optional start and goal. `state` is a saved state from
-                `episode.save()` in an episode of equal seed. Alternatively, `snake` is
-                a physical state to start from, with its `yaw_rate` (rad/s). `goal`
-                holds x and y of the goal, m.
+            seed: random seed of `np_random`. If None, the current random number
+                generator is used.
+            options: initial state and goal of the episode. The option `state` is a
+                saved state from `episode.save()`, made in an episode with an equal
+                seed. Alternatively, the options `snake` and `yaw_rate` (rad/s) are an
+                initial physical state. The option `goal` contains the coordinates x and
+                y of the goal, m.
 
         Raises:
             UnknownNameError: an option does not exist.
-            InputError: the state does not belong to this episode, or a value is not
-                allowed. The environment is then unchanged.
+            InputError: the saved state does not belong to the episode, or a value is
+                not allowed. If an error is raised, the environment is unchanged.
         """
         return self.start_episode(seed, self.draw_episode(seed, options))
 
     def draw_episode(
         self, seed: int | None, options: dict[str, Any] | None
     ) -> tuple[np.random.Generator, Episode]:
-        """Return a new episode, and the generator after the episode's draws.
+        """Draw a new episode, and return the random number generator and the episode.
 
-        The environment is not changed.
+        The environment is not changed before `start_episode` is called.
 
         Raises:
             UnknownNameError: an option does not exist.
-            InputError: `reset` would refuse an option.
+            InputError: an option has an invalid value.
         """
         check_seed(seed)
         checked = _checked_options(options)
@@ -133,8 +134,8 @@ class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
             rng = copy.deepcopy(self.np_random)
         else:
             rng = seeding.np_random(seed)[0]
-        # Do not reuse the twin of the running episode with options, because they may be
-        # refused.
+        # If options are given, the twin of the running episode is not reused, because
+        # the options may be invalid.
         episode = self.task.begin(rng, None if checked else self.episode)
         if "snake" in checked:
             episode.set_state(checked["snake"], checked.get("yaw_rate", 0.0))
@@ -147,9 +148,9 @@ class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
     def start_episode(
         self, seed: int | None, drawn: tuple[np.random.Generator, Episode]
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start a drawn episode and return its first observation and info.
+        """Start a drawn episode and return the first observation and info.
 
-        `draw_episode` must have returned the episode for the seed `seed`.
+        `draw_episode` must have drawn the episode with the same seed.
         """
         super().reset(seed=seed)
         rng, self.episode = drawn
@@ -165,24 +166,24 @@ class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
         return self.current_episode().step(action)
 
     def render(self) -> np.ndarray | None:
-        """Return an image, or None without a render mode.
+        """Return an image, or None if no render mode is set.
 
         The image has the shape (height, width, 3) and the type uint8.
 
         Raises:
             InputError: no episode has started, or OpenGL cannot render without a
-                display here.
+                display on this machine.
         """
         if self.render_mode is None:
             return None
         return self._renderer.render(self.current_episode())
 
     def close(self) -> None:
-        """Release the renderer."""
+        """Release the OpenGL context of the renderer."""
         self._renderer.close()
 
     def current_episode(self) -> Episode:
-        """Return the running or last episode.
+        """Return the current episode.
 
         Raises:
             InputError: no episode has started.
@@ -197,7 +198,7 @@ _OPTION_TYPES = {
     "state": (SavedState, "a SavedState, which episode.save() returns"),
     "snake": (SnakeState, "a SnakeState, such as plant.state"),
 }
-"""Type of each option of a reset, and its description in error messages."""
+"""Type of each reset option, and the description of the type in error messages."""
 
 
 def _checked_options(options: object) -> dict[str, Any]:
@@ -226,16 +227,17 @@ def _checked_options(options: object) -> dict[str, Any]:
 
 
 def space_of(signals: Signals) -> spaces.Box:
-    """Return the box of the signals' bounds."""
+    """Return a box space with the bounds of the signals."""
     return spaces.Box(lower_bounds(signals), upper_bounds(signals), dtype=np.float32)
 
 
 class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
     """Vector of environments of one task, stepped in parallel.
 
-    The call `gymnasium.make_vec("srs_twin.envs:SRSTwin/GoTo-v0", num_envs=64)` creates
-    one. An environment whose episode has ended ignores its next action and starts a new
-    episode instead. This is `AutoresetMode.NEXT_STEP`, Gymnasium's default.
+    A vector environment is created by
+    `gymnasium.make_vec("srs_twin.envs:SRSTwin/GoTo-v0", num_envs=64)`. An environment
+    whose episode has ended ignores its next action and starts a new episode instead.
+    The reset behaviour is Gymnasium's default, `AutoresetMode.NEXT_STEP`.
 
     Attributes:
         envs: single environments.
@@ -258,15 +260,16 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
         Args:
             task: name of a task, one of `TASKS`.
             num_envs: number of environments.
-            threads: number of threads; the default is one per processor.
+            threads: number of threads. If None, one thread per processor is used.
             engine: "cpu", or "warp" to step all twins on a device. Warp requires that
-                all episodes have one robot and no obstacles. Otherwise the environments
-                run on the CPU, with a warning.
-            device: device of Warp, or None for its preferred device.
-            **settings: settings of `SnakeEnv`, including render mode and image size.
+                all episodes have the same robot and no obstacles. If the episodes
+                differ or have obstacles, the environments run on the CPU, and a warning
+                is issued.
+            device: device of Warp. If None, Warp selects the device.
+            **settings: further arguments of `SnakeEnv`.
 
         Raises:
-            InputError: `num_envs` is less than 1, or `SnakeEnv` refuses a setting.
+            InputError: `num_envs` is less than 1, or a setting is invalid.
         """
         if num_envs < 1:
             raise InputError(
@@ -289,13 +292,13 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
         """Start an episode in every environment.
 
         Args:
-            seed: one seed per environment, or a single number s for the seeds s, s + 1,
-                …
-            options: options for all environments (`SnakeEnv.reset`).
+            seed: one seed per environment, or a single seed s. With a single seed, the
+                environments have the seeds s, s + 1 and so on.
+            options: options for all environments, as in `SnakeEnv.reset`.
 
         Raises:
-            InputError: the number of seeds is wrong, or `SnakeEnv.reset` refuses an
-                option. All environments are then unchanged.
+            InputError: the number of seeds is wrong, or an option is invalid. If an
+                error is raised, all environments are unchanged.
         """
         if np.iterable(seed):
             seeds = list(seed)
@@ -327,13 +330,13 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
     def step(
         self, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Apply one action per environment for a step of the task.
+        """Step all environments with one action per environment.
 
-        The actions have the shape (environments, actions).
+        The array of actions has the shape (environments, signals).
 
         Raises:
-            InputError: the shape is wrong, or a value is not finite. No environment is
-                then stepped.
+            InputError: the shape is wrong, or a value is not finite. If an error is
+                raised, no environment is stepped.
         """
         shape = self.action_space.shape
         assert shape is not None, "a box has a shape"
@@ -356,7 +359,7 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
         return observations, rewards, terminated, truncated, self._merge_infos(infos)
 
     def render(self) -> tuple[np.ndarray, ...] | None:  # type: ignore[override]
-        """Return an image of each environment, or None without a render mode."""
+        """Return an image of each environment, or None if no render mode is set."""
         images = (env.render() for env in self.envs)
         return tuple(image for image in images if image is not None) or None
 
@@ -398,8 +401,8 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
         valves = [vented] * self.num_envs
         for k in running:
             valves[k] = self.envs[k].current_episode().command(actions[k])
-        # Arrays with several valve states per step have three dimensions. A single
-        # state is repeated to match them.
+        # Valve states that change within a step have three dimensions. Constant valve
+        # states are repeated to match the shape of valve states that change.
         substeps = max(states.shape[0] if states.ndim == 3 else 1 for states in valves)
         shape = (substeps, *vented.shape)
         batch.update_supply_pressure()

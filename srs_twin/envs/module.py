@@ -1,13 +1,14 @@
-r"""Task Module: track a reference bend with one module via the duties of its chambers.
+r"""Task Module, in which the duties of one module are set to track a reference bend.
 
-The module is clamped at its head. Every second the reference bend q_ref jumps to a
-random angle within the reach of the supply pressure. The reward of a step of length Δt
-is the negative absolute error at the end of the step, multiplied by its length:
+The module is clamped at its head. Every second the reference bend q_ref changes to a
+random angle that the module can reach at the supply pressure. The reward of a step is
+the negative absolute error at the end of the step, multiplied by the duration Δt of the
+step:
 
 $$ r = -\frac{|q_{ref} - q|}{1\,\text{rad}}\,\frac{\Delta t}{1\,\text{s}}. $$
 
-Here q is the true bend, not the sensor reading. The cost measures tracking over the
-whole episode, so no potential term is used.
+Here q is the true bend, not the sensor reading. The reward measures tracking during the
+whole episode, so no shaping term is needed.
 """
 
 from __future__ import annotations
@@ -29,17 +30,17 @@ STEP_S = 0.05
 """Duration of a step, s, which is three carrier periods."""
 
 HOLD_S = 1.0
-"""Time for which the reference is constant, s."""
+"""Duration of each value of the reference, s."""
 
 REACH_FRACTION = 0.8
 """Maximum reference as a fraction of the free bend at the nominal supply pressure."""
 
 TIMESTEP_S = 0.00025
-"""Time step of the twin, s, which resolves the ripple of the carrier."""
+"""Time step of the twin, s, which resolves the ripple due to pulse-width modulation."""
 
 
 class ModuleTask(Task):
-    """Task of tracking a reference bend; see the module docstring.
+    """Task of tracking a reference bend. See the module docstring.
 
     Attributes:
         reach: maximum reference bend, rad.
@@ -63,12 +64,12 @@ class ModuleTask(Task):
         Args:
             robot: name or path of a robot with one segment.
             limit_s: time limit, s.
-            **settings: further arguments of `Task`. The sensor is "hall" by default.
+            **settings: further arguments of `Task`. The default sensor is "hall".
 
         Raises:
-            UnknownNameError: the twin does not have a setting of that name.
-            InputError: the robot has several segments, or the robot, fit, range or time
-                limit is invalid.
+            UnknownNameError: a setting of the twin has an unknown name.
+            InputError: the robot has several segments, or the fit, range or time limit
+                is invalid.
         """
         super().__init__(
             robot, limit_s, **{"sensor": "hall", "timestep": TIMESTEP_S, **settings}

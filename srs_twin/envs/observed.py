@@ -1,4 +1,4 @@
-"""Tasks of snakes with a gait, observed by a camera and bend sensors."""
+"""Base classes of tasks with a gait, a camera and bend sensors."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ STEP_S = 0.1
 """Duration of a step, s."""
 
 CAMERA = Camera(1 / STEP_S, 0.001, 0.005)
-"""Camera with one frame per step and a noise of 1 mm and 5 mrad.
+"""Camera with one frame per step and noise of 1 mm (position) and 5 mrad (heading).
 """
 
 COSTS = (
@@ -54,7 +54,7 @@ class ObservedEpisode(Episode):
     def __init__(
         self, task: CameraTask, twin: TwinSnake, state: SnakeState, seed: int
     ) -> None:
-        """Initialise; see `Episode.__init__`."""
+        """Initialise the episode as `Episode.__init__` does."""
         self._frames = CameraFrames(task.camera, seed)
         self._readings = SensorReadings(state.measured_bend.size)
         self._air = float(state.pneumatic_energy)
@@ -67,7 +67,8 @@ class ObservedEpisode(Episode):
     def _observe(self) -> tuple[Pose, dict[str, Sequence[float]]]:
         seen = self._frames.capture(self.state)
         assert seen is not None, "the camera has one frame per step"
-        bends = self.state.measured_bend.T.ravel()  # to the left, then upwards
+        # The bends to the left are followed by the bends upwards.
+        bends = self.state.measured_bend.T.ravel()
         self._readings.update(float(self.state.time), bends)
         angle = self._gait_angle()
         return seen, {
@@ -83,7 +84,7 @@ class ObservedEpisode(Episode):
 
     @abstractmethod
     def _last_command(self) -> list[float]:
-        """Return the observations of the last command."""
+        """Return the values of the last command."""
 
     def _costs(self) -> dict[str, float]:
         before = self._air
@@ -96,7 +97,7 @@ class ObservedEpisode(Episode):
 
 
 def ahead_and_left(seen: Pose, x: float, y: float) -> tuple[float, float]:
-    """Return a point's coordinates ahead and to the left of an observed pose, m."""
+    """Return the coordinates (m) of a point in the frame of an observed pose."""
     c = math.cos(seen.heading)
     s = math.sin(seen.heading)
     dx = x - seen.x
@@ -105,9 +106,9 @@ def ahead_and_left(seen: Pose, x: float, y: float) -> tuple[float, float]:
 
 
 def place_signals(name: str, far: float, description: str) -> Signals:
-    """Return the signals of a position relative to the observed pose.
+    """Return the signals of a position relative to the observed pose of the snake.
 
-    The coordinates are limited to the distance `far` (m).
+    The absolute values of the coordinates are limited to `far` (m).
     """
     return (
         Signal(f"{name}_ahead_m", "m", -far, far, f"{description} along the heading"),
@@ -127,9 +128,10 @@ def observation_groups(
     robot: RobotSpec,
     actions: Iterable[Signal],
 ) -> dict[str, Signals]:
-    """Return the groups of observations of a task with a camera.
+    """Return the observation groups of a task with a camera.
 
-    `target` is the observation group of the goal or object, by name.
+    `target` maps the name of the observation group of the goal or object to its
+    signals.
     """
     bends = _bend_signals("bend", "a bend", robot)
     if robot.is_spatial:

@@ -1,11 +1,12 @@
-"""Policies: small networks stored in files, and the package's controllers as baselines.
+"""Policies of the tasks: networks stored in files, and baselines.
 
-Baselines get only the observations of an agent. `PathFollowing` plans a path at the
-start of an episode. It steers with an unmodified `planning.follower.Follower` that
-reads the observed pose, at the gait frequency and pressure of the measured footprint.
-`ProportionalIntegral` sets the difference between the two duties of a module by a PI
-law, to which Eq. 30 reduces at a constant reference. `PegSteering` steers among pegs,
-and `SensedGrasp` uses the controller of scenario grasp_cylinder.
+Baselines use only the observations that an agent receives. `PathFollowing` plans a path
+at the start of an episode and follows the path with `planning.follower.Follower`, which
+uses the observed pose. The gait frequency and the supply pressure are those at which
+the footprint was measured. `ProportionalIntegral` sets the difference between the two
+duties of a module according to a PI law, to which Eq. 30 reduces for a constant
+reference. `PegSteering` steers among pegs, and `SensedGrasp` uses the controller of the
+scenario grasp_cylinder.
 """
 
 from __future__ import annotations
@@ -47,13 +48,13 @@ SHIPPED = "calibration/policies"
 
 @dataclass(frozen=True)
 class NetworkPolicy:
-    """Fully connected network with tanh between layers and outputs clipped to −1 to 1.
+    """Fully connected tanh network whose outputs are clipped to the range from −1 to 1.
 
     Attributes:
         task: name of the task.
-        observations: names of the observations that form the input, in order.
-        layers: weights, shape (outputs, inputs), and biases, shape (outputs,), of each
-            layer.
+        observations: names of the observations in the input vector.
+        layers: weights and biases of each layer, with the shapes (outputs, inputs) and
+            (outputs,).
     """
 
     task: str
@@ -61,7 +62,7 @@ class NetworkPolicy:
     layers: tuple[tuple[np.ndarray, np.ndarray], ...]
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
-        """Return the action, float32 from −1 to 1, for ordered observations."""
+        """Return the action for a vector of observations."""
         values = np.asarray(observation, dtype=float)
         for weights, biases in self.layers[:-1]:
             values = np.tanh(weights @ values + biases)
@@ -72,11 +73,11 @@ class NetworkPolicy:
         return action
 
     def bind(self, task: Task) -> Callable[[np.ndarray], np.ndarray]:
-        """Return a function from the observations of a task to actions.
+        """Return a function that maps the observations of a task to actions.
 
         Raises:
-            InputError: the policy was trained for another task, or the task lacks
-                observations of the policy.
+            InputError: the policy was trained for another task, or the task does not
+                provide all observations that the policy needs.
         """
         names = [signal.name for signal in task.observations]
         missing = [name for name in self.observations if name not in names]
@@ -90,7 +91,7 @@ class NetworkPolicy:
         return lambda observation: self(np.asarray(observation)[indices])
 
     def save(self, path: StrPath) -> None:
-        """Write the policy as an npz file, weights in single precision."""
+        """Write the policy as an npz file with weights in single precision."""
         arrays: dict[str, np.ndarray] = {
             "task": np.array(self.task),
             "observations": np.array(self.observations),
@@ -105,10 +106,10 @@ class NetworkPolicy:
 
 
 def load_policy(name_or_path: StrPath) -> NetworkPolicy:
-    """Load a policy by path, or a shipped one by name ("goto").
+    """Load a policy from a path, or load a shipped policy with the given name.
 
     Raises:
-        UnknownNameError: no shipped policy has the name.
+        UnknownNameError: there is no shipped policy with the given name.
         InputError: the file does not exist or does not contain a policy.
     """
     path = Path(os.fspath(name_or_path))
@@ -136,8 +137,8 @@ def load_policy(name_or_path: StrPath) -> NetworkPolicy:
         for k in range(sum(name.startswith("weights_") for name in arrays))
     )
     task = get("task", "text", 0, "U")
-    # A small file can contain millions of empty names, so their number is compared
-    # before they are copied.
+    # A small file can contain millions of empty names, so the number of names is
+    # checked before the names are copied.
     observations = get("observations", "list of texts", 1, "U")
     sizes = [observations.size, *(len(biases) for _, biases in layers)]
     shapes = [weights.shape for weights, _ in layers]
@@ -166,10 +167,12 @@ PRESSURE_KPA = 48.3
 PEGS_FREQUENCY_HZ = 1.0
 """Gait frequency of scenario pegs_skin, Hz."""
 
-# The next four values are taken from scenario follow_fig57. docs/course.md describes
-# how they were chosen.
+# The next four values are taken from the scenario follow_fig57. docs/course.md
+# describes how the values were chosen.
 TURN_FRACTION = 0.7
-"""Fraction of the curvature range for planning; the steering law needs the rest."""
+"""Fraction of the maximum curvature used for planning, which leaves a reserve for
+steering.
+"""
 
 SETTLE_M = 0.035
 """Response length of the steering, m."""
@@ -178,29 +181,36 @@ LOOKAHEAD_M = 0.15
 """Lookahead distance of the steering law, m."""
 
 STRAY_M = 0.1
-"""Cross-track error above which the follower plans again, m."""
+"""Cross-track error above which the follower plans a new path, m."""
 
 AIM_M = 0.05
-"""Goal radius of the follower, m, which is below the goal radius of the tasks."""
+"""Goal radius of the follower, m, which is smaller than the goal radius of the tasks.
+"""
 
 MARGIN_M = 0.03
-"""Margin between plan and obstacles, m. Without it 3 of 12 snakes touch a circle."""
+"""Margin between path and obstacles, m.
+
+Without a margin, 3 of 12 snakes touch an obstacle.
+"""
 
 _PLANNER_SETTINGS = Settings(nodes=50_000)
 
 
 class Policy(Protocol):
-    """Function from observations to actions, with one object per episode."""
+    """Function that maps observations to actions.
+
+    Each episode needs a new policy object.
+    """
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
         """Return the action for an observation."""
 
 
 class _Baseline(ABC):
-    """Policy of a task that reads the observations by name."""
+    """Policy that reads the observations by name."""
 
     def __init__(self, task: Task) -> None:
-        """Initialise for an episode of the task."""
+        """Initialise the policy for an episode of the task."""
         self._task = task
         self._names = [signal.name for signal in task.observations]
         self._steps = 0
@@ -229,10 +239,10 @@ class _Baseline(ABC):
 
 
 class PathFollowing(_Baseline):
-    """Policy that plans a path to the goal of GoTo or Obstacles and follows it."""
+    """Policy that plans and follows a path to the goal in GoTo and Obstacles."""
 
     def __init__(self, task: CrawlTask) -> None:
-        """Initialise for an episode."""
+        """Initialise the policy for an episode of the task."""
         super().__init__(task)
         self._arena = task.arena
         self._offset = _OffsetStore()
@@ -267,7 +277,7 @@ class PathFollowing(_Baseline):
 
 
 class ProportionalIntegral(_Baseline):
-    """Policy that controls a module's duties by a PI law."""
+    """Policy that sets the duties of a module according to a PI law."""
 
     gain_per_rad = 1.0
     """Proportional gain of the duty difference, 1/rad."""
@@ -289,10 +299,10 @@ class ProportionalIntegral(_Baseline):
 
 
 class PegSteering(_Baseline):
-    """Policy that steers the wave of scenario pegs_skin towards the goal."""
+    """Policy that steers the gait of the scenario pegs_skin towards the goal."""
 
     gain_per_rad = 0.3
-    """Steering offset per bearing of the goal, 1/rad."""
+    """Ratio of the steering offset to the bearing of the goal, 1/rad."""
 
     def _action(self, values: Mapping[str, float]) -> Sequence[float]:
         bearing = math.atan2(values["goal_left_m"], values["goal_ahead_m"])
@@ -300,7 +310,7 @@ class PegSteering(_Baseline):
 
 
 class SensedGrasp(_Baseline):
-    """Policy that uses the controller `control.grasp.Grasp` in sensed mode."""
+    """Policy that uses the controller `control.grasp.Grasp` in the sensed mode."""
 
     _grasp: Grasp | None = None
 
@@ -317,7 +327,7 @@ class SensedGrasp(_Baseline):
 
 
 def baseline(task: Task) -> Policy:
-    """Return the package's controller for a task as a policy for one episode."""
+    """Return the baseline policy of a task for one episode."""
     if isinstance(task, GraspTask):
         return SensedGrasp(task)
     if isinstance(task, PegsTask):
@@ -344,7 +354,7 @@ class Score:
 
 
 def play_episode(task: Task, policy: Policy, rng: np.random.Generator) -> Score:
-    """Run one episode of a task, drawn from `rng`, with a policy."""
+    """Run one randomly drawn episode of a task with a policy."""
     episode = task.begin(rng)
     result = episode.first
     total = 0.0
@@ -355,8 +365,6 @@ def play_episode(task: Task, policy: Policy, rng: np.random.Generator) -> Score:
 
 
 class _OffsetStore(Controller):
-    """Controller that stores the offset of a follower in place of a gait."""
-
     kind = "helm"
     frequency = FREQUENCY_HZ
     offset = 0.0
@@ -365,7 +373,7 @@ class _OffsetStore(Controller):
         """See `Controller.reset`."""
 
     def step(self, state: SnakeState) -> np.ndarray:
-        """See `Controller.step`; the valve states are not used."""
+        """Return an empty array, because the valve states are not used."""
         return np.zeros((0, 2), dtype=np.int8)
 
 

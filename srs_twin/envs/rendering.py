@@ -1,6 +1,7 @@
-"""Images of episodes, as `srs-twin render` draws them; no display is needed.
+"""Images of episodes in the style of `srs-twin render`.
 
-The images show the twin coloured by pressure, its obstacles, and its goal as a ring.
+The images show the twin with colours that indicate the pressures, the obstacles, and a
+ring around the goal.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import numpy as np
 from srs_twin.envs.task import Episode
 
 _GOAL_LINE = 0.003
-"""Ratio of the goal ring's half width to the camera distance."""
+"""Half the line width of the goal ring, as a fraction of the camera distance."""
 
 _ELEVATION_DEG = -65.0
 """Elevation angle of the camera, degrees."""
@@ -22,30 +23,30 @@ _BODY_LENGTHS = 4.0
 """Minimum camera distance, in body lengths."""
 
 _GOAL_DISTANCES = 1.7
-"""Minimum ratio of the camera distance to the distance from snake to goal."""
+"""Minimum ratio of the camera distance to the distance between snake and goal."""
 
 
 class EpisodeRenderer:
-    """Renderer of episodes, which initialises OpenGL at its first image.
+    """Renderer of episodes, which initialises OpenGL for the first image.
 
     Attributes:
         size: width and height of the images, pixels.
     """
 
     def __init__(self, width: int, height: int) -> None:
-        """Initialise with the image size in pixels."""
+        """Set the width and height of the images, in pixels."""
         self.size = width, height
         self._canvas: Any = None
         self._model: mujoco.MjModel | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return EpisodeRenderer, self.size  # a copy creates its own OpenGL context
+        return EpisodeRenderer, self.size  # A copy creates its own OpenGL context.
 
     def render(self, episode: Episode) -> np.ndarray:
         """Return an image of the current state, shape (height, width, 3), uint8.
 
         Raises:
-            InputError: OpenGL cannot render without a display here.
+            InputError: OpenGL cannot render without a display on this machine.
         """
         from srs_twin.viewing.mujoco.canvas import Canvas
         from srs_twin.viewing.mujoco.stage import Skins

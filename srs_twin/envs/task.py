@@ -1,9 +1,9 @@
-"""Reinforcement-learning tasks, common to Gymnasium and dm_env.
+"""Base classes of the reinforcement-learning tasks for Gymnasium and dm_env.
 
-In every step of length `step_s`, an agent gives an action and receives an observation.
-Observations contain only sensor and camera measurements with their noise, while the
-reward and `info` may use the true state. An episode terminates at its goal or on
-failure (`terminated`), or is cut off at the time limit (`truncated`).
+In every step of duration `step_s`, an agent chooses an action and receives an
+observation. Observations contain only noisy measurements of sensors and cameras,
+whereas the reward and `info` may contain the true state. An episode is terminated when
+the goal is reached or the task has failed, and truncated at the time limit.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ class Signal:
     """Component of an action or an observation.
 
     Attributes:
-        name: name ending in the unit, as in file keys.
-        unit: unit, or "1" if dimensionless.
+        name: name of the signal, which ends in the unit.
+        unit: unit of the signal, or "1" for a dimensionless signal.
         low: lower bound.
         high: upper bound.
-        description: meaning of the signal in one line.
+        description: one-line description of the signal.
     """
 
     name: str
@@ -57,10 +57,10 @@ class RewardTerm:
     """Quantity of a step whose weighted value is part of the reward.
 
     Attributes:
-        name: name ending in the unit, as in file keys.
-        weight: default weight, in reward per unit. A weight of 0 excludes the term from
-            the reward.
-        description: meaning of the term in one line.
+        name: name of the term, which ends in the unit.
+        weight: default weight, as reward per unit of the quantity. A weight of 0
+            excludes the term from the reward.
+        description: one-line description of the term.
     """
 
     name: str
@@ -84,11 +84,11 @@ def upper_bounds(signals: Signals) -> np.ndarray:
 def as_finite_array(numbers: object, shape: tuple[int, ...]) -> np.ndarray | None:
     """Return numbers as a float64 array of the given shape.
 
-    The result is None if the shape differs or a value is not finite.
+    The function returns None if the shape differs or a value is not finite.
     """
     try:
         values = np.asarray(numbers)
-    except (TypeError, ValueError):  # ragged lists, or tensors on a device
+    except (TypeError, ValueError):
         return None
     if values.dtype.kind not in "biuf" or values.shape != shape:
         return None
@@ -99,7 +99,7 @@ def as_finite_array(numbers: object, shape: tuple[int, ...]) -> np.ndarray | Non
 
 
 def abbreviate(value: object) -> str:
-    """Return a short text of a value for messages.
+    """Return a short text that describes a value in messages.
 
     A large array is described by its shape.
     """
@@ -114,8 +114,8 @@ def check_names(kind: str, names: Iterable[object], known: Collection[str]) -> N
     """Check that all names are known.
 
     Raises:
-        UnknownNameError: a name is unknown. The message calls it `kind` and lists all
-            known names.
+        UnknownNameError: a name is unknown. The message lists all known names, and
+            `kind` states what the names stand for.
     """
     for name in names:
         if name not in known:
@@ -129,10 +129,10 @@ def keywords(function: Callable[..., object]) -> set[str]:
 
 
 def check_seed(seed: object) -> None:
-    """Check that a seed is None or a non-negative integer.
+    """Check that a seed is either None or a non-negative integer.
 
     Raises:
-        InputError: the seed is neither.
+        InputError: the seed is neither None nor a non-negative integer.
     """
     is_integer = isinstance(seed, int | np.integer) and not isinstance(seed, bool)
     if not (seed is None or (is_integer and seed >= 0)):  # type: ignore[operator]
@@ -146,22 +146,23 @@ _MAX_PRINTED_VALUES = 6
 """Maximum number of array elements that a message prints."""
 
 _RESERVED_TWIN_ARGUMENTS = {"tick", "supply_pa", "base", "world"}
-"""Arguments of `TwinSnake` that a task sets itself."""
+"""Arguments of `TwinSnake` that only the task may set."""
 
 TIME_UP = "time_up"
 DIVERGED = "diverged"
 
 
 class StepResult(NamedTuple):
-    """Result of one step, as Gymnasium returns it.
+    """Result of one step, with the elements of Gymnasium's `step`.
 
     Attributes:
-        observation: observation, float32, within the bounds of the task's observations.
-        reward: reward of this step, 0 at the start of an episode.
+        observation: observation as a float32 array within the bounds of the task's
+            observations.
+        reward: reward of this step. Before the first action the reward is 0.
         terminated: whether the episode has reached a terminal state.
         truncated: whether the time limit is reached.
-        info: true state and diagnostics, which the agent must not use. Keys end in the
-            unit.
+        info: true state and diagnostics, which the agent must not use. The keys end in
+            the unit.
     """
 
     observation: np.ndarray
@@ -172,20 +173,21 @@ class StepResult(NamedTuple):
 
 
 class Task(ABC):
-    """Definition of a task: signals, time limit and distribution of robots.
+    """Base class of the tasks, with signals, time limit and distribution of robots.
 
     Attributes:
         name: registered short name.
         actions: components of an action, with their physical bounds.
-        groups: all components of an observation by group, in order.
-        observations: components of the selected groups.
+        groups: components of an observation, keyed by the name of their group.
+        observations: components of the observation, which belong to the selected
+            groups.
         reward_terms: terms of the reward with their default weights.
-        weights: weight of each reward term, by name.
+        weights: weight of each reward term, keyed by the name of the term.
         step_s: duration of one step, s.
         limit_s: time limit of an episode, s.
         robot: nominal robot, without random variation.
-        has_obstacles: whether each episode draws obstacles.
-        spatial: whether the task is for spatial robots instead of planar ones.
+        has_obstacles: whether each episode contains randomly drawn obstacles.
+        spatial: whether the task needs a spatial robot.
     """
 
     name: str
@@ -211,16 +213,18 @@ class Task(ABC):
         """Initialise the task's robots, time limit, reward and twin settings.
 
         Args:
-            robot: name or path of a robot file, or its keys with `base` as in a
-                scenario. Each episode draws the tolerances of the modules.
+            robot: name or path of a robot file, or a mapping as in the section `robot`
+                of a scenario. The module tolerances are drawn anew in each episode.
             limit_s: time limit, s.
-            fit: path of a fit file whose intervals define the distribution of robots
-                (`Variation`).
-            ranges: lower and upper limit of a uniform distribution, by parameter name.
-            rewards: weights that replace the defaults, by name of the reward term.
-            observations: groups of observations that the agent gets, or None for all
-                groups.
-            **twin_settings: arguments of `TwinSnake` that the task does not set itself.
+            fit: path of a fit file whose confidence intervals define the distribution
+                of robots. See `Variation`.
+            ranges: lower and upper limit of a uniform distribution, keyed by parameter
+                name.
+            rewards: weights that replace the default weights, keyed by the name of the
+                reward term.
+            observations: names of the observation groups that the agent receives. If
+                None, the agent receives all groups.
+            **twin_settings: further arguments of `TwinSnake`.
 
         Raises:
             UnknownNameError: a reward term, a group of observations or a setting of the
@@ -273,19 +277,19 @@ class Task(ABC):
         )
 
     def select(self, measured: Mapping[str, Sequence[float]]) -> np.ndarray:
-        """Return the values of the selected groups, in order, float32."""
+        """Return the measured values of the selected groups as a float32 array."""
         values = [value for name in self._selected_groups for value in measured[name]]
         return np.array(values, dtype=np.float32)
 
     @cached_property
     def commands(self) -> Signals:
-        """Components of an action, with the agent's bounds of −1 and 1."""
+        """Components of an action, scaled to the range from −1 to 1."""
         return tuple(
             replace(signal, unit="1", low=-1.0, high=1.0) for signal in self.actions
         )
 
     def to_physical(self, action: object) -> list[float]:
-        """Return an action in the units of its signals, clipped to their bounds.
+        """Convert an action to the units of its signals, and clip it to their bounds.
 
         Raises:
             InputError: the shape is wrong, or a value is not a finite number.
@@ -304,10 +308,7 @@ class Task(ABC):
         ]
 
     def from_physical(self, values: Sequence[float]) -> np.ndarray:
-        """Return the action, float32, for values in the units of the signals.
-
-        This method is the inverse of `to_physical`.
-        """
+        """Convert values in the units of the signals to an action."""
         low = lower_bounds(self.actions).astype(float)
         high = upper_bounds(self.actions).astype(float)
         scaled = 2 * (np.asarray(values, dtype=float) - low) / (high - low) - 1
@@ -315,9 +316,9 @@ class Task(ABC):
 
     @property
     def has_identical_episodes(self) -> bool:
-        """Whether all episodes have one robot and no obstacles.
+        """Whether all episodes have the same robot and no obstacles.
 
-        A device batch requires such episodes.
+        A batch on a device requires identical episodes.
         """
         first, second = (
             self._variation.draw(np.random.default_rng(seed)) for seed in range(2)
@@ -347,8 +348,8 @@ class Task(ABC):
         """Start an episode.
 
         Args:
-            rng: generator for all random draws of the episode.
-            last: finished episode whose twin may be reused.
+            rng: random number generator for all draws of the episode.
+            last: previous episode, whose twin may be reused.
 
         Raises:
             InputError: the drawn robot or world is invalid.
@@ -356,14 +357,17 @@ class Task(ABC):
 
 
 class Episode(Stateful, ABC):
-    """One episode of a task, which `save` and `restore` can branch.
+    """One episode of a task.
+
+    The methods `save` and `restore` make it possible to branch an episode.
 
     Attributes:
         twin: simulated robot.
         state: current state of the twin.
-        goal: goal of the episode, or None if the task has no goal.
-        ending: reason why the episode ended, or an empty string while it runs.
-        first: initial observation and info, before the first action.
+        goal: goal position of the episode, or None if the task has no goal position.
+        ending: reason why the episode ended, or an empty string while the episode is
+            running.
+        first: observation and info before the first action.
     """
 
     state_attributes: ClassVar[tuple[str, ...]] = (
@@ -378,9 +382,9 @@ class Episode(Stateful, ABC):
     goal: Goal | None = None
 
     def __init__(self, task: Task, twin: TwinSnake, state: SnakeState) -> None:
-        """Initialise the episode and make its first observation.
+        """Initialise the episode and compute the first observation.
 
-        A subclass must set its own attributes before this call.
+        A subclass must set its own attributes before it calls this method.
         """
         self.twin = twin
         self.state = state
@@ -395,13 +399,13 @@ class Episode(Stateful, ABC):
         self.first = StepResult(observation, 0.0, False, False, self._info())
 
     def save(self) -> SavedState:
-        """Return a saved state of the episode, without the agent, for `restore`."""
+        """Return the state of the episode, which `restore` accepts."""
         return SavedState(self.identity(), self.state_dict())
 
     def restore(self, state: SavedState) -> None:
-        """Continue from a saved state, which becomes the first state.
+        """Continue from a saved state, which replaces the initial state.
 
-        The state must come from an episode with equal random draws.
+        The saved state must belong to an episode with equal random draws.
 
         Raises:
             InputError: the state belongs to another task, robot or world.
@@ -411,24 +415,21 @@ class Episode(Stateful, ABC):
         self._set_first(self._last_observation.copy())
 
     def set_state(self, snake: SnakeState, yaw_rate: float = 0.0) -> None:
-        """Start from a given physical state, as `Plant.place` does.
+        """Start the episode from a given physical state.
 
         Raises:
-            InputError: the twin cannot be in this state.
+            InputError: the twin cannot be in the given state.
         """
         self.state = self.twin.set_state(snake, yaw_rate=yaw_rate, seed=self.twin.seed)
         self._initialise_from_state()
         self._set_first(self._observation())
 
     def set_goal(self, place: object) -> None:
-        """Move the goal before the first action.
-
-        Args:
-            place: coordinates x and y of the goal, m.
+        """Move the goal to x and y (m) before the first action.
 
         Raises:
-            InputError: the task has no goal, or the snake cannot reach a goal at this
-                place.
+            InputError: the task has no goal position, or the given position is not
+                allowed.
         """
         raise InputError(
             f"option goal is not allowed, because the task {self._task.name} has no"
@@ -439,11 +440,11 @@ class Episode(Stateful, ABC):
         """Reset the attributes that depend on the first state."""
 
     def identity(self) -> dict[str, Any]:
-        """Return the properties that must match a saved state, as JSON values."""
+        """Return the properties, as JSON values, that a saved state must match."""
         return {"task": self._task.name, **self.twin.identity()}
 
     def step(self, action: object) -> StepResult:
-        """Apply an action for one step, clipped to its bounds.
+        """Clip an action to its bounds, and apply it for one step.
 
         Args:
             action: one number per action signal of the task, within the bounds of
@@ -463,7 +464,7 @@ class Episode(Stateful, ABC):
     def command(self, action: object) -> np.ndarray:
         """Return the valve states of the next step.
 
-        `finish_step` or `diverged` then completes the step.
+        After the twin has been stepped, `finish_step` or `diverged` must be called.
         """
         if self.ending:
             raise InputError(
@@ -473,7 +474,7 @@ class Episode(Stateful, ABC):
         return self._valves(self._task.to_physical(action))
 
     def finish_step(self, state: SnakeState) -> StepResult:
-        """Return the result of a step from the state at its end."""
+        """Return the result of a step that ended in the given state."""
         self.state = state
         self._steps += 1
         values = self._reward_values()
@@ -492,8 +493,7 @@ class Episode(Stateful, ABC):
     def diverged(self, error: DivergedError) -> StepResult:
         """End the episode after a divergence.
 
-        The result repeats the observation of the previous step, because there is no
-        later observation.
+        The returned observation is the observation of the previous step.
         """
         self._steps += 1
         self.ending = DIVERGED
@@ -515,18 +515,18 @@ class Episode(Stateful, ABC):
     def _measure(self) -> Mapping[str, Sequence[float]]:
         """Return the values of each group of observations.
 
-        It is called once per step, because it draws noise.
+        This method must be called once per step, because it draws measurement noise.
         """
 
     @abstractmethod
     def _reward_values(self) -> dict[str, float]:
         """Return the value of each reward term in the last step.
 
-        Set `ending` if the episode is over.
+        If the episode is over, this method sets `ending`.
         """
 
     def _info(self) -> dict[str, Any]:
-        """Return diagnostics by name, where names end in the unit."""
+        """Return diagnostics, keyed by names that end in the unit."""
         return {
             "time_s": float(self.state.time),
             "air_j": float(self.state.pneumatic_energy),

@@ -1,4 +1,4 @@
-"""Task registry."""
+"""Registry of the reinforcement-learning tasks."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ TASKS = ("GoTo", "Obstacles", "Module", "Crawl3D", "Pegs", "Grasp")
 
 
 def make_task(name: str, **settings: Any) -> Task:
-    """Return a task by name.
+    """Create the task with the given name.
 
     Args:
         name: name of the task, one of `TASKS`.
-        **settings: arguments of the task's class: `CrawlTask`, `ModuleTask`,
+        **settings: arguments of the task's class, which is `CrawlTask`, `ModuleTask`,
             `SpatialCrawlTask`, `PegsTask` or `GraspTask`.
 
     Raises:

@@ -1,10 +1,10 @@
 """Distribution of robots over episodes (domain randomisation).
 
-Up to three sources of variation are combined: the tolerances of `modules` in a robot
-file, the confidence intervals of a fit file, and given ranges. Fitted parameters are
-drawn jointly from a normal distribution with the fit's standard errors and
-correlations, and clipped to their intervals. The correlations preserve combinations of
-parameters that the data determine well, such as a sum of two parameters.
+Robots vary according to the module tolerances in a robot file, the confidence intervals
+in a fit file, and given ranges of parameters. Fitted parameters are drawn jointly from
+a normal distribution with the standard errors and correlations of the fit, and clipped
+to the confidence intervals. Because of the correlations, combinations of parameters
+that the data determine well, such as a sum of two parameters, vary little.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ Robot = StrPath | Mapping[str, Any]
 Ranges = Mapping[str, tuple[float, float]]
 
 _SEED_COUNT = 2**32
-"""Number of seeds from which the modules of a robot are drawn."""
+"""Number of possible seeds for the modules of a robot."""
 
 
 @dataclass(frozen=True)
@@ -36,9 +36,10 @@ class Variation:
     """Distribution of robots over episodes.
 
     Attributes:
-        file: nominal robot with the tolerances of its modules.
-        fit: fit whose parameters are drawn from their confidence intervals, or None.
-        ranges: lower and upper limit of a uniform distribution, by parameter name.
+        file: nominal robot, including the tolerances of the modules.
+        fit: fit whose parameters are drawn, or None.
+        ranges: lower and upper limit of a uniform distribution, keyed by parameter
+            name.
     """
 
     file: RobotFile
@@ -52,9 +53,11 @@ class Variation:
         """Load the variation of a robot.
 
         Args:
-            robot: name or path of a robot file, or its keys with `base`.
+            robot: name or path of a robot file, or a mapping as in the section `robot`
+                of a scenario.
             fit: path of a fit file for this robot.
-            ranges: lower and upper limit of a uniform distribution, by parameter name.
+            ranges: lower and upper limit of a uniform distribution, keyed by parameter
+                name.
 
         Raises:
             InputError: a file does not exist, the fit is for another robot, or a range
@@ -80,9 +83,7 @@ class Variation:
                     " lower limit first"
                 )
             for limit in (low, high):
-                free_parameters(
-                    spec, [name], starts={name: limit}
-                )  # raises if not allowed
+                free_parameters(spec, [name], starts={name: limit})
         return variation
 
     def draw(self, rng: np.random.Generator) -> RobotSpec:
@@ -103,7 +104,7 @@ def _draw_fitted_values(
     values = np.array([parameter.value for parameter in fitted], dtype=float)
     errors = np.array([parameter.standard_error for parameter in fitted], dtype=float)
     covariance = np.array(fit.correlation, dtype=float) * np.outer(errors, errors)
-    # Eigenvalues are used, because correlations of 1 make the covariance singular.
+    # The method "eigh" is used, because correlations of 1 make the covariance singular.
     drawn = values
     if fitted:
         drawn = rng.multivariate_normal(values, covariance, method="eigh")

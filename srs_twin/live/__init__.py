@@ -1,1 +1,1 @@
-"""Live twin of a robot: messages, estimation, fault detection, steering, emulator."""
+"""Live twin of a robot."""

@@ -1,26 +1,27 @@
-r"""Supply pressure and leaks, estimated from the air that filling chambers take in.
+r"""Estimates of the supply pressure and of leaks from the air that flows into chambers.
 
 While the valve of a chamber is open, the chamber pressure P and the bend q of the
-segment satisfy the balance of air
+segment satisfy the air balance
 
 $$ \Delta (P\,V(q)) = c \int \dot n_{in}\,dt - (\lambda_0 + \lambda)\,K \int (P - P_a)\,dt, $$
 
 where V is the chamber volume, ṅ_in the flow through an orifice (`pneumatics/flow.py`),
-P_a the ambient pressure and K the capacity of a nominal chamber. A stroke is the time
-in which the valve stays open. Linear regression with forgetting estimates the flow
-factor c and the apparent loss λ₀ of an intact chamber over many strokes, and the
-scatter between strokes. A leak λ is then visible within one stroke.
+P_a the ambient pressure and K the capacity of a nominal chamber. A stroke is an
+interval in which the valve stays open. The flow factor c and the apparent loss λ₀ of an
+intact chamber are estimated from many strokes by linear regression with forgetting. The
+scatter between strokes is also estimated. A leak λ can then be detected within one
+stroke.
 
-All chambers share one supply, whose gauge pressure S is modelled as a random walk.
-During its stroke, chamber i takes in r_i more air than expected. With the derivative
-h_i of the amount with respect to S and an error v_i, the excess is
-r_i = h_i (S − Ŝ) + v_i. A Kalman filter combines the chambers:
+All chambers share one supply, whose gauge pressure S is modelled as a random walk. Let
+r_i be the measured minus the expected amount of air that flows into chamber i during a
+stroke. If h_i is the derivative of the amount with respect to S and v_i is an error,
+then r_i = h_i (S − Ŝ) + v_i. A Kalman filter combines the measurements of all chambers:
 
 $$ \hat S' = \hat S + \frac{\sum_i w_i h_i r_i / \sigma_i^2}{1/P + \sum_i w_i h_i^2 / \sigma_i^2}. $$
 
 Here σ_i is the standard deviation of v_i, and P is the variance of Ŝ. The weights w_i
 of Student's t distribution limit the effect of a chamber that leaks or is stuck. If
-most filling chambers agree on a large change, the estimate follows the change at once.
+most filling chambers indicate the same large change, the estimate changes at once.
 """
 
 from __future__ import annotations
@@ -41,7 +42,8 @@ from srs_twin.pneumatics.orifice import CRITICAL_RATIO
 from srs_twin.robot.spec import RobotSpec
 
 PRIOR_SD = 0.05
-"""Initial standard deviation of the supply pressure, fraction of its nominal value."""
+"""Initial standard deviation of the supply pressure, fraction of the nominal pressure.
+"""
 LARGEST_SD = 0.2
 """Maximum standard deviation of the estimate, fraction of the nominal pressure."""
 WALK = 0.02
@@ -53,17 +55,17 @@ STARVED_BELOW = 0.6
 RECOVERED_ABOVE = 0.7
 """Fraction of the nominal pressure above which `low_supply_pressure` is cleared."""
 SUDDEN = 0.12
-"""Pressure change that is followed at once, fraction of the nominal supply pressure."""
+"""Minimum size of a sudden pressure change, fraction of the nominal pressure."""
 _SUDDEN_SD = 3.0
-"""Pressure change that is followed at once, in standard deviations of the residuals."""
+"""Minimum median residual of a sudden change, in standard deviations."""
 _SURPRISE = 3.0
-"""Change of the median, in standard deviations, that increases the variance."""
+"""Median change, in standard deviations, above which the variance is increased."""
 _AGREE = 3
-"""Minimum number of chambers whose median is used."""
+"""Minimum number of filling chambers from which a median is computed."""
 _SUPPLY_TAILS = 4.0
-"""Degrees of freedom of Student's t distribution for the residuals of the supply."""
+"""Degrees of freedom of Student's t distribution for supply residuals."""
 _LOWEST = 0.02
-"""Lower limit of the estimate, fraction of the nominal pressure."""
+"""Lower limit of the estimated supply pressure, fraction of the nominal pressure."""
 
 
 class SupplyFilter(Stateful):
@@ -78,7 +80,7 @@ class SupplyFilter(Stateful):
     state_attributes = ("pressure", "variance")
 
     def __init__(self, nominal: float) -> None:
-        """Start the estimate at the nominal gauge pressure (Pa)."""
+        """Initialise the estimate with the nominal gauge pressure (Pa)."""
         self.nominal = self.pressure = nominal
         self.variance = (PRIOR_SD * nominal) ** 2
 
@@ -107,10 +109,11 @@ class SupplyFilter(Stateful):
         weight: np.ndarray,
         repeats: float = 1.0,
     ) -> None:
-        """Correct the estimate with filling chambers.
+        """Correct the estimate with measurements of filling chambers.
 
         Args:
-            residual: excess r of each chamber, NaN without a measurement.
+            residual: measured minus expected value of each chamber. Missing
+                measurements are NaN.
             response: derivative h of each residual with respect to the supply pressure.
             sd: standard deviation of the error v of each chamber.
             weight: weight of each chamber, from 0 to 1.
@@ -124,7 +127,8 @@ class SupplyFilter(Stateful):
         response = response[there]
         weight = weight[there]
         variance = sd[there] ** 2
-        # If most chambers agree on a change, outliers are those that differ from it.
+        # If the median indicates a change, outliers are identified by their difference
+        # from the median.
         change = 0.0
         if len(residual) >= _AGREE:
             change = float(np.median(residual / response))
@@ -132,8 +136,8 @@ class SupplyFilter(Stateful):
             chance = np.pi / 2 / len(residual) * scatter
             if change**2 > _SURPRISE**2 * (self.variance + chance):
                 self.variance += change**2
-                # Earlier messages did not contain the change, so they are not
-                # correlated with this one.
+                # Messages before a sudden change are not correlated with messages after
+                # the change.
                 repeats = 1.0
         expected = variance + response**2 * self.variance
         square = (residual - response * change) ** 2 / expected
@@ -145,15 +149,10 @@ class SupplyFilter(Stateful):
     def follow_sudden_change(
         self, residual: np.ndarray, response: np.ndarray, sd: np.ndarray
     ) -> bool:
-        """Follow a sudden change that most chambers show.
-
-        Args:
-            residual: measured minus expected pressure of filling chambers, Pa.
-            response: derivative of each pressure with respect to the supply pressure.
-            sd: standard deviation of each pressure, Pa.
+        """Adopt a sudden change that most chambers indicate.
 
         Returns:
-            Whether a sudden change was found.
+            Whether a sudden change was detected.
         """
         if len(residual) < _AGREE:
             return False
@@ -173,7 +172,7 @@ class SupplyFilter(Stateful):
         self._set(self.pressure + gain * (pressure - self.pressure))
 
     def jump(self, fraction: float) -> None:
-        """Multiply the estimate by a fraction and increase the variance."""
+        """Multiply the estimate by a fraction and increase its variance."""
         self._set(fraction * self.pressure)
         self.variance = (LARGEST_SD * self.pressure) ** 2
 
@@ -184,62 +183,61 @@ class SupplyFilter(Stateful):
 FLOW_SD = 0.3
 """Prior standard deviation of the flow factor c.
 
-It is so large that a chamber that fills half as fast as in the robot file does not seem
-to leak before the first strokes are learnt."""
+The value is large, so a chamber that fills half as fast as in the robot file does not
+appear to leak before the first strokes have been learnt."""
 LOSS_SD = 0.3
 """Prior standard deviation of the apparent loss λ₀, 1/s."""
 FORGETTING = 0.95
-"""Weight of a stroke relative to the weight of the next stroke."""
+"""Factor by which the weight of a stroke decreases with each later stroke."""
 MOST_STROKES = 40
 """Maximum number of strokes over which the scatter is averaged."""
 SCATTER = 0.05
-"""Prior standard deviation between strokes, fraction of the inflow."""
+"""Prior standard deviation of the inflow between strokes, fraction of the inflow."""
 SCATTER_STROKES = 3
-"""Number of initial strokes during which the prior scatter is kept."""
+"""Number of initial strokes that do not change the scatter."""
 LEAST_SCATTER = 0.02
-"""Lower limit of the scatter, fraction of the inflow."""
+"""Lower limit of the standard deviation between strokes, fraction of the inflow."""
 MESSAGES_PER_INDEPENDENT = 16
 """Number of messages that carry the information of one independent message."""
 AMOUNT_SD = 0.013
-"""Standard deviation of an amount of air, fraction of K times the supply pressure."""
+"""Standard deviation of an amount of air, fraction of K times the nominal pressure."""
 LEAK_RATE_SD = 0.3
 """Relative standard deviation of the rate of a leak."""
 WEAK_INFLOW_SD = 0.7
 """Relative standard deviation of the inflow from a weak supply."""
 LEAST_INFLOW = 0.1
-"""Minimum inflow of a used stroke, fraction of K times the supply pressure."""
+"""Minimum inflow of a stroke that is used, fraction of K times the nominal pressure."""
 LONGEST_GAP_S = 0.1
-"""Time without a message after which a stroke ends, s."""
+"""Time without a message after which a stroke is ended, s."""
 SOUND = 0.98
-"""Strokes are learnt if the probability of no fault exceeds this value."""
+"""Minimum probability that a segment has no fault, for learning from its strokes."""
 LIMIT = 3.0
-"""Maximum residual from which the scatter is learnt, in standard deviations."""
+"""Limit of the residuals that contribute to the scatter, in standard deviations."""
 TAILS = 12.0
-"""Degrees of freedom of Student's t distribution for the residuals of strokes."""
+"""Degrees of freedom of Student's t distribution for stroke residuals."""
 
 
 _volume = np.vectorize(volume, otypes=[float, float])
 _flow = np.vectorize(
     lambda first, second: flow(first, second, CRITICAL_RATIO)[0], otypes=[float]
 )
-# Columns of the integrals over a stroke: the gauge pressure, the inflow of each
-# variant, and the derivative of the inflow with respect to the supply pressure. The
-# first variant has no fault.
+# The integrals over a stroke have columns for the gauge pressure, the inflow of each
+# variant, and the derivative of the inflow with respect to the supply pressure.
 _OUTFLOW = 0
 _SOUND_INFLOW = 1
 _INFLOWS = slice(1, -1)
 _DERIVATIVE = -1
-# Columns of the supply pressures at the start of a stroke and at the last message.
+# The supply pressure is stored at the start of a stroke and at the last message.
 _FIRST = 0
 _LAST = 1
 
 
 class SupplyResidual(NamedTuple):
-    """Air taken in by filling chambers, compared with the estimated supply pressure.
+    """Residuals of the inflow of filling chambers at the estimated supply pressure.
 
     Attributes:
-        residual: excess over the expected amount of air, shape (segments, 2), NaN
-            where it is unknown.
+        residual: measured minus expected amount of air, shape (segments, 2). Unknown
+            residuals are NaN.
         derivative: derivative of the amount with respect to the supply pressure, 1/Pa,
             shape (segments, 2).
         sd: standard deviation of the residual, shape (segments, 2).
@@ -256,7 +254,7 @@ class _Residual(NamedTuple):
     Attributes:
         value: residual of each balance.
         variance: variance of each residual.
-        fit_variance: part of the variance that is due to uncertain c and λ₀.
+        fit_variance: part of the variance that is due to the uncertainty of c and λ₀.
     """
 
     value: np.ndarray
@@ -268,8 +266,6 @@ class _Residual(NamedTuple):
 
 
 class _Message(IntEnum):
-    """Column of `LeakDetector._pending`, the most informative message of a stroke."""
-
     INFLOW = 0
     OUTFLOW = 1
     RESIDUAL = 2
@@ -280,14 +276,14 @@ class _Message(IntEnum):
 class LeakDetector(Stateful):
     """Leak detector based on the air balances of all chambers.
 
-    Amounts of air are fractions of K times the nominal supply pressure.
+    Amounts of air are expressed as fractions of K times the nominal supply pressure.
 
     Attributes:
         fit: flow factor c and apparent loss λ₀ (1/s) of each chamber, shape (segments,
             2, 2).
         scatter: variance between strokes, fraction of the squared inflow, shape
             (segments, 2).
-        learnt: number of learnt strokes of each chamber, shape (segments, 2).
+        learnt: number of strokes learnt for each chamber, shape (segments, 2).
     """
 
     state_attributes = (
@@ -313,12 +309,9 @@ class LeakDetector(Stateful):
         supply_pa: float,
         variants: Sequence[Inflow],
     ) -> None:
-        """Start with the values of the robot file.
+        """Initialise the detector for a nominal gauge pressure of the supply (Pa).
 
-        Args:
-            spec: specification of the robot.
-            supply_pa: nominal supply pressure, gauge, Pa.
-            variants: possible inflows of a chamber. The first variant has no fault.
+        The first variant of the inflow must be that of a chamber without a fault.
         """
         conductance, _, capacity = conductances(spec, CRITICAL_RATIO)
         self._chamber = spec.chamber
@@ -331,17 +324,12 @@ class LeakDetector(Stateful):
         self.fit = np.tile([1.0, 0.0], (*shape, 1))
         self.scatter = np.full(shape, SCATTER**2)
         self.learnt = np.zeros(shape)
-        # Inverse covariance of the fit.
         self._prior = np.diag([1 / FLOW_SD**2, 1 / LOSS_SD**2])
         self._information = np.tile(self._prior, (*shape, 1, 1))
         self._pending = np.zeros((*shape, len(_Message)))
-        # Time of the last pressure of the stroke, or NaN outside a stroke.
         self._time = np.full(shape, np.nan)
-        # The last axis holds the amount of air and the standard deviation of the
-        # amount.
         self._begun = np.zeros((*shape, 2))
         self._reached = np.zeros((*shape, 2))
-        # The last axis runs from `_OUTFLOW` to `_DERIVATIVE`.
         self._rates = np.zeros((*shape, count + 2))
         self._sums = np.zeros((*shape, count + 2))
         self._supply = np.zeros((*shape, 2))
@@ -353,11 +341,7 @@ class LeakDetector(Stateful):
         self.drop(np.ones(self.learnt.shape, dtype=bool))
 
     def drop(self, chambers: np.ndarray) -> None:
-        """End the strokes of chambers whose valves may have switched unseen.
-
-        Args:
-            chambers: whether the stroke of a chamber ends, shape (segments, 2).
-        """
+        """End the strokes of the chambers whose valves may have switched unobserved."""
         self._time[chambers] = np.nan
         for values in (self._pending, self._sums, self._log_likelihood):
             values[chambers] = 0.0
@@ -365,13 +349,7 @@ class LeakDetector(Stateful):
     def residuals(
         self, time: float, pressure: np.ndarray, filled: np.ndarray
     ) -> SupplyResidual:
-        """Return the residuals of current strokes from which the supply is estimated.
-
-        Args:
-            time: current time, s.
-            pressure: gauge pressures as in `update`, Pa.
-            filled: filling times as in `update`, s.
-        """
+        """Return the residuals from which the supply pressure is estimated."""
         used = self._continues(time, pressure, filled) & self._is_informative()
         residual = self._residual().sound()
         return SupplyResidual(
@@ -397,25 +375,24 @@ class LeakDetector(Stateful):
                 pressures are NaN.
             bend: estimated bend of each segment, rad.
             filled: time for which each chamber has been filled, shape (segments, 2), s.
-                The time is 0 while a chamber vents.
+                The filling time of a venting chamber is 0.
             sound: probability that a segment has no fault, shape (segments,).
             supply: filter for the supply pressure.
 
         Returns:
-            Change of the log-likelihood of each variant, shape (segments, 2,
-            variants).
+            Change of the log-likelihood of each variant, shape (segments, 2, variants).
         """
         seen = ~np.isnan(pressure)
         continues = self._continues(time, pressure, filled)
         change = np.where(continues, supply.pressure - self._supply[..., _LAST], 0.0)
-        # Correct the inflow of the stroke for the change of the estimated supply
+        # The inflow of the stroke is corrected for the change of the estimated supply
         # pressure.
         missed = (self._sums[..., _DERIVATIVE] * change)[..., None]
         self._sums[..., _INFLOWS] += np.where(self._fractions == 1.0, missed, 0.0)
         self._supply[seen, _LAST] = supply.pressure
         self._supply_sd = supply.sd
-        # A lost command may have closed the valve before the last message. Therefore a
-        # message is used only after the next one confirms that the valve is open.
+        # A message is used only after the next message confirms that the valve is open,
+        # because a lost command may have closed the valve before the last message.
         used = continues & self._is_informative()
         self._accumulate(used)
         added = self._log_likelihoods() - self._log_likelihood
@@ -453,8 +430,8 @@ class LeakDetector(Stateful):
         size, growth = _volume(
             chamber.dead_volume, chamber.displacement, bend.value[:, None], [0, 1]
         )
-        # The amount of air is the pressure times the volume, in units of K times the
-        # nominal supply pressure.
+        # The amount of air, pressure times volume, is expressed as a fraction of K
+        # times the nominal supply pressure.
         held = inside / self._unit
         held_sd = held * np.abs(growth) * bend.sd[:, None]
         reached = np.stack([held * size, held_sd], axis=-1)
@@ -464,8 +441,8 @@ class LeakDetector(Stateful):
         lines = np.append(self._fractions * line, [line + sd, line - sd])
         flows = self._conductance * _flow(lines + AMBIENT_PA, inside[..., None])
         flows[..., :-2] *= self._fractions > 0.0
-        # A difference quotient is used because the derivative diverges at equal
-        # pressures.
+        # The derivative is computed by finite differences, because the exact derivative
+        # diverges at equal pressures.
         derivative = (flows[..., -2:-1] - flows[..., -1:]) / (2 * sd)
         gauge = np.nan_to_num(pressure)[..., None] / self._nominal
         rates = np.concatenate([gauge, flows[..., :-2], derivative], axis=-1)
@@ -483,8 +460,8 @@ class LeakDetector(Stateful):
     def _residual(self) -> _Residual:
         inflow = self._sums[..., _INFLOWS]
         outflow = self._sums[..., [_OUTFLOW]]
-        # The balance is linear in the fit: the gain of air is c inflow − λ₀ outflow,
-        # and a leak λ reduces it by λ outflow.
+        # The balance is linear in c and λ₀. Without a leak, the amount of air increases
+        # by c · inflow − λ₀ · outflow. A leak λ reduces the increase by λ · outflow.
         row = np.stack([inflow, np.broadcast_to(-outflow, inflow.shape)], axis=-1)
         gain = (self._reached - self._begun)[..., :1]
         residual = gain - (row @ self.fit[..., None])[..., 0] + self._leaks * outflow
@@ -512,14 +489,14 @@ class LeakDetector(Stateful):
         inflow = self._sums[..., _SOUND_INFLOW]
         pending = self._pending
         residual, variance, fit_variance = self._residual().sound()
-        # The messages of one stroke share their errors, so only one of them is used.
+        # The errors of the messages of one stroke are correlated, so only one message
+        # per stroke is used.
         weight = 1 / (variance - fit_variance)
         known = pending[..., _Message.WEIGHT] * pending[..., _Message.INFLOW] ** 2
         better = used & (weight * inflow**2 > known)
         message = [inflow, -self._sums[..., _OUTFLOW], residual, weight]
         pending[better, : _Message.EXCESS] = np.stack(message, axis=-1)[better]
-        # A residual beyond the limit counts as a residual at the limit, so that a
-        # single outlier cannot dominate the scatter.
+        # Residuals are limited, so that a single outlier cannot dominate the scatter.
         excess = np.minimum(residual**2, LIMIT**2 * variance) - variance
         pending[used, _Message.EXCESS] = excess[used] / inflow[used] ** 2
 

@@ -1,10 +1,10 @@
 r"""Clock offsets of the senders, and a buffer that sorts messages by sending time.
 
-A message is sent at time s of the sender's clock and received at time a of the local
-clock. The difference a − s is the offset of the two clocks plus the transport delay,
-which is not negative. The offset is estimated as the minimum of a − s over the last
-seconds, and the excess of a message over the offset is its jitter. Quartz clocks drift
-by about 5·10⁻⁵, that is, by half a millisecond in ten seconds.
+A message is sent at the time s on the sender's clock and received at the time a on the
+local clock. The difference a − s is the offset of the two clocks plus the transport
+delay, which is not negative. The offset is estimated as the minimum of a − s over the
+last ten seconds. The jitter of a message is the difference a − s minus the offset.
+Quartz clocks drift by about 5·10⁻⁵, which is half a millisecond in ten seconds.
 """
 
 from __future__ import annotations
@@ -20,30 +20,32 @@ import numpy as np
 from srs_twin.live.messages import BENDS, COMMAND, VALVES, Message
 
 WINDOW_S = 10.0
-"""Interval over which the offset is estimated, s."""
+"""Duration of the interval over which the offset is estimated, s."""
 STEP_S = 1.0
-"""Maximum difference from the offset up to which a time stamp is used, s.
+"""Maximum difference between delay and offset for a usable time stamp, s.
 
-Time stamps with a larger difference are not used before other messages confirm them.
+A time stamp with a larger difference is used only after other messages confirm it.
 """
 AGREEMENT_S = 0.05
-"""Difference from the offset up to which a message confirms the offset, s."""
+"""Maximum deviation of a delay that confirms the offset, s.
+"""
 CONFIRMING = 3
 """Number of successive messages that confirm a new offset."""
 CONFIRMING_S = 0.4
-"""Time without an agreeing message after which a higher offset is confirmed, s."""
+"""Time without a confirming message after which the offset may increase, s.
+"""
 MOST_DELAY_S = 15.0
-"""Maximum increase of the offset that a slower transport can explain, s."""
+"""Maximum increase of the offset that is attributed to slower transport, s."""
 KEPT = 5000
-"""Maximum number of messages in the window."""
+"""Maximum number of messages from which the offset is estimated."""
 MOST_HOLD_S = 0.1
-"""Maximum time for which messages are held, s."""
+"""Maximum time for which a message is held, s."""
 _IN_TIME = 0.97
 """Fraction of the messages that must arrive within the holding time."""
 _HOLD_UPDATES = 25
 """Number of calls after which the holding time is adapted."""
 _RANKS = {COMMAND: 0, VALVES: 0, BENDS: 1}
-"""Processing order of messages with equal times. All other kinds come last.
+"""Processing order of messages with equal times. Kinds that are not listed come last.
 
 Measurements that depend on bends must be processed after the bends.
 """
@@ -57,17 +59,18 @@ class _Arrival(NamedTuple):
 class SenderClock:
     """Estimate of the clock offset of one sender.
 
-    A message confirms the offset if its delay agrees with it within `AGREEMENT_S`. A
-    single message that disagrees may have a wrong time stamp. The offset decreases
-    after `CONFIRMING` successive messages with lower delays. It increases after
-    `CONFIRMING_S` without any message that agrees. An increase can be due to a sender's
-    clock that was set back or to a slower transport. These two causes cannot be
-    distinguished, so the age of the messages is then uncertain by the difference.
+    A message confirms the offset if the delay of the message differs from the offset by
+    at most `AGREEMENT_S`. A single message with another delay may have a wrong time
+    stamp. The offset is decreased after `CONFIRMING` successive messages with lower
+    delays. The offset is increased if no message has confirmed the offset for
+    `CONFIRMING_S`. An increase is caused either by setting back the sender's clock or
+    by slower transport. The cause of an increase is unknown, so the increase is added
+    to the uncertainty of the age of messages.
 
     Attributes:
         offset: local clock minus the sender's clock, including the minimum delay, s.
         jumps: number of times that the offset changed by more than `AGREEMENT_S`.
-        uncertainty: uncertainty of the age of messages due to steps of the offset, s.
+        uncertainty: uncertainty of the age of messages due to changes of the offset, s.
     """
 
     def __init__(self) -> None:
@@ -77,22 +80,16 @@ class SenderClock:
         self.uncertainty = 0.0
         self._agreed = -math.inf
         self._seen: deque[_Arrival] = deque(maxlen=KEPT)
-        # Candidates for the minimum delay in the window, sorted by increasing delay.
         self._least: deque[_Arrival] = deque()
-        # Successive messages whose delay is too low, or too high, for the offset.
         self._early: deque[_Arrival] = deque(maxlen=CONFIRMING)
         self._late: deque[_Arrival] = deque(maxlen=KEPT)
 
     def update(self, sent: float, arrived: float) -> float | None:
-        """Update the offset with the time stamps of a message.
-
-        Args:
-            sent: sending time on the sender's clock, s.
-            arrived: time of arrival on the local clock, s.
+        """Update the offset with the sending time and arrival time (s) of a message.
 
         Returns:
-            Sending time on the local clock, s, or None if it differs by more than
-            `STEP_S` and no other messages confirm it.
+            Sending time on the local clock, s, or None if the delay differs from the
+            offset by more than `STEP_S`.
         """
         delay = arrived - sent
         arrival = _Arrival(arrived, delay)
@@ -117,7 +114,8 @@ class SenderClock:
                 self._accept(arrival)
         if abs(delay - self.offset) > STEP_S:
             return None
-        # A wrong time stamp must not place the sending time after the arrival.
+        # The sending time must not be later than the arrival, even if the time stamp is
+        # wrong.
         return min(sent + self.offset, arrived)
 
     def _follow(self, arrivals: deque[_Arrival], *, confirmed: bool) -> None:
@@ -176,8 +174,6 @@ class TimedMessage(NamedTuple):
 
 
 class _Held(NamedTuple):
-    """Held message, which sorts by sending time, then by rank, then by number."""
-
     time: float
     rank: int
     number: int
@@ -188,13 +184,14 @@ class ReorderBuffer:
     """Buffer that sorts messages of all senders by sending time on the local clock.
 
     Attributes:
-        clocks: clock estimate of each sender. The robot and the sender of its commands
-            have different clocks.
-        hold: time for which messages are held, s. The time grows with the jitter up to
-            `MOST_HOLD_S`.
-        counts: number of messages per source, kind and result. Results are "taken",
-            "duplicate", "late" (after a newer message was used) and "off its clock"
-            (the time stamp differs by more than `STEP_S`).
+        clocks: clock estimate of each sender. The robot and the sender of the robot's
+            commands have different clocks.
+        hold: time for which messages are held, s. The time increases with the jitter up
+            to `MOST_HOLD_S`.
+        counts: number of messages per source, kind and result. The results are "taken",
+            "duplicate", "late" and "off its clock". A message is late if a newer
+            message was already returned, and off its clock if the time stamp is
+            implausible.
     """
 
     def __init__(self, hold_s: float = 0.03) -> None:
@@ -218,8 +215,8 @@ class ReorderBuffer:
         jumps = clock.jumps
         time = clock.update(message.sent, message.arrived)
         if clock.jumps > jumps:
-            # After a clock was set back, its time stamps occur a second time and are
-            # not duplicates.
+            # After a clock has been set back, equal time stamps do not indicate
+            # duplicates.
             self._known = {
                 key: sent
                 for key, sent in self._known.items()
@@ -227,7 +224,7 @@ class ReorderBuffer:
             }
         key = message.source, message.kind
         known = self._known.setdefault(key, deque(maxlen=200))
-        if message.sent in known:  # a broker may deliver a message more than once
+        if message.sent in known:  # A broker may deliver a message more than once.
             self.counts[*key, "duplicate"] += 1
             return
         known.append(message.sent)
@@ -255,7 +252,7 @@ class ReorderBuffer:
         ]
 
     def pop_until(self, now: float) -> list[TimedMessage]:
-        """Return the messages that are due at `now` (local clock, s)."""
+        """Return the messages that are due at the time `now` on the local clock (s)."""
         self._calls += 1
         if self._calls % _HOLD_UPDATES == 0 and self.clocks:
             longest = max(

@@ -1,4 +1,4 @@
-"""Duty cycles of the valves over time, and their period."""
+"""Duty cycles of the valves as functions of time, and the period of the commands."""
 
 from __future__ import annotations
 
@@ -15,16 +15,19 @@ from srs_twin.live.messages import COMMAND, Message
 DELAY_S = 0.01
 """Delay from sending a command to its effect, s (half a tick of the robot)."""
 REPORTED_S = 0.02
-"""Time before a report during which the valves had the reported states, s (one tick).
+"""Default duration of the reported valve states before a report, s (one tick).
 """
 SILENT_S = 0.2
-"""Age of a command above which the robot vents all chambers, s."""
+"""Maximum age of a command, s.
+
+If no newer command arrives, the robot vents all chambers.
+"""
 KEPT_S = 1.0
 """Time for which commands are kept, s."""
 _LEAST_INTERVAL_S = 1e-3
-"""Reports at shorter intervals belong to one transmission, s."""
+"""Minimum interval between reports of different ticks, s."""
 _GAP_FACTOR = 1.5
-"""Ratio of an interval to the usual interval that indicates lost commands."""
+"""Ratio of an interval to the median interval above which commands were lost."""
 
 
 def are_states(values: np.ndarray) -> bool:
@@ -33,18 +36,18 @@ def are_states(values: np.ndarray) -> bool:
 
 
 def duty(values: np.ndarray) -> np.ndarray:
-    """Convert valve states or duties to the fraction of time in which valves fill."""
+    """Convert valve states or duties to duties from 0 to 1."""
     if are_states(values):
         return np.asarray((values + 1) / 2)
     return np.asarray(np.clip(values, 0.0, 1.0))
 
 
 class LostCommands(NamedTuple):
-    """Effect of commands that were lost.
+    """Change of the duty due to lost commands.
 
     Attributes:
         change: change of the duty, shape (segments, 2).
-        interval: length of the interval in which the duty changed, s.
+        interval: duration of the interval in which the duty changed, s.
     """
 
     change: np.ndarray
@@ -52,7 +55,9 @@ class LostCommands(NamedTuple):
 
 
 class CommandHistory:
-    """Valve duties over time, each of which holds until the next duty.
+    """Valve duties as a function of time.
+
+    Each duty is held until the next duty.
 
     Initially all chambers vent.
     """
@@ -66,24 +71,21 @@ class CommandHistory:
         self._report_s = REPORTED_S
 
     def add(self, time: float, message: Message) -> LostCommands | None:
-        """Add a command or a report of valve states.
-
-        Args:
-            time: time of the message, s.
-            message: command or report. Messages of either kind may be lost.
+        """Add a command or a report of valve states at a time (s).
 
         Returns:
-            Effect of lost commands, or None if no loss was noticed.
+            Effect of lost commands, or None if no loss was detected.
         """
         if message.kind == COMMAND:
             self._carrier = not are_states(message.values)
             start = time + DELAY_S
         elif self._carrier:
-            # A single state of a pulse-width-modulated valve does not tell its duty.
+            # A single state of a pulse-width modulated valve does not determine the
+            # duty.
             return None
         else:
-            # The shortest interval between reports is the robot's tick. Longer
-            # intervals are due to lost reports.
+            # The tick of the robot is estimated by the shortest interval between
+            # reports, because longer intervals are due to lost reports.
             if _LEAST_INTERVAL_S < message.sent - self._reported < self._report_s:
                 self._report_s = message.sent - self._reported
             self._reported = message.sent
@@ -100,7 +102,7 @@ class CommandHistory:
         return None
 
     def forget(self, before: float) -> None:
-        """Remove duties that ended before a time (s)."""
+        """Remove the duties that ended before a time (s)."""
         while len(self._times) > 2 and self._times[1] < before:
             self._times.popleft()
             self._duties.popleft()
@@ -112,7 +114,7 @@ class CommandHistory:
 
         Args:
             times: ascending times, shape (times,), s.
-            waiting: further commands with the times (s) at which they are sent.
+            waiting: further commands, each with the sending time (s).
 
         Returns:
             Duty of each valve at each time, shape (times, segments, 2).
@@ -131,30 +133,25 @@ class CommandHistory:
 SLOT_S = 0.02
 """Sampling interval of the commands, s."""
 _KEPT = 250
-"""Number of slots with commands that are kept."""
+"""Number of slots that are kept."""
 _LAGS = range(10, 126)
 """Possible periods of the commands, in slots."""
 _SAME = 0.1
-"""Mean difference of the duties below which commands count as equal."""
+"""Mean absolute difference of duties below which commands count as equal."""
 
 
 class CommandPeriod:
     """Commands of the last seconds, sampled in slots of equal length."""
 
     def __init__(self) -> None:
-        """Start without commands."""
+        """Create an empty record of commands."""
         self._slot = -1
         self._duties: deque[np.ndarray] = deque(maxlen=_KEPT)
 
     def add(self, time: float, duty: np.ndarray) -> None:
-        """Add the duty of the valves in the slot that contains a time.
-
-        Args:
-            time: time of the command, s.
-            duty: duty of each valve, shape (segments, 2).
-        """
+        """Store the duty of the valves in the slot that contains a time (s)."""
         slot = math.floor(time / SLOT_S)
-        if slot > self._slot + 1:  # a gap would change the lags of earlier commands
+        if slot > self._slot + 1:  # A gap would change the lags of earlier commands.
             self._duties.clear()
         if slot > self._slot:
             self._duties.append(duty)
@@ -172,12 +169,12 @@ class CommandPeriod:
         return np.repeat(past[-1:], slots, axis=0)
 
     def period(self) -> int:
-        """Return the period of the commands in slots, or 0 without a period."""
+        """Return the period in slots, or 0 if the commands are not periodic."""
         if not self._duties:
             return 0
         past = np.array(self._duties)
         recent = past[-_LAGS[-1] // 2 :]
-        if not np.ptp(recent, axis=0).any():  # constant commands have no period
+        if not np.ptp(recent, axis=0).any():
             return 0
         least = _SAME
         period = 0

@@ -1,33 +1,34 @@
-r"""Disturbance observer that estimates a contact force from pressures and bends.
+r"""Disturbance observer for a contact force, based on measured pressures and bends.
 
-The bend q_j of a segment is the sum of its rest bend b_j, the free bend φ_j due to its
+The bend q_j of segment j is the sum of the rest bend b_j, the free bend φ_j due to the
 pressures, and the deflection due to the external moment M_j:
 
 $$ q_j = b_j + \varphi_j(p) + M_j/k . $$
 
-In a steady gait all terms repeat with the period of the commands. The observer learns
-the mean of q_j and φ_j in each phase of the period, so that differences between
-modules, sensor offsets and the moments exerted by the floor cancel. The deviation
+In a steady gait all terms are periodic. The observer learns the means of q_j and φ_j in
+each phase of the gait. Subtracting the means of q_j and φ_j cancels differences between
+modules, sensor offsets and the moments exerted by the floor. The deviation
 
 $$ e_j = (q_j - \bar q_j) - (\varphi_j - \bar\varphi_j) $$
 
-is the contact moment divided by the stiffness k. Because the pressures are measured, a
-drift of the supply is not mistaken for a contact, nor is air that a contact compresses.
+is the contact moment divided by the stiffness k. The free bends are computed from
+measured pressures, so neither a drift of the supply pressure nor the compression of air
+by a contact is mistaken for a contact.
 
-**Detection.** At the beginning of a contact, its moments are proportional to the force
-F. For each possible place on a grid, F is fitted to a time window by weighted least
-squares. The score of a place is the ratio of F to its standard deviation. A contact is
-detected if the maximum score exceeds a threshold.
+**Detection.** At the beginning of a contact, the contact moments are proportional to
+the contact force F. For each position on a grid, F is fitted to the deviations in a
+time window by weighted least squares. The score of a position is the ratio of F to the
+standard deviation of F. A contact is detected if the maximum score exceeds a threshold.
 
-**Estimate.** A force comparable to the friction of the floor pushes the snake aside and
-turns it, which changes the friction and adds inertia. `PushedBody` predicts this motion
-for hypotheses about place, force and time of the first touch. The estimate is the
-posterior mean of the force at the most probable place. The noise variance is multiplied
-by the mean squared residual of the best hypothesis, which accounts for model errors.
-Learning stops while the score is high.
+**Estimate.** A force comparable to the floor friction moves and turns the snake, which
+changes the friction forces and causes inertial forces. `PushedBody` predicts the motion
+of the pushed body for hypotheses about the position, the force and the start of the
+contact. The estimate is the posterior mean of the force at the most probable position.
+The noise variance is multiplied by the mean squared residual of the best hypothesis,
+which accounts for model errors. No means are learnt while the score is high.
 
-**Limits.** A force along the body is not observable, two simultaneous contacts appear
-as one, and the force is assumed constant during a contact.
+**Limits.** A force along the body is not observable. Two simultaneous contacts are
+estimated as one contact. The force is assumed to be constant during a contact.
 """
 
 from __future__ import annotations
@@ -45,49 +46,60 @@ from srs_twin.live.pushed_body import PushedBody
 from srs_twin.pneumatics.chambers import air_bend
 from srs_twin.robot.spec import GRAVITY, RobotSpec
 
-# All times hold for a robot with a time unit of 1 s (`robot.scale`). They are
-# multiplied by the time unit of the robot.
+# The following times are multiplied by the time unit of the robot (`robot.scale`).
 WINDOW_S = 0.3
-"""Duration of the score's time window, s, and of the shortest detectable contact."""
+"""Duration of the time window from which the score is computed, s."""
 SETTLING_S = 2.0
-"""Duration of the transient after the start of a gait, which is not learnt, s."""
+"""Duration of the transient after the start of a gait, s.
+
+Samples of the transient are not used for learning.
+"""
 LEARNING_S = 10.0
-"""Duration of free crawling before estimates begin, s."""
+"""Duration of crawling without contact before estimates begin, s."""
 THRESHOLD = 6.0
 """Score above which a contact is detected.
 
-The value was chosen in benchmarks/contact_estimate.py on robots with seeds from 1000.
+The value was chosen with benchmarks/contact_estimate.py for robots with seeds from
+1000.
 """
 COVERAGE = 0.9
-"""Nominal coverage probability of the intervals of force and place."""
+"""Nominal coverage probability of the intervals of the force and the position."""
 _LEARNING_SCORE = 4.0
 """Score above which learning stops and hypotheses are compared."""
 _MEMORY = 20
-"""Number of periods over which the means are taken."""
+"""Number of periods over which the means are computed."""
 _RESOLUTION = 1e-12
-"""Lower limit of the variance of a deviation, rad². Simulated readings may be exact."""
+"""Lower limit of the variance of a deviation, rad², because simulated readings may be
+exact.
+"""
 _SAME_COMMAND = 0.1
-"""Maximum change of a duty that counts as the same gait."""
+"""Maximum difference of a duty from the mean for commands that belong to the learnt
+gait.
+"""
 _STATIONS_PER_SEGMENT = 8
 _FILTER_S = 0.09
-"""Time constant of the low-pass filter that removes oscillations of the segments, s."""
+"""Time constant of the low-pass filter that suppresses oscillations of the segments, s.
+"""
 _ONSET_S = 0.3
-"""Maximum time from the first touch to the start of the comparison, s."""
+"""Maximum time from the start of a contact to the start of the comparison, s."""
 _ONSET_STEP_S = 0.06
-"""Time between the first touches of neighbouring hypotheses, s."""
+"""Difference between the contact start times of neighbouring hypotheses, s."""
 _LEAST_FORCE = 0.25
 """Minimum force of a hypothesis as a multiple of the maximum floor friction."""
 _FORCE_RATIO = 1.3
 """Ratio of the forces of neighbouring hypotheses."""
 _POWERS = np.arange(12)
 _PRUNED = 25.0
-"""Excess over the minimum cost, in variances, above which a hypothesis is dropped."""
+"""Maximum difference from the minimum cost, in variances, of a hypothesis that is kept.
+"""
 _CORRELATION = 2.0
-"""Factor on the variance of the model error that accounts for correlation in time."""
+"""Factor by which the variance is multiplied, because model errors are correlated in
+time.
+"""
 
 
 class CredibleInterval(NamedTuple):
-    """Interval with the probability `COVERAGE`. Its ends are NaN without a contact."""
+    """Interval that contains the true value with the probability `COVERAGE`."""
 
     low: float = math.nan
     high: float = math.nan
@@ -97,16 +109,15 @@ class CredibleInterval(NamedTuple):
 class ContactEstimate:
     """Estimated contact of the snake with an obstacle.
 
-    Force and place are NaN if no contact is detected.
+    If no contact is detected, the force and the position are NaN.
 
     Attributes:
         touched: whether a contact is detected.
-        score: maximum ratio of a fitted force to its standard deviation due to sensor
-            noise, dimensionless.
+        score: maximum ratio of a fitted force to its standard deviation, dimensionless.
         force: normal force, positive to the left of the body, N.
-        force_interval: confidence interval of the force, N.
+        force_interval: credible interval of the force, N.
         place: distance of the contact behind the first connector along the body, m.
-        place_interval: confidence interval of the place, m.
+        place_interval: credible interval of the position, m.
     """
 
     touched: bool
@@ -119,12 +130,12 @@ class ContactEstimate:
 
 @dataclass(frozen=True)
 class Hypotheses:
-    """Possible contacts, their predictions and costs.
+    """Hypothetical contacts with predictions and costs.
 
     Attributes:
-        station: index of the possible place, shape (hypotheses,).
+        station: index of the contact position in the grid, shape (hypotheses,).
         force: contact force, shape (hypotheses,), N.
-        velocity: velocities of `PushedBody`, shape (hypotheses, 3).
+        velocity: velocities of the body as in `PushedBody`, shape (hypotheses, 3).
         bend: filtered prediction of the deviation, shape (hypotheses, segments), rad.
         cost: sum of squared residuals divided by the noise variance, shape
             (hypotheses,).
@@ -158,13 +169,11 @@ class Hypotheses:
         return Hypotheses(**arrays, compared=self.compared)
 
     def inflation(self, independent: float) -> float:
-        """Return the factor by which model errors inflate the noise variance.
+        """Return the factor by which model errors increase the noise variance.
 
         The factor is the mean square of the normalised residuals of the best
-        hypothesis, and at least 1.
-
-        Args:
-            independent: number of independent values per sample.
+        hypothesis, but at least 1. `independent` is the number of independent values
+        per sample.
         """
         return max(float(self.cost.min()) / max(self.compared * independent, 1.0), 1.0)
 
@@ -178,37 +187,25 @@ class Hypotheses:
 _OF_EACH = ("station", "force", "velocity", "bend", "cost")
 """Attributes of `Hypotheses` with one row per hypothesis."""
 
-# Row indices of a sample and of the learnt means.
+# Each sample has rows for the bend, the free bend and the commands.
 _BEND = 0
 _FREE = 1
 _COMMANDS = slice(2, None)
 
 
 def _deviation(sample: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    """Return the deviation e defined in the module docstring, rad."""
     return np.asarray(sample[_BEND] - mean[_BEND] - sample[_FREE] + mean[_FREE])
 
 
 class _Fit(NamedTuple):
-    """Terms of the least-squares fit of F to one sample, for each station.
-
-    Attributes:
-        moment: product of deviation and bends per force, divided by the variance.
-        information: squared bends per force, divided by the variance.
-    """
+    """Terms of the least-squares fit of F to one sample, for each station."""
 
     moment: np.ndarray
     information: np.ndarray
 
 
 class _Gait(NamedTuple):
-    """Model of the learnt gait.
-
-    Attributes:
-        shape: mean bends at the samples of the period, rad.
-        body: model of the body motion in this gait.
-        patterns: bends per force, shape (period, stations, segments), rad/N.
-    """
+    """Model of the learnt gait."""
 
     shape: np.ndarray
     body: PushedBody
@@ -219,7 +216,8 @@ class ContactObserver(Stateful):
     """Observer of the contact force on a snake in a periodic gait.
 
     Attributes:
-        period: period of the commands in samples, or 0 if they are not periodic.
+        period: period of the commands in samples, or 0 if the commands are not
+            periodic.
     """
 
     state_attributes = (
@@ -238,12 +236,13 @@ class ContactObserver(Stateful):
     )
 
     def __init__(self, spec: RobotSpec, sample_s: float, period: int = 0) -> None:
-        """Create an observer without learnt means.
+        """Create an observer that has not learnt any means.
 
         Args:
             spec: robot specification.
             sample_s: time between samples, s.
-            period: period of the commands in samples, or 0 if it is set later.
+            period: period of the commands in samples, or 0 if the period is not known
+                yet.
 
         Raises:
             InputError: the robot has fewer than two segments.
@@ -263,10 +262,9 @@ class ContactObserver(Stateful):
         self._past = max(round(_ONSET_S * in_samples), 1)
         self._onset_step = max(round(_ONSET_STEP_S * in_samples), 1)
         self._gain = 1 - math.exp(-1 / (_FILTER_S * in_samples))
-        # A first-order filter with gain g divides the variance of white noise by
-        # (2 - g)/g, and the number of independent values too.
+        # A first-order filter with the gain g divides the variance of white noise and
+        # the number of independent values by (2 - g)/g.
         self._independent = spec.segments * self._gain / (2 - self._gain)
-        # Maximum friction force of the floor on the whole robot, N.
         self._friction = spec.friction.mu_n * spec.mass.total * GRAVITY
         self.set_period(period)
 
@@ -278,14 +276,14 @@ class ContactObserver(Stateful):
         self._count = 0
         self._changed = 0
         self._bins = np.zeros(max(period, 1), dtype=int)
-        # Means of the bend, the free bend and the two commands in each phase.
         self._sums = np.zeros((max(period, 1), 4, n))
         self._variance = np.zeros(n)
         self._filtered = np.zeros(n)
         self._window: deque[_Fit] = deque(maxlen=self._length)
-        # Filtered deviations of the last samples, in which a contact may have begun.
+        # A contact may have begun during the last samples, whose filtered deviations
+        # are kept.
         self._recent: deque[np.ndarray | None] = deque(maxlen=self._past + 1)
-        self._shape = np.zeros((0, n))  # mean bends at the end of learning
+        self._shape = np.zeros((0, n))
         self._gait: _Gait | None = None
         self._hypotheses: Hypotheses | None = None
 
@@ -307,7 +305,7 @@ class ContactObserver(Stateful):
             measured_bend: bend readings, shape (segments,), rad. Missing readings are NaN.
 
         Returns:
-            Contact estimate, or None while the observer learns.
+            Contact estimate, or None if the observer has not learnt enough samples.
         """
         if not self.period:
             return None
@@ -322,7 +320,7 @@ class ContactObserver(Stateful):
         if known and change > _SAME_COMMAND:
             self._changed += 1
             if self._changed > self.period // 2:
-                self.set_period(self.period)  # so many changes mean a new gait
+                self.set_period(self.period)  # The gait has changed.
             self._compare(None)
             return None
         self._changed = 0
@@ -330,7 +328,7 @@ class ContactObserver(Stateful):
             self._compare(None)
             return None
         sample = np.stack([measured_bend, free, *np.asarray(command, dtype=float).T])
-        # Some samples may be missing, but enough are needed to estimate the variance.
+        # Samples may be missing, but half of them are needed to estimate the variance.
         learnt = self._bins.all() and self._count >= (self._learnt - self._settled) / 2
         estimate = None
         if learnt and self._samples >= self._learnt:
@@ -345,8 +343,7 @@ class ContactObserver(Stateful):
         mean = self._sums[k]
         known = self._bins[k]
         if known:
-            # The mean of few samples is uncertain itself, which increases the
-            # deviation.
+            # The mean of few samples is uncertain, which increases the deviation.
             error = _deviation(sample, mean) * math.sqrt(known / (known + 1))
             self._count += 1
             weight = 1 / min(self._count, self._learnt - self._settled)
@@ -378,8 +375,8 @@ class ContactObserver(Stateful):
 
     def _estimate(self, sample: np.ndarray, k: int) -> ContactEstimate:
         mean = self._sums[k]
-        # The mean of n samples is uncertain itself, so the variance of the deviation is
-        # larger by the factor 1 + 1/n.
+        # The mean of n samples is uncertain, so the variance of the deviation is larger
+        # by the factor 1 + 1/n.
         fraction = math.sqrt(self._bins[k] / (self._bins[k] + 1))
         error = _deviation(sample, mean)
         pattern = self._learnt_gait().patterns[k]
@@ -444,14 +441,14 @@ class ContactObserver(Stateful):
         return later.pruned(_PRUNED * later.inflation(self._independent))
 
     def _contact(self, score: float, now: Hypotheses) -> ContactEstimate:
-        # The weights are likelihoods of the hypotheses. The intervals use wider
-        # likelihoods, because model errors are correlated in time.
+        # The weights are the likelihoods of the hypotheses. The likelihoods for the
+        # intervals are wider, because model errors are correlated in time.
         variance = 2 * now.inflation(self._independent)
         weight = np.exp((now.cost.min() - now.cost) / variance)
         best = int(now.cost.argmin())
         same = (now.station == now.station[best]) & (now.force * now.force[best] > 0)
         wide = np.exp((now.cost.min() - now.cost) / (_CORRELATION * variance))
-        # The intervals include the grid spacing of the hypotheses.
+        # The intervals are widened by the grid spacing of the hypotheses.
         step = self._spec.geometry.pitch / _STATIONS_PER_SEGMENT
         places = _interval(self.stations[now.station], wide)
         ratio = math.sqrt(_FORCE_RATIO)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from srs_twin.live.links import MqttLink
     from srs_twin.live.optitrack import NatNetServer
 
-PASSWORD = "SRS_TWIN_MQTT_PASSWORD"  # noqa: S105  # the name of a variable
+PASSWORD = "SRS_TWIN_MQTT_PASSWORD"  # noqa: S105  # This is the name of a variable.
 
 
 _LONGEST_NAME = 200
@@ -42,14 +42,6 @@ def broker_link(
     **settings: Any,
 ) -> MqttLink:
     """Connect to the topics of a robot at an MQTT broker.
-
-    Args:
-        robot: name of the robot.
-        segments: number of segments.
-        address: address of the broker, HOST or HOST:PORT.
-        user: user name, or None for an anonymous login.
-        ca: CA certificate file of the broker, or None for a connection without TLS.
-        **settings: keyword arguments passed on to `MqttLink`.
 
     Raises:
         InputError: the name cannot be part of a topic, or the broker does not answer.
@@ -67,7 +59,7 @@ def broker_link(
 
 
 def interruption() -> threading.Event:
-    """Return an event that is set by Ctrl-C and by SIGTERM and SIGHUP."""
+    """Return an event that is set when Ctrl-C, SIGTERM or SIGHUP is received."""
     over = threading.Event()
     handle_signals(lambda *_: over.set(), signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     return over
@@ -100,9 +92,6 @@ class EmulationOptions:
 
     def emulated(self, robot: str) -> EmulatedRobot:
         """Create the emulated robot with these options.
-
-        Args:
-            robot: name of a shipped robot, or path of a robot file.
 
         Raises:
             InputError: the robot does not exist, or an option is invalid.
@@ -158,9 +147,10 @@ def emulate(
     """Emulate a robot that communicates over MQTT and NatNet.
 
     The emulated robot is a twin with unequal modules, compressible flow in the
-    chambers, sensor noise and faults. It executes valve commands and publishes bends,
-    pressures, valve states and poses in real time. docs/live.md describes the messages.
-    The environment variable SRS_TWIN_MQTT_PASSWORD contains the password of --user.
+    chambers, sensor noise and faults. The emulated robot executes valve commands and
+    publishes bends, pressures, valve states and poses in real time. docs/live.md
+    describes the messages. The environment variable SRS_TWIN_MQTT_PASSWORD contains the
+    password of --user.
 
     Options:
         mqtt: Address of the MQTT broker.

@@ -1,10 +1,10 @@
-"""Emulated robot: a simulation with the interfaces of a real robot.
+"""Emulated robot, which is a simulation with the interfaces of a real robot.
 
-The simulation is a twin with instantaneous loads, compressible flow in the chambers,
-random module properties and faults at given times. It receives commands from a broker
-and publishes bends, pressures and valve states in real time. A NatNet server sends the
-poses of the connectors. Like the firmware of a real robot, the emulated robot vents all
-chambers 0.2 s after the last command.
+The simulation is a twin with compressible flow in the chambers, random module
+properties and faults at given times. The emulated robot receives commands from an MQTT
+broker and publishes bends, pressures and valve states in real time. A NatNet server
+sends the poses of the connectors. Like the firmware of a real robot, the emulated robot
+vents all chambers 0.2 s after the last command.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from srs_twin.scenario.scenario import Scenario
 CARRIER_HZ = 60.0
 """Carrier frequency of the pulse-width modulation of valves, Hz."""
 _LATE_S = 1.0
-"""Delay behind real time above which missed ticks are skipped, s."""
+"""Maximum delay behind real time, s. Beyond this delay, missed ticks are skipped."""
 _SIDES = {"+": 0, "-": 1}
 _FAULT = re.compile(r"(\w+)(?::(\d+)([+-])?)?(?:=(\w+))?@([\d.]+)")
 _FORM = "KIND[:NUMBER[+|-]][=HOW]@SECONDS, such as stuck_valve:2+=closed@5"
@@ -49,9 +49,10 @@ class FaultKind(NamedTuple):
     """Kind of fault.
 
     Attributes:
-        part: kind of the affected part, or an empty string for the whole robot.
-        variants: value of each variant by name. The first variant is the default.
-            Values of leaks are rates in 1/s.
+        part: kind of the affected part, or an empty string if the fault affects the
+            whole robot.
+        variants: value of each variant, keyed by name. The first variant is the
+            default. The values of leaks are rates in 1/s.
     """
 
     part: str
@@ -67,10 +68,10 @@ KINDS = {
     "lost_marker": FaultKind("connector", {"gone": 1}),
 }
 _EXAMPLES = {"chamber": ":2+@5", "segment": ":2@5", "connector": ":2@5", "": "@5"}
-"""Example of the text that follows the kind of a fault, for each affected part."""
+"""Example of the text after the kind of a fault, for each kind of affected part."""
 
 _DRIFT_RAD_PER_S = 0.1
-"""Rate of a drifting sensor, rad/s."""
+"""Drift rate of a drifting sensor, rad/s."""
 _CAMERA_NOISE_M = 0.0003
 """Standard deviation of the measured coordinates of a marker, m."""
 _MARKER_DISTANCE_M = 0.02
@@ -84,8 +85,8 @@ class Fault:
     """Fault that begins at a given time.
 
     Attributes:
-        number: number of the segment or connector, counted from 1 at the head, or 0 for
-            the whole robot.
+        number: number of the segment or connector, counted from 1 at the head, or 0 if
+            the fault affects the whole robot.
         side: side of the chamber, 0 for + and 1 for −.
         how: value of the variant, as listed in `KINDS`.
         since: time from the start of the emulation to the fault, s.
@@ -101,12 +102,9 @@ class Fault:
     def parse(cls, text: str, segments: int) -> Fault:
         """Parse a fault such as ``stuck_valve:2+@5``.
 
-        Args:
-            text: kind, part, optional variant and time (s) of the fault.
-            segments: number of segments of the robot.
-
         Raises:
-            InputError: the text is malformed, or the robot does not have the part.
+            InputError: the text is malformed, or the robot does not have the given
+                part.
             UnknownNameError: the kind or variant is unknown.
         """
         match = _FAULT.fullmatch(text)
@@ -147,10 +145,11 @@ class Simulation:
     Attributes:
         gain_spread: relative standard deviation of the bending gains of the modules.
         tick: control period of the robot, s.
-        pneumatics: model of the chambers, "orifice" or "lag". None selects "orifice"
-            for planar robots and "lag", the only model, for spatial robots.
-        supply_kpa: gauge supply pressure, kPa, or None for the nominal pressure.
-        changes: changed fields of the robot file, as in the section `robot` of a
+        pneumatics: model of the chambers, "orifice" or "lag". If None, the model is
+            "orifice" for planar robots and "lag" for spatial robots, which support only
+            "lag".
+        supply_kpa: gauge supply pressure, kPa. If None, the nominal pressure is used.
+        changes: fields of the robot file to change, as in the section `robot` of a
             scenario.
     """
 
@@ -189,13 +188,13 @@ class Simulation:
 
 
 class EmulatedRobot:
-    """Simulated robot that advances in ticks, independent of clocks and links.
+    """Simulated robot that advances in ticks and uses neither clocks nor links.
 
     Attributes:
         twin: simulation of the robot.
         supply_pa: nominal gauge supply pressure, Pa.
-        supply_now_pa: current gauge supply pressure, Pa.
-        valves: valve states in the last tick, including the states of stuck valves.
+        supply_now_pa: current gauge pressure of the supply, Pa.
+        valves: commanded valve states at the end of the last tick.
         spatial_chambers: number of chambers per segment of a spatial robot, or 0 for a
             planar robot.
     """
@@ -215,10 +214,10 @@ class EmulatedRobot:
         Args:
             robot: name of a shipped robot, or path of a robot file.
             simulation: settings of the simulation.
-            seed: random seed of module properties and noise.
+            seed: random seed of the module properties and the noise.
             faults: faults in the format of `Fault.parse`.
             noise_rad: standard deviation of bend readings, rad.
-            start: initial pose: x, y (m), heading (rad).
+            start: initial position x, y (m) and initial heading (rad).
 
         Raises:
             InputError: the robot does not exist, or a fault is invalid.
@@ -272,10 +271,9 @@ class EmulatedRobot:
         self._pending = [*leaks, *low_supply_pressure]
 
     def step(self, command: np.ndarray | None) -> SnakeState:
-        """Advance by one tick.
+        """Advance by one tick with valve states or duties.
 
-        Args:
-            command: valve states or duties, or None to vent all chambers.
+        Without a command, all chambers vent.
         """
         now = float(self.state.time)
         for fault in [fault for fault in self._pending if fault.since <= now + 1e-9]:
@@ -288,8 +286,8 @@ class EmulatedRobot:
         wanted = np.full(self.valves.shape, -1.0)
         if command is not None:
             wanted = np.asarray(command, dtype=float)
-        # The carrier also runs under commands of valve states, so that its phase does
-        # not depend on the kind of command.
+        # The carrier also advances if the command contains valve states, so that the
+        # phase of the carrier does not depend on the kind of command.
         obeyed = self._pulses.step(duty(wanted))
         if are_states(wanted):
             obeyed = wanted.astype(np.int8)
@@ -300,14 +298,14 @@ class EmulatedRobot:
     def regulate(self, fraction: float) -> None:
         """Set the supply pressure to a fraction of the nominal pressure.
 
-        A fault of the supply lowers the pressure further.
+        A fault of the supply reduces the pressure further.
         """
         self._fraction = fraction
         self.supply_now_pa = fraction * self._left * self.supply_pa
         self._air.set_supply_pressure(self.supply_now_pa)
 
     def bends(self) -> np.ndarray:
-        """Return the bend readings, rad. A sensor without a reading returns NaN."""
+        """Return the bend readings, rad. Missing readings are NaN."""
         time = float(self.state.time)
         readings = self.state.bend + self._noise * self._rng.normal(
             size=self.state.bend.shape
@@ -326,9 +324,10 @@ class EmulatedRobot:
         return np.asarray(readings)
 
     def bodies(self) -> dict[int, RigidBody]:
-        """Return the rigid bodies that motion capture sees, with the y axis upwards.
+        """Return the rigid bodies measured by motion capture.
 
-        The keys are connector numbers, counted from 1 at the head.
+        The bodies are keyed by connector number, counted from 1 at the head. The y axis
+        points upwards.
         """
         time = float(self.state.time)
         bodies = {}
@@ -340,7 +339,8 @@ class EmulatedRobot:
         noise = _CAMERA_NOISE_M * self._rng.normal(size=(len(self.state.position), 3))
         for i, (x, y) in enumerate(self.state.position):
             dx, dy, dz = noise[i].tolist()
-            # In Motive the y axis points up, so the y axis of the twin is the −z axis.
+            # In Motive the y axis points upwards, so the y axis of the twin corresponds
+            # to the −z axis.
             if isinstance(self.state, SpatialState):
                 height = float(self.state.height[i]) + dz
                 w, a, b, c = map(float, self.state.orientation[i])
@@ -359,33 +359,26 @@ class EmulatedRobot:
 _GOODBYE_S = 1.0
 """Maximum wait until the broker accepts the last status, s."""
 _LETS_GO_S = 0.001
-"""Pause before each tick in which the thread of the broker can run, s.
+"""Pause after each tick, s.
 
-Compiled kernels hold the interpreter lock, so the thread cannot run during a tick.
+The pause allows the thread of the MQTT client to run, because compiled kernels hold the
+interpreter lock during a tick.
 """
 _POLL_S = 0.002
-"""Maximum pause while messages wait, s."""
+"""Maximum pause while messages are waiting to be sent, s."""
 
 
 class _DelayedCall(NamedTuple):
-    """Call that is due at a time of the local clock (s)."""
-
     due: float
     number: int
     call: partial[None]
 
 
 class Transport:
-    """Queue of messages that are lost or delayed before they are sent."""
+    """Queue of outgoing messages, which simulates loss and delay."""
 
     def __init__(self, loss: float = 0.0, jitter: float = 0.0, seed: int = 0) -> None:
-        """Create an empty queue.
-
-        Args:
-            loss: fraction of messages that are lost.
-            jitter: maximum delay, s. Delays are uniformly distributed.
-            seed: random seed.
-        """
+        """Create an empty queue. `jitter` is the maximum delay in seconds."""
         self._loss = loss
         self._jitter = jitter
         self._rng = np.random.default_rng((seed, 0xA1))
@@ -395,14 +388,9 @@ class Transport:
     def add(
         self, due: float, send: Callable[..., None], *values: object, **named: object
     ) -> None:
-        """Add a message that `send` will send, unless the message is lost.
+        """Schedule a call of `send` at a local time (s), unless the message is lost.
 
-        Args:
-            due: time on the local clock at which the message is sent, s. A random delay
-                is added.
-            send: function that sends the message.
-            *values: positional arguments of `send`.
-            **named: keyword arguments of `send`.
+        A random delay is added to the sending time.
         """
         if self._rng.random() >= self._loss:
             delayed = due + self._rng.random() * self._jitter
@@ -411,7 +399,7 @@ class Transport:
             heapq.heappush(self._waiting, entry)
 
     def send_until(self, due: float) -> None:
-        """Wait until a time of the local clock (s), and send messages due by then."""
+        """Wait until a local time (s), and send all messages that are due by then."""
         while True:
             while self._waiting and self._waiting[0].due <= clock():
                 heapq.heappop(self._waiting).call()
@@ -438,16 +426,16 @@ def emulate(
     Args:
         robot: emulated robot.
         link: link to the topics of the robot, which also delivers commands.
-        capture: motion capture server, or None to emulate no motion capture.
-        transport: queue that loses and delays messages, or None to send all messages at
-            once.
+        capture: motion capture server, or None if motion capture is not emulated.
+        transport: queue that simulates loss and delay. If None, all messages are sent
+            at once.
         duration: duration of the run, s.
-        stop: function called in every tick, which returns whether the run ends.
-        publishes_supply: whether the supply pressure is published.
+        stop: function that is called in every tick and returns whether to end the run.
+        publishes_supply: whether the supply pressure is also published.
 
     Returns:
-        Number of ticks (``ticks``) and number of ticks that began more than one tick
-        late (``late``).
+        Number of ticks (``ticks``) and number of late ticks (``late``), which ended
+        more than one tick behind real time.
     """
     transport = transport or Transport()
     begun = clock()
@@ -465,8 +453,7 @@ def emulate(
                     heard = message.arrived
             state = robot.step(command if clock() - heard <= SILENT_S else None)
             done += 1
-            # The simulated state refers to the end of the tick, so it is published
-            # then.
+            # The state at the end of the tick is published when the tick ends.
             due = begun + done * tick
             messages = {
                 BENDS: robot.bends(),
@@ -481,7 +468,7 @@ def emulate(
                 transport.add(due, capture.send, due, robot.bodies())
             late += clock() > due + tick
             if clock() - due > _LATE_S:
-                begun = clock() - done * tick  # skips the missed ticks
+                begun = clock() - done * tick
             transport.send_until(due)
             time.sleep(_LETS_GO_S)
     finally:

@@ -1,20 +1,21 @@
 """Ensemble Kalman filter for the pose, bends and pressures of a robot.
 
-Each member has a pose, velocities, bends, chamber pressures, and gains and biases of
-the modules. A disturbance of each bend represents the model error as a first-order
-Gauss–Markov process. Chambers and bodies follow the `compliant` model
-(`member_dynamics`), and the pose follows the bends (`odometry`). Gains and biases are
-drawn from the estimate of the fault detector, because a small ensemble contains
-spurious correlations.
+The state of each member contains a pose, velocities, bends, chamber pressures, and the
+gains and biases of the modules. A disturbance of each bend, modelled as a first-order
+Gauss–Markov process, represents the model error. The chambers and bodies are simulated
+with the `compliant` model (`member_dynamics`), and the motion of the body is computed
+from the changes of the bends (`odometry`). The gains and biases are not corrected by
+the ensemble, because correlations in a small ensemble are partly spurious. Instead, the
+gains and biases are drawn from the estimates of the fault detector.
 
 Measurements are processed one after another by the ensemble square root filter
 (Whitaker and Hamill 2002):
 
-- Localisation: a bend or pressure sensor corrects only the states of one segment, and
-  motion capture corrects all states.
-- Outliers: the noise variance is increased for a measurement whose innovation exceeds
-  four standard deviations.
-- Motion capture: the noise of frames is estimated (Desroziers and others 2005).
+- Localisation: a bend or pressure sensor corrects only the states of one segment.
+  Motion capture corrects the pose and all bends.
+- Outliers: if an innovation exceeds four standard deviations, the noise variance of the
+  measurement is increased.
+- Motion capture: the noise of the frames is estimated (Desroziers and others 2005).
 """
 
 from __future__ import annotations
@@ -43,14 +44,15 @@ _NOISE_FRAMES = 10
 _LEAST_NOISE = {"place": 0.4, "heading": 1.0}
 """Lower limit of the estimated noise of frames, as a fraction of the assumed noise.
 
-The model assumes circular arcs. The resulting errors are nearly constant in time, so
-innovations underestimate the noise of headings."""
+The model assumes that segments are circular arcs. The resulting errors are nearly
+constant in time, so the noise of headings is underestimated by innovations."""
 _LARGEST_NOISE = 10.0
 """Upper limit of the estimated noise of frames, as a multiple of the assumed noise."""
 _MOVED_SD = 6.0
-"""Median innovation of a frame, in standard deviations, that suggests a moved robot."""
+"""Median innovation, in standard deviations, above which the robot may have been moved.
+"""
 _MOVED_FRAMES = 5
-"""Number of such frames in a row after which the measured pose replaces the estimate.
+"""Number of successive frames with large innovations that indicate a moved robot.
 """
 _PLACE_FACTOR = 5.0
 """Initial standard deviation of the position, as a multiple of the noise of a frame."""
@@ -66,10 +68,11 @@ class ModelError:
     Attributes:
         disturbance: standard deviation of the disturbance of each bend, rad.
         disturbance_s: time constant of the disturbance, s.
-        pressure: initial random walk of the pressures, as a fraction of the supply
-            pressure per square root of a second.
-        position: random walk of the position, m per square root of a second. The random
-            walk of the heading is this value divided by half the length of the robot.
+        pressure: initial random walk of the pressures, as a fraction of the nominal
+            supply pressure per √s.
+        position: random walk of the position, m/√s. The random walk of the heading
+            (rad/√s) is the random walk of the position divided by half the length of
+            the robot.
     """
 
     disturbance: float = 0.05
@@ -85,8 +88,8 @@ class MeasurementNoise:
     Attributes:
         bend: standard deviation of a bend sensor, rad.
         pressure: standard deviation of a pressure sensor, Pa.
-        place: standard deviation of the position of a connector, m, including the
-            error due to the arcs that the model assumes.
+        place: standard deviation of the position of a connector, m, including the error
+            due to the assumption of circular arcs.
         heading: standard deviation of the heading of a connector, rad.
     """
 
@@ -97,16 +100,17 @@ class MeasurementNoise:
 
 
 class EnsembleFilter:
-    """Ensemble Kalman filter described in the module docstring.
+    """Ensemble Kalman filter. See the module docstring.
 
     Attributes:
         members: states of the members, one row per member.
-        columns: columns of `members` by name. Names are x, y, heading, motion (forward
-            and lateral velocity, yaw rate, bend rates), bend, pressure, lagged
-            (pressure after the lag of the free bend), disturbance, gain and bias.
+        columns: columns of `members`, keyed by name. The names are x, y, heading,
+            motion, bend, pressure, lagged, disturbance, gain and bias. The columns
+            motion contain forward velocity, lateral velocity, yaw rate and bend rates.
+            The columns lagged contain the pressures after the lag of the free bend.
         rates: learnt corrections of the pressure rates.
-        odometry: model of the body motion due to changes of the bends.
-        placed: whether motion capture has determined the position.
+        odometry: model of the motion of the body due to changes of the bends.
+        placed: whether the position has been measured by motion capture.
     """
 
     placed: bool
@@ -119,7 +123,7 @@ class EnsembleFilter:
         seed: int = 0,
         error: ModelError = ModelError(),
     ) -> None:
-        """Create members at rest with empty chambers and an unknown position.
+        """Initialise the members at rest with empty chambers and an unknown position.
 
         Args:
             spec: robot specification.
@@ -169,9 +173,10 @@ class EnsembleFilter:
         return self._frame_noise["heading"] / self.noise.heading
 
     def set_modules(self, modules: Estimates) -> None:
-        """Set the gains and biases of the members according to an estimate.
+        """Set the gains and biases of the members according to estimates.
 
-        Each member keeps its deviations from the mean in standard deviations.
+        The deviation of each member from the mean, in standard deviations, does not
+        change.
 
         Args:
             modules: estimated gains g⁺ and g⁻ and bias (rad) of each module, shape
@@ -200,8 +205,8 @@ class EnsembleFilter:
         self._run(valves, dt, step)
         self.odometry.advance(dt)
         half = self.spec.geometry.body_length / 2
-        # The random walk of the heading displaces the ends of the body as much as the
-        # random walk of the position displaces the centre.
+        # The random walk of the heading displaces the ends of the body by as much as
+        # the random walk of the position displaces the centre.
         walk = self._rng.normal(size=(len(self.members), 3)) * [1.0, 1.0, 1 / half]
         self.members[:, _POSE] += error.position * math.sqrt(dt) * walk
 
@@ -232,7 +237,8 @@ class EnsembleFilter:
         """
         predicted = self._of("pressure").copy()
         innovation = pressure - predicted.mean(axis=0).reshape(-1, 2)
-        # The rates are learnt before the correction, which would hide their errors.
+        # The rates are learnt before the pressures are corrected, because the
+        # correction would hide the errors of the rates.
         self.rates.update(innovation, self.noise.pressure)
         variances = np.full(pressure.size, self.noise.pressure**2)
         measured = pressure.ravel()
@@ -243,12 +249,12 @@ class EnsembleFilter:
     def update_poses(self, poses: np.ndarray) -> np.ndarray:
         """Correct the members with a frame of motion capture.
 
-        The first frame initialises the poses of the members. Frames that show that
-        someone moved the robot initialise them again.
+        The first frame initialises the poses of the members. The poses are initialised
+        again if several frames show that the robot has been moved by hand.
 
         Args:
             poses: position x, y (m) and heading (rad) of each connector, shape
-                (connectors, 3). The pose of an unseen connector is NaN.
+                (connectors, 3). Missing poses are NaN.
 
         Returns:
             Innovations in standard deviations, shape (3 connectors,).
@@ -284,14 +290,15 @@ class EnsembleFilter:
             self.odometry.interrupt()
         self.odometry.learn(pose, bend, self.members[:, _POSE], self._of("bend"))
         self._moved_frames = self._moved_frames + 1 if moved else 0
-        # Fewer frames with large residuals may be due to a tracking error.
+        # A smaller number of frames with large innovations may be due to tracking
+        # errors.
         if self._moved_frames >= _MOVED_FRAMES:
             self.placed = False
             self._moved_frames = 0
         return innovation
 
     def apply_odometry(self) -> None:
-        """Move the members according to their changes of bend since the last call."""
+        """Move the members according to the changes of bends since the last call."""
         self.odometry.apply(self.members[:, _POSE], self._of("bend"))
 
     def poses(self) -> np.ndarray:
@@ -315,24 +322,20 @@ class EnsembleFilter:
         )
 
     def mean(self, name: str) -> np.ndarray:
-        """Return the ensemble mean of the columns `name`."""
+        """Return the means of the columns with the given name."""
         return np.asarray(self._of(name).mean(axis=0))
 
     def sd(self, name: str) -> np.ndarray:
-        """Return the ensemble standard deviation of the columns `name`."""
+        """Return the standard deviations of the columns with the given name."""
         return np.asarray(self._of(name).std(axis=0, ddof=1))
 
     def copy(self, members: int | None = None) -> EnsembleFilter:
-        """Return a copy of the filter for predictions in another thread.
-
-        Args:
-            members: number of members of the copy, or None to copy all members.
-        """
+        """Return a copy with some or all members for predictions in another thread."""
         kept = self.members[:members]
         copied = kept.copy()
         if len(kept) < len(self.members):
-            # Rescale the sample, so that its mean and standard deviation agree with the
-            # mean and standard deviation of all members.
+            # The kept members are rescaled, so that their mean and standard deviation
+            # equal the mean and standard deviation of all members.
             scale = self.members.std(axis=0) / np.maximum(kept.std(axis=0), 1e-300)
             deviation = kept - kept.mean(axis=0)
             copied = self.members.mean(axis=0) + scale * deviation
@@ -348,7 +351,7 @@ class EnsembleFilter:
         return other
 
     def forecast(self, inputs: Iterable[ValveInput], dt: float) -> np.ndarray:
-        """Advance the members in time, and return their poses.
+        """Advance the members over several intervals, and return their poses.
 
         Args:
             inputs: inputs of the chambers in successive intervals.
@@ -369,12 +372,10 @@ class EnsembleFilter:
         return self.members[:, self.columns[name]]
 
     def _random(self, name: str) -> np.ndarray:
-        """Draw normal numbers whose mean is 0, so as not to shift the ensemble mean."""
         numbers = self._rng.normal(size=self._of(name).shape)
         return np.asarray(numbers - numbers.mean(axis=0))
 
     def _localisation(self) -> dict[str, np.ndarray]:
-        """Return masks of the corrected columns, shape (measurements, columns)."""
         n = self._segments
         width = self.members.shape[1]
         bend = np.zeros((n, width))
@@ -382,8 +383,8 @@ class EnsembleFilter:
         first = {name: columns.start for name, columns in self.columns.items()}
         for k in range(2 * n):
             j = k // 2
-            # An error of the pressure has changed the bend since the last message, so a
-            # pressure sensor corrects the bend as well.
+            # A pressure sensor also corrects the bend, because a wrong pressure since
+            # the last message has caused a wrong bend.
             own = [first["bend"] + j, first["disturbance"] + j, first["motion"] + 3 + j]
             own += [first["pressure"] + k, first["lagged"] + k]
             bend[j, own] = 1.0
@@ -409,8 +410,8 @@ class EnsembleFilter:
         normalised = measurement_update(
             self.members, predicted, measured, variances, masks, correlated
         )
-        # A moving body can enlarge a closed chamber, so gauge pressures may be
-        # negative. The absolute pressure cannot be negative.
+        # Gauge pressures may be negative, because a moving body can enlarge a closed
+        # chamber. Absolute pressures cannot be negative.
         pressure = self._of("pressure")
         np.maximum(pressure, -AMBIENT_PA, out=pressure)
         return np.asarray(normalised)
@@ -420,8 +421,9 @@ class EnsembleFilter:
             return
         usual = getattr(self.noise, name)
         variance = self._frame_noise[name] ** 2
-        # In a consistent filter, the expected product of the residuals equals the noise
-        # variance. The limits bound the effect of a single frame.
+        # In a consistent filter, the expected product of the residuals before and after
+        # the correction equals the noise variance. The limits restrict the effect of a
+        # single frame.
         product = min(max(float(np.nanmean(before * after)), 0.0), 4 * variance)
         estimate = math.sqrt(variance + (product - variance) / _NOISE_FRAMES)
         self._frame_noise[name] = min(
@@ -435,7 +437,7 @@ class EnsembleFilter:
         heading = self._of("heading")[:, 0]
         noise = self.noise
         turn = measured_bend(poses[seen, 2], self.poses()[:, seen, 2])
-        # The mean is taken of differences from the first angle, so that it is correct
+        # Differences from the first angle are averaged, so that the mean is correct
         # even if the angles are close to ±π.
         heading += turn[0, 0] + measured_bend(turn, turn[0, 0]).mean(axis=1)
         shift = poses[seen, :2] - self.poses()[:, seen, :2]
@@ -468,7 +470,7 @@ class EnsembleFilter:
             self._restart()
             self.odometry.restart(self._of("bend"))
         elif not valid.all():
-            # Replace diverged members by copies of valid members.
+            # Diverged members are replaced by copies of valid members.
             others = self._rng.choice(np.flatnonzero(valid), size=int((~valid).sum()))
             self.members[~valid] = self.members[others]
 
@@ -483,16 +485,7 @@ class EnsembleFilter:
 
 
 class _Innovation(NamedTuple):
-    """Innovation of one measurement.
-
-    Attributes:
-        value: difference between the measurement and the mean of the predictions.
-        mean: mean of the predictions.
-        spread: variance of the predictions.
-        total: sum of the variance of the predictions and the noise variance.
-        reduction: fraction of the Kalman gain that is applied to the deviations from
-            the mean (square root filter).
-    """
+    """Innovation of one measurement."""
 
     value: float
     mean: float
@@ -507,13 +500,13 @@ def measurement_update(members, predicted, measured, variances, masks, correlate
 
     Args:
         members: states of the members, shape (members, columns).
-        predicted: predicted measurements of each member, shape (members, measurements),
-            which are corrected in place.
+        predicted: predicted measurements of each member, shape (members, measurements).
+            The predictions are corrected in place.
         measured: measurements, shape (measurements,). Missing measurements are NaN.
         variances: noise variance of each measurement, shape (measurements,).
         masks: localisation weights from 0 to 1, shape (measurements, columns).
         correlated: whether each measurement also corrects the predictions of the
-            measurements after it.
+            following measurements.
 
     Returns:
         Innovations in standard deviations, shape (measurements,).
@@ -536,12 +529,12 @@ def _innovation(predicted, measured, variance):  # type: ignore[no-untyped-def]
     mean = _mean(predicted)
     spread = _covariance(predicted, mean, predicted, mean)
     value = measured - mean
-    # The noise of an outlier is increased until its innovation equals `_OUTLIER`
-    # standard deviations.
+    # The noise variance of an outlier is increased until the innovation equals
+    # `_OUTLIER` standard deviations.
     noise = max(variance, (value / _OUTLIER) ** 2 - spread)
     total = spread + noise
     # The square root filter reduces the gain for deviations from the mean, so that the
-    # ensemble keeps the correct variance without perturbed measurements.
+    # ensemble has the correct variance although the measurements are not perturbed.
     reduction = 1 / (1 + math.sqrt(noise / total))
     return _Innovation(value, mean, spread, total, reduction)
 
@@ -584,7 +577,7 @@ def _covariance(first, first_mean, second, second_mean):  # type: ignore[no-unty
 
 @compiled
 def _significant_covariance(values, predicted, innovation):  # type: ignore[no-untyped-def]
-    """Return the covariance of values and predictions, shrunk for sampling errors."""
+    """Return the covariance of values and predictions, reduced for sampling errors."""
     middle = _mean(values)
     covariance = 0.0
     own = 0.0

@@ -1,4 +1,4 @@
-"""State, prediction and contact estimates of a live twin, and calibrated intervals."""
+"""Estimates and predictions of a live twin, and calibration of their intervals."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class DetectedFault(NamedTuple):
     """Detected fault of one part of the robot.
 
     Attributes:
-        part: faulty part, which is a segment, a connector or "supply".
+        part: faulty part, for example "segment 2", "connector 1" or "supply".
         name: name of the fault.
         probability: probability that the part has a fault.
     """
@@ -37,8 +37,8 @@ class Estimate:
     """Estimated state of a robot, with standard deviations.
 
     Attributes:
-        time: time of the estimate on the local clock, s. The state is predicted from
-            the last used message to this time.
+        time: time of the estimate on the local clock, s. The state at the last message
+            is predicted to the time of the estimate.
         bend: bend of each segment, rad.
         bend_sd: standard deviation of the bends, rad.
         pose: position x, y of the centre of mass (m) and mean heading (rad).
@@ -47,12 +47,12 @@ class Estimate:
             rad/s.
         connectors: position x, y (m) and heading (rad) of each connector, shape
             (connectors, 3).
-        parameters: values and standard deviations of "gain" (of each chamber, relative
-            to the robot file) and "bias_rad" (bend of each module without pressure).
-        faults: faults that are detected at this time.
-        off: RMS innovation of the last measurements of each kind, in standard
-            deviations.
-        lost: reason why the position is unknown, or an empty string if it is known.
+        parameters: estimates of "gain" (gain of each chamber relative to the robot
+            file) and "bias_rad" (bend of each module without pressure).
+        faults: currently detected faults.
+        off: RMS innovation of the last message of each kind, in standard deviations.
+        lost: reason why the position is unknown, or an empty string if the position is
+            known.
     """
 
     time: float
@@ -68,11 +68,9 @@ class Estimate:
     lost: str
 
     def state(self, time: float, pressure: np.ndarray) -> SnakeState:
-        """Return the state in the form that a controller expects.
+        """Return the state for a controller.
 
-        Args:
-            time: time on the controller's clock, s.
-            pressure: pressures of the chambers, shape (segments, 2), Pa.
+        The time (s) refers to the controller's clock.
         """
         n = len(self.connectors)
         still = np.zeros_like(self.bend)
@@ -99,11 +97,11 @@ class Estimate:
 
 
 _MEMORY = 8
-"""Number of predictions over which the mean squared error is taken."""
+"""Number of predictions over which the squared error is averaged."""
 _ADAPTATION_RATE = 5.0
 """Rate r at which the scale of intervals adapts, 1/s."""
 _LONGEST_COMPARED_S = 0.2
-"""Maximum interval for which one comparison counts, s."""
+"""Maximum weight of one comparison, expressed as a duration, s."""
 _LEAST_SQUARE = 0.1
 """Lower limit of the squared scale of intervals."""
 _LARGEST_SQUARE = 10.0
@@ -111,20 +109,21 @@ _LARGEST_SQUARE = 10.0
 _T95 = 2.1
 """Half-width of a 95 % interval in standard deviations.
 
-The factor exceeds 1.96 because few predictions determine the standard deviation."""
+The factor exceeds 1.96, because the standard deviation is estimated from few
+predictions."""
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """Predicted path of a robot whose commands repeat.
+    """Predicted path of a robot whose commands are periodic or constant.
 
     Attributes:
         begun: start of the prediction on the local clock, s.
         heading: mean heading at the start, rad.
         time: times of the poses on the local clock, shape (times,), s.
         pose: position x, y (m) and mean heading (rad), shape (times, 3).
-        pose_sd: standard deviation along and across the initial heading (m) and of the
-            heading (rad), shape (times, 3).
+        pose_sd: standard deviations of the position along and across the initial
+            heading (m) and of the heading (rad), shape (times, 3).
     """
 
     begun: float
@@ -134,10 +133,10 @@ class Prediction:
     pose_sd: np.ndarray
 
     def error(self, poses: np.ndarray) -> np.ndarray:
-        """Return the prediction error of poses, shape (times, 3).
+        """Return the measured minus the predicted poses, shape (times, 3).
 
-        The columns are the position error along and across the initial heading (m) and
-        the heading error (rad).
+        The columns contain the difference along the initial heading (m), across the
+        initial heading (m) and in heading (rad).
         """
         c = math.cos(self.heading)
         s = math.sin(self.heading)
@@ -145,29 +144,22 @@ class Prediction:
         return np.column_stack([c * x + s * y, c * y - s * x, turn])
 
     def contains(self, poses: np.ndarray) -> np.ndarray:
-        """Return whether poses lie in the 95 % intervals, shape (times, 3)."""
+        """Return whether poses lie within the 95 % intervals, shape (times, 3)."""
         return np.asarray(np.abs(self.error(poses)) <= _T95 * self.pose_sd)
 
 
 class PredictionCalibration:
-    """Calibration that widens intervals according to errors of earlier predictions."""
+    """Calibration of prediction intervals with the errors of earlier predictions."""
 
     def __init__(self) -> None:
-        """Start without predictions."""
-        # Mean squared errors, and mean variances stated by the predictions.
+        """Create a calibration without earlier predictions."""
         self._error = self._stated = np.zeros(3)
         self._count = 0
         self._open: deque[Prediction] = deque(maxlen=20)
-        # Each entry contains time, x, y and heading.
         self._path: deque[np.ndarray] = deque(maxlen=200)
 
     def observe(self, time: float, pose: np.ndarray) -> None:
-        """Add an observed pose and learn from the predictions that have ended.
-
-        Args:
-            time: time of the pose, s.
-            pose: position x, y (m) and heading (rad).
-        """
+        """Add an observed pose (m, m, rad) at a time (s), and learn from its errors."""
         self._path.append(np.append(time, pose))
         while self._open and self._open[0].time[-1] <= time:
             past = self._open.popleft()
@@ -183,12 +175,12 @@ class PredictionCalibration:
         self._stated = self._stated + weight * (past.pose_sd**2 - self._stated)
 
     def inflate(self, raw: Prediction) -> Prediction:
-        """Return the prediction with widened intervals, and store it for `observe`."""
+        """Return a prediction with widened intervals, and store it for `observe`."""
         self._open.append(raw)
         if not self._count:
             return raw
-        # The mean square of few errors is uncertain, so the interval is widened
-        # further.
+        # The intervals are widened further, because the mean square of few errors is
+        # uncertain.
         count = min(self._count, _MEMORY)
         factor = (count + 1) / max(count - 1, 1)
         excess = np.maximum(factor * self._error - self._stated, 0.0)
@@ -202,27 +194,23 @@ class _PredictedState(NamedTuple):
 
 
 class IntervalCalibration:
-    r"""Calibration of the standard deviations of states predicted to the current time.
+    r"""Calibration of the standard deviations of predicted states.
 
-    Each prediction is compared with a later estimate, which uses the measurements made
-    at the predicted time. The scale s of each group of values adapts until 95 % of the
-    later estimates lie inside the interval:
+    Each prediction is compared with a later estimate that uses the measurements made at
+    the predicted time. The scale s of each group of values is adapted until 95 % of the
+    later estimates lie within the predicted intervals:
 
     $$ \frac{d \ln s^2}{dt} = r \left(\mathrm{share}\left[
     (\hat x - x)^2 + \sigma_x^2 > 1.96^2 s^2 \hat\sigma^2\right] - 0.05\right) . $$
 
-    Here r is the adaptation rate, x̂ the prediction with standard deviation σ̂, and x the
-    later estimate with standard deviation σ_x. The errors have heavy tails because
-    predictions do not include lost commands, so a scale based on the mean squared error
-    would depend on the message rate.
+    Here r is the adaptation rate, x̂ the prediction with standard deviation σ̂, and x
+    the later estimate with standard deviation σ_x. A scale based on the mean squared
+    error would depend on the message rate, because lost commands cause a few very large
+    errors.
     """
 
     def __init__(self, groups: Sequence[int]) -> None:
-        """Start with a scale of 1.
-
-        Args:
-            groups: number of values in each group that has a common scale.
-        """
+        """Initialise all scales to 1, with one scale for each group of values."""
         self._starts = np.cumsum([0, *groups[:-1]])
         self._counts = np.array(groups)
         self._square = np.ones(len(groups))
@@ -235,18 +223,15 @@ class IntervalCalibration:
         return np.repeat(np.sqrt(self._square), self._counts)
 
     def predict(self, time: float, state: Estimates) -> None:
-        """Add a prediction for a time (s) with unscaled standard deviations."""
+        """Add the unscaled prediction for a time (s)."""
         self._open.append(_PredictedState(time, *state))
 
     def update(
         self, time: float, estimate: Estimates, measured: Sequence[bool]
     ) -> None:
-        """Compare a prediction with the estimate after the measurements.
+        """Compare a prediction with a later estimate for the same time (s).
 
-        Args:
-            time: time of the measurements, s.
-            estimate: estimated state after the measurements.
-            measured: whether the measurements corrected each group of values.
+        `measured` states which groups of values have been corrected by measurements.
         """
         while len(self._open) > 1 and self._open[1].time < time:
             self._open.popleft()
@@ -268,25 +253,26 @@ class IntervalCalibration:
 
 
 _NEEDED = {BENDS, PRESSURES, VALVES}
-"""Kinds of messages that one sample needs.
+"""Kinds of messages that are needed for one sample.
 
-Valve states are among them, because lost commands would otherwise look like contacts.
+Reported valve states are needed, because lost commands would otherwise look like
+contacts.
 """
 
 _STEADY_S = 0.5
-"""Time for which a period must be constant before it is used, s."""
+"""Time for which the estimated period must be constant before the period is used, s."""
 
 
 class LiveContact:
     """Contact estimator for a robot with periodic commands.
 
     Attributes:
-        estimate: latest contact estimate, or None while the observer learns or needed
-            messages are missing.
+        estimate: latest contact estimate, or None if the observer has not learnt enough
+            samples.
     """
 
     def __init__(self, spec: RobotSpec) -> None:
-        """Create the contact observer of a robot without learnt means."""
+        """Create a contact estimator that has not learnt any means."""
         self._observer = ContactObserver(spec, SLOT_S)
         self._sample: int | None = None
         self._period = 0
@@ -294,20 +280,15 @@ class LiveContact:
         self.estimate: ContactEstimate | None = None
 
     def update(self, messages: Iterable[Message], commands: CommandPeriod) -> None:
-        """Update the estimate with the messages of one sending time.
-
-        Args:
-            messages: messages of one sending time.
-            commands: commands of the last seconds, which determine the period.
-        """
+        """Update the estimate with messages that have the same sending time."""
         found = {
             message.kind: message for message in messages if message.kind in _NEEDED
         }
         if found.keys() != _NEEDED:
             return
         self._update_period(commands.period())
-        # Samples are numbered by sending time, so that lost messages do not shift the
-        # phase of the gait.
+        # Samples are numbered according to the sending time, so that lost messages do
+        # not shift the phase of the gait.
         sample = round(found[BENDS].sent / SLOT_S)
         if self._sample is not None and sample > self._sample:
             self._observer.skip(sample - self._sample - 1)
@@ -317,10 +298,6 @@ class LiveContact:
         )
 
     def _update_period(self, period: int) -> None:
-        """Adopt a period of the commands after it was constant for half a second.
-
-        As long as few commands are known, too short a period may be found.
-        """
         if not period:
             return
         self._repeated = self._repeated + 1 if period == self._period else 0

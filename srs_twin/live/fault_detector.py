@@ -1,7 +1,7 @@
 r"""Interacting multiple model filter that detects the faults of each segment.
 
-A hypothesis m states how the valves, chambers and sensor of a segment behave
-(`fault_hypotheses`). Under each hypothesis, the chamber pressures follow the
+A hypothesis m describes the behaviour of the valves, chambers and sensor of a segment
+(`fault_hypotheses`). Under each hypothesis, the chamber pressures are computed with the
 first-order law of `pneumatics.lag` and determine the drives $A^\pm = G a^\pm$ (rad).
 The bend and the measurements of the bend are
 
@@ -15,26 +15,28 @@ Symbols:
 - A⁺, A⁻: drives of the two chambers, rad
 - G: drive per pressure, rad/Pa
 - a⁺, a⁻: chamber pressures after the lag τ₂, Pa
-- d: disturbance due to load, inertia and model error, a first-order Gauss–Markov
-  process, rad
+- d: disturbance due to load, inertia and model error, modelled as a first-order
+  Gauss–Markov process, rad
 - y, y_markers: bends measured by the sensor and by markers, rad
 - s: offset of the sensor, rad
 - e: scale error of the sensor, dimensionless
 - n, n': measurement noise, rad
 
-Each hypothesis has a Kalman filter for the state (b, g⁺, g⁻, d, s, e), linearised in
-e q. Under the hypothesis of a drifting sensor, the offset s changes quickly. The
-filters are mixed as in Blom and Bar-Shalom (1988). Faults are rare and permanent.
+Each hypothesis has a Kalman filter for the state (b, g⁺, g⁻, d, s, e), in which the
+product e q is linearised. Under the hypothesis of a drifting sensor, the offset s has a
+large random walk. The filters are mixed as in Blom and Bar-Shalom (1988). Faults are
+assumed to be rare and permanent.
 
-While a segment has no fault, the detector learns how its pressures deviate from the
-first-order law (`pressure_table`). Leaks are detected from balances of air
+While a segment has no fault, the detector learns the deviations of the pressures from
+the first-order law (`pressure_table`). Leaks are detected by means of air balances
 (`air_balance`).
 
 All pressures are relative to the estimated supply pressure (`air_balance`), so a slowly
 decreasing supply pressure is not reported as a fault of a segment. After a sudden loss
-of supply pressure, all segments seem weak or leaking at once, and the detector corrects
-the supply estimate. It reports the fault `low_supply_pressure` if the supply pressure is below the
-fraction `STARVED_BELOW` of the nominal pressure.
+of supply pressure, all segments appear to be weak or to leak at the same time. After a
+sudden loss, the detector corrects the estimated supply pressure. The fault
+`low_supply_pressure` is reported if the supply pressure is below the fraction
+`STARVED_BELOW` of the nominal pressure.
 """
 
 from __future__ import annotations
@@ -77,7 +79,7 @@ _FAULT_RATE = 1e-3
 _NOISE_RAD = 0.02
 """Standard deviation of bend readings, rad."""
 _MARKER_NOISE_RAD = 0.025
-"""Standard deviation of bends from markers, rad."""
+"""Standard deviation of bends measured by motion capture, rad."""
 _LOSS = 0.05
 """Fraction of lost readings."""
 _GAIN_SD = 0.15
@@ -89,9 +91,11 @@ _OFFSET_SD_RAD = 0.06
 _SCALE_SD = 0.05
 """Prior standard deviation of the sensor scale errors e, dimensionless."""
 _PRESSURE_SD = 0.12
-"""Initial standard deviation of pressures, fraction of the supply pressure."""
+"""Initial standard deviation of a pressure residual, fraction of the supply pressure.
+"""
 _LEAST_PRESSURE_SD = 0.02
-"""Minimum standard deviation of pressures, fraction of the supply pressure."""
+"""Minimum standard deviation of a pressure residual, fraction of the supply pressure.
+"""
 _LOAD_SD = 0.11
 """Standard deviation of the disturbance d, fraction of the maximum bend."""
 _LOAD_TIME_S = 0.15
@@ -99,31 +103,32 @@ _LOAD_TIME_S = 0.15
 _PRESSURE_TIME_S = 0.08
 """Correlation time of pressure residuals, s."""
 _BIAS_WALK = 0.0014
-"""Random walk of the biases, rad per square root of a second."""
+"""Random walk of the biases, rad/√s."""
 _GAIN_WALK = 0.0035
-"""Random walk of the gains, per square root of a second."""
+"""Random walk of the gains, 1/√s."""
 _OFFSET_WALK = 0.002
-"""Random walk of the offset of a sound sensor, rad per square root of a second."""
+"""Random walk of the offset of a sensor without a fault, rad/√s."""
 _DRIFT_WALK = 0.03
-"""Random walk of the offset of a drifting sensor, rad per square root of a second."""
+"""Random walk of the offset of a drifting sensor, rad/√s."""
 _FAILED_BELOW = 0.85
 """Ratio of measured to expected pressure below which the supply may have failed.
 
-Several suspected leaks are then attributed to the supply."""
+Below this ratio, several suspected leaks are attributed to the supply."""
 _SETTLED_S = 0.1
-"""Time after which the pressure of a filling chamber shows the supply pressure, s."""
+"""Filling time after which the chamber pressure is close to the supply pressure, s."""
 _BALANCED_STROKES = 3
-"""Number of strokes after which leaks of a chamber are judged by its balance of air."""
+"""Number of strokes after which leaks of a chamber are detected by the air balance."""
 _TAILS = 4.0
 """Degrees of freedom of Student's t distribution."""
 _AT_REST_RAD = 1e-6
 _LEAST_PROBABILITY = 1e-12
 _FROZEN_NOISE = 0.1
-"""Standard deviation of changes of a frozen reading, relative to the sensor noise."""
+"""Standard deviation of the change of a frozen reading, relative to the sensor noise.
+"""
 _SUPPLY_EXPLAINS = (SUPPLY_FRACTIONS < 1.0) | np.isin(
     CHAMBERS, (ChamberBehaviour.LEAKS, ChamberBehaviour.VENTS)
 ).any(axis=1)
-"""Hypotheses that look like a low supply pressure while chambers fill."""
+"""Mask of the hypotheses whose pressures resemble a low supply pressure."""
 
 
 class _State(IntEnum):
@@ -147,7 +152,7 @@ class FaultDetector(Stateful):
         probability: probability of each hypothesis, shape (segments, hypotheses).
         mean: estimated states (b, g⁺, g⁻, d, s, e), shape (segments, hypotheses, 6).
         supply: filter for the supply pressure.
-        leaks: leak detector based on balances of air.
+        leaks: leak detector based on air balances.
         decision: detected faults.
         time: time since the start of the robot, s.
     """
@@ -163,11 +168,9 @@ class FaultDetector(Stateful):
     )
 
     def __init__(self, spec: RobotSpec, *, supply_pa: float) -> None:
-        """Start with a robot at rest and empty chambers.
+        """Initialise the detector for a robot at rest with empty chambers.
 
-        Args:
-            spec: specification of the robot.
-            supply_pa: nominal supply pressure, gauge, Pa.
+        `supply_pa` is the nominal gauge pressure of the supply.
         """
         self._spec = spec
         actuator = spec.actuator
@@ -178,8 +181,8 @@ class FaultDetector(Stateful):
         kinds = len(HYPOTHESES)
         self.supply = SupplyFilter(supply_pa)
         self._gain = chamber_gains(spec)
-        # A robot that already moves or that restarted has unknown pressures. They are
-        # known only after several time constants.
+        # The pressures of a robot that already moves or has restarted are unknown until
+        # several time constants have passed.
         self._settling_s = 4 * (max(self._fill, self._vent) + self._tau)
         self._pressure = np.zeros((count, kinds, 2))
         self._delayed = np.zeros((count, kinds, 2))
@@ -199,8 +202,8 @@ class FaultDetector(Stateful):
         self._covariance = np.tile(np.diag(np.square(sd)), (count, kinds, 1, 1))
         self.probability = np.zeros((count, kinds))
         self.probability[:, 0] = 1.0
-        # Median ratio of measured to expected pressures of filling chambers, NaN
-        # without measured pressures.
+        # The level is the median ratio of measured to expected pressures of filling
+        # chambers, or NaN if no pressures have been measured.
         self._level = math.nan
         self._last = np.full(count, np.nan)
         self.time = 0.0
@@ -208,15 +211,11 @@ class FaultDetector(Stateful):
 
     @property
     def detected_faults(self) -> dict[int, str]:
-        """Detected fault per segment number, counted from 1; key 0 is the supply."""
+        """Detected faults, keyed by segment number or 0 for the supply."""
         return self.decision.detected_faults
 
     def clear_fault(self, number: int) -> None:
-        """Clear a detected fault, for example after a repair.
-
-        Args:
-            number: segment number, counted from 1, or 0 for the supply.
-        """
+        """Clear the detected fault of a segment, or of the supply if `number` is 0."""
         self.decision.clear(number)
         if number == 0:
             self.supply = SupplyFilter(self.supply.nominal)
@@ -231,11 +230,9 @@ class FaultDetector(Stateful):
         self.leaks.drop_all()
 
     def inflate(self, switched: np.ndarray, dt: float) -> None:
-        """Increase the variance of the disturbance after valves switched unobserved.
+        """Increase the variance of the disturbance after unobserved changes of duties.
 
-        Args:
-            switched: change of each valve's duty, shape (segments, 2).
-            dt: length of the interval in which the valves switched, s.
+        The duties changed by `switched` within the time `dt` (s).
         """
         self.leaks.drop(switched > 0)
         reached = 1 - math.exp(-dt / self._fill)
@@ -268,7 +265,7 @@ class FaultDetector(Stateful):
         return Estimates(bends, np.sqrt(variance))
 
     def parameters(self) -> dict[str, Estimates]:
-        """Return estimated gains and biases (rad) in a dictionary."""
+        """Return the estimated gains and biases (rad), keyed by name."""
         mean, sd = self.modules()
         return {
             "gain": Estimates(mean[:, :2], sd[:, :2]),
@@ -276,13 +273,7 @@ class FaultDetector(Stateful):
         }
 
     def predict(self, duty: np.ndarray, dt: float) -> None:
-        """Advance all hypotheses by one time step.
-
-        Args:
-            duty: commanded fraction of time in which each valve fills, shape
-                (segments, 2).
-            dt: time step, s.
-        """
+        """Advance all hypotheses by one time step (s) with the commanded duties."""
         self.time += dt
         self.supply.predict(dt)
         self._mix(dt)
@@ -302,12 +293,12 @@ class FaultDetector(Stateful):
         """Update all hypotheses with measurements made at the current time.
 
         Args:
-            readings: bends measured by the sensors, shape (segments,), rad. Missing
-                readings are NaN; None means that no message arrived.
-            markers: bends measured by motion capture, shape (segments,), rad. Missing
-                bends are NaN; None means that no frame arrived.
-            pressures: gauge pressures of the chambers, shape (segments, 2), Pa. Missing
-                pressures are NaN; None means that no message arrived.
+            readings: bends measured by the sensors, shape (segments,), rad, or None if
+                no message arrived. Missing readings are NaN.
+            markers: bends measured by motion capture, shape (segments,), rad, or None
+                if no frame arrived. Missing bends are NaN.
+            pressures: gauge pressures of the chambers, shape (segments, 2), Pa, or None
+                if no message arrived. Missing pressures are NaN.
             dt: time since the previous pressure message, s.
             heading_noise_scale: ratio of the heading noise of motion capture to the
                 assumed heading noise.
@@ -354,11 +345,11 @@ class FaultDetector(Stateful):
         self._pressure = relax(self._pressure, *relaxation, dt)
 
     def _bend_rows(self) -> np.ndarray:
-        """Return the Jacobian of the bends, shape (segments, hypotheses, 6)."""
+        """Return the Jacobian of the bends with respect to the filter states."""
         drive = self._gain[:, None] * self._delayed
         linear = drive[..., 0] - drive[..., 1]
-        # At rest the ratio of the free bend to the linear bend is 0/0. The ratio at a
-        # small linear bend approximates the derivative.
+        # At rest the ratio of the free bend to the linear bend is undefined. The ratio
+        # at a small linear bend is used instead.
         linear = np.where(np.abs(linear) < _AT_REST_RAD, _AT_REST_RAD, linear)
         drive = drive * (free_bends(self._spec, linear) / linear)[..., None]
         rows = np.ones((*self.probability.shape, 6))
@@ -368,8 +359,8 @@ class FaultDetector(Stateful):
         return rows
 
     def _mix(self, dt: float) -> None:
-        # Faults do not heal. Transitions between faults remain possible, because a
-        # fault may first look like another one.
+        # Faults are permanent. Transitions between faults are allowed, because the most
+        # likely fault may change with new measurements.
         transition = np.full((len(HYPOTHESES),) * 2, _FAULT_RATE * dt)
         transition[1:, 0] = 0.0
         np.fill_diagonal(transition, 0.0)
@@ -384,8 +375,9 @@ class FaultDetector(Stateful):
         noise = np.tile(sound, (len(HYPOTHESES), 1, 1))
         drifts = SENSORS == SensorBehaviour.DRIFTS
         noise[drifts, _State.OFFSET, _State.OFFSET] = (_DRIFT_WALK * root) ** 2
-        # `joint` is the probability that hypothesis i was true before and j is true
-        # now. `fraction` is the probability of i, given that j is true now.
+        # `joint` is the probability that hypothesis i was true before and hypothesis j
+        # is true now. `fraction` is the probability that i was true, given that j is
+        # true now.
         joint = self.probability[:, :, None] * transition
         predicted = joint.sum(axis=1)
         fraction = joint / np.maximum(predicted[:, None, :], 1e-300)
@@ -403,7 +395,7 @@ class FaultDetector(Stateful):
         self, rows: np.ndarray, readings: np.ndarray
     ) -> np.ndarray:
         measured_bend = rows.copy()
-        # The reading (1 + e) q + s has the derivative 1 with respect to s, and q with
+        # The derivative of the reading (1 + e) q + s is 1 with respect to s, and q with
         # respect to e.
         measured_bend[..., _State.OFFSET] = 1.0
         measured_bend[..., _State.SCALE] = np.einsum("smk,smk->sm", rows, self.mean)
@@ -420,14 +412,9 @@ class FaultDetector(Stateful):
     ) -> np.ndarray:
         """Correct the Kalman filters with one measurement per segment.
 
-        Args:
-            rows: measurement matrix, shape (segments, hypotheses, 6).
-            measured: measured bend, shape (segments,), rad, NaN where it is missing.
-            noise: standard deviation of the measurement noise, rad.
-            used: whether a hypothesis uses the measurement, shape (hypotheses,).
-
         Returns:
-            Log-likelihood of each hypothesis, which is 0 without a measurement.
+            Log-likelihood of each hypothesis. The log-likelihood of a missing
+            measurement is 0.
         """
         available = ~np.isnan(measured)[:, None] & used
         # `gain` is the cross covariance P Hᵀ, and `weight` is the Kalman gain.
@@ -439,14 +426,13 @@ class FaultDetector(Stateful):
         weight = np.where(available[..., None], gain / variance[..., None], 0.0)
         self.mean = self.mean + weight * innovation[..., None]
         self._covariance = self._covariance - weight[..., :, None] * gain[..., None, :]
-        # Model errors have heavy tails under every hypothesis, so a Gaussian density
-        # would detect false faults.
+        # Model errors have heavy tails under every hypothesis, so Gaussian densities
+        # would cause false detections.
         log = _log_student(innovation**2 / variance)
         log = log - np.log(variance * 2 * math.pi) / 2
         return np.where(available, log, 0.0)
 
     def _sensor_log_likelihood(self, readings: np.ndarray) -> np.ndarray:
-        """Return log-likelihoods of missing (silent) and equal (frozen) readings."""
         log_likelihood = np.zeros(self.probability.shape)
         lost = np.isnan(readings)[:, None]
         silent = SENSORS == SensorBehaviour.SILENT
@@ -464,18 +450,18 @@ class FaultDetector(Stateful):
         return log_likelihood
 
     def _pressure_log_likelihood(self, pressures: np.ndarray, dt: float) -> np.ndarray:
-        """Return log-likelihoods of pressures, scaled down for correlated residuals."""
         usual, sd = self._levels.read()
         self._update_supply(pressures, Estimates(usual, sd + _LEAST_PRESSURE_SD))
         residual = pressures[:, None] - self._pressure
         residual = np.nan_to_num(residual / self.supply.pressure)
-        # Usual residuals were learnt from valves that obey commands, so they apply only
-        # to hypotheses with such valves.
+        # The mean residuals were learnt while the valves obeyed the commands, so they
+        # apply only to hypotheses in which the valves obey.
         residual = residual - np.where(self._obeys, usual[:, None], 0.0)
         spread = np.where(self._obeys, sd[:, None] + _LEAST_PRESSURE_SD, _PRESSURE_SD)
         log = _log_student((residual / spread) ** 2) - np.log(spread)
         log = np.where(np.isnan(pressures)[:, None], 0.0, log)
-        # With enough strokes, the balance of air replaces this evidence for leaks.
+        # After enough strokes, the air balance replaces the pressures as evidence for
+        # leaks.
         balanced = (self.leaks.learnt >= _BALANCED_STROKES)[:, None]
         replaced = balanced & (CHAMBERS == ChamberBehaviour.LEAKS)
         log = np.where(replaced, log.max(axis=1, keepdims=True), log)
@@ -501,8 +487,8 @@ class FaultDetector(Stateful):
             self.leaks.drop_all()
             self._adopt_supply(before)
             return
-        # Before the first stroke no balance is learnt, so the pressures of filled
-        # chambers are used instead.
+        # The air balance is not known before the first stroke, so the pressures of
+        # filled chambers are used instead.
         balanced = self.leaks.learnt >= 1
         balance = self.leaks.residuals(self.time, pressures, filled)
         self.supply.update(
@@ -517,8 +503,8 @@ class FaultDetector(Stateful):
     def _adopt_supply(self, before: float) -> None:
         self._rescale(before)
         if before - self.supply.pressure > SUDDEN * self.supply.nominal:
-            # Before the loss of supply pressure was noticed, chambers with a low
-            # pressure seemed to leak or not to fill.
+            # Before the loss of supply pressure was detected, chambers with a low
+            # pressure appeared to leak or not to fill.
             likely = np.where(_SUPPLY_EXPLAINS, self.probability, 0.0).argmax(axis=1)
             self._attribute_to_supply(_SUPPLY_EXPLAINS, likely)
 
@@ -528,7 +514,6 @@ class FaultDetector(Stateful):
         self._delayed *= fraction
 
     def _judge_supply(self) -> None:
-        """Correct the supply estimate if most segments seem weak; update `low_supply_pressure`."""
         weak = SUPPLY_FRACTIONS < 1.0
         weak_or_leaks = weak | (LEAK_RATES > 0.0)
         kind = np.flatnonzero(weak)[self.probability[:, weak].sum(axis=0).argmax()]
@@ -536,7 +521,7 @@ class FaultDetector(Stateful):
             fraction = SUPPLY_FRACTIONS[kind]
             common = weak
         else:
-            # With low pressures, a failed supply is more likely than several
+            # If pressures are low, a failure of the supply is more likely than several
             # simultaneous leaks.
             fraction = self._level
             common = weak_or_leaks
@@ -550,12 +535,12 @@ class FaultDetector(Stateful):
         if self.time < START_S:
             return
         if self.decision.low_supply_pressure:
-            # A segment with a low supply pressure seems to leak. Without this
-            # correction, the false leak would remain after the supply has recovered.
+            # At a low supply pressure, segments appear to leak. False leaks that were
+            # not corrected would remain after the supply has recovered.
             likely = np.where(weak_or_leaks, self.probability, 0.0).argmax(axis=1)
             self._attribute_to_supply(weak_or_leaks, likely)
-        # Without measured pressures the standard deviation of the supply never
-        # decreases, so the thresholds ignore it.
+        # If no pressures are measured, the standard deviation of the supply pressure
+        # never decreases and is therefore ignored.
         sd = 0.0 if math.isnan(self._level) else self.supply.sd
         if self.supply.pressure + sd < STARVED_BELOW * self.supply.nominal:
             self.decision.pairs[0, 0] = WEAK
@@ -563,10 +548,6 @@ class FaultDetector(Stateful):
             self.decision.clear(0)
 
     def _attribute_to_supply(self, common: np.ndarray, kind: np.ndarray) -> None:
-        """Move the probability of the hypotheses `common` to "no fault".
-
-        The state of each segment is taken from the hypothesis `kind`.
-        """
         moved = self.probability[:, common].sum(axis=1)
         segments = np.flatnonzero(moved > 0.5)
         for states in (self.mean, self._covariance):

@@ -1,7 +1,7 @@
-"""Fault hypotheses of a segment, and the decision which faults are detected.
+"""Hypotheses about the faults of a segment, and detection of faults.
 
-`FaultDecision` detects a fault when the probability of its hypotheses stays above a
-threshold for long enough.
+`FaultDecision` detects a fault if the probability of the fault exceeds a threshold for
+a given time.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from srs_twin.io.saved_state import Stateful
 
 STARVED = "low_supply_pressure"
-"""Name of the fault "supply pressure too low"."""
+"""Name of the fault that the supply pressure is too low."""
 
 
 class ChamberBehaviour(IntEnum):
@@ -36,12 +36,12 @@ class SensorBehaviour(IntEnum):
 
 
 class Inflow(NamedTuple):
-    """Inflow and leak of a chamber whose valve fills it.
+    """Inflow and leak of a filling chamber.
 
     Attributes:
-        leak: relative rate at which the chamber loses pressure, 1/s.
+        leak: relative rate of pressure loss of the chamber, 1/s.
         fraction: supply pressure of the chamber as a fraction of the robot's supply
-            pressure, or 0 if no air flows in.
+            pressure. If no air flows into the chamber, the fraction is 0.
     """
 
     leak: float
@@ -53,7 +53,7 @@ class Hypothesis(NamedTuple):
 
     Attributes:
         name: name of the fault, or an empty string for a segment without a fault.
-        leak: relative rate at which a leaking chamber loses pressure, 1/s.
+        leak: relative rate of pressure loss of a leaking chamber, 1/s.
         weak: supply pressure of the segment as a fraction of the robot's supply
             pressure.
     """
@@ -67,11 +67,11 @@ class Hypothesis(NamedTuple):
 
     @property
     def chambers(self) -> tuple[ChamberBehaviour, ChamberBehaviour]:
-        """Behaviour of both chambers."""
+        """Behaviour of the + chamber and of the − chamber."""
         return self.plus, self.minus
 
     def inflow(self, chamber: ChamberBehaviour) -> Inflow:
-        """Return the inflow of a chamber that behaves as given."""
+        """Return the inflow of a chamber with the given behaviour."""
         leak = self.leak if chamber == ChamberBehaviour.LEAKS else 0.0
         fraction = 0.0 if chamber == ChamberBehaviour.VENTS else self.weak
         return Inflow(leak, fraction)
@@ -98,7 +98,10 @@ HYPOTHESES = (
 )
 
 NAMES = tuple(dict.fromkeys(hypothesis.name for hypothesis in HYPOTHESES))
-"""Names of the faults. Several severities of one fault share a name."""
+"""Names of the faults.
+
+Hypotheses with different severities of a fault have the same name.
+"""
 HAS_NAME = np.array(
     [[hypothesis.name == name for name in NAMES] for hypothesis in HYPOTHESES],
     dtype=float,
@@ -107,9 +110,9 @@ HAS_NAME = np.array(
 WEAK = NAMES.index("weak")
 LEAK = np.array([name.startswith("leak") for name in NAMES])
 INDISTINGUISHABLE = ((1, 4), (2, 3))
-"""Pairs of indices into `NAMES` whose faults have equal effects on the bend.
+"""Pairs of indices into `NAMES` of faults that have equal effects on the bend.
 
-The effects are equal only while the two chambers of the segment fill alternately.
+The effects are equal only if the two chambers of the segment fill alternately.
 """
 
 CHAMBERS = np.array([hypothesis.chambers for hypothesis in HYPOTHESES])
@@ -119,9 +122,9 @@ SUPPLY_FRACTIONS = np.array([hypothesis.weak for hypothesis in HYPOTHESES])
 
 
 def valve_duty(duty: np.ndarray, chambers: np.ndarray) -> np.ndarray:
-    """Return the duty cycles of the valves, given the behaviour of the chambers.
+    """Return the duty of each valve for given commands and behaviour of the chambers.
 
-    A duty cycle is the fraction of time in which a valve fills its chamber.
+    The duty is the fraction of time in which a valve fills the chamber.
     """
     duty = np.where(chambers == ChamberBehaviour.VENTS, 0.0, duty)
     return np.where(chambers == ChamberBehaviour.FILLS, 1.0, duty)
@@ -136,14 +139,14 @@ _LEAK_THRESHOLD = 0.99
 _LEAK_PATIENCE_S = 0.08
 """Time for which the probability of a leak must stay above its threshold, s.
 
-The time can be short because a single pressure reading can reveal a leak.
+A short time is sufficient, because a single pressure reading can reveal a leak.
 """
 START_S = 2.0
-"""Time after the robot has started during which no fault is detected, s."""
+"""Time after the start of the robot during which no fault is detected, s."""
 _DOUBT = 0.5
-"""A segment is suspect if its probability of having no fault is below this value."""
+"""Probability of no fault below which a segment is suspect."""
 _PATIENCE_FACTOR = 3.0
-"""Factor by which the required time grows while another segment is suspect."""
+"""Factor by which the required time increases if another segment is suspect."""
 
 
 class FaultDecision(Stateful):
@@ -151,23 +154,23 @@ class FaultDecision(Stateful):
 
     Attributes:
         pairs: indices into `NAMES` of the detected fault, or of two faults that cannot
-            be told apart, shape (segments + 1, 2). Row 0 is the supply, and −1 stands
-            for no fault.
+            be distinguished, shape (segments + 1, 2). Row 0 belongs to the supply. The
+            index −1 means that no fault is detected.
     """
 
     state_attributes = ("pairs", "_since", "_either_since")
 
     def __init__(self, segments: int) -> None:
-        """Create the decision without any detected fault."""
+        """Create a decision without any detected fault."""
         self.pairs = np.full((segments + 1, 2), -1, dtype=int)
-        # Times since which each fault, and each indistinguishable pair of faults, has
-        # been above its threshold.
+        # The time at which the probability of a fault exceeds the threshold is stored
+        # for each fault and for each pair of indistinguishable faults.
         self._since = np.full((segments, len(NAMES)), np.inf)
         self._either_since = np.full((segments, len(INDISTINGUISHABLE)), np.inf)
 
     @property
     def detected_faults(self) -> dict[int, str]:
-        """Names of the detected faults by segment number, where 0 is the supply."""
+        """Names of the detected faults, keyed by segment number or 0 for the supply."""
         detected = {0: STARVED} if self.low_supply_pressure else {}
         for j in np.flatnonzero(self.faulty) + 1:
             names = [NAMES[m] for m in self.pairs[j] if m >= 0]
@@ -189,9 +192,9 @@ class FaultDecision(Stateful):
         self.pairs[number] = -1
 
     def most_likely(self, probability: np.ndarray) -> np.ndarray:
-        """Return the most likely hypothesis of each segment among its detected faults.
+        """Return the most likely hypothesis of each segment, given detected faults.
 
-        The hypothesis of a segment without a detected fault is 0.
+        For a segment without a detected fault, the method returns hypothesis 0.
         """
         likely = np.zeros(len(probability), dtype=int)
         for j in np.flatnonzero(self.faulty):
@@ -200,20 +203,15 @@ class FaultDecision(Stateful):
         return likely
 
     def update(self, time: float, probability: np.ndarray) -> None:
-        """Detect and clear faults from the current probabilities.
-
-        Args:
-            time: current time, s.
-            probability: probabilities of the hypotheses, shape (segments, hypotheses).
-        """
+        """Detect and clear faults at a time (s), given all hypothesis probabilities."""
         pairs = self.pairs
         if time < START_S:
             self._since[:] = np.inf
             self._either_since[:] = np.inf
             return
         likely = probability @ HAS_NAME
-        # Segments rarely fail together. If several are suspect, the cause may be common
-        # to all of them, for example the supply.
+        # Several segments rarely fail at the same time. If several segments are
+        # suspect, they may have a common cause, for example the supply.
         doubted = likely[:, 0] < _DOUBT
         factor = np.where(doubted.sum() - doubted > 0, _PATIENCE_FACTOR, 1.0)[:, None]
         threshold = np.where(LEAK, _LEAK_THRESHOLD, _THRESHOLD)

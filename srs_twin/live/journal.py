@@ -1,4 +1,4 @@
-"""Journals in the MCAP format, and a link that plays them back."""
+"""Journals of messages in the MCAP format, and a link that replays a journal."""
 
 from __future__ import annotations
 
@@ -34,23 +34,23 @@ from srs_twin.live.natnet import is_place
 from srs_twin.recordings.formats.bags import MCAP_MAGIC, stream_messages
 
 LONGEST_GAP_S = 60.0
-"""Maximum pause that playback reproduces, s. Longer pauses are skipped."""
+"""Maximum pause that is reproduced during playback, s. Longer pauses are skipped."""
 _NOT_IN_ORDER = "a record whose time does not follow that of the one before"
 _FULL_S = 0.01
-"""Interval at which playback checks whether a full queue has space again, s."""
+"""Interval at which playback checks whether a full queue has free space, s."""
 _MOST_HEAD = 100_000
-"""Maximum number of frames buffered before the robot's first message."""
+"""Maximum number of messages that are buffered before the robot's first message."""
 
 
 class Journal:
     """MCAP file of all received and sent messages, encoded as JSON.
 
-    The file stays readable if the process is killed. A write error ends the journal,
-    but not the session.
+    The file remains readable if the process is killed. A write error ends the journal,
+    but does not end the run of the live twin.
 
     Attributes:
         trouble: path and reason of the error that ended the journal, or an empty string
-            if none occurred.
+            if there was no error.
     """
 
     def __init__(self, path: Path) -> None:
@@ -72,8 +72,8 @@ class Journal:
             raise InputError(
                 f"{display_path(path)}: cannot be written: {error.strerror}"
             ) from error
-        # MCAP chunks are off, so that a killed process loses only the messages after
-        # the last `flush`.
+        # Chunking is disabled, so that only the messages after the last `flush` are
+        # lost if the process is killed.
         self._writer = Writer(
             self._file, use_chunking=False, compression=CompressionType.NONE
         )
@@ -115,8 +115,8 @@ class Journal:
     def _write(self, message: Message) -> None:
         key = message.source, message.kind
         if key not in self._channels:
-            # One channel per source and kind, so that other tools can plot them
-            # separately.
+            # Each source and kind has its own channel, so that other tools can plot the
+            # messages separately.
             self._channels[key] = self._writer.register_channel(
                 topic=topic(message.source, message.kind),
                 message_encoding="json",
@@ -161,22 +161,18 @@ def journal_messages(
 ) -> Iterator[Message]:
     """Yield the messages of a robot and of motion capture in the order of arrival.
 
+    The function `refuse` is called with the error of each invalid message. The names of
+    other robots in the journal are added to `others`.
+
     Reading stops at the first damaged record.
 
-    Args:
-        path: path of the journal.
-        robot: name of the robot.
-        segments: number of segments of the robot.
-        refuse: function called with the error of each record that is not a valid
-            message, or None to skip such records silently.
-        others: set to which the names of other robots in the journal are added.
-
     Raises:
-        InputError: the file does not exist or is not MCAP.
+        InputError: the file does not exist or is not an MCAP file.
     """
     skip = refuse or (lambda _: None)
     with opened_journal(path) as file:
-        # The file is mapped because a journal of hours may be larger than the memory.
+        # The file is mapped, because the journal of several hours may be larger than
+        # the memory.
         whole = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
         for topic, log_time, data in _records(whole, skip):
             try:
@@ -195,7 +191,7 @@ def _records(
 ) -> Iterator[Any]:
     try:
         yield from stream_messages(whole)
-    except Exception as error:  # a damaged file raises errors of many kinds
+    except Exception as error:  # A damaged file can cause many kinds of errors.
         skip(
             BadMessageError(
                 f"the file is cut off or damaged there: {type(error).__name__}"
@@ -207,7 +203,7 @@ def opened_journal(path: Path) -> IO[bytes]:
     """Open a journal for reading.
 
     Raises:
-        InputError: the file does not exist or is not MCAP.
+        InputError: the file does not exist or is not an MCAP file.
     """
     try:
         file = require_file(path, suffix=".mcap").open("rb")
@@ -251,17 +247,14 @@ def _message(
 def in_order(
     messages: Iterable[Message], refuse: Callable[[BadMessageError], None]
 ) -> Iterator[Message]:
-    """Yield the messages whose times of arrival increase, and refuse all others.
+    """Yield messages with increasing arrival times, and refuse the remaining messages.
 
-    A jump by more than `LONGEST_GAP_S` counts as a pause only if the time of the next
-    message confirms the jump. Otherwise the message with the jump is refused.
-
-    Args:
-        messages: messages in the order of the journal.
-        refuse: function called with an error for each refused message.
+    A jump of the arrival time by more than `LONGEST_GAP_S` is accepted as a pause only
+    if the arrival time of the next message confirms the jump. Otherwise the message
+    after the jump is refused.
     """
     last = -math.inf
-    # Message after a jump in time, held back until the next message confirms the jump.
+    # The message after a jump in time is held until the next message confirms the jump.
     odd: Message | None = None
     for message in messages:
         if odd is not None:
@@ -284,7 +277,7 @@ def in_order(
 
 
 class McapLink(Link):
-    """Link that plays a journal as if its messages arrived now, at a chosen speed."""
+    """Link that replays a journal in real time or at another speed."""
 
     def __init__(
         self, path: Path, robot: str, segments: int, *, speed: float = 1.0
@@ -295,12 +288,12 @@ class McapLink(Link):
             path: file written by `Journal`.
             robot: name of the robot.
             segments: number of segments of the robot.
-            speed: playback speed as a multiple of real time. With an infinite speed the
-                messages follow each other without any wait.
+            speed: playback speed as a multiple of real time. If the speed is infinite,
+                all messages are replayed without waiting.
 
         Raises:
-            InputError: the file does not exist, is not MCAP, or has no message of the
-                robot.
+            InputError: the file does not exist, is not an MCAP file, or contains no
+                message of the robot.
         """
         super().__init__()
         self._speed = speed
@@ -314,12 +307,12 @@ class McapLink(Link):
     def clock(self) -> float:
         """Return the current time in the recording, s, or NaN before the first message.
 
-        If playback falls behind, the time waits at the next message.
+        The time does not exceed the time of the next message before the next message is
+        replayed.
         """
         return min(self._first + (clock() - self._begun) * self._speed, self._next)
 
     def _of_the_robot(self, path: Path, robot: str, segments: int) -> Iterator[Message]:
-        """Read up to the first message of the robot, or raise an error without one."""
         others: set[str] = set()
         messages = in_order(
             journal_messages(path, robot, segments, self._refuse, others), self._refuse
@@ -351,7 +344,8 @@ class McapLink(Link):
                 self._next = message.arrived
                 played = (clock() - self._begun) * self._speed
                 ahead = message.arrived - self._first - played
-                if not ahead <= LONGEST_GAP_S:  # true for the NaN of the first message
+                # The condition is also true for the first message, where `ahead` is NaN.
+                if not ahead <= LONGEST_GAP_S:
                     self._first = message.arrived
                     self._begun = clock()
                 elif ahead > 0 and self._over.wait(ahead / self._speed):
@@ -361,7 +355,7 @@ class McapLink(Link):
                     if self._over.wait(_FULL_S):
                         return
                 self._take(message)
-        except Exception as error:  # the thread ends here, so the error must be counted
+        except Exception as error:
             self._refuse(error)
         finally:
             self._next = math.inf

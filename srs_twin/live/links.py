@@ -1,7 +1,7 @@
-"""Links to message sources: the abstract base, MQTT, and keys of the terminal.
+"""Links to message sources such as an MQTT broker, and input from the terminal.
 
-Each link receives messages in a thread of its own, which records their times of
-arrival. A link reconnects after a loss and counts the messages that it could not read.
+Each link receives messages in its own thread, which records the times of arrival. A
+link reconnects after the connection is lost, and counts the invalid messages.
 """
 
 from __future__ import annotations
@@ -52,9 +52,9 @@ if TYPE_CHECKING:
 LOOPBACK = "127.0.0.1"
 _MOST_WAITING = 100_000
 _MOST_REASONS = 200
-"""Maximum number of distinct reasons that are counted.
+"""Maximum number of distinct reasons for which refused messages are counted.
 
-Without a limit, hostile messages could fill the memory with reasons.
+Without a limit, malicious messages could exhaust the memory.
 """
 
 
@@ -67,17 +67,17 @@ class Link(ABC):
     """Source of messages.
 
     Attributes:
-        counts: number of messages per kind. Refused messages are counted as
-            "bad: REASON".
+        counts: number of messages per kind. The number of refused messages is stored
+            under "bad: REASON".
     """
 
     def __init__(self) -> None:
-        """Create a link without messages."""
+        """Initialise the link without messages."""
         self.counts: Counter[str] = Counter()
         self._queue: queue.Queue[Message] = queue.Queue(_MOST_WAITING)
 
     def received(self) -> list[Message]:
-        """Return the messages that arrived since the last call."""
+        """Return the messages that have arrived since the last call."""
         messages = []
         with suppress(queue.Empty):
             while True:
@@ -86,11 +86,11 @@ class Link(ABC):
 
     @property
     def over(self) -> bool:
-        """Whether the source has ended and all messages were received."""
+        """Whether the source has ended and all its messages have been received."""
         return self.counts["over"] > 0 and self._queue.empty()
 
     def clock(self) -> float:
-        """Return the current time of the clock that stamps arriving messages, s."""
+        """Return the current time (s) on the clock that determines arrival times."""
         return clock()
 
     def _take(self, message: Message) -> None:
@@ -101,7 +101,6 @@ class Link(ABC):
             self.counts["nobody asked"] += 1
 
     def _refuse(self, error: Exception) -> None:
-        """Count a refused message under its reason, or under the class of the error."""
         reason = type(error).__name__
         if isinstance(error, BadMessageError):
             reason = str(error)[:80]
@@ -112,7 +111,7 @@ class Link(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """End the connection and the thread."""
+        """Close the connection and end the thread."""
 
     def __enter__(self) -> Any:
         return self
@@ -130,10 +129,10 @@ def address(given: str, port: int) -> tuple[str, int]:
 
     Args:
         given: text ``HOST`` or ``HOST:PORT``, where HOST is a name or an IPv4 address.
-        port: port number used if the text has none.
+        port: port number that is used if the text contains no port.
 
     Raises:
-        InputError: the text has another form.
+        InputError: the text is not a valid address.
     """
     host, colon, number = given.partition(":")
     if not _is_host(host) or (
@@ -149,7 +148,7 @@ def address(given: str, port: int) -> tuple[str, int]:
 
 def _is_host(name: str) -> bool:
     try:
-        encoded = name.encode("idna")  # the encoding that sockets apply
+        encoded = name.encode("idna")
     except UnicodeError:
         return False
     labels = name.removesuffix(".").split(".")
@@ -162,7 +161,7 @@ def resolved(host: str) -> str:
     """Return the IPv4 address of a host.
 
     Raises:
-        InputError: no host has this name.
+        InputError: there is no host with the given name.
     """
     try:
         return socket.gethostbyname(host)
@@ -173,9 +172,9 @@ def resolved(host: str) -> str:
 PORT = 1883
 """Standard port of MQTT."""
 _ANSWER_S = 5.0
-"""Maximum wait for the first answer of the broker, s."""
+"""Maximum waiting time for the first answer of the broker, s."""
 LOST = "lost"
-"""Status that the broker publishes after a connection broke (MQTT last will)."""
+"""Status that the broker publishes after a connection is lost (MQTT last will)."""
 
 
 @dataclass(frozen=True)
@@ -185,10 +184,10 @@ class BrokerAccess:
     Attributes:
         host: host name or IPv4 address.
         port: port number.
-        user: user name, or None for an anonymous login.
-        password: password of the user, or None for a login without a password.
-        ca: file with the CA certificate of the broker, or None for a connection without
-            TLS.
+        user: user name, or None if the login is anonymous.
+        password: password of the user, or None if the login needs no password.
+        ca: file with the CA certificate of the broker, or None if the connection does
+            not use TLS.
     """
 
     host: str = LOOPBACK
@@ -215,20 +214,21 @@ class MqttLink(Link):
         speaks: str | None = None,
         chambers: int = 0,
     ) -> None:
-        """Connect and subscribe.
+        """Connect to a broker and subscribe to the topics of a robot.
 
         Args:
-            robot: name of the robot, which is part of its topics.
+            robot: name of the robot, which is part of the topics.
             segments: number of segments of the robot.
             broker: address and login of the broker.
             kinds: kinds of messages to receive.
-            speaks: name of the robot whose `status` becomes `LOST` if this connection
-                breaks, or None to publish no status.
+            speaks: name of the robot whose status is set to `LOST` if the connection is
+                lost. If None, no status is published.
             chambers: number of chambers per segment of a spatial robot, or 0 for a
                 planar robot.
 
         Raises:
-            InputError: paho-mqtt is not installed, or no broker answers or admits us.
+            InputError: paho-mqtt is not installed, no broker answers, or the broker
+                refuses the connection.
         """
         super().__init__()
         try:
@@ -260,7 +260,8 @@ class MqttLink(Link):
         place = f"{broker.host}:{broker.port}"
         try:
             client.connect(broker.host, broker.port, keepalive=5)
-        except (OSError, ValueError) as error:  # ValueError: the host name is invalid
+        # An invalid host name raises ValueError.
+        except (OSError, ValueError) as error:
             raise InputError(f"no broker answers at {place}: {error}") from error
         client.loop_start()
         if not self._answered.wait(_ANSWER_S) or not self.connected:
@@ -278,25 +279,28 @@ class MqttLink(Link):
         at: float | None = None,
         wait_s: float = 0.0,
     ) -> None:
-        """Send a message. It is dropped if the broker is not connected.
+        """Send a message.
+
+        If the broker is not connected, the message is discarded.
 
         Args:
             kind: kind of the message, one of `KINDS`.
-            values: content of the message, as `encode` accepts it.
-            at: time stamp on the local clock, s; by default the current time.
-            wait_s: maximum time to wait until the message was sent, s.
+            values: content of the message, as in `encode`.
+            at: time stamp on the local clock, s. If None, the current time is used.
+            wait_s: maximum time to wait until the message has been sent, s.
         """
         time = clock() if at is None else at
         sent = self._client.publish(
             topic(self._robot, kind), encode(kind, time, values)
         )
         if wait_s:
-            # RuntimeError: not connected; ValueError: the queue is full.
+            # A RuntimeError means that no broker is connected, and a ValueError that
+            # the queue is full.
             with suppress(RuntimeError, ValueError):
                 sent.wait_for_publish(wait_s)
 
     def send_contact(self, contact: ContactEstimate) -> None:
-        """Send a contact estimate with the current time."""
+        """Send a contact estimate with the current time as time stamp."""
         self._client.publish(
             topic(self._robot, CONTACT), encode_contact(clock(), contact)
         )
@@ -318,11 +322,9 @@ class MqttLink(Link):
         self._why = str(reason)
         if self.connected:
             self.counts["connected"] += 1
-            # Without TCP_NODELAY, a small message waits up to 40 ms for the
-            # acknowledgement of its predecessor.
-            with suppress(
-                OSError, AttributeError
-            ):  # the connection may be closed again
+            # Without TCP_NODELAY, a small message would wait up to 40 ms for the
+            # acknowledgement of the previous message.
+            with suppress(OSError, AttributeError):
                 client.socket().setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             if self._topics:
                 client.subscribe([(name, 0) for name in self._topics])
@@ -338,12 +340,14 @@ class MqttLink(Link):
             if message.retain and kind != STATUS:
                 raise BadMessageError("an old message that the broker retained")
             self._take(self._decode(kind, message.payload, arrived=arrived))
-        except Exception as error:  # an exception would end the thread of the client
+        except Exception as error:  # An exception would end the thread of the client.
             self._refuse(error)
 
 
 def _trust(client: mqtt.Client, ca: Path) -> None:
-    place = require_file(ca, suffix=".pem")  # opening a pipe would block
+    place = require_file(
+        ca, suffix=".pem"
+    )  # The check excludes pipes, because opening a pipe would block.
     try:
         client.tls_set(str(place))
     except (OSError, ValueError) as error:
@@ -358,13 +362,10 @@ KEYS = {"p": PAUSE, "g": GO, "v": VENT, "s": STOP}
 
 @contextmanager
 def typed_words(terminal: TextIO | None = None) -> Iterator[Callable[[], list[str]]]:
-    """Yield a function that returns the control words typed since its last call.
+    """Yield a function that returns the control words typed since the last call.
 
-    Keys act without Enter until the context ends, which restores the terminal. In the
-    background or without a terminal no key is read.
-
-    Args:
-        terminal: terminal to read from, by default the standard input.
+    Keys are read without Enter until the context ends. No keys are read if the process
+    runs in the background or has no terminal.
     """
     stream = sys.stdin if terminal is None else terminal
     if stream is None or stream.closed or not stream.isatty():
@@ -381,7 +382,7 @@ def typed_words(terminal: TextIO | None = None) -> Iterator[Callable[[], list[st
         if not _in_foreground(handle) or not select.select([handle], [], [], 0)[0]:
             return []
         typed = b""
-        with suppress(OSError):  # the terminal was closed
+        with suppress(OSError):
             typed = os.read(handle, 1024)
         keys = typed.decode("ascii", "replace").lower()
         return [KEYS[key] for key in keys if key in KEYS]
@@ -394,8 +395,7 @@ def typed_words(terminal: TextIO | None = None) -> Iterator[Callable[[], list[st
 
 
 def _in_foreground(handle: int) -> bool:
-    """Return whether the process may read from its terminal without being stopped."""
     try:
         return os.tcgetpgrp(handle) == os.getpgrp()
-    except OSError:  # `handle` is not the controlling terminal
+    except OSError:  # `handle` is not the controlling terminal.
         return True

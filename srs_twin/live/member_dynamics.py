@@ -1,4 +1,4 @@
-"""Dynamics of the ensemble members: chambers and bodies of the `compliant` model."""
+"""Dynamics of the ensemble members, based on the `compliant` model."""
 
 from __future__ import annotations
 
@@ -20,12 +20,13 @@ from srs_twin.robot.spec import RobotSpec
 STEP_S = 0.0025
 """Maximum time step of the members, s."""
 _SLIP_SPEED = 0.001
-"""Speed below which friction is viscous, m/s at a time unit of 1 s (`robot.scale`)."""
+"""Speed below which friction is viscous, m/s, for a time unit of 1 s (`robot.scale`).
+"""
 _LARGEST_VELOCITY = 20.0, 20.0, 1000.0
-"""Forward and lateral velocity (m/s) and yaw rate (rad/s) of a diverged member.
+"""Maximum forward and lateral velocity (m/s) and yaw rate (rad/s) of a valid member.
 
-The yaw rate of generation 2 reaches 50 rad/s while its bends oscillate after a valve
-has switched, so the limit of the yaw rate lies far above.
+The limit of the yaw rate is large, because the yaw rate of generation 2 reaches 50
+rad/s during oscillations after a valve has switched.
 """
 
 
@@ -33,11 +34,10 @@ class ValveInput(NamedTuple):
     """Input of the chambers, including detected faults.
 
     Attributes:
-        duty: duty cycle of each valve, that is, the fraction of time in which it fills
-            its chamber, in slots of equal duration, shape (slots, segments, 2).
+        duty: fraction of time in which each valve fills its chamber, for slots of equal
+            duration, shape (slots, segments, 2).
         supply: gauge supply pressure of each segment, Pa.
-        leak: relative rate at which each chamber loses pressure, 1/s, shape (segments,
-            2).
+        leak: relative rate of pressure loss of each chamber, 1/s, shape (segments, 2).
     """
 
     duty: np.ndarray
@@ -54,7 +54,7 @@ class Air(NamedTuple):
         pressure: gauge pressures p, Pa.
         lagged: pressures p̂ after the lag between pressure and free bend, Pa.
         gain: bending gains g relative to the nominal gain, dimensionless.
-        noise: standard normal numbers for the random walk of the pressures.
+        noise: standard normal random numbers for the random walk of the pressures.
     """
 
     pressure: np.ndarray
@@ -64,7 +64,7 @@ class Air(NamedTuple):
 
 
 class Drive(NamedTuple):
-    """Linear bends due to the pressures, at the start and at both stages of each step.
+    """Linear bends due to the pressures, at the start and at two stages per step.
 
     Attributes:
         bend: linear bends, shape (1 + 2 steps, members, segments), rad.
@@ -84,12 +84,14 @@ class MemberDynamics:
 
     $$ q_{f,j} = b_j + \varphi(G\,(g_j^+ \hat p_j^+ - g_j^- \hat p_j^-)) + d_j , $$
 
-    where p̂ follows the pressure with the time constant τ₂, g is the gain of a chamber,
-    b the rest bend and d a disturbance. The pressures obey the first-order law of
-    `pneumatics.lag`, corrected by the learnt rates of `pressure_table`.
+    where p̂ is the pressure after a first-order lag with the time constant τ₂, g is the
+    gain of a chamber, b is the rest bend and d is a disturbance. The pressures are
+    computed with the first-order law of `pneumatics.lag` and corrected by the learnt
+    rates of `pressure_table`.
 
     Attributes:
-        mass: lumped mass of each connector, including its part of the segments, kg.
+        mass: lumped mass of each connector, including parts of the adjacent segments,
+            kg.
     """
 
     def __init__(self, spec: RobotSpec) -> None:
@@ -122,14 +124,9 @@ class MemberDynamics:
         air: Air,
         rates: PressureRates,
     ) -> Drive:
-        """Advance the pressures, and return the bends that they cause.
+        """Advance the pressures by a time (s), and return the linear bends.
 
-        Args:
-            valves: input of the chambers.
-            dt: duration, s.
-            step: maximum time step, s.
-            air: state of the chambers, which is advanced in place.
-            rates: learnt rates of the pressures.
+        The state of the chambers is changed in place.
         """
         actuator = self._spec.actuator
         slots = len(valves.duty)
@@ -137,8 +134,8 @@ class MemberDynamics:
         h = dt / slots / steps
         stages = (np.arange(steps)[:, None] + [kernels.GAMMA, 1.0]).ravel() * h
         after = stages[:, None, None, None]
-        # The random walk is spread over the steps. If it were added at the end, it
-        # would not act on the bends of this period.
+        # The random walk is distributed over the steps, because a random step at the
+        # end of the period would not affect the bends.
         noise = air.noise / math.sqrt(dt)
         pressures = [air.pressure[None].copy()]
         lags = [air.lagged[None].copy()]
@@ -184,7 +181,7 @@ class MemberDynamics:
             bias: rest bends including disturbances, shape (members, segments), rad.
 
         Returns:
-            Bends at the end, and whether each member is valid.
+            Bends at the end of the period, and whether each member is valid.
         """
         members, n = bend.shape
         states = np.zeros((members, kernels.STATES + 2 * n))
@@ -201,18 +198,14 @@ class MemberDynamics:
         )
         steps = np.full(len(drive.bend) // 2, drive.step)
         complete = _advance(states, velocity, steps, free, self._model, workspace)
-        # A diverged member would distort the ensemble mean, so it is reported as
-        # invalid although the integrator has finished.
+        # Members with implausible velocities are reported as invalid, because they
+        # would distort the ensemble mean.
         slow = (np.abs(velocity[:, :3]) <= _LARGEST_VELOCITY).all(axis=1)
         return bends, complete & slow & np.isfinite(states).all(axis=1)
 
 
 @allocating
 def _free_bends(linear, speed, bias, law):  # type: ignore[no-untyped-def]
-    """Return free bends (rad) and rates (rad/s), shape (members, times, segments).
-
-    The linear bends and their rates `speed` have the shape (times, members, segments).
-    """
     times, members, segments = linear.shape
     bends = np.empty((members, times, segments))
     rates = np.empty((members, times, segments))
@@ -244,11 +237,11 @@ def _advance(states, velocities, steps, free, model, workspace):  # type: ignore
 
 @compiled
 def _set_momenta(states, velocities, model, workspace):  # type: ignore[no-untyped-def]
-    """Fill velocities and momenta from velocities in the frame of the mean heading."""
     segments = workspace.bend.shape[0]
     ahead = compliant_kernels.BENDS
     momentum = workspace.momentum
-    moment = workspace.bend  # arbitrary: moments due to air do not enter the momenta
+    # Moments due to air do not affect the momenta, so their values are arbitrary.
+    moment = workspace.bend
     for m in range(states.shape[0]):
         state = states[m]
         u = velocities[m]

@@ -1,8 +1,8 @@
 """Messages of a robot and its controller, encoded as JSON for MQTT.
 
-Topics and keys are described in docs/live.md. Lists are ordered from the head, and
-``t`` is the time on the sender's clock. Messages of a spatial robot contain one list
-per chamber (``chamber_1``…) and the bends upwards.
+Topics and keys are described in docs/live.md. Lists begin at the head of the robot, and
+the key ``t`` is the time on the sender's clock. Messages of a spatial robot contain one
+list per chamber, and the bends upwards in addition to the bends to the left.
 """
 
 from __future__ import annotations
@@ -35,16 +35,16 @@ GO = "go"
 STOP = "stop"
 VENT = "vent"
 WORDS = (PAUSE, GO, STOP, VENT)
-"""Control words, which are the texts of `control` messages."""
+"""Control words, which are the possible texts of `control` messages."""
 PREFIX = "srs"
 """Prefix of all topics."""
 LATEST_S = 9e9
 """Maximum accepted time of a sender's clock, s (the year 2255 in Unix time).
 
-The limit ensures that the time in ns fits into the 64 bits of a journal.
+With this limit, the time in nanoseconds fits into the 64 bits of a journal entry.
 """
 _SI = {PRESSURES: 1000.0, SUPPLY: 1000.0}
-"""Conversion factor to SI units for each kind of message that needs one, Pa/kPa."""
+"""Conversion factor to SI units for each kind of message with other units, Pa/kPa."""
 _BOUNDS = {
     COMMAND: (-1.0, 1.0),
     VALVES: (-1.0, 1.0),
@@ -52,7 +52,7 @@ _BOUNDS = {
     SUPPLY: (0.0, 1000.0),
     BENDS: (-2 * math.pi, 2 * math.pi),
 }
-"""Minimum and maximum number in each kind of message."""
+"""Minimum and maximum value in each kind of message."""
 _SIDES = ("plus", "minus")
 _BEND_KEYS = ("rad", "pitch_rad")
 _PLAIN_WORDS = tuple(word.encode() for word in WORDS)
@@ -60,7 +60,7 @@ _LONGEST_TEXT = 1000
 
 
 class BadMessageError(ValueError):
-    """Error for an invalid message, with the reason."""
+    """Error due to an invalid message."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,20 +72,20 @@ class Message:
     - Commands and valve states have the shape (segments, 2), or (segments, chambers)
       for a spatial robot. Pressures (Pa) have the shape of the commands.
     - The supply pressure (Pa) is a scalar.
-    - Bends (rad, NaN where missing) have the shape (segments,). For a spatial robot the
-      shape is (segments, 2), with bends to the left and upwards.
-    - Poses have the shape (bodies, 4): x, y, z (m, z up) and heading (rad, NaN where
-      unknown).
-    - Other kinds have no values.
+    - Bends (rad) have the shape (segments,), or (segments, 2) for a spatial robot with
+      bends to the left and upwards. Missing bends are NaN.
+    - Poses have the shape (bodies, 4) and contain x, y, z (m) and heading (rad). The z
+      axis points upwards. Unknown headings are NaN.
+    - Messages of other kinds have no values.
 
     Attributes:
         kind: kind of the message, one of `KINDS` or `POSES`.
-        source: name of the robot or of the motion capture system, whose clock defines
-            `sent`.
+        source: name of the sender, which is the robot or the motion capture system.
         sent: sending time on the sender's clock, s.
         arrived: time of arrival on the local monotonic clock, s.
-        values: numbers in the message.
-        names: names of the bodies of poses, or the text of `status` and `control`.
+        values: values of the message, as described above.
+        names: names of the bodies in a message with poses, or the text of a `status` or
+            `control` message.
     """
 
     kind: str
@@ -107,7 +107,7 @@ def encode(kind: str, time: float, values: np.ndarray | str) -> bytes:
     Args:
         kind: kind of the message, one of `KINDS`.
         time: time on the local clock, s.
-        values: values as in `Message`, or the text of `status` and `control`.
+        values: values as in `Message`, or the text of a `status` or `control` message.
     """
     content: dict[str, object]
     if isinstance(values, str):
@@ -127,7 +127,7 @@ def encode(kind: str, time: float, values: np.ndarray | str) -> bytes:
 
 
 def strict_json(document: Mapping[str, object]) -> bytes:
-    """Encode a document as JSON. Numbers that are not finite become null."""
+    """Encode a document as JSON, in which numbers that are not finite are null."""
     return to_json(document, inf_nan_mode="null")
 
 
@@ -136,11 +136,9 @@ def _chamber_keys(chambers: int) -> tuple[str, ...]:
 
 
 def encode_contact(time: float, contact: ContactEstimate) -> bytes:
-    """Encode a contact estimate as JSON.
+    """Encode a contact estimate at a local time (s) as JSON.
 
-    Args:
-        time: time of the estimate on the local clock, s.
-        contact: contact estimate. Without a contact, its numbers become null.
+    If no contact is detected, force and position are null.
     """
     keys: dict[str, object] = {
         "t": time,
@@ -177,7 +175,7 @@ def decode(
     """Decode a received message.
 
     Args:
-        kind: kind of the message, known from its topic.
+        kind: kind of the message, which is part of the topic.
         payload: received bytes.
         source: name of the sender.
         arrived: time of arrival on the local clock, s.
@@ -186,11 +184,11 @@ def decode(
             robot.
 
     Raises:
-        BadMessageError: the payload is invalid, or has another number of segments.
+        BadMessageError: the payload is invalid or has a wrong number of segments.
     """
     if kind not in KINDS:
         raise BadMessageError(f"{kind!r} is not a kind of message")
-    if kind == CONTROL and payload in _PLAIN_WORDS:  # by hand, in a hurry
+    if kind == CONTROL and payload in _PLAIN_WORDS:
         return Message(kind, source, arrived, arrived, names=(payload.decode(),))
     document = _document(payload)
     sent = _number(document.get("t"), "t", -LATEST_S, LATEST_S)
@@ -215,8 +213,8 @@ def _document(payload: bytes) -> Mapping[str, Any]:
     try:
         document = json.loads(payload)
     except (ValueError, RecursionError) as error:
-        # The position of the error is omitted, because messages are counted per reason
-        # and the number of distinct reasons is limited.
+        # The position of the error is omitted, because the number of distinct reasons
+        # is limited.
         reason = getattr(error, "msg", type(error).__name__)
         raise BadMessageError(f"the message is not JSON: {reason}") from None
     if not isinstance(document, Mapping):

@@ -1,8 +1,8 @@
-"""Reader and writer of NatNet packets, which motion capture sends over UDP.
+"""Reader and writer of NatNet packets, which motion capture systems send over UDP.
 
-The reader supports versions 2.6 to 4.2, and the writer, which serves the emulator,
-version 4.1. Only rigid bodies are read. Lengths are in m, and coordinates have the axes
-of Motive until `turned` rotates them to z up.
+The reader supports the NatNet versions 2.6 to 4.2. The writer, which the emulator uses,
+supports version 4.1. Only rigid bodies are read. Lengths are in m. Coordinates refer to
+the axes of Motive, and `rotate` converts them to a z axis that points upwards.
 """
 
 from __future__ import annotations
@@ -32,21 +32,22 @@ VERSIONS = (
     (4, 1),
     (4, 2),
 )
-"""Versions that the reader supports and the tests cover."""
-_MOST = 10_000  # maximum number of entries of any list in a frame
+"""NatNet versions that the reader supports."""
+_MOST = 10_000
+"""Maximum number of entries of a list in a frame."""
 _TRACKED = 0x01
 _NAME = 256
 _FURTHEST_M = 1000.0
-"""Maximum plausible coordinate, m. No motion capture volume is larger."""
+"""Maximum plausible coordinate, m."""
 _LENGTH_TOLERANCE = 0.1
 """Maximum deviation of the norm of a quaternion from 1.
 
-Rounding and averaging by the sender explain smaller deviations.
+Smaller deviations can be due to rounding and averaging by the sender.
 """
 
 Version = tuple[int, int]
 _WRITTEN: Version = (4, 1)
-"""Version of the packets that the writer produces."""
+"""NatNet version of the packets that the writer produces."""
 
 
 class Packet(IntEnum):
@@ -68,11 +69,10 @@ class RigidBody:
     """Pose of a rigid body in a frame.
 
     Attributes:
-        place: position in the axes of Motive, m.
+        place: position with respect to the axes of Motive, m.
         turn: orientation as a quaternion x, y, z, w.
         error: mean residual of the markers of the body, m.
-        tracked: whether the body was visible and its position and orientation are
-            valid.
+        tracked: whether the body was visible and its pose is valid.
     """
 
     place: tuple[float, ...]
@@ -86,8 +86,8 @@ class Frame:
     """Frame of motion capture.
 
     Attributes:
-        number: frame number, counted by the sender.
-        time: time stamp on the clock of the sender, s.
+        number: frame number assigned by the sender.
+        time: time stamp on the sender's clock, s.
     """
 
     number: int
@@ -103,7 +103,7 @@ class Group(NamedTuple):
 
 
 class Server(NamedTuple):
-    """NatNet version of a server, and its multicast group if it has one."""
+    """NatNet version and multicast group of a server."""
 
     version: Version
     group: Group | None = None
@@ -131,7 +131,7 @@ class _Reader:
         return int(count)
 
     def listed(self, version: Version) -> tuple[int, int | None]:
-        """Read the number of entries and, from version 4.1 on, the end of a list."""
+        """Read the length of a list and, from version 4.1 on, the end of the list."""
         count = self.count()
         if version < (4, 1):
             return count, None
@@ -145,7 +145,8 @@ class _Reader:
         return self.at + int(size)
 
     def text(self) -> str:
-        # The length is limited, so that a damaged packet is not read as one long name.
+        # The length is limited, so that a damaged packet is not read as a single long
+        # name.
         rest = bytes(self._data[self.at : self.at + _NAME + 1])
         end = rest.find(b"\0")
         if end < 0:
@@ -174,7 +175,7 @@ def closed(kind: int, content: bytes = b"") -> bytes:
 
 
 def read_server(content: bytes) -> Server:
-    """Read version and multicast group from the answer of a server.
+    """Read the version and the multicast group of a server from its answer.
 
     Raises:
         BadMessageError: the content is invalid.
@@ -199,7 +200,7 @@ def read_server(content: bytes) -> Server:
 
 
 def write_server() -> bytes:
-    """Build the answer of a server without a multicast group to `Packet.CONNECT`."""
+    """Build the answer of a server to `Packet.CONNECT`, without a multicast group."""
     name = b"srs_twin".ljust(_NAME, b"\0")
     versions = bytes([1, 0, 0, 0, *_WRITTEN, 0, 0])
     connection = struct.pack("<QH?4B", 10**9, _DATA_PORT, False, 0, 0, 0, 0)
@@ -211,10 +212,10 @@ _RIGID_BODY = 1
 
 
 def read_models(content: bytes, version: Version) -> dict[int, str]:
-    """Read the names of rigid bodies by id.
+    """Read the names of the rigid bodies, keyed by id.
 
     Before version 4.1, reading ends at the first description of an unknown type,
-    because its length is unknown.
+    because the packet does not state the length of descriptions.
 
     Raises:
         BadMessageError: the content is invalid.
@@ -231,7 +232,8 @@ def read_models(content: bytes, version: Version) -> dict[int, str]:
         elif kind == _RIGID_BODY:
             number, name = _model(packet, version)
             names[number] = name
-        # Without its length, the end of an unknown description cannot be found.
+        # If a description of an unknown type has no length, the end of the description
+        # cannot be found.
         elif end is None:
             break
         if end is not None:
@@ -277,7 +279,7 @@ def read_frame(content: bytes, version: Version) -> Frame:
     for read_one, since in _AFTER_BODIES:
         if version >= since:
             _skip(packet, version, read_one)
-    # The time code is skipped, because the time stamp follows.
+    # The time code is skipped, because the frame also contains a time stamp.
     packet.read("II")
     (time,) = packet.read("d" if version >= (2, 7) else "f")
     if not abs(time) <= LATEST_S:
@@ -316,7 +318,8 @@ def _body(packet: _Reader, version: Version) -> tuple[int, RigidBody]:
     error, params = packet.read("fH")
     place = tuple(rest[:3])
     turn = tuple(rest[3:])
-    # The flag does not suffice: some senders set it with an orientation of zeros.
+    # The flag alone is not sufficient, because some senders mark a body as tracked
+    # although the orientation is invalid.
     has_pose = is_place(place) and unit_quaternion(turn) is not None
     tracked = has_pose and bool(params & _TRACKED)
     return number, RigidBody(place, turn, error, tracked)
@@ -329,7 +332,8 @@ def _skeleton(packet: _Reader, version: Version) -> None:
 
 
 def _asset(packet: _Reader, version: Version) -> None:
-    # Lists of assets exist from version 4.1 on, and have their length.
+    # Lists of assets exist only from version 4.1 on, in which all lists state their
+    # length.
     raise BadMessageError("the list of assets does not state its length")
 
 
@@ -350,7 +354,9 @@ _AFTER_BODIES: Sequence[tuple[Callable[[_Reader, Version], object], Version]] = 
     (_channels, (2, 9)),  # force plates
     (_channels, (2, 11)),  # devices
 )
-"""Readers of the lists after the rigid bodies, with the first version of each list."""
+"""Readers of the lists after the rigid bodies, with the first version that has the
+list.
+"""
 
 
 def write_frame(frame: Frame) -> bytes:
@@ -366,22 +372,24 @@ def write_frame(frame: Frame) -> bytes:
         )
         for key, body in frame.bodies.items()
     )
-    # Two empty lists (marker sets, unlabelled markers) precede the bodies. Five follow:
-    # skeletons, assets, labelled markers, force plates and devices.
+    # The bodies are preceded by empty lists of marker sets and unlabelled markers, and
+    # followed by empty lists of skeletons, assets, labelled markers, force plates and
+    # devices.
     lists = 2 * listed() + listed(*bodies) + 5 * listed()
     end = struct.pack("<IId3QIIHi", 0, 0, frame.time, *7 * [0])
     return closed(Packet.FRAME, struct.pack("<i", frame.number) + lists + end)
 
 
 def is_place(place: Sequence[float]) -> bool:
-    """Return whether coordinates (m) are finite and plausible in motion capture."""
+    """Return whether coordinates (m) are finite and plausible."""
     return all(abs(coordinate) <= _FURTHEST_M for coordinate in place)
 
 
 def unit_quaternion(turn: Sequence[float]) -> tuple[float, ...] | None:
-    """Normalise a quaternion, or return None if its norm differs from 1 by over 0.1.
+    """Normalise a quaternion, or return None if the quaternion is invalid.
 
-    NaN and zeros, which some senders use for an unknown orientation, also give None.
+    A quaternion is invalid if its norm differs from 1 by more than 0.1. Some senders
+    represent an unknown orientation by NaN or zeros.
     """
     length = math.hypot(*turn)
     if not abs(length - 1) <= _LENGTH_TOLERANCE:
@@ -390,21 +398,20 @@ def unit_quaternion(turn: Sequence[float]) -> tuple[float, ...] | None:
 
 
 def rotate(body: RigidBody, up: str) -> np.ndarray:
-    """Return x, y, z (m, z up) and heading (rad) of a body.
+    """Return the position x, y, z (m) and the heading (rad) of a body.
 
-    The x axis of the body points forwards. All values are NaN if the orientation is
-    unknown.
+    The x axis of the body points forwards, and the z axis points upwards. If the
+    orientation is unknown, all values are NaN.
 
     Args:
-        body: rigid body in the axes of Motive.
-        up: upward axis of the stream, "y" or "z".
+        body: rigid body with respect to the axes of Motive.
+        up: axis of Motive that points upwards, "y" or "z".
     """
     turn = unit_quaternion(body.turn)
     if turn is None:
         return np.full(4, math.nan)
     x, y, z = body.place
     i, j, k, w = turn
-    # Component of the x axis of the body along the x axis of the frame.
     forward = 1 - 2 * (j * j + k * k)
     if up == "y":
         return np.array([x, -z, y, math.atan2(-2 * (i * k - j * w), forward)])

@@ -1,16 +1,17 @@
-r"""Motion of a wheeled body due to changes of its bends.
+r"""Motion of a body on wheels due to changes of its bends.
 
-If inertia is negligible, the motion of a body depends only on the change of its shape,
-not on the pace of the change (Kelly and Murray 1995):
+If inertia is negligible, the motion of the body depends on the sequence of its shapes,
+but not on the speed of the changes (Kelly and Murray 1995):
 
 $$ ξ = A(q) \, \dot q , \qquad A = A_w(q) + \sum_k W_k \, φ_k(\tanh(q / q_0)) , \quad
 φ(x) = (1, x_i, x_i x_j, x_i x_j x_k) , $$
 
-where q contains the bends and ξ the forward velocity, lateral velocity and yaw rate.
-The matrix A_w minimises the dissipation of wheels whose friction is proportional to
-speed. The weights W describe how the robot differs from this model. They are fitted to
-successive frames of motion capture by regularised least squares. Cubic features φ are
-needed because, for example, a turning gait is slower than a straight gait.
+where q contains the bends, and ξ contains the forward velocity, the lateral velocity
+and the yaw rate. The matrix A_w minimises the dissipation of wheels whose friction is
+proportional to the speed. The weights W describe the deviation of the robot from the
+motion predicted by A_w. The weights are fitted to successive frames of motion capture
+by regularised least squares. Cubic features φ are needed, for example, to describe that
+a turning gait is slower than a straight gait.
 """
 
 from __future__ import annotations
@@ -31,36 +32,39 @@ from srs_twin.robot.spec import RobotSpec
 PRIOR = 0.1
 """Prior standard deviation of the entries of W, rad/rad."""
 _MODEL_ERROR_RANGE = 0.01, 0.05
-"""Limits of the uncertainty of A, rad per rad of bending.
+"""Lower and upper limit of the uncertainty of A, rad/rad.
 
-The uncertainty never vanishes because cubic terms cannot represent every robot."""
+The uncertainty has a lower limit, because cubic features do not describe every robot
+exactly."""
 _SATURATION_RAD = 0.7
 """Bend q₀ at which the features saturate, rad.
 
 Without saturation, a fit to small bends would be extrapolated to large bends."""
 _BLOCK = 30
-"""Number of frames after which W is fitted again."""
+"""Number of frames between two fits of W."""
 _KEPT_BLOCKS = 10
-"""Number of blocks over which the scatter of the displacement is averaged."""
+"""Number of blocks over which the scatter of the displacements is averaged."""
 _FORGETTING_FRAMES = 3000
-"""Number of frames after which the weight of a frame has fallen to 1/e."""
+"""Number of frames after which the weight of a frame has decreased to 1/e."""
 _NOISE_RAD = 0.02
 """Prior standard deviation of the heading of a frame, rad."""
 _SCATTER = 0.001, 0.001, 0.02
-"""Prior standard deviation of forward, lateral (m) and yaw (rad) motion per frame."""
+"""Prior standard deviation of the forward, lateral (m) and yaw (rad) motion per frame.
+"""
 _ERROR_INFLATION = 1.3
 """Factor by which the standard deviation of W is increased.
 
-The errors of the cubic terms recur in each stroke and are therefore correlated."""
+The errors of the cubic features recur in each gait period and are therefore
+correlated."""
 _DIFFERENCE_RAD = 1e-4
-"""Step of the bends in difference quotients, rad."""
+"""Step of the bends for numerical differentiation, rad."""
 
 
 class LocalConnection(Stateful):
-    """Local connection of one robot, defined in the module docstring.
+    """Local connection A(q) of a robot. See the module docstring.
 
     Attributes:
-        weights: weights W, with one row per product of a feature and the change of a
+        weights: weights W. The rows belong to products of a feature and the change of a
             bend. The columns are forward motion (m), lateral motion (m) and yaw (rad).
     """
 
@@ -75,11 +79,10 @@ class LocalConnection(Stateful):
     )
 
     def __init__(self, spec: RobotSpec, mass: Array) -> None:
-        """Start with W = 0.
+        """Initialise the weights W to 0.
 
-        Args:
-            spec: specification of the robot.
-            mass: mass of each connector and its part of the adjacent segments, kg.
+        `mass` is the lumped mass of each connector, including parts of the adjacent
+        segments (kg).
         """
         n = spec.segments
         self._spec = spec
@@ -99,9 +102,9 @@ class LocalConnection(Stateful):
         self._root: Array = np.eye(count) * PRIOR / _NOISE_RAD
 
     def snapshot(self) -> LocalConnection:
-        """Return a copy for another thread. The copy cannot learn."""
+        """Return a copy for predictions in another thread."""
         made = object.__new__(LocalConnection)
-        # `learn` and `recall` replace these arrays and never change them.
+        # The copy shares the arrays, because the arrays are never changed in place.
         for name in ("_spec", "_mass", "_powers", "weights", "_root", "_scatter"):
             setattr(made, name, getattr(self, name))
         return made
@@ -111,9 +114,10 @@ class LocalConnection(Stateful):
         return np.outer(self._features((before + after) / 2), after - before).ravel()
 
     def matrix(self, bends: Array) -> Array:
-        """Return the matrix A at given bends (rad), shape (3, segments).
+        """Return the matrix A for given bends (rad), shape (3, segments).
 
-        The rows are forward motion (m/rad), lateral motion (m/rad) and yaw (rad/rad).
+        The rows contain forward motion (m/rad), lateral motion (m/rad) and yaw
+        (rad/rad).
         """
         features = self._features(bends)
         learnt = self.weights.reshape(len(features), self._spec.segments, 3)
@@ -123,7 +127,7 @@ class LocalConnection(Stateful):
         return matrix
 
     def kinematic_matrix(self, bends: Array) -> Array:
-        """Return the matrix A_w with the layout of `matrix`."""
+        """Return the matrix A_w, with the same rows and columns as `matrix`."""
         g = self._spec.geometry
         mu = self._spec.friction
         n = self._spec.segments
@@ -134,8 +138,8 @@ class LocalConnection(Stateful):
         heading = relative_headings(bends)
         forward = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
         lateral = forward[:, ::-1] * [-1.0, 1.0]
-        # The square roots of the friction coefficients turn the minimum of dissipation
-        # into a least-squares problem.
+        # Scaling by the square roots of the friction coefficients converts the
+        # minimisation of the dissipation to a least-squares problem.
         directions = np.stack(
             [math.sqrt(mu.mu_t) * forward, math.sqrt(mu.mu_n) * lateral]
         )
@@ -149,8 +153,8 @@ class LocalConnection(Stateful):
         """Return random displacements due to the uncertainty of W, shape (members, 3).
 
         Args:
-            features: products φ ⊗ dq as returned by `features`.
-            draws: standard normal numbers, shape (members, rows of W, 3).
+            features: products φ ⊗ dq, as in `features`.
+            draws: standard normal random numbers, shape (members, rows of W, 3).
         """
         spread = _ERROR_INFLATION * features @ self._root
         sd = math.sqrt(self._scatter[2]) * float(np.linalg.norm(spread))
@@ -163,11 +167,9 @@ class LocalConnection(Stateful):
         )
 
     def learn(self, features: Array, residual: Array) -> None:
-        """Learn from the displacement between two frames.
+        """Update the fit with the features φ ⊗ dq of the motion between two frames.
 
-        Args:
-            features: products φ ⊗ dq of the motion between the frames.
-            residual: displacement (m, m, rad) minus the prediction A_w dq.
+        The residual is the measured displacement minus the prediction A_w dq.
         """
         remembered = 1 - 1 / _FORGETTING_FRAMES
         self._gram *= remembered
@@ -180,15 +182,16 @@ class LocalConnection(Stateful):
         self._frames += 1
         if self._frames % _BLOCK:
             return
-        # The noise of a frame enters successive displacements with opposite signs. It
-        # cancels in sums over a block, so the scatter is computed from these sums.
+        # The noise of a frame has opposite signs in successive displacements and
+        # cancels in sums over a block. The scatter is therefore computed from sums over
+        # blocks.
         kept = max(min(self._frames // _BLOCK, _KEPT_BLOCKS), 2)
         self._scatter = self._scatter + (self._block**2 / _BLOCK - self._scatter) / kept
         self._block = np.zeros(3)
         self.weights = np.asarray(np.linalg.solve(self._normal(), self._sums))
 
     def load_state_dict(self, memory: Mapping[str, Any]) -> None:
-        """Restore saved values."""
+        """Restore the saved values."""
         super().load_state_dict(memory)
         if self._frames >= _BLOCK:
             self._normal()
@@ -206,53 +209,44 @@ class LocalConnection(Stateful):
 
 
 _LONGEST_FRAME_INTERVAL_S = 0.2
-"""Maximum interval between frames from which the connection is fitted, s."""
+"""Maximum interval between frames that are used for the fit, s."""
 
 
 class Odometry:
-    """Motion of an ensemble computed from the local connection of the robot.
+    """Motion of the ensemble members, computed with the local connection of the robot.
 
-    The motion of all members is integrated along a straight line between corrected mean
-    bends, because fluctuations of the bends of single members would turn the bodies at
-    random. A random displacement represents the uncertainty of the connection.
+    The motion of all members is computed from the change of the mean bends, because
+    fluctuations of the bends of individual members would rotate the bodies randomly. A
+    random displacement represents the uncertainty of the connection.
 
     Attributes:
-        twist: forward and lateral velocity (m/s) and yaw rate (rad/s) of the last step.
+        twist: mean forward velocity, lateral velocity (m/s) and yaw rate (rad/s) in the
+            last step.
     """
 
     def __init__(
         self, connection: LocalConnection, bends: Array, rng: np.random.Generator
     ) -> None:
-        """Create the odometry of an ensemble.
-
-        Args:
-            connection: local connection of the robot.
-            bends: initial bends of the members, shape (members, segments), rad.
-            rng: random number generator for the draws of the model error.
-        """
+        """Initialise the odometry of an ensemble with given bends (rad)."""
         self.connection = connection
         self.twist = np.zeros(3)
         self._features = np.zeros(len(connection.weights))
         draws = rng.normal(size=(len(bends), len(self._features), 3))
         self._draws = draws - draws.mean(axis=0)
         self._forecasting = False
-        # Bends at the last call of `apply`, and the time since then.
+        # The bends at the last call of `apply` and the time since the last call are
+        # stored.
         self._bends = bends.copy()
         self._elapsed = 0.0
         self._frame_age = math.inf
 
     def advance(self, dt: float) -> None:
-        """Add a time step (s) to the elapsed time without moving the bodies."""
+        """Increase the elapsed time by a time step (s) without moving the bodies."""
         self._elapsed += dt
         self._frame_age += dt
 
     def apply(self, pose: Array, bends: Array) -> None:
-        """Move the bodies by the change of the bends since the last call.
-
-        Args:
-            pose: position x, y (m) and heading (rad) of each member, changed in place.
-            bends: current bends of the members, shape (members, segments), rad.
-        """
+        """Move the bodies according to the changes of the bends since the last call."""
         if not self._elapsed:
             return
         before = self._bends.mean(axis=0)
@@ -263,7 +257,7 @@ class Odometry:
             change = bends - self._bends
         step = change @ self.connection.matrix((before + after) / 2).T
         step = step + self.connection.sample_model_error(features, self._draws)
-        # The heading in the middle of the step makes the integration second-order
+        # Using the heading in the middle of the step makes the integration second-order
         # accurate.
         heading = pose[:, 2] + step[:, 2] / 2
         c = np.cos(heading)
@@ -277,7 +271,7 @@ class Odometry:
         self._elapsed = 0.0
 
     def learn(self, pose: Array, bend: Array, poses: Array, bends: Array) -> None:
-        """Fit the connection to a frame of motion capture.
+        """Update the fit of the connection with a frame of motion capture.
 
         Args:
             pose: mean pose before the correction by the frame.
@@ -293,7 +287,8 @@ class Odometry:
             s = math.sin(pose[2])
             residual = np.array([c * x + s * y, c * y - s * x, turn])
             # The predicted pose already contains the learnt part of the motion. The
-            # part is added again because W is fitted to the whole motion.
+            # learnt part is added to the residual, because W is fitted to the whole
+            # deviation from A_w.
             residual += self._features @ connection.weights
             residual -= connection.kinematic_matrix((bend + now) / 2) @ (now - bend)
             connection.learn(self._features + connection.features(bend, now), residual)
@@ -302,21 +297,16 @@ class Odometry:
         self._bends[:] = bends
 
     def interrupt(self) -> None:
-        """Exclude the motion since the last frame from the fit of the connection."""
+        """Exclude the motion since the last frame from the fit."""
         self._frame_age = math.inf
 
     def restart(self, bends: Array) -> None:
-        """Continue from other bends (rad) without moving the bodies."""
+        """Set the bends (rad) of the members without moving the bodies."""
         self._bends = bends.copy()
         self.interrupt()
 
     def forecaster(self, before: Array, bends: Array) -> Odometry:
-        """Return an odometry for a prediction in which members move independently.
-
-        Args:
-            before: bends of the predicted members in the filter, rad.
-            bends: bends of the predicted members at the start of the prediction, rad.
-        """
+        """Return a copy for predictions, in which the members move independently."""
         other = copy.copy(self)
         vars(other).update(
             connection=self.connection.snapshot(),

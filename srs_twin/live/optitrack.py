@@ -19,18 +19,18 @@ from srs_twin.live.messages import POSES, BadMessageError, Message
 
 _ASKS_EVERY_S = 1.0
 _ASKS_NAMES_EVERY_S = 10.0
-"""Interval of requests for the names of bodies, s.
+"""Interval between requests for the names of rigid bodies, s.
 
-The server does not announce a changed name, so the names are requested repeatedly.
+The server does not report changed names, so the names are requested repeatedly.
 """
 _WINDOW = 1000
-"""Difference of successive frame numbers from which on the server must have restarted.
+"""Minimum difference of successive frame numbers that indicates a restart.
 """
 _LISTENS_S = 0.1
 
 
 class _UdpLink(Link):
-    """Link that listens on UDP sockets, each in its own thread."""
+    """Link that listens on each UDP socket in a separate thread."""
 
     def __init__(self, sockets: Iterable[socket.socket]) -> None:
         super().__init__()
@@ -44,7 +44,7 @@ class _UdpLink(Link):
         ]
 
     def _start(self) -> None:
-        # An answer to the first thread may add another thread during this loop.
+        # An answer that the first thread receives may add another thread to the list.
         for thread in tuple(self._threads):
             thread.start()
 
@@ -57,7 +57,7 @@ class _UdpLink(Link):
                 continue
             except OSError:
                 if own not in self._sockets:
-                    return  # the link has left this multicast group
+                    return
                 self.counts["unreachable"] += 1
                 time.sleep(_LISTENS_S)
                 continue
@@ -68,17 +68,20 @@ class _UdpLink(Link):
         try:
             kind, content = natnet.opened(packet)
             self._packet(kind, content, sender, arrived)
-        except Exception as error:  # an exception would end the thread
+        except Exception as error:  # An exception would end the thread.
             self._refuse(error)
 
     def _idle(self) -> None:
-        """Send the requests that are due before each wait for a packet."""
+        """Send the requests that are due.
+
+        The link calls this method before each wait for a packet.
+        """
 
     @abstractmethod
     def _packet(
         self, kind: int, content: bytes, sender: tuple[str, int], arrived: float
     ) -> None:
-        """Process a packet, given the time of arrival (s, local clock)."""
+        """Process a packet that arrived at a time on the local clock (s)."""
 
     def close(self) -> None:
         """See `Link.close`."""
@@ -90,15 +93,18 @@ class _UdpLink(Link):
 
 
 class FrameNumbers:
-    """Count of lost, late and repeated frames, based on the frame numbers."""
+    """Counter of lost, late and repeated frames, based on the frame numbers."""
 
     def __init__(self) -> None:
-        """Start before the first frame."""
+        """Initialise the counter before the first frame."""
         self._newest: int | None = None
         self._missing: set[int] = set()
 
     def count(self, number: int, counts: Counter[str]) -> None:
-        """Count a frame in `counts`. A late frame no longer counts as lost."""
+        """Count a frame.
+
+        A late frame is removed from the number of lost frames.
+        """
         newest = self._newest
         if newest is None or not -_WINDOW < number - newest < _WINDOW:
             self._newest = number
@@ -122,10 +128,11 @@ class FrameNumbers:
 class NatNetLink(_UdpLink):
     """Link to a motion capture system.
 
-    The poses of the tracked bodies arrive as messages of kind `POSES`.
+    The link converts the poses of the tracked bodies to messages of kind `POSES`.
 
     Attributes:
-        version: NatNet version of the server, or None before its first answer.
+        version: NatNet version of the server, or None before the first answer of the
+            server.
     """
 
     def __init__(
@@ -136,19 +143,20 @@ class NatNetLink(_UdpLink):
         local: str = LOOPBACK,
         up: str = "y",
     ) -> None:
-        """Request frames from a server, and repeat the request until it answers.
+        """Request frames from a server until the server answers.
 
         Args:
             host: name or address of the server.
             port: command port of the server.
-            local: address of this machine on which frames arrive.
-            up: upward axis of the frames, "y" or "z".
+            local: address of this machine at which frames arrive.
+            up: axis of the frames that points upwards, "y" or "z".
 
         Raises:
-            InputError: the name of the server is unknown, or `local` is not an address
+            InputError: the host of the server is unknown, or `local` is not an address
                 of this machine.
         """
-        # Senders are compared with this address, and packets carry numeric addresses.
+        # The host name is resolved, because the senders of packets have numeric
+        # addresses.
         host = resolved(host)
         local = resolved(local)
         own = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -180,7 +188,8 @@ class NatNetLink(_UdpLink):
             return
         self._asked = now
         silent = self.version is None or now - self._last > 2 * _ASKS_EVERY_S
-        # A restarted server has forgotten its clients and must be asked again.
+        # After a restart, the server does not know its clients, so the request is
+        # repeated.
         if silent:
             self._ask(natnet.Packet.CONNECT, b"Ping\0")
         else:
@@ -197,7 +206,7 @@ class NatNetLink(_UdpLink):
     def _packet(
         self, kind: int, content: bytes, sender: tuple[str, int], arrived: float
     ) -> None:
-        # The server sends frames and answers from different ports.
+        # The server uses different ports for frames and for answers.
         expected = self._server
         if kind == natnet.Packet.FRAME:
             expected = (self._server[0], sender[1])
@@ -222,7 +231,7 @@ class NatNetLink(_UdpLink):
 
     def _meet(self, server: natnet.Server) -> None:
         if self.version is None:
-            self._asked = 0.0  # request the names of the bodies at once
+            self._asked = 0.0
         self.version = server.version
         if server.group is not None and server.group != self._group:
             try:
@@ -233,7 +242,7 @@ class NatNetLink(_UdpLink):
                 ) from error
 
     def _message(self, frame: natnet.Frame, arrived: float) -> Message:
-        # A body that the cameras have lost has no measured pose in this frame.
+        # A body that is not tracked has no measured pose in this frame.
         seen = {key: body for key, body in frame.bodies.items() if body.tracked}
         poses = [natnet.rotate(body, self._up) for body in seen.values()]
         values = np.array(poses).reshape(-1, 4)
@@ -255,7 +264,7 @@ class NatNetLink(_UdpLink):
     def _join(self, group: natnet.Group) -> None:
         own = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
-            # Other programs on this machine may listen to the same group.
+            # Other programs on this machine may listen to the same multicast group.
             own.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             own.bind(group)
             member = socket.inet_aton(group.address) + socket.inet_aton(self._local)
@@ -276,7 +285,7 @@ class NatNetLink(_UdpLink):
 
 
 class NatNetServer(_UdpLink):
-    """Emulated motion capture server that sends frames to each client."""
+    """Emulated motion capture server, which sends frames to each client."""
 
     def __init__(
         self, names: Mapping[int, str], *, host: str = LOOPBACK, port: int = 0
@@ -284,7 +293,7 @@ class NatNetServer(_UdpLink):
         """Open the command port and wait for clients.
 
         Args:
-            names: names of the bodies by id.
+            names: names of the rigid bodies, keyed by id.
             host: address of this machine on which the server listens.
             port: command port, or 0 for any free port.
 
@@ -307,12 +316,7 @@ class NatNetServer(_UdpLink):
         self._start()
 
     def send(self, time: float, bodies: Mapping[int, natnet.RigidBody]) -> None:
-        """Send a frame to all clients.
-
-        Args:
-            time: time stamp of the frame on the local clock, s.
-            bodies: rigid bodies by id.
-        """
+        """Send a frame with a local time stamp (s) to all clients."""
         packet = natnet.write_frame(natnet.Frame(self._number, time, bodies))
         now = clock()
         self._number += 1

@@ -1,7 +1,8 @@
 """Tables of pressure residuals of a first-order chamber model.
 
-In each stroke, a chamber with compressible flow deviates similarly from the first-order
-model. The tables are indexed by chamber, valve state and time since switching.
+The pressure of a chamber with compressible flow deviates from the first-order model in
+a similar way after each switching of the valve. The tables are therefore indexed by
+chamber, valve state and time since switching.
 """
 
 from __future__ import annotations
@@ -16,23 +17,20 @@ BinIndex = tuple[np.ndarray, ...]
 
 
 class ValveAges(Stateful):
-    """Time since the valves of all chambers switched.
+    """Time since the last switching of each valve.
 
     Attributes:
-        filling: valve state, 1 where the valve fills and 0 elsewhere, shape
-            (segments, 2).
+        filling: 1 for each filling valve and 0 for each venting valve, shape (segments,
+            2).
         age: time from switching to the start of the last step, shape (segments, 2), s.
     """
 
     state_attributes = ("filling", "age", "_dt")
 
     def __init__(self, segments: int, bins: int, width_s: float) -> None:
-        """Start with vented chambers.
+        """Initialise all valves as venting.
 
-        Args:
-            segments: number of segments.
-            bins: number of bins per table.
-            width_s: width of a bin, s.
+        The bins for the time since switching have the width `width_s` (s).
         """
         self.filling = np.zeros((segments, 2), dtype=int)
         self.age = np.zeros((segments, 2))
@@ -48,7 +46,7 @@ class ValveAges(Stateful):
 
     @property
     def filled_s(self) -> np.ndarray:
-        """Filling time of each chamber, shape (segments, 2), s, or 0 while it vents."""
+        """Filling time of each chamber, s, which is 0 for a venting chamber."""
         return np.where(self.filling == 1, self.age, 0.0)
 
     def index(self) -> BinIndex:
@@ -60,27 +58,22 @@ class ValveAges(Stateful):
         )
 
     def advance(self, duty: np.ndarray, dt: float) -> None:
-        """Advance the ages by one time step.
-
-        Args:
-            duty: fraction of time in which each valve fills, shape (segments, 2).
-            dt: time step, s.
-        """
+        """Advance the times since switching by one time step."""
         filling = (duty > 0.5).astype(int)
-        # The age refers to the start of the step, so it grows by the previous time
-        # step.
+        # The time since switching refers to the start of the step, so the previous time
+        # step is added.
         self.age = np.where(filling == self.filling, self.age + self._dt, 0.0)
         self.filling = filling
         self._dt = dt
 
 
 class PressureRates:
-    """Learnt differences between pressure rates and the first-order model.
+    """Learnt deviations of the pressure rates from the first-order model.
 
     Attributes:
         rate: measured minus modelled pressure rate, shape (segments, 2, states, bins),
             Pa/s.
-        wander: variance of the random walk of the pressures per time, shape (segments,
+        wander: variance per time of the random walk of the pressures, shape (segments,
             2, states, bins), Pa²/s.
     """
 
@@ -88,21 +81,20 @@ class PressureRates:
     _WIDTH_S = 0.01
     """Width of a bin, s (half a tick of the robot)."""
     _GAIN = 0.2
-    """Fraction of an innovation that is added to the rates of its bins."""
+    """Fraction of an innovation that is added to the rates in the corresponding bins.
+    """
     _MEMORY = 8.0
     """Number of innovations over which the variance is averaged."""
     _LEAST_WANDER = 0.03
     """Lower limit of the random walk, fraction of the nominal pressure per √s."""
     _LONGEST_S = 0.1
-    """Maximum interval between pressures from which a rate is learnt, s."""
+    """Maximum interval between pressures that are used for learning, s."""
 
     def __init__(self, segments: int, supply: float, wander: float) -> None:
-        """Start with rates of 0.
+        """Initialise the rates to 0.
 
-        Args:
-            segments: number of segments.
-            supply: nominal supply pressure, gauge, Pa.
-            wander: initial random walk, fraction of the supply pressure per √s.
+        The initial random walk `wander` is a fraction of the nominal supply pressure
+        (Pa) per √s.
         """
         self.ages = ValveAges(segments, self._BINS, self._WIDTH_S)
         self.rate = np.zeros(self.ages.shape)
@@ -111,7 +103,7 @@ class PressureRates:
         self._time_in_bin = np.zeros_like(self.rate)
 
     def advance(self, duty: np.ndarray, dt: float) -> BinIndex:
-        """Advance the ages by one time step.
+        """Advance the times since switching by one time step.
 
         Args:
             duty: fraction of time in which each valve fills, shape (segments, 2).
@@ -126,12 +118,9 @@ class PressureRates:
         return index
 
     def update(self, innovation: np.ndarray, noise: float) -> None:
-        """Learn from the innovations of measured pressures.
+        """Learn from the innovations (Pa) of measured pressures.
 
-        Args:
-            innovation: measured minus predicted pressure, shape (segments, 2), Pa, NaN
-                where nothing was measured.
-            noise: standard deviation of a measured pressure, Pa.
+        Missing innovations are NaN.
         """
         times = self._time_in_bin
         since = times.sum(axis=(2, 3), keepdims=True)
@@ -140,7 +129,8 @@ class PressureRates:
             measured & (since < self._LONGEST_S), times / np.maximum(since, 1e-9), 0.0
         )
         known = np.nan_to_num(innovation)[..., None, None]
-        # The difference of two pressures contains the noise of both.
+        # The difference of two measured pressures contains twice the noise variance of
+        # a single pressure.
         variance = np.maximum(known**2 - 2 * noise**2, 0.0) / np.maximum(since, 1e-9)
         self.wander = np.maximum(
             self.wander + fraction / self._MEMORY * (variance - self.wander),
@@ -150,7 +140,7 @@ class PressureRates:
         self.rate = self.rate + np.where(
             fraction > 0, self._GAIN * known * times / squares, 0.0
         )
-        # Without a measurement the time accumulates until the next measurement.
+        # If a measurement is missing, the time accumulates until the next measurement.
         self._time_in_bin = np.where(measured, 0.0, times)
 
 
@@ -161,32 +151,24 @@ class PressureLevels(Stateful):
     _BINS = 25
     _WIDTH_S = 0.02
     _MOST_COUNTED = 40
-    """Number of pressures over which a mean is taken."""
+    """Number of pressures over which a mean is computed."""
 
     def __init__(self, segments: int, sd: float) -> None:
-        """Start with means of 0.
-
-        Args:
-            segments: number of segments.
-            sd: initial standard deviation, fraction of the supply pressure.
-        """
+        """Initialise the means to 0 and the standard deviations to `sd`."""
         self.ages = ValveAges(segments, self._BINS, self._WIDTH_S)
         self._count = np.ones(self.ages.shape)
         self._mean = np.zeros(self.ages.shape)
         self._variance = np.full(self.ages.shape, sd**2)
 
     def read(self) -> Estimates:
-        """Return mean and standard deviation per current bin, shape (segments, 2)."""
+        """Return mean and standard deviation in current bins, shape (segments, 2)."""
         index = self.ages.index()
         return Estimates(self._mean[index], np.sqrt(self._variance[index]))
 
     def update(self, residual: np.ndarray, learns: np.ndarray) -> None:
-        """Learn from pressures that were measured in the current bins.
+        """Learn from the pressure residuals of the chambers with `learns`.
 
-        Args:
-            residual: measured pressure minus model and mean, fraction of the supply
-                pressure, shape (segments, 2).
-            learns: whether a chamber is used for learning, shape (segments, 2).
+        The residuals are fractions of the supply pressure.
         """
         index = self.ages.index()
         count = np.minimum(self._count[index] + 1, self._MOST_COUNTED)

@@ -1,22 +1,24 @@
-r"""Motion of a crawling snake under a lateral contact force, and its segment moments.
+r"""Motion of a crawling snake under a lateral contact force, and segment moments.
 
-The bends q(t) are periodic and known, so the body has three velocities u: two
-components of the velocity of the centre of mass in the frame of the mean heading, and
-the yaw rate. The equations of motion contain the Jacobians J_c(q) of the two wheels of
-each connector and the friction f of the floor (`robot.friction`):
+The bends q(t) are periodic and known, so the motion of the body is described by three
+velocities u. The velocities u are the two velocity components of the centre of mass in
+the frame of the mean heading, and the yaw rate ω. With the Jacobians J_c(q) of the two
+wheels of each connector and the friction forces f of the floor (`robot.friction`), the
+equations of motion are
 
 $$ M \dot v = \sum f_c + F n, \qquad \frac{d}{dt}(I(q)\,\omega + h(q, \dot q)) = \sum r_c \times f_c +
    r_s \times F n, \qquad v_c = J_c u + b_c . $$
 
 The inertia I and the angular momentum h due to the bend rates are defined in
 `plants.analytical.kernels`. The contact force F acts at the distance s behind the first
-connector, along the normal n of the body. Because friction is stiff, a time step is
-linearly implicit in it.
+connector in the direction of the normal n of the body. Because the friction is stiff,
+the time steps are linearly implicit with respect to friction.
 
-**Moments.** All loads in front of segment j exert a moment about the middle of its
-chord: friction, inertia of the connectors, and F itself. If F acts on the segment, its
-moment is averaged over the arc of the segment. The inertia of the bends is not
-included, because it cancels in the difference from the free motion.
+**Moments.** The moment on segment j is exerted by all loads in front of the segment
+about the midpoint of the segment's chord. The loads are friction forces, inertial
+forces of the connectors, and F. If F acts on segment j, the moment of F is averaged
+over the arc of the segment. Inertial forces due to the bend rates are not included,
+because they cancel in the difference from the motion without contact.
 """
 
 from __future__ import annotations
@@ -31,14 +33,16 @@ from srs_twin.robot.geometry import body_shape, relative_headings
 from srs_twin.robot.spec import GRAVITY, RobotSpec
 
 SUBSTEP_S = 0.01
-"""Maximum time step, s at a time unit of 1 s.
+"""Maximum time step, s, for a time unit of 1 s.
 
-With steps of 4 ms, the median error of an estimated force changes by less than 1 %
-(docs/objects.md)."""
+If the time step is 4 ms, the median error of an estimated force changes by less than 1
+% (docs/objects.md)."""
 SLIP_SPEED_M_S = 0.005
-"""Speed below which friction is viscous, m/s at a time unit of 1 s."""
+"""Speed below which friction is viscous, m/s, for a time unit of 1 s."""
 _SETTLING_S = 3.0
-"""Simulated time from rest until the free motion is periodic, s at a time unit of 1 s.
+"""Simulated time until the motion without contact is periodic, s.
+
+The time is multiplied by the time unit of the robot.
 """
 
 
@@ -75,7 +79,7 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 class PushedBody:
-    """Body with periodic bends under a force at one of several stations.
+    """Body with periodic bends and a contact force at one of several positions.
 
     Attributes:
         free_velocity: velocities u of the motion without a contact force, shape
@@ -87,7 +91,7 @@ class PushedBody:
     def __init__(
         self, spec: RobotSpec, bends: np.ndarray, sample_s: float, stations: np.ndarray
     ) -> None:
-        """Tabulate the Jacobians of one period, and simulate the free motion.
+        """Compute the Jacobians over one period, and simulate the contact-free motion.
 
         Args:
             spec: robot specification.
@@ -137,10 +141,6 @@ class PushedBody:
         )
 
     def _tabulate_wheels(self, motion: _Motion) -> None:
-        """Fill the Jacobian of the longitudinal and lateral wheel velocities.
-
-        The Jacobian has the shape (steps, 4N, 3), with 2N longitudinal rows first.
-        """
         arm = self._spec.geometry.half_track
         jacobian = []
         drift = []
@@ -177,14 +177,13 @@ class PushedBody:
         self._on_square = (self._mass * _cross(arms, place)).sum(-1)
         speeds = (arms * motion.rate[:, None]).sum(-1)
         self._on_rate = 2 * (self._mass * speeds).sum(-1)
-        # The Jacobian gives the moment of a wheel force about the centre of mass. It is
-        # shifted here to the midpoint of the chord.
+        # The Jacobian contains the moment of a unit wheel force about the centre of
+        # mass, which is converted to the moment about the midpoint of the chord.
         jacobian = self._jacobian[:: self._steps, :, None]
         moved = jacobian[..., 2] - _cross(motion.middle[:, None], jacobian[..., :2])
         self._on_friction = np.tile(front.T, (4, 1)) * moved
 
     def _tabulate_push(self, motion: _Motion, stations: np.ndarray) -> None:
-        """Fill generalised force and moments of a unit force at each station."""
         g = self._spec.geometry
         n = self._spec.segments
         j = np.minimum((stations / g.pitch).astype(int), n - 1)
@@ -200,7 +199,8 @@ class PushedBody:
         )
         moments = _cross(arms, normal[:: self._steps, :, None])
         self._on_push = np.where(j[:, None] < np.arange(n), moments, 0.0)
-        # Mean lever arm max(c - s, 0) over the cross-sections c of the arc.
+        # The lever arm max(c - s, 0) of the force is averaged over the cross-sections c
+        # of the arc.
         begin = g.rigid_gap / 2
         end = g.rigid_gap / 2 + g.segment_length
         behind = fraction[:, 0] * g.pitch
@@ -212,10 +212,10 @@ class PushedBody:
     def step(
         self, k: int, u: np.ndarray, force: np.ndarray, station: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Advance several bodies by one sample.
+        """Advance several bodies by one sample interval.
 
         Args:
-            k: number of the sample at the end of the step.
+            k: index of the sample at the end of the step.
             u: velocities at sample k − 1, shape (bodies, 3).
             force: contact force F on each body, positive to the left, shape (bodies,),
                 N.
@@ -230,9 +230,8 @@ class PushedBody:
         h = self._h
         for i in range(self._steps):
             g = ((k - 1) * self._steps + i + 1) % len(inertia)
-            # Without forces, the velocity is constant in the world frame and the
-            # angular momentum is constant. The frame of the mean heading turns by
-            # `turned`.
+            # Without forces, the velocity in the world frame and the angular momentum
+            # are constant. The frame of the mean heading turns by the angle `turned`.
             forward, lateral, yaw = u.T
             spin = inertia[g - 1] * yaw + self._relative[g - 1] - self._relative[g]
             turned = h * yaw
@@ -246,13 +245,13 @@ class PushedBody:
             )
             push = force[:, None] * self._push[g, station]
             wheels, derivative = self._friction(g, u)
-            # This is a linearly implicit Euler step: (M - h df/du) Δu = h f.
+            # The linearly implicit Euler method solves (M - h df/du) Δu = h f.
             matrix = np.diag([total, total, inertia[g]]) - h * derivative
             impulse = h * (wheels @ self._jacobian[g] + push)
             u = u + np.linalg.solve(matrix, impulse[..., None])[..., 0]
         wheels, _ = self._friction(g, u)
-        # The moments at the sample are due to the wheel forces, the contact force, the
-        # yaw rate w (centrifugal and Coriolis terms) and the acceleration of the body.
+        # The moments are caused by the wheel forces, the contact force, the yaw rate w
+        # (centrifugal and Coriolis terms) and the acceleration of the body.
         load = wheels @ self._jacobian[g] + push
         load[:, 2] -= self._growth[g] * u[:, 2]
         s = g // self._steps
@@ -264,7 +263,7 @@ class PushedBody:
         return u, moment
 
     def _friction(self, g: int, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the wheel forces (bodies, 4N) and the Jacobian of their resultant.
+        """Return wheel forces, shape (bodies, 4N), and the Jacobian of their resultant.
 
         The Jacobian with respect to the velocities u has the shape (bodies, 3, 3).
         """

@@ -1,6 +1,7 @@
 """Session of a live twin in real time.
 
-A session passes messages to the twin, sends commands, and writes journal and results.
+In each tick, the messages of the links are passed to the live twin, and commands are
+sent to the robot. The journal of all messages and the results are written to a folder.
 """
 
 from __future__ import annotations
@@ -52,15 +53,15 @@ STATE = "state.npz"
 SUMMARY = "shadow.json"
 ESTIMATE = "estimate.parquet"
 KEPT = (SUMMARY, ESTIMATE, STATE)
-"""Files in the output folder that the next session replaces.
+"""Files in the output folder that are replaced by the next session.
 
-Journals and recordings are numbered and therefore kept.
+Journals and recordings have numbered names and are therefore kept.
 """
 _MOST_ROWS = 1_000_000
 
 
 class EstimateTable:
-    """Estimates and their standard deviations over time."""
+    """Table of estimates with their standard deviations."""
 
     def __init__(self, spec: RobotSpec) -> None:
         """Create an empty table."""
@@ -72,7 +73,7 @@ class EstimateTable:
         return len(self._rows)
 
     def add(self, time: float, e: Estimate) -> None:
-        """Add an estimate made at a time since the start of the session (s)."""
+        """Add an estimate and its time since the start of the session (s)."""
         self._rows.append(
             np.concatenate(
                 [[time], e.pose, e.pose_sd, e.bend, e.bend_sd, [bool(e.lost)]]
@@ -104,10 +105,11 @@ class EstimateTable:
 def summary(
     shadow: Shadow, links: Sequence[Link], e: Estimate | None
 ) -> dict[str, object]:
-    """Return message counts, clock offsets and the last estimate as JSON values."""
+    """Return message counts, clock offsets and the last estimate, as JSON values."""
     counts: Counter[str] = Counter()
     for link in links:
-        counts.update(dict(link.counts))  # a copy, because a thread still counts
+        # A copy is used, because another thread changes the counts.
+        counts.update(dict(link.counts))
     dropped: Counter[str] = Counter()
     for (_, kind, what), count in shadow.buffer.counts.items():
         if what != "taken":
@@ -165,35 +167,36 @@ def _quantiles_ms(durations: Collection[float]) -> dict[str, float | None]:
 INTERVALS_S = {"predict": 0.5, "view": 0.12, "flush": 0.5, "save": 5.0, "watch": 1.0}
 """Intervals of periodic work, s.
 
-The work consists of predictions, updates of views, writing the journal to the disk,
-saving the state, and checks whether the machine is fast enough.
+The periodic work consists of predictions, updates of the views, writing the journal to
+the disk, saving the state, and checks of the computing speed.
 """
 _MOST_OVERRUNS = 0.5
-"""Fraction of slow ticks above which the session warns."""
+"""Fraction of slow ticks above which a warning is issued."""
 _WATCHED_TICKS = 50
-"""Number of last ticks among which slow ticks are counted."""
+"""Number of recent ticks among which slow ticks are counted."""
 _WORK_S = 0.05
-"""Time per tick after which the remaining messages wait for the next tick, s.
+"""Computing time per tick after which the remaining messages wait for the next tick, s.
 
-With this limit a slow machine still sends commands and obeys control words.
+Because of this limit, a slow machine still sends commands and obeys control words.
 """
 STALE_S = 0.2
-"""Age of an estimate above which the chambers are vented, s."""
+"""Maximum age of an estimate for steering, s. Above this age the chambers are vented.
+"""
 TOO_SLOW_S = 1.0
-"""Age of an estimate above which the steering ends, s."""
+"""Maximum age of an estimate, s. Above this age the steering is ended."""
 JOURNALS = "journal-{}.mcap"
 RECORDINGS = "recording-{}.rrd"
 _RESTART_S = 1.0
-"""Delay behind real time above which missed ticks are skipped, s."""
+"""Maximum delay behind real time, s. Beyond this delay, missed ticks are skipped."""
 _KEPT = 1_000_000
-"""Number of ticks whose durations are kept."""
+"""Maximum number of ticks whose durations are kept."""
 _MOST_PROBLEMS = 100
 _GOODBYE_S = 1.0
-"""Maximum wait until the broker accepts the last message, s."""
+"""Maximum waiting time until the broker accepts the last message, s."""
 _WARM_UP_S = 0.6
-"""Duration of `warm_up` in simulated time, s."""
+"""Simulated duration of `warm_up`, s."""
 _STROKE_S = 0.16
-"""Half the period of the commands in `warm_up`, s."""
+"""Half the command period in `warm_up`, s."""
 
 View = Callable[[Estimate, Prediction | None], None]
 Keys = Callable[[], Iterable[str]]
@@ -226,15 +229,18 @@ def warm_up(spec: RobotSpec) -> None:
 
 
 class PeriodicTimer:
-    """Interval between two runs of periodic work."""
+    """Timer for periodic work."""
 
     def __init__(self, seconds: float) -> None:
-        """Create an interval that begins at the first call of `is_over`."""
+        """Create a timer that starts at the first call of `is_over`."""
         self._seconds = seconds
         self._next = math.inf
 
     def is_over(self, now: float) -> bool:
-        """Return whether the work is due at a time (s); if so, restart the interval."""
+        """Return whether the work is due at a time (s).
+
+        If the work is due, the timer is restarted.
+        """
         over = now >= self._next
         if over or math.isinf(self._next):
             self._next = now + self._seconds
@@ -257,14 +263,16 @@ class Session:
     """Session of a live twin with links, views and files.
 
     Attributes:
-        estimate: latest estimate, or None before the first message of the robot.
-        faults: time of the first detection since the start, s, by part and fault.
-        problems: errors that did not end the session, such as a file that cannot be
-            written.
+        estimate: latest estimate, or None before the first message of the robot has
+            arrived.
+        faults: time from the start of the session to the first detection of each fault,
+            s, keyed by part and fault.
+        problems: descriptions of the errors that did not end the session.
         ticks: durations of the ticks, s.
-        lag: maximum age of an estimate at the end of its tick, s.
+        lag: maximum age of an estimate when the command is sent, s.
         latency: times from the arrival of a reading to the estimate that uses it, s.
-        resumed: whether an earlier session in the folder was restored.
+        resumed: whether the state of an earlier session has been restored from the
+            folder.
     """
 
     def __init__(
@@ -278,20 +286,20 @@ class Session:
         views: Iterable[View] = (),
         keys: Keys = tuple,
     ) -> None:
-        """Prepare a session, and restore the state of an earlier session in the folder.
+        """Prepare a session, and restore an earlier state from the folder.
 
         Args:
-            shadow: new live twin.
+            shadow: live twin that has not processed any messages.
             links: sources of messages.
-            out: folder of journal and results, or None to write no files.
-            steering: steering of the robot, or None for a session that only listens.
-            commands: link for commands and control messages.
-            views: views that show estimates and predictions about eight times per
+            out: folder for the journal and the results. If None, no files are written.
+            steering: steering of the robot, or None if the robot is not steered.
+            commands: link to which commands and control messages are sent.
+            views: functions that show estimates and predictions about eight times per
                 second.
-            keys: function that returns the control words typed since its last call.
+            keys: function that returns the control words typed since the last call.
 
         Raises:
-            InputError: the folder cannot be written, or it holds the state of another
+            InputError: the folder cannot be written, or contains the state of another
                 robot.
         """
         self.shadow = shadow
@@ -324,8 +332,8 @@ class Session:
         self._skipped = 0.0
         self._behind = 0.0
         self._uncertain: set[str] = set()
-        # A second thread is needed because a slow task, such as a new plan, must not
-        # delay predictions.
+        # The second thread ensures that predictions are not delayed by a slow task such
+        # as planning.
         self._pool = ThreadPoolExecutor(2)
         self._predicting: Future[Prediction] | None = None
         self._saving: Future[None] | None = None
@@ -336,13 +344,14 @@ class Session:
     ) -> dict[str, object]:
         """Run the session and return its summary.
 
-        The session ends when it is stopped, when a journal ends, or when the steering
-        ends. A steered robot is then vented, and the files are written, even after an
-        error.
+        The session ends when it is stopped, when a replayed journal ends, or when the
+        steering ends. At the end, a steered robot is vented and the files are written,
+        even after an error.
 
         Args:
             duration: maximum duration, s.
-            stop: function called in every tick, which returns whether the session ends.
+            stop: function that is called in every tick and returns whether to end the
+                session.
         """
         self._start = time.monotonic()
         try:
@@ -376,14 +385,13 @@ class Session:
             if left > 0:
                 time.sleep(left)
             elif left < -_RESTART_S:
-                # After a long pause, for example of a suspended machine, the missed
-                # ticks are skipped.
+                # The missed ticks are skipped, for example after the machine was
+                # suspended.
                 start = time.monotonic() - done * TICK_S
 
     def _submit(self, now: float) -> None:
         intervals = self._intervals
-        # While the twin falls behind its messages, predictions would cost processor
-        # time that the messages need.
+        # While messages are processed too slowly, no predictions are computed.
         can_predict = (
             self.estimate is not None and self._predicting is None and not self._behind
         )
@@ -395,13 +403,12 @@ class Session:
             return
         is_first = not self.ticks
         if intervals["save"].is_over(now) or is_first:
-            # The state is collected in this thread, and only the file is written in
-            # another thread.
+            # The state is copied in this thread, and the file is written in another
+            # thread.
             save = self.shadow.save().write
             self._saving = self._pool.submit(save, self._out / STATE)
 
     def _watch(self) -> None:
-        """Warn if the machine is too slow, and finally end the steering."""
         skipped = self.shadow.skipped - self._skipped
         self._skipped = self.shadow.skipped
         self._behind = self._behind + skipped if skipped else 0.0
@@ -411,7 +418,8 @@ class Session:
                 " skipped, and the position is unknown until the next frame of motion"
                 " capture"
             )
-        # Copying all ticks would take longer and longer during a session.
+        # Only the recent ticks are copied, because the number of ticks increases during
+        # a session.
         durations = list(itertools.islice(reversed(self.ticks), _WATCHED_TICKS))
         slow = float(np.mean(np.array(durations) > TICK_S)) > _MOST_OVERRUNS
         if slow and self._commands is not None and not self._slow:
@@ -484,28 +492,24 @@ class Session:
             warnings.warn(problem, SessionWarning, stacklevel=2)
 
     def _tick(self, now: float, since: float) -> None:
-        """Process the messages that arrived, and send a command.
-
-        Args:
-            now: time on the clock of the links, s, or NaN while a journal waits.
-            since: time since the start of the session, s.
-        """
+        """Process the messages that have arrived, and send a command."""
         if math.isnan(now):
             return
         messages = self._receive()
-        if self._commands is not None:  # control words in a journal are not obeyed
+        if self._commands is not None:  # Control words in a journal are not obeyed.
             sent = [message.names[0] for message in messages if message.kind == CONTROL]
             for word in [*self._keys(), *sent]:
                 self._obey(word)
         self._record(messages)
         if self._stopped:
             return
-        # All messages of a journal are processed, even if it is played too fast.
+        # All messages of a journal are processed, even if the playback speed is too
+        # high.
         work_s = math.inf if self._commands is None else _WORK_S
         estimate = self.shadow.update(now, messages, work_s=work_s)
         self.estimate = estimate
         hold = self.shadow.buffer.hold
-        # The latency includes the time for which the buffer holds a message.
+        # The latency includes the time for which a message is held in the buffer.
         self.latency.extend(
             now - message.arrived + hold
             for message in messages
@@ -540,7 +544,8 @@ class Session:
             return
         if lag > TOO_SLOW_S and steering.begun:
             steering.give_up(TOO_SLOW)
-        # A command based on an old estimate could steer the robot into an obstacle.
+        # A command that is based on an old estimate could steer the robot into an
+        # obstacle.
         link.send(COMMAND, steering.vented() if lag > STALE_S else command)
 
     def _obey(self, word: str) -> None:
@@ -555,14 +560,13 @@ class Session:
             self._commands.send(COMMAND, self._steering.vented())
 
     def _end(self) -> None:
-        """Run all final steps, even if one of them fails."""
         seconds = time.monotonic() - self._start
         error = sys.exception()
-        with ExitStack() as steps:  # runs the callbacks in reverse order
+        with ExitStack() as steps:
             steps.callback(self._write)
             steps.callback(self._close_journal)
-            # The summary is made before the journal is closed, so that the journal
-            # contains every message that the summary counts.
+            # The summary is created before the journal is closed, so that the journal
+            # contains every message counted in the summary.
             steps.callback(self._summarise, seconds, error)
             steps.callback(self._pool.shutdown, cancel_futures=True)
             steps.callback(self._say_goodbye, error)
@@ -577,7 +581,7 @@ class Session:
 
     def _close_journal(self) -> None:
         if self._journal is not None:
-            # Messages that arrived after the last tick are still recorded.
+            # Messages that arrived after the last tick are also recorded.
             self._record(self._receive())
             self._journal.close()
 

@@ -1,7 +1,8 @@
-"""Set-up file of a lab, read by `srs-twin shadow --setup lab.yaml`.
+"""Set-up file of a lab, which is read by `srs-twin shadow --setup lab.yaml`.
 
 Each key sets an option of `srs-twin shadow`. Options on the command line override the
-file. A path is looked up in the folder of the file first, then in the current folder.
+file. A path is first looked up in the folder of the file, and then in the current
+folder.
 """
 
 from __future__ import annotations
@@ -99,7 +100,7 @@ class SetupFile(Section):
         return given
 
     def options(self) -> dict[str, Any]:
-        """Return the values in the file, keyed by option of `srs-twin shadow`."""
+        """Return the values in the file, keyed by the option of `srs-twin shadow`."""
         broker = self.broker
         capture = self.motion_capture
         values = {
@@ -123,7 +124,7 @@ class SetupFile(Section):
 
 
 _PATHS: dict[Loc, str] = {("robot",): "robot", ("broker", "ca"): ""}
-"""Keys whose values are paths of files, for `Document.locate`."""
+"""Keys whose values are paths of files."""
 
 
 def load_setup(path: Path, overridden: Container[str] = ()) -> SetupFile:
@@ -131,12 +132,13 @@ def load_setup(path: Path, overridden: Container[str] = ()) -> SetupFile:
 
     Args:
         path: path of the file.
-        overridden: keys that the command line overrides. Files named by these keys need
-            not exist.
+        overridden: keys that are overridden on the command line. The files of
+            overridden keys need not exist.
 
     Raises:
         InputError: the file cannot be read.
-        InputFileError: the file has errors, which are all listed with line and column.
+        InputFileError: the file has errors. The message lists all errors with line and
+            column.
     """
     used = {loc: kind for loc, kind in _PATHS.items() if loc[-1] not in overridden}
     return load_model(SetupFile, require_file(path), used)

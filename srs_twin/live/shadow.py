@@ -1,10 +1,10 @@
 """Live twin of one robot.
 
-Messages are sorted by sending time (`clocks.ReorderBuffer`) and update an ensemble
-filter (`ensemble`) and a fault detector (`fault_detector`). The ensemble takes detected
-faults into account: a stuck valve also fills or vents in the model, and readings of a
-faulty sensor are ignored. The live twin reads neither links nor clocks, because the
-caller of `update` passes messages and time.
+Messages are sorted by sending time (`clocks.ReorderBuffer`). Each message updates an
+ensemble filter (`ensemble`) and a fault detector (`fault_detector`). The ensemble
+filter takes detected faults into account. A stuck valve is simulated in the ensemble,
+and the readings of a faulty sensor are ignored. The live twin reads neither links nor
+clocks, because messages and time are arguments of `update`.
 """
 
 from __future__ import annotations
@@ -54,17 +54,17 @@ from srs_twin.robot.geometry import measured_bend
 from srs_twin.robot.spec import RobotSpec
 
 TRANSPORT_DELAY_S = 0.002
-"""Assumed minimum transport delay of messages, s, which cannot be observed."""
+"""Assumed minimum transport delay of messages, s. The delay cannot be observed."""
 LOST_AFTER_S = 1.0
-"""Time without a message after which the state is unknown, s."""
+"""Time without a message after which the state is considered unknown, s."""
 LARGEST_SD_M = 0.05
-"""Standard deviation of the position above which the position is unknown, m."""
+"""Maximum standard deviation of a known position, m."""
 MISSING_FRAMES = 8
-"""Number of successive frames after which a missing body is lost."""
+"""Number of successive frames after which a missing body counts as lost."""
 HORIZON_S = 1.0
 """Horizon of predictions, s."""
 MOST_BEHIND_S = 0.3
-"""Age above which messages that could not be processed in time are skipped, s."""
+"""Maximum age of a message that waits for processing, s. Older messages are skipped."""
 _PREDICTION_STEP_S = 0.1
 """Interval between the predicted poses, s."""
 _PREDICTION_MEMBERS = 16
@@ -72,13 +72,14 @@ _PREDICTION_MEMBERS = 16
 _SUBSLOTS = 2
 """Number of time steps of a prediction per command slot."""
 _EXTRAPOLATE_AFTER_S = 0.05
-"""Time without a message after which the filters advance to the current time, s."""
+"""Time without a message after which the filters are advanced to the current time, s.
+"""
 _LEAST_STEP_S = 5e-4
-"""Minimum time step of the filters, s. Shorter steps are skipped."""
+"""Minimum time step of the filters, s."""
 _LEAST_INTERVAL_S = 0.018
-"""Minimum interval between used measurements of one sender, s.
+"""Minimum interval between measurements of one sender that are used, s.
 
-Measurement rates above 50 Hz add little information.
+Measurements at more than 50 Hz provide little additional information.
 """
 _PRESENT_STEP_S = 0.005
 """Time step of the prediction from the last message to the current time, s."""
@@ -87,19 +88,20 @@ _MEASURED = (BENDS, PRESSURES, POSES, SUPPLY)
 
 
 class Shadow:
-    """Live twin of one robot, described in the module docstring.
+    """Live twin of one robot. See the module docstring.
 
     Attributes:
         ensemble: filter for pose, bends and pressures.
         command_period: period of the commands.
         contact: estimator of the contact force.
-        prediction_calibration: calibration of predictions based on earlier errors.
+        prediction_calibration: calibration of the predictions based on earlier errors.
         buffer: buffer that sorts messages by sending time.
         time: time of the filters on the local clock, s, or NaN before the first
             message.
-        skipped: time for which messages were skipped on a slow machine, s.
-        interruptions: number of times that the robot restarted, or was silent for more
-            than `LOST_AFTER_S`.
+        skipped: total time for which messages were skipped, s, because the machine was
+            too slow.
+        interruptions: number of times that the robot restarted or sent no message for
+            more than `LOST_AFTER_S`.
     """
 
     def __init__(
@@ -111,15 +113,17 @@ class Shadow:
         seed: int = 0,
         frames: Mapping[str, int] | None = None,
     ) -> None:
-        """Start with the values of the robot file.
+        """Initialise the live twin with the values of the robot file.
 
         Args:
             spec: robot specification.
-            supply_pa: nominal gauge supply pressure, Pa, by default from `spec`.
+            supply_pa: nominal gauge supply pressure, Pa. If None, the pressure is taken
+                from `spec`.
             members: number of ensemble members.
             seed: random seed.
-            frames: connector number, counted from 1 at the head, for each body of the
-                motion capture. By default the bodies are named "connector_1" and so on.
+            frames: connector number of each body in motion capture, counted from 1 at
+                the head. If None, the bodies must be named "connector_1", "connector_2"
+                and so on.
         """
         spec.require_planar("the live twin")
         n = spec.segments
@@ -136,7 +140,6 @@ class Shadow:
         self.interruptions = 0
         self._commands = CommandHistory(n)
         self._heard = dict.fromkeys(_KINDS, -math.inf)
-        # Sending time of the last used measurement of each sender.
         self._used: dict[str, float] = {}
         self._missing = np.zeros(n + 1, dtype=int)
         self._lost_markers = np.zeros(n + 1, dtype=bool)
@@ -153,9 +156,9 @@ class Shadow:
 
         Args:
             now: current time on the local clock, s.
-            messages: messages that arrived since the last call.
+            messages: messages that have arrived since the last call.
             work_s: maximum computing time, s. The remaining messages wait for the next
-                call, or are skipped if they are older than `MOST_BEHIND_S`.
+                call. Messages that are older than `MOST_BEHIND_S` are skipped.
 
         Returns:
             Estimate for the time `now`, or None before the first message of the robot.
@@ -169,12 +172,7 @@ class Shadow:
     def receive(
         self, now: float, messages: Iterable[Message], *, work_s: float = math.inf
     ) -> bool:
-        """Advance the filters like `update`, but without an estimate.
-
-        Args:
-            now: current time on the local clock, s.
-            messages: messages that arrived since the last call.
-            work_s: maximum computing time as in `update`, s.
+        """Advance the filters as `update` does, but do not compute an estimate.
 
         Returns:
             Whether the robot has sent a message.
@@ -186,8 +184,8 @@ class Shadow:
         self._due.extend(timed for timed in due if self._needed(timed.message))
         deadline = monotonic() + work_s
         while self._due and monotonic() < deadline:
-            # Messages with equal times are processed together, because the order of
-            # their corrections matters.
+            # Messages with equal times are processed together, because the order of the
+            # corrections matters.
             at = self._due[0].time
             simultaneous = []
             while self._due and self._due[0].time == at:
@@ -195,25 +193,25 @@ class Shadow:
             self._use(at, simultaneous)
         if self._due and now - self._due[0].time > MOST_BEHIND_S:
             self._skip_due()
-        # Before this delay, a message for the time may still arrive. The comparison is
-        # false if the time is NaN.
+        # The filters lag behind the current time by the holding time, because earlier
+        # messages may still arrive.
         elif now - self.buffer.hold - self.time > _EXTRAPOLATE_AFTER_S:
             self._advance(now - self.buffer.hold)
         return not math.isnan(self.time)
 
     @property
     def waits(self) -> bool:
-        """Whether received messages have not been processed yet."""
+        """Whether any received message has not been processed yet."""
         return self.buffer.waits or bool(self._due)
 
     def predict(self) -> Prediction:
-        """Predict the path during the next second with repeated commands."""
+        """Predict the path during the next second for repeated commands."""
         return self.prediction_calibration.inflate(self.prediction_task()())
 
     def prediction_task(self) -> Callable[[], Prediction]:
         """Return a function that computes a prediction in another thread."""
-        # All inputs are copied here, because the filter continues to change while the
-        # other thread predicts.
+        # All inputs are copied here, because the filter changes while the other thread
+        # computes the prediction.
         per_step = round(_PREDICTION_STEP_S / SLOT_S)
         slots = round(HORIZON_S / SLOT_S)
         commands = self.command_period.commands(slots)
@@ -232,13 +230,14 @@ class Shadow:
         return run
 
     def save(self) -> SavedState:
-        """Return the learnt values and detected faults, which `restore` reads."""
-        # The pose is not saved, because the robot may be moved between two sessions.
+        """Return the learnt values and the detected faults, which `restore` accepts."""
+        # The pose is not saved, because the robot may be moved before the state is
+        # restored.
         parts = {name: part.state_dict() for name, part in self._saved_parts().items()}
         return SavedState(self._identity(), {"gone": self._lost_markers} | parts)
 
     def restore(self, state: SavedState) -> None:
-        """Restore learnt values and detected faults.
+        """Restore the learnt values and the detected faults.
 
         Raises:
             InputError: the state belongs to another robot, or is incomplete.
@@ -263,7 +262,6 @@ class Shadow:
         }
 
     def _skip_due(self) -> None:
-        """Skip all waiting measurements, and continue at the time of the last one."""
         newest = self._due[-1].time
         for at, message in self._due:
             if message.kind in (COMMAND, VALVES) and at > newest - KEPT_S:
@@ -286,8 +284,8 @@ class Shadow:
             return False
         self._used[message.source] = message.sent
         if message.kind != POSES and abs(interval) > LOST_AFTER_S:
-            # Time stamps that go back show that the robot has restarted, which empties
-            # the chambers.
+            # A robot with decreasing time stamps has restarted, which empties the
+            # chambers.
             self.faults.restart()
             self.interruptions += math.isfinite(interval)
         return True
@@ -309,19 +307,19 @@ class Shadow:
         for message in measured:
             self._update_faults(time, message)
         self.ensemble.set_modules(self.faults.modules())
-        # The fault detector needs bends before pressures. The ensemble is most accurate
-        # if bends correct it last.
+        # The fault detector must process bends before pressures. The ensemble is most
+        # accurate if the bends are processed last.
         for message in reversed(measured):
             self._correct_ensemble(message)
         self.ensemble.apply_odometry()
         kinds = {message.kind for message in measured}
-        # Only frames of motion capture contain information about position and heading.
+        # Only frames of motion capture contain information about the position and the
+        # heading.
         bends_corrected = not kinds.isdisjoint((BENDS, PRESSURES))
         corrected = [bends_corrected, POSES in kinds, POSES in kinds]
         self._intervals.update(time, _state(self.ensemble), corrected)
 
     def _update_faults(self, time: float, message: Message) -> None:
-        """Update the fault detector. A frame also corrects the ensemble."""
         if message.kind == POSES:
             self._use_frame(message)
         elif message.kind == BENDS:
@@ -371,8 +369,8 @@ class Shadow:
         if time - self.time < _LEAST_STEP_S:
             return
         if time - self.time > LOST_AFTER_S:
-            # The motion during a long pause is unknown, so the next frame determines
-            # the position again.
+            # The motion during a long pause is unknown, so the position is initialised
+            # with the next frame.
             self.ensemble.placed = False
             self.time = time - LOST_AFTER_S
         slots = math.ceil((time - self.time) / SLOT_S - 1e-6)
@@ -383,7 +381,8 @@ class Shadow:
             duties = self._commands.at(
                 self.time + (np.arange(steps) + 0.5) * dt / steps
             )
-            # One sample per slot suffices, because periods are whole numbers of slots.
+            # One sample per slot is sufficient, because periods are whole numbers of
+            # slots.
             self.command_period.add(self.time + dt / 2, duties[0])
             self.faults.predict(duties.mean(axis=0), dt)
             self.ensemble.predict(self._valve_input(duties), dt)
@@ -397,7 +396,8 @@ class Shadow:
         steps = math.ceil(dt / _PRESENT_STEP_S - 1e-6)
         times = now - dt + (np.arange(steps) + 0.5) * dt / steps
         duties = self._commands.at(times, self.buffer.waiting(COMMAND))
-        # A copy is predicted, because messages for this time may still arrive.
+        # The prediction uses a copy of the filter, because messages for the predicted
+        # time may still arrive.
         present = self.ensemble.copy(_PREDICTION_MEMBERS)
         present.predict(self._valve_input(duties), dt, _PRESENT_STEP_S)
         present.apply_odometry()
@@ -445,8 +445,8 @@ class Shadow:
         pose = state.value[n:]
         sd = state.sd * self._intervals.scale
         pose_sd = sd[n:]
-        # Constant errors of sensors and transport delays are not represented by the
-        # spread of the ensemble, so they are added.
+        # The spread of the ensemble does not include constant errors of sensors and
+        # transport delays, so these errors are added.
         sensor_sd = self.faults.corrected(bend).sd
         delay_sd = TRANSPORT_DELAY_S * ensemble.mean("motion")[3:]
         x, y, turn = ensemble.odometry.twist
@@ -476,11 +476,7 @@ def _state(ensemble: EnsembleFilter) -> Estimates:
 
 
 def frames_of(pairs: Sequence[str], connectors: int) -> dict[str, int]:
-    """Parse ``BODY=CONNECTOR`` pairs into the connector number of each body.
-
-    Args:
-        pairs: pairs such as ``head=1``.
-        connectors: number of connectors of the robot.
+    """Parse texts ``BODY=CONNECTOR`` and return the connector number of each body.
 
     Raises:
         InputError: a pair is malformed, or a connector is unknown.

@@ -71,11 +71,7 @@ class LabOptions:
     ca: Annotated[Path | None, option("--ca FILE")] = None
 
     def with_setup(self, path: Path, context: typer.Context) -> LabOptions:
-        """Fill options that the command line does not give from a set-up file.
-
-        Args:
-            path: path of the set-up file.
-            context: context of the running command.
+        """Read the options that are not given on the command line from a set-up file.
 
         Raises:
             InputError: the file cannot be read or has errors.
@@ -90,7 +86,7 @@ class LabOptions:
 
     @property
     def topic_name(self) -> str:
-        """Name of the robot in topics."""
+        """Name of the robot in MQTT topics."""
         return self.name or Path(str(self.robot)).stem
 
 
@@ -126,7 +122,7 @@ class SessionOptions:
 
     @property
     def keys(self) -> str:
-        """Keys that control the session, as printed at its start."""
+        """Description of the keys that control the session."""
         if self.mcap is not None:
             return ""
         if self.follow is not None:
@@ -156,7 +152,7 @@ def shadow(
     from srs_twin.robot.file import load_robot
 
     lab = _checked(lab, options, context)
-    # The matrices are small, and several threads would wait for each other.
+    # A single thread is used, because the matrices are too small for several threads.
     threadpool_limits(limits=1, user_api="blas")
     twin, steering = _twin(load_robot(str(lab.robot)), lab, options)
     over = interruption()
@@ -183,7 +179,6 @@ def shadow(
 def _checked(
     lab: LabOptions, options: SessionOptions, context: typer.Context
 ) -> LabOptions:
-    """Return the checked options of the lab, including those of the set-up file."""
     from srs_twin.io.files import check_output_folder, require_file
     from srs_twin.live.session import KEPT
 
@@ -214,7 +209,6 @@ def _is_given(context: typer.Context, name: str) -> bool:
 def _twin(
     spec: RobotSpec, lab: LabOptions, options: SessionOptions
 ) -> tuple[Shadow, EstimateSteering | None]:
-    """Return the live twin and its steering with compiled kernels."""
     from srs_twin.live.session import TICK_S, warm_up
     from srs_twin.live.shadow import Shadow, frames_of
     from srs_twin.live.steering import EstimateSteering
@@ -246,7 +240,6 @@ def _session(
     twin: Shadow,
     steering: EstimateSteering | None,
 ) -> tuple[Session, str]:
-    """Return a session, and the address of the live view or an empty string."""
     from srs_twin.live.journal import McapLink
     from srs_twin.live.links import typed_words
     from srs_twin.live.session import Session

@@ -1,4 +1,4 @@
-"""Steering of a robot based on the estimate of its live twin."""
+"""Steering of a robot based on the state estimate of its live twin."""
 
 from __future__ import annotations
 
@@ -20,58 +20,64 @@ from srs_twin.robot.world import Pose
 from srs_twin.scenario.scenario import Scenario
 
 PATIENCE_S = 3.0
-"""Time without an estimate or supply pressure after which the steering ends, s."""
+"""Time without an estimate or without supply pressure after which the steering ends, s.
+"""
 PAUSE_LIMIT_S = 30.0
 """Maximum duration of a pause, s.
 
-Afterwards the chambers are vented, so that a forgotten robot does not stay under
-pressure.
+After this time the chambers are vented, so that a forgotten robot does not remain
+pressurised.
 """
-# Reasons for the end of the steering, in addition to the reasons of the follower.
+# The following reasons for the end of the steering complement the reasons of the
+# follower.
 LOST = "estimate_lost"
 EMPTY = "supply_empty"
-STOPPED = "stopped"  # the session ended before the path
+STOPPED = "stopped"  # The session ended before the end of the path.
 TOO_SLOW = "estimate_too_old"
 LEAST_MARGIN = 0.25
 """Minimum margin of a new plan, as a fraction of the margin of the scenario.
 
-Without such a plan the robot is stopped. The margins of the shipped footprints were
-measured with 100 runs of each kind, 3.5 m each (`planning/margins.py`). Of these runs,
-98 to 100 % left a plan without any margin, so contact is almost certain there. Half of
-a margin of 80 mm was left by 1 to 19 % of the runs, and a quarter by 52 to 93 %.
+If there is no plan with this margin, the robot is stopped. The value is based on 100
+simulated runs of 3.5 m for each shipped footprint. Without a margin, 98 to 100 % of the
+runs leave the planned footprint, so contact is almost certain. With half of a margin of
+80 mm, 1 to 19 % of the runs leave the planned footprint. With a quarter of the margin,
+52 to 93 % of the runs leave the planned footprint.
 """
 _LARGEST_SD_M = 0.0125
-"""Maximum standard deviation of the position at which steering is allowed, m.
+"""Maximum standard deviation of the position for steering, m.
 
-The value is half of the usual margin to obstacles.
+The value is half the usual margin to obstacles.
 """
 _UNCERTAIN_S = 0.2
-"""Time above `_LARGEST_SD_M` after which the robot is vented, s.
+"""Time with too large a standard deviation after which the robot is vented, s.
 
-A late frame of motion capture increases the uncertainty for some ticks. Generation 2
-crawls 45 mm in this time.
+A late frame of motion capture increases the standard deviation for some ticks.
+Generation 2 crawls 45 mm during this time.
 """
 _SETTLING_S = 1.0
-"""Time at the start in which the robot stands still and its pose is estimated, s."""
+"""Initial time in which the robot rests and its pose is estimated, s."""
 _NEAR_M = 0.03
-"""Distance from the initial position of the scenario above which a new plan is made, m.
+"""Distance from the scenario's initial position above which a new path is planned, m.
 """
 _NEAR_RAD = 0.05
-"""Deviation from the initial heading above which a new plan is made, rad."""
+"""Deviation from the scenario's initial heading above which a new path is planned, rad.
+"""
 _EMPTY_BELOW = 0.3
-"""Fraction of the nominal supply pressure below which steering is impossible.
+"""Fraction of the nominal supply pressure below which steering is not possible.
 
-Half of the nominal pressure still suffices.
+Half of the nominal pressure is sufficient.
 """
 _MODEL_FIELDS = {("actuator", "bend_limit"), ("supply", "limit_source")}
-"""Model settings and texts that may differ between scenario and real robot."""
+"""Model settings and texts that may differ between the robot of the scenario and the
+real robot.
+"""
 
 
 def differences(one: RobotSpec, other: RobotSpec) -> list[str]:
-    """Return the fields in which two robots differ, with both values.
+    """Return the fields in which two robots differ, with the values of each robot.
 
-    Names, titles and model settings such as the bend limit do not count. Properties of
-    single modules do not count either, because the live twin estimates them.
+    Names, titles and model settings such as the bend limit are not compared. Properties
+    of individual modules are not compared either, because the live twin estimates them.
     """
     texts = []
     for field in fields(RobotSpec):
@@ -82,7 +88,7 @@ def differences(one: RobotSpec, other: RobotSpec) -> list[str]:
         if not (is_dataclass(first) and type(first) is type(second)):
             texts.append(f"{field.name} ({_short(first)} and {_short(second)})")
             continue
-        # Parameters are compared one by one, so that the message can name them.
+        # The parameters are compared individually, so that the message can name them.
         for inner in fields(first):
             name = inner.name
             a = getattr(first, name)
@@ -99,11 +105,12 @@ def _short(value: object) -> str:
 
 
 class EstimateSteering:
-    """Path follower of a scenario that uses the estimate of a live twin as its state.
+    """Path follower that uses the state estimate of a live twin.
 
-    A segment with a stuck valve is kept straight by filling or venting both chambers,
-    and a new plan is made. All chambers are vented while the estimate is lost, and at
-    the end after a loss of supply pressure.
+    If a valve is stuck, the segment is kept straight by filling or venting both
+    chambers, and a new path is planned. All chambers are vented while the position is
+    unknown. After a loss of supply pressure, the steering ends and all chambers are
+    vented.
     """
 
     def __init__(
@@ -114,17 +121,19 @@ class EstimateSteering:
         *,
         allow_zero_margin: bool = False,
     ) -> None:
-        """Prepare the follower.
+        """Prepare the path follower.
 
         Args:
-            scenario: scenario whose controller follows a plan.
+            scenario: scenario whose controller follows a planned path.
             shadow: live twin of the robot.
             tick: control period of the robot, s.
-            allow_zero_margin: whether the robot continues without any margin to obstacles
-                instead of stopping (`LEAST_MARGIN`).
+            allow_zero_margin: whether the robot continues without any margin to
+                obstacles. Otherwise the robot stops if the margin is below
+                `LEAST_MARGIN`.
 
         Raises:
-            InputError: the scenario has no plan, or its robot is another one.
+            InputError: the scenario has no planned path, or is intended for another
+                robot.
         """
         controller = scenario.build_controller()
         if not isinstance(controller, Follower):
@@ -175,7 +184,8 @@ class EstimateSteering:
     def control(self, word: str) -> None:
         """Obey a control word.
 
-        `PAUSE` keeps the valve states, `VENT` vents all chambers, and `GO` continues.
+        The word `PAUSE` holds the valve states, `VENT` vents all chambers, and `GO`
+        continues the steering.
         """
         if word != self._control:
             self._control = word
@@ -191,13 +201,13 @@ class EstimateSteering:
         return self._last
 
     def give_up(self, ending: str) -> None:
-        """End the steering, and record the reason."""
+        """End the steering for the given reason."""
         if not self._given_up:
             self._given_up = ending
             self._log(ending)
 
     def summary(self) -> dict[str, object]:
-        """Return the reason of the end, duration and events as JSON values."""
+        """Return the reason for the end, the duration and the events as JSON values."""
         return {
             "ending": self._given_up or self.follower.ending or STOPPED,
             "seconds": self._steps * self._tick,
@@ -210,7 +220,7 @@ class EstimateSteering:
     def _command(self, estimate: Estimate | None, shadow: Shadow) -> np.ndarray:
         if estimate is None or estimate.lost or self._is_uncertain(estimate):
             self._lost_s += self._tick
-            # Before the first step the robot may wait for motion capture indefinitely.
+            # Before the first step, the robot may wait indefinitely for motion capture.
             if self._steps and self._lost_s > PATIENCE_S:
                 self.give_up(LOST)
             return self.vented()
@@ -243,7 +253,7 @@ class EstimateSteering:
         if self._empty_s > PATIENCE_S:
             self.give_up(EMPTY)
             return self.vented()
-        # Segments with a leak still bend, so only stuck valves change the gait.
+        # Only stuck valves change the gait, because segments with a leak still bend.
         chambers = CHAMBERS[shadow.faults.most_likely()]
         stuck = np.where(
             (chambers == ChamberBehaviour.FILLS).any(axis=1), ChamberBehaviour.FILLS, 0
@@ -261,12 +271,13 @@ class EstimateSteering:
         self._steps += 1
         for event in self.follower.events():
             self._events.append((event.time, f"{event.kind}: {event.text}"))
-        # The robot modulates duties itself, so it receives duties instead of the states
-        # within a tick.
+        # The robot itself modulates the valves, so the command contains duties instead
+        # of valve states within a tick.
         if valves.ndim == 3:
             valves = valves.mean(axis=0)
         duty = valves / 2 + 0.5
-        # Equal pressures on both sides keep a segment with a stuck valve straight.
+        # Equal pressures in the + and − chambers keep a segment with a stuck valve
+        # straight.
         duty[stuck == ChamberBehaviour.FILLS] = 1.0
         duty[stuck == ChamberBehaviour.VENTS] = 0.0
         if np.isin(duty, (0.0, 1.0)).all():
@@ -274,9 +285,9 @@ class EstimateSteering:
         return duty
 
     def _begin(self, estimate: Estimate, shadow: Shadow) -> None:
-        """Prepare the follower, with a new plan if the robot starts at another pose."""
-        # The real robot has noise and delays, so the follower must not simulate them.
-        # Commands take effect one tick after the estimate.
+        # The follower must not simulate noise and delays, because the noise and delays
+        # of the real robot already affect the estimate. Commands take effect one tick
+        # after the estimate.
         follower = self.follower
         follower.conditions = replace(
             follower.conditions,

@@ -1,4 +1,4 @@
-"""Curvature sensors, from which controllers read the bends."""
+"""Curvature sensors, which measure the bends for the controllers."""
 
 from __future__ import annotations
 
@@ -33,21 +33,22 @@ _HALL_OPTIONS = {field.name for field in fields(HallSensor)} - {"strip"}
 def make_sensor(
     kind: str | Sensor, spec: RobotSpec, *, span: float = SPAN, **options: Any
 ) -> Sensor:
-    """Return the curvature sensors of a robot.
+    """Create the curvature sensors of a robot.
 
-    The sensors of a spatial robot have two axes.
+    The sensors of a spatial robot measure the bends about two axes.
 
     Args:
-        kind: name in `KINDS`, a part from outside (`extensions.part`), or an existing
-            `Sensor`, which is used as it is.
-        spec: robot that determines the length of the strips and the drift of each
-            module's sensor.
-        span: maximum bend to both sides for which a Hall sensor is trimmed (unless
-            `gain` is given) and calibrated, rad; other sensors ignore it.
+        kind: name in `KINDS`, name of an extension (`extensions.part`), or a `Sensor`
+            that is used without change.
+        spec: robot specification, which determines the length of the strips and the
+            drift of each sensor.
+        span: maximum bend to either side for which a Hall sensor is calibrated, rad.
+            Unless `gain` is given, the gain of the amplifier is chosen for the span.
+            Other sensors ignore the span.
         **options: attributes of `Strip` and `HallSensor`.
 
     Raises:
-        UnknownNameError: the kind is unknown, or does not have an option.
+        UnknownNameError: the kind or an option is unknown.
         InputError: the sensor takes no options, or an option has an invalid value.
     """
     if options and (isinstance(kind, Sensor) or kind == IdealSensor.kind):

@@ -1,59 +1,65 @@
 r"""Hall sensor on the neutral axis of a segment, and its calibration.
 
 **Strip and field.** The strip bends with constant curvature κ = q/l. The coordinate
-frame is at the magnet: x points along the strip towards the element and the head, and y
-points to the left, normal to the strip. At the arc length L the strip has turned by θ =
-κL. The element lies at the distance h_s to the left of the neutral axis, and the centre
-of the magnet at h_m. Negative distances are to the right. The positions are
+frame has its origin at the magnet. The x axis points along the strip towards the
+element and the head. The y axis is normal to the strip and points to the left. At the
+arc length L the strip has turned by θ = κL. The element lies at the distance h_s from
+the neutral axis, and the centre of the magnet lies at the distance h_m from the neutral
+axis. Positive distances are to the left. The positions S of the element and M of the
+magnet are
 
 $$ S = \begin{pmatrix} \sin\theta/\kappa - h_s \sin\theta \\
 (1 - \cos\theta)/\kappa + h_s \cos\theta \end{pmatrix}, \qquad
 M = \begin{pmatrix} 0 \\ h_m \end{pmatrix}. $$
 
-The magnet is a point dipole with moment m along y (`up`) or x (`side`). With r = S − M
-the field of the magnet is
+The magnet is modelled as a point dipole with the moment m along y (`up`) or x (`side`).
+With r = S − M, the field of the magnet is
 
 $$ B = \frac{\mu_0}{4\pi}\left(\frac{3\,(m\cdot r)\,r}{|r|^5} - \frac{m}{|r|^3}\right), $$
 
 and the element measures the normal component of the field, B_n = B_y cos θ − B_x sin θ
-(Eq. 1). θ in Eq. 1 is interpreted as the local angle κL. If θ were the whole bend q,
-the reading over ±90° would be neither linear nor monotonic (docs/module.md#the-curvature-sensor).
+(Eq. 1). The angle θ in Eq. 1 is interpreted as the local angle κL. If θ were the bend q
+of the whole segment, the reading would be neither linear nor monotonic over ±90°
+(docs/module.md#the-curvature-sensor).
 
-**Chambers.** A rectangular chamber becomes round when it is filled and presses on the
+**Chambers.** A rectangular chamber becomes round when it is filled, and presses on the
 adjacent strip (Section 2.2.2, Fig. 14a, c). The filled chamber is on the outside of the
-bend, so it bows the strip against the bend. The displacement of the strip stops growing
-when the chamber is round. With the strength b and the bend q_c at which the chamber is
-nearly round, the bend of the strip is
+bend, so the chamber bends the strip in the opposite direction. When the chamber is
+round, it displaces the strip no further. If the factor b describes the strength of the
+pressing and q_c is the bend at which the chamber is nearly round, the bend of the strip
+is
 
 $$ q_s = q - b\,q_c \tanh(q / q_c) . $$
 
 The derivative of q_s is 1 − b at q = 0, negative for b > 1, and 1 for |q| ≫ q_c. The
-dissertation states that such readings are not monotonic at small angles. The figure
-with the values is lost, so b and q_c are estimates. The effect depends on the bend and
-not on the instantaneous pressure.
+dissertation states that readings with rectangular chambers are not monotonic at small
+angles. The figure with the values is not available, so b and q_c are estimates. The
+model of the pressing chamber depends only on the bend, not on the pressure.
 
-**Electronics.** A Hall element, an amplifier and a converter form a chain:
+**Electronics.** The reading is produced by a Hall element, an amplifier and a
+converter:
 
-- The element's output is s B_n + n, with the sensitivity s and the noise n.
-- The amplifier's output is V = V₀ + bias + G (1 + e) (s (B_n − B_n(0)) + n), limited to
-  the rails. It has the gain G and, on the straight strip, the output V₀.
-- The converter returns the centre of the quantisation step of V, with 2^bits steps over
-  its range.
+- The output of the element is s B_n + n, where s is the sensitivity and n is the noise.
+- The output of the amplifier is V = V₀ + bias + G (1 + e) (s (B_n − B_n(0)) + n),
+  limited to the rails. G is the gain, and V₀ is the output for a straight strip.
+- The converter divides its range into 2^bits quantisation steps and returns the centre
+  of the step that contains V.
 
-The amplifier is balanced on the straight strip, as after assembly. Otherwise the
-amplified field at rest (54 gauss) would far exceed the rails. `bias` and the gain error
-e are changes since the calibration, caused by temperature, supply or a slipped magnet.
+The amplifier is balanced for a straight strip. Otherwise the amplified field at rest
+(54 gauss) would far exceed the rails. The `bias` and the gain error e are changes since
+the calibration, which are due to temperature, supply voltage or displacement of the
+magnet.
 
-**Calibration** fits the straight line from the voltage to the bend. As in the
-dissertation (Section 3.4.3, a line fit to the bending angle against the voltage), the
-module is held at evenly spaced angles over ± span. The reading at each angle is
-averaged until the noise vanishes, and the angle is regressed on the voltage by least
+**Calibration.** As in Section 3.4.3, a straight line is fitted to the bending angle as
+a function of the voltage. The angles are evenly spaced over the range ± span. The
+readings contain no noise, as if they were averaged for a long time. The line is fitted
+by least
 squares:
 
 $$ q \approx a V + b. $$
 
-All nonlinearity of the sensor (field, rails, a pressing chamber) remains in the
-readings as an error. The maximum error is `worst_error`.
+Nonlinearity due to the field, the rails or a chamber that presses on the strip remains
+as an error of the readings. The maximum error is stored in `worst_error`.
 """
 
 from __future__ import annotations
@@ -70,7 +76,7 @@ from srs_twin.errors import InputError, UnknownNameError
 STRIP_PRESSURE_FACTOR = {"semicircular": 0.0, "rectangular": 2.0}
 """Factor b by cross-section, dimensionless.
 
-The estimate 2 reverses the sign of the reading's derivative at q = 0.
+The estimated factor 2 reverses the sign of the derivative of the reading at q = 0.
 """
 
 ROUNDING_BEND_RAD = 0.15
@@ -84,7 +90,8 @@ def strip_bend(bend: Array, chamber: str) -> Array:
     """Return the bend q_s of the strip, rad.
 
     Args:
-        bend: bend q of the segment, any shape, rad; NaN stays NaN.
+        bend: bend q of the segment, any shape, rad. If the bend is NaN, the result is
+            NaN.
         chamber: cross-section of the chambers, a name in `STRIP_PRESSURE_FACTOR`.
     """
     factor = STRIP_PRESSURE_FACTOR[chamber]
@@ -99,7 +106,7 @@ def strip_bend(bend: Array, chamber: str) -> Array:
 ORIENTATIONS = ("up", "side")
 """Direction of the magnet's north pole: "up" is normal to the strip, "side" along it.
 
-The dissertation uses a magnet normal to the strip.
+In the dissertation, the magnet is normal to the strip.
 """
 
 _MU0_4PI = 1e-7  # μ₀/4π, T·m/A
@@ -113,12 +120,12 @@ MAGNET_HEIGHT = INCH / 32
 MAGNET_DIAMETER = INCH / 16
 """Diameter of the magnet, m.
 
-The dissertation does not state the diameter. The value is a stock size for the known
-height.
+The dissertation does not state the diameter. The value is a commercially available size
+for the known height.
 """
 
 REMANENCE = 1.32
-"""Remanence of the magnet, T. Estimate for NdFeB of grade N42, 1.29 to 1.33 T."""
+"""Remanence of the magnet, T, estimated for NdFeB of grade N42 (1.29 to 1.33 T)."""
 
 MOMENT = (
     REMANENCE
@@ -128,28 +135,28 @@ MOMENT = (
     * MAGNET_HEIGHT
     / (4 * math.pi * _MU0_4PI)
 )
-"""Magnetic moment, A·m²: remanence times volume over μ₀, 1.65e-3."""
+"""Magnetic moment, A·m², which is the remanence times the volume divided by μ₀."""
 
 
 @dataclass(frozen=True)
 class Strip:
-    """Magnet and Hall element on a strip; see the module docstring.
+    """Magnet and Hall element on a strip. See the module docstring.
 
-    The dissertation states neither height, so both are estimates. The centre of the
-    magnet is above the neutral axis by half the flexible board (0.05 mm) and half the
-    magnet. The element is above the neutral axis by half the board and 0.65 mm inside a
-    SOT-23 package.
+    The heights of the magnet and of the element are estimates, because the dissertation
+    does not state them. The height of the magnet's centre is half the thickness of the
+    flexible board (0.05 mm) plus half the height of the magnet. The height of the
+    element is half the thickness of the board plus 0.65 mm within a SOT-23 package.
 
     Attributes:
-        segment_length: length l that bends by q, m.
+        segment_length: length l of the segment, m.
         distance: arc length L from the magnet to the element, m. The dissertation
             studied 3.1 to 4.6 mm and chose 3.1 mm.
         orientation: orientation of the magnet, one of `ORIENTATIONS`.
         moment: magnetic moment |m|, A·m².
         magnet_height: height h_m of the magnet's centre, m.
         element_height: height h_s of the element, m.
-        chamber: cross-section of the chambers, a name in `STRIP_PRESSURE_FACTOR`; a
-            rectangular chamber presses on the strip.
+        chamber: cross-section of the chambers, a name in `STRIP_PRESSURE_FACTOR`.
+            Rectangular chambers press on the strip.
     """
 
     segment_length: float
@@ -188,8 +195,9 @@ def dipole(x: Array, y: Array, m_x: float, m_y: float) -> tuple[Array, Array]:
     """Return the field B_x and B_y (T) of a dipole in the plane of its moment.
 
     Args:
-        x: position relative to the dipole, any shape, m.
-        y: position with the shape of x, m; not 0 where x is 0.
+        x: x coordinate relative to the dipole, any shape, m.
+        y: y coordinate relative to the dipole, with the shape of x, m. The coordinates
+            must not be 0 at the same time.
         m_x: moment along x, A·m².
         m_y: moment along y, A·m².
     """
@@ -200,18 +208,13 @@ def dipole(x: Array, y: Array, m_x: float, m_y: float) -> tuple[Array, Array]:
 
 
 def element_place(bend: Array | float, strip: Strip) -> tuple[Array, Array, Array]:
-    """Return the position x, y (m) of the element relative to the magnet, and θ (rad).
-
-    Args:
-        bend: bend q of the segment, any shape, rad.
-        strip: strip geometry.
-    """
+    """Return the element's position x, y (m) relative to the magnet, and θ (rad)."""
     theta = strip_bend(np.asarray(bend, dtype=float), strip.chamber) * (
         strip.distance / strip.segment_length
     )
     theta = np.where(np.abs(theta) <= math.pi, theta, np.nan)
-    # (sin θ, 1 − cos θ)/κ is a chord in the direction θ/2 and smooth at κ = 0;
-    # np.sinc(x) is sin(πx)/(πx).
+    # The vector (sin θ, 1 − cos θ)/κ is a chord in the direction θ/2. The expression
+    # for the chord is smooth at κ = 0. The function np.sinc(x) is sin(πx)/(πx).
     chord = strip.distance * np.sinc(theta / (2 * math.pi))
     x = chord * np.cos(theta / 2) - strip.element_height * np.sin(theta)
     y = (
@@ -226,9 +229,9 @@ def field(bend: Array | float, strip: Strip) -> Array:
     """Return the field component B_n normal to the element, T.
 
     Args:
-        bend: bend q of the segment, any shape, rad. The result is NaN for a NaN, and
-            for a bend that turns the strip by more than half a revolution between
-            magnet and element.
+        bend: bend q of the segment, any shape, rad. The result is NaN if the bend is
+            NaN or if the strip turns by more than half a revolution between magnet and
+            element.
         strip: strip geometry.
     """
     x, y, theta = element_place(bend, strip)
@@ -242,33 +245,36 @@ GAUSS = 1e-4
 """One gauss, T."""
 
 SPAN = math.pi / 2
-"""Maximum bend to both sides in the dissertation's design, rad (Section 2.2.2)."""
+"""Maximum bend to either side in the design of the dissertation, rad (Section 2.2.2).
+"""
 
 RAIL_FRACTION = 0.8
-"""Fraction of the rail-to-rail voltage that a trimmed amplifier uses over its span."""
+"""Fraction of the rail-to-rail voltage that the output of a trimmed amplifier covers.
+"""
 
 
 @dataclass(frozen=True)
 class HallSensor:
-    """Strip with its electronics; see the module docstring.
+    """Strip with its electronics. See the module docstring.
 
-    Sensitivity and noise are estimates from data sheets of the 49E class, to which the
-    AH49E of the dissertation belongs. The data sheets state 1.6 to 2.0 mV/G at 5 V. The
-    noise of 90 µV in a bandwidth of 10 kHz corresponds to 25 µV in the amplifier's 500
-    Hz. Rails and converter belong to an Arduino Pro Mini (Section 2.3.2 for generation
-    3): 5 V, 10 bits.
+    The sensitivity and the noise are estimated from data sheets of Hall sensors of type
+    49E, to which the AH49E of the dissertation belongs. The data sheets state a
+    sensitivity of 1.6 to 2.0 mV/G at 5 V. The stated noise of 90 µV in a bandwidth of
+    10 kHz corresponds to 25 µV in the amplifier's bandwidth of 500 Hz. The rails of 5 V
+    and the converter of 10 bits are those of the Arduino Pro Mini in generation 3
+    (Section 2.3.2).
 
     Attributes:
         strip: geometry and magnet.
-        gain: amplification G, dimensionless; see `trimmed`.
+        gain: gain G of the amplifier, dimensionless. `trimmed` chooses a suitable gain.
         sensitivity: sensitivity s of the element, V/T.
-        offset: output V₀ of the straight segment, V.
+        offset: output V₀ of the amplifier for a straight segment, V.
         rails: minimum and maximum output of the amplifier, V.
-        noise: RMS noise of the element within the amplifier's bandwidth, V at the
-            element's output.
-        bits: number of bits of the converter; None for no quantisation.
+        noise: RMS noise at the output of the element within the amplifier's bandwidth,
+            V.
+        bits: number of bits of the converter, or None if the output is not quantised.
         converter_range: voltage range of the converter, V.
-        bias: change since the calibration, V at the amplifier's output.
+        bias: change of the amplifier's output since the calibration, V.
         gain_error: relative change e of the gain since the calibration, dimensionless.
     """
 
@@ -314,12 +320,12 @@ class HallSensor:
     def trimmed(
         cls, strip: Strip, *, span: float = SPAN, **electronics: object
     ) -> HallSensor:
-        """Return a sensor whose gain uses `RAIL_FRACTION` of the rails over ± span.
+        """Return a sensor whose output covers `RAIL_FRACTION` of the rails.
 
         Args:
             strip: geometry and magnet.
             span: maximum bend, rad.
-            **electronics: other attributes.
+            **electronics: further attributes of the sensor.
 
         Raises:
             InputError: the field of the strip does not change with the bend, or an
@@ -342,7 +348,7 @@ class HallSensor:
 
     @property
     def step(self) -> float:
-        """Quantisation step of the converter, V; 0 without quantisation."""
+        """Quantisation step of the converter, V, or 0 without quantisation."""
         low, high = self.converter_range
         return 0.0 if self.bits is None else (high - low) / 2**self.bits
 
@@ -358,9 +364,10 @@ class HallSensor:
         """Return the voltage that the controller reads, V.
 
         Args:
-            bend: bend of any shape, rad. A NaN gives NaN, because a diverged state must
-                not become a plausible voltage.
-            noise: standard normal numbers that broadcast with the bends.
+            bend: bend of any shape, rad. If the bend is NaN, the voltage is NaN, so
+                that a diverged state does not look valid.
+            noise: standard normal random numbers, whose shape can be broadcast with the
+                bends.
         """
         random = self.noise * np.asarray(noise)
         element = self.sensitivity * self.field_change(bend) + random
@@ -375,9 +382,9 @@ class HallSensor:
 
 
 def _within(values: Array, low: float, high: float) -> Array:
-    """Return the values clipped to a range; NaN stays NaN.
+    """Clip values to a range.
 
-    The function is three times as fast as `np.clip`.
+    The function keeps NaN and is three times as fast as `np.clip`.
     """
     clipped: Array = np.minimum(np.maximum(values, low), high)
     return clipped
@@ -391,24 +398,24 @@ def _check(name: str, value: float, ok: bool, allowed: str) -> None:
 
 
 ANGLES = 181
-"""Number of angles in a calibration: one per degree over ±90°."""
+"""Number of angles in a calibration, which is one per degree for ±90°."""
 
 LEAST_R_SQUARED = 0.5
-"""Minimum fraction of variance that the line must explain for a usable sensor."""
+"""Minimum fraction of the variance that the line of a usable sensor explains."""
 
 
 @dataclass(frozen=True)
 class HallCalibration:
-    """Straight line from voltage to bend, with its quality.
+    """Linear calibration of a Hall sensor.
 
     Attributes:
-        slope: slope a, rad/V.
-        intercept: intercept b, rad.
+        slope: slope a of the line, rad/V.
+        intercept: intercept b of the line, rad.
         r_squared: fraction of the variance that the line explains, dimensionless.
-        span: maximum angle to both sides, rad.
+        span: maximum angle to either side, rad.
         voltage_range: minimum and maximum voltage, V.
-        worst_error: maximum difference between line and angle, rad.
-        monotonic: whether the voltage never reverses over the angles.
+        worst_error: maximum absolute difference between the line and the angle, rad.
+        monotonic: whether the voltage is a monotonic function of the angle.
     """
 
     slope: float
@@ -422,21 +429,21 @@ class HallCalibration:
     def angle(self, voltage: Array | float) -> Array:
         """Return the bends (rad) for voltages of any shape (V).
 
-        The line continues beyond the span.
+        Beyond the span, the line is extrapolated.
         """
         return self.slope * np.asarray(voltage) + self.intercept
 
 
 def fit_line(voltage: Array, angle: Array) -> HallCalibration:
-    """Fit a line to measured pairs of voltage and angle.
+    """Fit a line to measured voltages and angles.
 
     Args:
         voltage: voltage at each angle, shape (angles,), V.
         angle: ascending angles, shape (angles,), rad.
 
     Raises:
-        InputError: there are fewer than 3 pairs, a value is not finite, or all voltages
-            are equal.
+        InputError: there are fewer than 3 angles, a value is not finite, all voltages
+            are equal, or the angles are not ascending.
     """
     voltage = np.asarray(voltage, dtype=float)
     angle = np.asarray(angle, dtype=float)
@@ -471,16 +478,15 @@ def fit_line(voltage: Array, angle: Array) -> HallCalibration:
 
 
 def calibrate(sensor: HallSensor, span: float = SPAN) -> HallCalibration:
-    """Calibrate a sensor in the state before its drift.
+    """Calibrate a sensor without its drift.
 
     Args:
-        sensor: Hall sensor. Its `bias` and `gain_error` are ignored, because they arise
-            after the calibration.
-        span: maximum angle to both sides, rad.
+        sensor: Hall sensor. The `bias` and the `gain_error` of the sensor are ignored,
+            because drift begins after the calibration.
+        span: maximum angle to either side, rad.
 
     Raises:
-        InputError: the span is not a positive angle, or the readings do not follow a
-            line.
+        InputError: the span is not positive, or a line does not fit the readings.
     """
     check_positive("calibration span", span, "rad")
     angle = np.linspace(-span, span, ANGLES)

@@ -1,20 +1,21 @@
 """Curvature sensors with noise and faults.
 
-`IdealSensor` returns the bend, and `CurvatureSensor` reads a Hall sensor in each
-segment through its calibration. `DriftedSensor` and `FaultySensor` add drift and faults
-of single modules.
+`IdealSensor` returns the true bend, and `CurvatureSensor` models a calibrated Hall
+sensor in each segment. `DriftedSensor` adds the drift of individual sensors, and
+`FaultySensor` adds faults of individual sensors.
 
-**Noise without state.** A random number depends only on the seed, the segment and the
-time. A controller that reads once per tick and a recorder that reads a whole run at
-once therefore get equal values, on any number of threads. The numbers of a segment are
-the outputs 2n and 2n + 1 of a SplitMix64 sequence (Steele, Lea, Flood, 2014), where n
-is the time in slots of 0.1 ms. The Box-Muller transform makes them normally
-distributed. Each pair of seed and segment starts at a different position in the
+**Noise without state.** The noise of a reading depends only on the seed, the segment
+and the time. A controller that reads the sensors in every tick and a recorder that
+evaluates a whole run at once therefore obtain the same readings, regardless of the
+number of threads. The noise of a segment is computed from the outputs 2n and 2n + 1 of
+a SplitMix64 sequence (Steele, Lea, Flood, 2014), where n is the time in slots of 0.1
+ms. The Box-Muller transform converts the uniform outputs to a normally distributed
+number. Each combination of seed and segment starts at a different position in the
 sequence.
 
-A single number takes as long to compute as a thousand numbers at once, but a controller
-requests one time after another. Numbers are therefore computed in blocks of slots and
-cached.
+Computing a single number takes as long as computing a thousand numbers at once. Because
+a controller requests one time after another, numbers are computed in blocks of slots
+and cached.
 """
 
 from __future__ import annotations
@@ -32,13 +33,14 @@ from srs_twin.sensing.hall import SPAN, HallCalibration, HallSensor, calibrate
 class Sensor(ABC):
     """Abstract base class of curvature sensors.
 
-    Sensors have no state. A reading depends only on the arguments of `read`, so callers
-    may read in any order, one time or a whole run at once.
+    Sensors have no state. Readings depend only on the arguments of `read`, so callers
+    may request times in any order.
 
     Attributes:
         kind: short name of the sensor.
-        axes: number of readings per segment, 1 or 2. With two readings, bends and
-            readings have a last axis with the components to the left and upwards.
+        axes: number of readings per segment, 1 or 2. If the number is 2, arrays of
+            bends and readings have an additional last axis with the components to the
+            left and upwards.
     """
 
     kind: str = "own"
@@ -49,17 +51,17 @@ class Sensor(ABC):
         """Return sensor readings, shape (…, segments), rad.
 
         Args:
-            bend: actual bends, shape (…, segments), rad. A NaN gives NaN, which is a
-                lost reading that the controller must handle.
+            bend: actual bends, shape (…, segments), rad. If a bend is NaN, the reading
+                is NaN, which the controller must handle as a lost reading.
             time: times of the readings, shape (…,), s.
             seed: noise seed.
 
         Raises:
-            InputError: a time is not finite, with a noisy sensor.
+            InputError: the sensor is noisy and a time is not finite.
         """
 
     def describe(self) -> dict[str, object]:
-        """Return the settings that a run records, as JSON values."""
+        """Return the settings to record, as JSON values."""
         return {"kind": self.kind}
 
 
@@ -74,34 +76,38 @@ class IdealSensor(Sensor):
 
 
 SLOT = 1e-4
-"""Duration of a slot, in which readings have equal noise, s.
+"""Duration of a noise slot, s.
 
-The noise of different slots is independent.
+Readings within a slot have equal noise, and the noise of different slots is
+independent.
 """
 
-# Constants of SplitMix64: increment of the state, and multipliers of the output
-# function.
+# The following constants of SplitMix64 are the increment of the state and the
+# multipliers of the output function.
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _FIRST = np.uint64(0xBF58476D1CE4E5B9)
 _SECOND = np.uint64(0x94D049BB133111EB)
 
-_SEED_STEP = 2**63  # between the seeds of two axes; seeds count modulo 2⁶⁴
+_SEED_STEP = 2**63
+"""Difference between the seeds of the two axes."""
 
-_MAX_TIME = 2.0**53 * SLOT  # maximum time at which slots are exact integers, s
-_BLOCK = 1024  # slots per cached block
+_MAX_TIME = 2.0**53 * SLOT
+"""Maximum time at which slot numbers are exact in double precision, s."""
+_BLOCK = 1024
+"""Number of slots per cached block."""
 
 
 def standard_normal(seed: int, time: np.ndarray | float, segments: int) -> np.ndarray:
-    """Return standard normal numbers, shape (…, segments).
+    """Return standard normal random numbers, shape (…, segments).
 
     Args:
-        seed: any integer; seeds that are equal modulo 2⁶⁴ give equal numbers.
-        time: times, shape (…,), s, rounded to the nearest slot.
-        segments: number of segments, which does not change the numbers of the first
-            segments.
+        seed: any integer. Seeds that are equal modulo 2⁶⁴ produce equal numbers.
+        time: times, shape (…,), s. Times are rounded to the nearest slot.
+        segments: number of segments. Additional segments do not change the numbers of
+            the first segments.
 
     Raises:
-        InputError: a time is not finite, or too large for exact slots.
+        InputError: a time is not finite, or is too large for exact slot numbers.
     """
     time = np.asarray(time, dtype=float)
     if not (np.abs(time) < _MAX_TIME).all():
@@ -121,17 +127,16 @@ def _block(seed: int, number: int, segments: int) -> np.ndarray:
     numbers = _normal_numbers(
         seed, np.arange(number * _BLOCK, (number + 1) * _BLOCK), segments
     )
-    numbers.setflags(write=False)  # the cache returns one array to all callers
+    numbers.setflags(write=False)
     return numbers
 
 
 def _normal_numbers(seed: int, slot: np.ndarray, segments: int) -> np.ndarray:
-    # NumPy would warn about the intended overflow of a scalar, so arrays are used.
     start = _splitmix(np.full(segments, seed, dtype=np.uint64) + _GOLDEN)
     start = _splitmix(start ^ (np.arange(1, segments + 1, dtype=np.uint64) * _GOLDEN))
     place = start + (slot.view(np.uint64)[..., None] << np.uint64(1)) * _GOLDEN
     # Two uniform 53-bit integers per number enter the Box-Muller transform.
-    radius = (_splitmix(place) >> np.uint64(11)).astype(float) + 1  # 1 … 2⁵³, never 0
+    radius = (_splitmix(place) >> np.uint64(11)).astype(float) + 1
     angle = (_splitmix(place + _GOLDEN) >> np.uint64(11)).astype(float)
     return np.asarray(
         np.sqrt(-2 * np.log(radius * 2.0**-53)) * np.cos(2 * np.pi * 2.0**-53 * angle)
@@ -150,11 +155,12 @@ def _splitmix(word: np.ndarray) -> np.ndarray:
 class CurvatureSensor(Sensor):
     """Curvature sensor of the dissertation (Section 2.2.2).
 
-    It combines the field, the amplifier, the converter and the calibrated line.
+    The sensor model combines the magnetic field, the amplifier, the converter and the
+    linear calibration.
 
     Attributes:
         hall: Hall sensor in each segment.
-        calibration: straight line from voltage to bend.
+        calibration: linear calibration from voltage to bend.
     """
 
     hall: HallSensor
@@ -164,14 +170,10 @@ class CurvatureSensor(Sensor):
 
     @classmethod
     def calibrated(cls, hall: HallSensor, span: float = SPAN) -> CurvatureSensor:
-        """Return a sensor with the calibration of `calibrate`.
-
-        Args:
-            hall: Hall sensor.
-            span: maximum angle of the calibration, rad.
+        """Return a sensor that is calibrated for bends up to the angle `span` (rad).
 
         Raises:
-            InputError: `calibrate` fails.
+            InputError: the sensor cannot be calibrated.
         """
         return cls(hall, calibrate(hall, span))
 
@@ -203,11 +205,11 @@ class _AlteredSensor(Sensor):
 
 @dataclass(frozen=True)
 class TwoAxisSensor(_AlteredSensor):
-    """Two equal sensors in each segment of a spatial robot, one per bending direction.
+    """Two equal sensors per segment of a spatial robot, one for each bending direction.
 
     The strips lie on the neutral axis at right angles, so each strip measures one
-    component of the bend. The two sensors have independent noise and equal drift. The
-    first sensor has the noise of a planar robot's sensor with an equal seed.
+    component of the bend. The two sensors have independent noise and equal drift. For
+    equal seeds, the first sensor has the same noise as the sensor of a planar robot.
     """
 
     @property
@@ -231,12 +233,12 @@ class TwoAxisSensor(_AlteredSensor):
 
 @dataclass(frozen=True)
 class DriftedSensor(_AlteredSensor):
-    """Sensors that have drifted since their calibration, each by its own amount.
+    """Sensors that have drifted by individual amounts since their calibration.
 
     Attributes:
         sensor: sensors without drift.
-        gain: factor on the reading, shape (segments,), dimensionless.
-        bias: addition to the reading, shape (segments,), rad.
+        gain: factor that multiplies the reading, shape (segments,), dimensionless.
+        bias: offset added to the reading, shape (segments,), rad.
     """
 
     gain: tuple[float, ...]
@@ -259,11 +261,11 @@ class DriftedSensor(_AlteredSensor):
 
 @dataclass(frozen=True)
 class DeadSensor:
-    """Fault of the sensor of one segment, which no longer follows the bend on any axis.
+    """Fault of a segment's sensor, which no longer responds to the bend.
 
     Attributes:
         segment: segment number, counted from 1 at the head.
-        reading: constant reading, rad; NaN for no reading.
+        reading: constant reading, rad, or NaN if the sensor returns no reading.
         since: time of the fault, s.
     """
 
@@ -274,7 +276,7 @@ class DeadSensor:
 
 @dataclass(frozen=True)
 class FaultySensor(_AlteredSensor):
-    """Sensors of which some have failed.
+    """Sensors that have failed in some segments.
 
     Attributes:
         sensor: sensors without faults.
@@ -287,12 +289,13 @@ class FaultySensor(_AlteredSensor):
         """See `Sensor.read`."""
         measured_bend = self.sensor.read(bend, time, seed)
         for fault in self.dead:
-            # The start of a tick and a sum of steps may differ due to rounding.
+            # The start time of a tick and a sum of time steps may differ due to
+            # rounding.
             failed = np.asarray(time) >= fault.since - 1e-9
             segments = (
                 measured_bend if self.axes == 1 else np.moveaxis(measured_bend, -1, 0)
             )
-            reading = segments[..., fault.segment - 1]  # a view
+            reading = segments[..., fault.segment - 1]
             reading[...] = np.where(failed, fault.reading, reading)
         return measured_bend
 
