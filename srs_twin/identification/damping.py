@@ -117,7 +117,7 @@ class HangingBody:
     def of(
         cls, spec: RobotSpec, mass: float | None = None, inertia: float | None = None
     ) -> HangingBody:
-        """Return the first connector of a robot, or a body with the given mass or inertia.
+        """Return the first connector, or a body with the given mass or inertia.
 
         If only the mass is given, the radius of gyration is taken from the connector.
         """
