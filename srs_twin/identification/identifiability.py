@@ -209,7 +209,7 @@ class Accuracy:
         return "identified", ""
 
     def covariance(self, kept: Sequence[int]) -> np.ndarray:
-        """Return the covariance in z of the parameters `kept`, with NaN at bounds."""
+        """Return the covariance in z. The entries of parameters at bounds are NaN."""
         matrix = np.full((len(self.unknowns), len(self.unknowns)), np.nan)
         matrix[np.ix_(self.inside, self.inside)] = self.known.covariance
         return matrix[np.ix_(kept, kept)]

@@ -73,10 +73,10 @@ Refit = Callable[[Values], Values]
 """Function that fits the model to data simulated by a reference model."""
 
 Watch = Callable[[int, float], None]
-"""Progress callback that receives the number of model runs and the best weighted RMS."""
+"""Progress callback, called with the number of model runs and the best weighted RMS."""
 
 _START_RANGE = 1.5
-"""Range in z about the first starting point, from which more starting points are drawn."""
+"""Range in z from which additional starting points are drawn."""
 
 _MIN_START_DISTANCE = 0.7
 """Minimum distance in z between two starting points.
@@ -229,7 +229,7 @@ class Search:
             self._watch(self._runs, self._smallest_rms)
 
     def jacobian(self, z: Array, h: float, only: ResidualFilter | None = None) -> Array:
-        """Return the Jacobian by central differences of step h, one-sided at bounds."""
+        """Return the Jacobian by central differences, which are one-sided at bounds."""
         columns = []
         for i in range(len(z)):
             up = z.copy()
@@ -288,7 +288,7 @@ class Search:
         return float(np.sum(self.weighted(z, self._options.first_stage) ** 2))
 
     def _minimize_with_kinks(self, start: Array) -> SearchResult:
-        """Minimise with coarse and fine steps in turn to escape minima at kinks."""
+        """Minimise with fine and coarse steps in turn to leave local minima."""
         fine = self._options.step
         coarse = self._options.coarse_step
         end = self._minimize(start, fine)
@@ -356,7 +356,7 @@ def select_starts(search: Search, count: int) -> list[Array]:
 
 
 _BOUND_DISTANCE = 1e-3
-"""Maximum distance in z from a bound at which a parameter is considered at the bound."""
+"""Maximum distance in z from a bound of a parameter that counts as at the bound."""
 
 
 def least_squares(

@@ -98,7 +98,7 @@ def measured_length(
     the markers, and the noise of the two outermost markers.
 
     Args:
-        recordings: recordings, of which at least one must have markers.
+        recordings: recordings, of which some or all contain markers.
         spec: robot with which the recordings were read.
         names: requested parameters. If both lengths are requested, the result is None,
             because markers determine only the sum of the lengths.
