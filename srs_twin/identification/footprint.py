@@ -145,7 +145,7 @@ class GaitSetup:
 
     @property
     def offsets(self) -> tuple[float, ...]:
-        """Default offsets, up to ±0.3 with learning (Table 8) or ±0.4 without (Fig. 33)."""
+        """Default offsets. The range is ±0.3 for "ilc" (Table 8), else ±0.4 (Fig. 33)."""
         count = 3 if self.controller == "ilc" else 4
         return tuple(k / 10 for k in range(-count, count + 1))
 

@@ -68,13 +68,13 @@ _EXTENT_FRAMES = 200
 _FIT_ITERATIONS = 8
 """Number of iterations of the robust fit of the gradients."""
 _MAX_SHIFT = 1e-3
-"""Minimum displacement of high markers relative to low markers due to a tilt, m."""
+"""Maximum displacement of high relative to low markers due to an ignored tilt, m."""
 _PLANE_RATIO = 3.0
 """Minimum ratio of the spread in a plane to the spread normal to the plane."""
 _MAX_TILT = np.radians(3.0)
-"""Minimum tilt that is removed, rad."""
+"""Maximum ignored tilt, rad."""
 _MAX_AXIS_TILT = np.radians(30.0)
-"""Maximum angle between the normal of the floor and the vertical axis of the file, rad."""
+"""Maximum angle between the floor normal and the vertical axis of the file, rad."""
 
 
 @dataclass(frozen=True)
@@ -252,7 +252,7 @@ class _Spreads(NamedTuple):
 
 
 def _spreads(place: np.ndarray) -> _Spreads:
-    """Return standard deviations from the median of the covariances of all markers."""
+    """Return principal standard deviations of the median covariance of all markers."""
     moved = place - np.nanmean(place, axis=0)
     products = moved[..., :, None] * moved[..., None, :]
     covariance = np.nanmedian(np.nanmean(products, axis=0), axis=0)
@@ -286,7 +286,10 @@ def _is_plane(spread: np.ndarray) -> bool:
 
 
 def _principal_axes(moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return ascending spreads about the origin and the axes, without outliers."""
+    """Return RMS values along the principal axes in ascending order, and the axes.
+
+    Outliers are excluded.
+    """
     pairs = np.random.default_rng(0).integers(len(moved), size=(2, _NORMALS))
     normals = np.cross(*moved[pairs])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-18)

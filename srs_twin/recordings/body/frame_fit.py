@@ -71,7 +71,9 @@ The bound is needed because the fit of a wrong marker assignment may diverge.
 _ALTERNATING_STARTS = np.linspace(-0.6, 0.6, 13)
 """Initial values of the mean alternating bend ε, rad."""
 _SWAP_NOISE = 4.0
-"""Minimum distance between a possibly swapped marker and the body, divided by the noise. For comparison, the sample is then assigned to the second marker of the pair.
+"""Minimum distance of a possibly swapped marker from the body, divided by the noise.
+
+The sample is also assigned to the second marker of the pair for comparison.
 """
 
 

@@ -53,7 +53,7 @@ LAYOUTS = ("auto", *LAYOUT_SIZES)
 MIN_COVERAGE = 0.2
 """Minimum fraction of the frames on which a marker of the robot is visible."""
 _MAX_NEIGHBOUR_PITCH = 2.0
-"""Maximum distance between a robot marker and the nearest marker, in segment lengths."""
+"""Maximum distance from a robot marker to the nearest marker, in segment lengths."""
 _MIN_EXTENT = 0.1
 """Minimum extent of all markers, divided by the length of the straight body."""
 _MAX_NEAREST_PITCH = 2.5
