@@ -85,8 +85,7 @@ _ONSET_WIDTH = "actuator.dead_zone_transition_rad"
 _DEAD_ZONE = (_ONSET, _ONSET_WIDTH, _ONSET_FRACTION)
 
 _SHARP_WIDTH_RAD = 0.02
-"""Width of a dead zone whose width cannot be identified, rad.
-"""
+"""Width of a dead zone whose width cannot be identified, rad."""
 
 
 @dataclass(frozen=True)

@@ -58,8 +58,7 @@ _EM_ITERATIONS = 12
 """Number of iterations of the expectation-maximisation."""
 
 _MAX_BEND_STD = 0.15
-"""Maximum standard error of a bend that the markers determine, rad.
-"""
+"""Maximum standard error of a bend that the markers determine, rad."""
 _TEST_NOISE = 2e-4
 """Noise assumed in `length_model`, m."""
 _FREE_LENGTH_STD = 0.3
