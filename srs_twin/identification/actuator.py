@@ -11,9 +11,9 @@ as scaling all gains. A fit therefore keeps `actuator.bend_rad` constant unless 
 requested.
 
 If the log contains pressures instead of valve states, the model assumes that each bend
-lags its pressures by τ_mode. In this case τ_fill and τ_vent are not identified. For
-pressures with the time constant τ₁, the relative error of this approximation is
-(τ_mode/τ₁)².
+lags its pressures by τ_mode. For pressures with the time constant τ₁, the relative
+error of the modelled bends is (τ_mode/τ₁)². The parameters τ_fill and τ_vent are not
+identifiable from pressures.
 """
 
 from __future__ import annotations
@@ -67,8 +67,8 @@ class Response:
         bend: measured bends, rad, shape (samples, segments). An unknown bend is NaN.
         pressure: pressures measured in addition to the valve states, Pa, shape
             (samples, segments, 2).
-        clock_known: whether drive and bends have the same clock. If not, the fit
-            estimates the clock offset.
+        clock_known: whether drive and bends have the same clock. If the clocks differ,
+            the fit estimates the clock offset.
     """
 
     name: str
@@ -126,7 +126,8 @@ def log_of(recording: Recording, name: str) -> ValveLog:
 def measured_bends(recording: Recording) -> np.ndarray:
     """Return the measured bends, rad, shape (samples, segments).
 
-    The bend of a segment is NaN in frames in which one of its markers was interpolated.
+    The bend of a segment is NaN in a frame in which a marker of the segment was
+    interpolated.
     """
     trajectory = recording.trajectory
     bend = trajectory.stack("bend").copy()
@@ -194,9 +195,10 @@ def fit_actuator(
 def fixed_values(
     spec: RobotSpec, unknowns: Sequence[FreeParameter]
 ) -> dict[str, float]:
-    """Return the nominal pressure and, unless it is fitted, the bend at this pressure.
+    """Return the constants to which the fitted gains refer.
 
-    The fitted gains are relative to these values.
+    These constants are the nominal pressure and, unless it is a free parameter, the
+    bend at the nominal pressure.
     """
     fixed = {"actuator.at_pressure_kpa": spec.supply.nominal / 1e3}
     if all(unknown.name != _BEND for unknown in unknowns):
@@ -216,8 +218,7 @@ def predict_response(
 
     Returns:
         Bends, rad, shape (samples, segments), and pressures, Pa, shape (samples,
-        segments, 2). If the response contains logged pressures, the second value is
-        None.
+        segments, 2). The pressures are None if the response contains logged pressures.
     """
     if isinstance(response.drive, ValveLog):
         delayed = response.drive.at(response.time + clock - spec.actuator.tau_mode)
@@ -246,8 +247,8 @@ def bend_residuals(
 ) -> list[Residual]:
     """Return the residuals of the measured bends of each segment.
 
-    The scale of a segment is the RMS of its bend errors. If an error is unknown, the
-    scale is `_BEND_NOISE_RAD`.
+    The scale of the residuals of a segment is the RMS of the standard errors of the
+    bends. If a standard error is unknown, the scale is `_BEND_NOISE_RAD`.
     """
     residuals = []
     columns = zip(difference.T, np.broadcast_to(error, difference.shape).T, strict=True)

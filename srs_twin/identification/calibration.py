@@ -256,8 +256,8 @@ def calibrate_locomotion(
         model: analytical model, by default "compliant".
         law: friction law of the analytical plant, by default "wheel".
         compare_signals: signals to compare: "averages", "shapes" or "both".
-        starts: number of searches, each from a different starting point. The default is
-            1 if the twin is compared by shapes, and otherwise 3.
+        starts: number of searches, each from a different starting point. The default
+            number is 1 if the twin is compared by shapes, and otherwise 3.
         reader: see `calibrate_friction`.
         out: see `calibrate_friction`.
         notify: see `calibrate_friction`.
@@ -303,12 +303,11 @@ def calibrate_damping(
         valves: state of the chambers, "open" to the air or "closed".
         mass_kg: mass of the body at the end of the segment, by default the mass of the
             first connector.
-        inertia_kg_m2: moment of inertia of the body about the centre of the body. By
-            default it is computed from the radius of gyration of the first connector.
+        inertia_kg_m2: moment of inertia of the body about the centre of the body. The
+            default is computed from the radius of gyration of the first connector.
         leak_per_s: leak rate of closed chambers, 1/s, or None to estimate the rate.
         noise_rad: standard deviation of a recorded bend, rad, or None to estimate it.
-        from_s: time from which the segment swings freely, s, or None to detect this
-            time.
+        from_s: start time of the free swing, s, or None to detect the start.
         out: see `calibrate_friction`.
         notify: see `calibrate_friction`.
         progress: see `calibrate_friction`.
@@ -326,7 +325,7 @@ def _texts(paths: Paths) -> list[str]:
 
 
 class _Task:
-    """Arguments of a call of a fit function, with the robot and the input files."""
+    """Arguments of a fit function, with the robot and the input files."""
 
     def __init__(
         self, function: Callable[..., Calibration], given: Mapping[str, Any]

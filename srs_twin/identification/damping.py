@@ -16,9 +16,9 @@ air.
 
 **Intervals.** The scale of the residuals combines the noise with a model error of 1 %
 of the amplitude. The model assumes viscous damping, so its loss factor η = 2π f T is
-proportional to the frequency f. The resulting error is estimated by fitting the model
-to a simulated material with a nearly constant loss factor. The simulated material has
-the fitted stiffness and loss factor at f.
+proportional to the frequency f. The error due to viscous damping is estimated by
+fitting the model to a simulated material with a nearly constant loss factor. At the
+frequency f, the simulated material has the fitted stiffness and loss factor.
 """
 
 from __future__ import annotations
@@ -192,7 +192,7 @@ def fit_damping(
     if estimate.values.keys() >= set(NAMES):
         frequency = _derived(start, fit, "frequency", "Hz", error)
         derived = (frequency, _derived(estimate, fit, "loss_factor", "1"))
-    count = len(NAMES)  # the first parameters in the list
+    count = len(NAMES)  # the stiffness and the damping time come first
     return replace(
         estimate,
         parameters=estimate.parameters[:count],
@@ -262,7 +262,10 @@ class _DampingFit:
         return values
 
     def unknowns(self, *, coarse: bool = False) -> list[FreeParameter]:
-        """Return the free parameters. A coarse fit has no leak rate and no recovery."""
+        """Return the free parameters.
+
+        A coarse fit does not include the leak rate and the recovery of the rest bend.
+        """
 
         def free(
             name: str, unit: str, bounds: tuple[float, float], scale: float
@@ -356,7 +359,7 @@ class _DampingFit:
         """Return the small oscillation about the rest position of the first recording.
 
         The loss factor is nearly constant about the frequency `constant_about` (rad/s).
-        If this frequency is None, the loss factor is proportional to the frequency.
+        If `constant_about` is None, the loss factor is proportional to the frequency.
         """
         values = self.values | dict(values)
         material = self._material(values)

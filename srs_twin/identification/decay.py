@@ -5,12 +5,12 @@ A recording is a CSV file with ``time_s`` and ``bend_rad`` (or ``bend_deg``), sa
 contain the gauge pressures of closed chambers.
 
 The free swing begins at the maximum speed, about a quarter of a period after the
-release. The model is fitted to an interval that is twice as long as the part in which
-half swings exceed the noise.
+release. The model is fitted to an interval that is twice as long as the interval in
+which the half swings exceed the noise.
 
 The noise is estimated from the smallest singular values of the trajectory matrix.
-Without noise these singular values would be 0, because successive samples of a free
-swing satisfy a linear recurrence.
+Without noise the smallest singular values would be 0, because successive samples of a
+free swing satisfy a linear recurrence.
 """
 
 from __future__ import annotations
@@ -100,7 +100,8 @@ class Decay:
     def first_state(self) -> tuple[float, float]:
         """Return the bend (rad) and bend rate (rad/s) at the first sample.
 
-        The values come from a sine that is fitted to the first swing.
+        The bend and the bend rate are computed from a sine that is fitted to the first
+        swing.
         """
         since = (
             self.time[self.time <= self.time[0] + 2 * self.half_period] - self.time[0]
@@ -137,8 +138,8 @@ def read_decay(
     """Read the free swing in a recording.
 
     `start` is the time from which the segment swings freely (s), by default the time of
-    the maximum speed. `noise` is the standard deviation of a bend (rad). If it is None,
-    it is estimated.
+    the maximum speed. `noise` is the standard deviation of a bend (rad). If `noise` is
+    None, the standard deviation is estimated.
 
     Raises:
         InputError: a column is missing, or the recording does not determine k and T

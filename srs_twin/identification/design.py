@@ -7,17 +7,17 @@ is
 
 $$ \Lambda' = \Lambda + J^T R^{-1} J, \qquad \mathrm{sd}(z_i) = \sqrt{(\Lambda'^{-1})_{ii}}. $$
 
-The initial Λ is computed from the `uncertain` entries of the robot file. If a parameter
-such as drag is 0, z is the parameter divided by a tenth of the axial friction of the
-robot.
+The initial information matrix is computed from the `uncertain` entries of the robot
+file. If a parameter such as drag is 0, z is the parameter divided by a tenth of the
+axial friction of the robot.
 
 The experiments are chosen one after another. Each choice minimises the mean logarithm
 of the ratio of interval to requested interval, over all intervals that are still too
 wide. The design is complete if no further experiment narrows an interval by 2 %.
 
-Model errors are included only for gait runs. They are 2 % of the speed and of the
-turning rate, which is the difference between the model `compliant` and the twin. This
-difference does not depend on the duration of a run.
+Model errors are included only for gait runs. The model error is 2 % of the speed and 2
+% of the turning rate, regardless of the duration of a run. This error is the difference
+between the model `compliant` and the twin.
 """
 
 from __future__ import annotations
@@ -282,7 +282,7 @@ def calibrate_design(
         robot: name or path of the robot. The robot file states the current
             uncertainties.
         target_accuracy: half width of the requested 95 % interval of each parameter,
-            relative to the value. For example, 0.05 means 5 %.
+            relative to the value, for example 0.05.
 
     Raises:
         InputError: the robot is not valid, or no parameter is requested.

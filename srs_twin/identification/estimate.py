@@ -2,8 +2,9 @@ r"""Result of a fit, with a verdict on the identifiability of each parameter.
 
 The verdicts of `identifiability` assume that the model is correct. The model does not
 explain the data if the RMS of all weighted residuals, or of the residuals of one kind
-of signal, exceeds `MAX_RESIDUAL_SCALE`. In this case the verdict is "cannot tell",
-because the confidence intervals of a wrong model are meaningless.
+of signal, exceeds `MAX_RESIDUAL_SCALE`. If the model does not explain the data, the
+verdict is "cannot tell", because the confidence intervals of a wrong model are
+meaningless.
 
 **Independent samples.** Residuals of successive samples are correlated, because cameras
 and filters smooth the noise and because the model has errors. If the residuals have the
@@ -11,11 +12,12 @@ autocorrelation ρ_k, n samples are equivalent to n/τ independent samples, wher
 
 $$ \tau = 1 + 2 \sum_{k \ge 1} \rho_k . $$
 
-The sum is truncated at the first pair ρ_{2m} + ρ_{2m+1} that is not positive. This rule
-is the initial positive sequence estimator (Geyer 1992, Statistical Science 7). A fit of
-p parameters removes about a fraction c = p τ/n of the power of the noise from the
-residuals, mainly at low frequencies. The autocorrelation is therefore replaced by (ρ_k
-+ c)/(1 + c). The correction is repeated because c depends on τ.
+The sum is truncated at the first pair ρ_{2m} + ρ_{2m+1} that is not positive. The
+truncation follows the initial positive sequence estimator (Geyer 1992, Statistical
+Science 7). A fit of p parameters removes about a fraction c = p τ/n of the power of the
+noise from the residuals, mainly at low frequencies. The autocorrelation is therefore
+replaced by (ρ_k + c)/(1 + c). The correction of the autocorrelation is iterated because
+c depends on τ.
 
 The autocorrelation is a mean over all series, weighted by their power. The values of a
 short series, such as pulls or averages of runs, are treated as independent samples.
@@ -182,13 +184,12 @@ class FitEstimate(HtmlResult):
             parameters). Entries of a parameter without a value are NaN.
         residuals: residuals of the fitted data and of the validation data.
         cancels: unidentifiable directions in the coordinates z, each as a mapping from
-            parameter names to components. For example, the direction {mass: 0.71,
-            stiffness: 0.71} means that only the ratio of mass and stiffness has an
-            effect.
+            parameter names to components. If only the ratio of two parameters has an
+            effect, both components of the direction are 0.71.
         samples: number of fitted samples.
         independent: equivalent number of independent samples (see `correlation_time`).
-        residual_scale: standard deviation of the weighted residuals. It is 1 if the
-            residuals are as large as expected.
+        residual_scale: standard deviation of the weighted residuals. The standard
+            deviation is 1 if the residuals are as large as expected.
         held: names and values of the quantities that were constant in the fit and
             affect the estimates.
         converged: whether the search converged.

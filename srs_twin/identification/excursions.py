@@ -1,4 +1,4 @@
-"""Measurement of how far a path follower leaves its footprint, on random paths.
+"""Measurement of the excursions of a path follower on random paths.
 
 An excursion is the maximum distance of the body beyond the footprint. The runs are
 simulated under the conditions of a scenario. After the straight lead-in of the
@@ -66,7 +66,7 @@ _DIGITS = 4
 
 @dataclass(frozen=True)
 class FollowerRun:
-    """Run of the path follower of a scenario along a random path.
+    """Simulation of the path follower of a scenario on a random path.
 
     Attributes:
         document: scenario that follows a straight path, as plain data.
@@ -113,8 +113,7 @@ class FollowerRun:
             replan=lambda pose, fraction: plan_from(pose),
         )
         longest = (self.lead_in + LENGTH_M + 1) / (_SLOWEST_FRACTION * min(body.speeds))
-        # The duration of the scenario is a whole number of ticks, so its multiples are
-        # too.
+        # A multiple of the duration of the scenario is also a multiple of the tick.
         duration = scenario.duration * math.ceil(longest / scenario.duration)
         trajectory = rollout(
             scenario.build_plant(self.plant),
@@ -132,7 +131,7 @@ class FollowerRun:
         during_lead_in = 0.0
         if self.lead_in:
             during_lead_in = float(excess[~is_after].max(initial=0.0))
-        if metadata["ending"] != next(iter(ENDINGS)):  # the robot did not arrive
+        if metadata["ending"] != next(iter(ENDINGS)):  # the goal was not reached
             return during_lead_in, LOST_M
         return during_lead_in, float(excess[is_after].max())
 
@@ -140,7 +139,7 @@ class FollowerRun:
 def _random_arcs(
     rng: np.random.Generator, low: float, high: float
 ) -> list[tuple[float, float]]:
-    """Return the curvature (1/m) and length (m) of random arcs, as in plans."""
+    """Return the curvature (1/m) and the length (m) of random arcs."""
     arcs = []
     left = LENGTH_M
     heading = 0.0
@@ -150,8 +149,8 @@ def _random_arcs(
             rng.choice([value for value in (low, 0.0, high) if value != curvature])
         )
         length = min(float(rng.uniform(*_ARC_LENGTHS_M)), left)
-        # The heading is limited because a path that crosses itself has several nearest
-        # points.
+        # The heading is limited because the nearest point of a path that crosses itself
+        # is not unique.
         if curvature and abs(heading + curvature * length) > _MAX_HEADING:
             length = (math.copysign(_MAX_HEADING, curvature) - heading) / curvature
         if length > _MIN_ARC_M:

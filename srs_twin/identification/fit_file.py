@@ -40,8 +40,8 @@ class DataSet:
 
     Attributes:
         name: file name or label.
-        sha256: SHA-256 of the file. If there is no file, it is the SHA-256 of the
-            numbers.
+        sha256: SHA-256 of the file. If there is no file, the SHA-256 of the numbers is
+            stored.
         role: role of the data, "fit" or "validation".
         from_s: start of the interval that is used, s, or None for the start of the
             data.
@@ -70,7 +70,7 @@ class DataSet:
 
 
 class Data(Protocol):
-    """Protocol of any measurements that a fit can use."""
+    """Protocol of measurements that a fit can use."""
 
     def data_set(self, role: Role) -> DataSet:
         """Return name, hash and size of the data."""
@@ -301,7 +301,7 @@ class FitFile(StrictModel, HtmlResult):
         )
 
     def unidentified(self) -> list[str]:
-        """Return the parameters without a value, which prevent predictions."""
+        """Return the names of the parameters that have no value."""
         return [
             parameter.name
             for parameter in self.parameters

@@ -55,14 +55,14 @@ def robot_override(
 ) -> dict[str, Any]:
     """Return the robot block of a scenario with the result of a fit.
 
-    A parameter that is not identifiable keeps the value of the base robot, or the value
-    at which the fit held it constant.
+    A parameter that is not identifiable keeps the value of the base robot, or the
+    constant value used in the fit.
 
     Args:
-        fit: fit file. Its robot is the base robot of the block.
+        fit: fit file. The robot of the fit is the base robot of the block.
         weak: whether weakly identified parameters are included.
         over: robot with the results of other fits, by default the base robot. List
-            elements that this fit does not estimate are taken from this robot.
+            elements that the fit does not estimate are copied from `over`.
 
     Raises:
         InputError: the base robot does not exist or draws a fitted parameter at random,
@@ -223,8 +223,8 @@ def merge_overrides(
     """Return the robot block of a scenario with the results of several fits.
 
     Args:
-        fits: paths of fit files. If several contain a parameter, the last one sets its
-            value.
+        fits: paths of fit files. If several files contain a parameter, the last file
+            sets its value.
         base: name or path of the robot to change, by default the robot of the fits.
         weak: whether weakly identified parameters are included.
 
@@ -263,7 +263,7 @@ def merge_overrides(
 
 
 def fitted_robot(fits: Sequence[StrPath], name: str, *, weak: bool = True) -> RobotFile:
-    """Return a complete robot file: the base robot with the results of fits."""
+    """Return a robot file with the values of the base robot and the results of fits."""
     block = merge_overrides(fits, weak=weak)
     title = f"{block['base']}, fitted: {', '.join(Path(path).stem for path in fits)}"
     return robot_in(Document(name, block | {"name": name, "title": title[:200]}))
@@ -283,8 +283,8 @@ def calibrate_robot(
     `RobotFile.spec` converts the result to a specification for the plants.
 
     Args:
-        fits: paths of fit files of one robot. If several contain a parameter, the last
-            one sets its value.
+        fits: paths of fit files of one robot. If several files contain a parameter, the
+            last file sets its value.
         name: name of the robot.
         out: path of the robot file, or None to write nothing.
         weak: whether weakly identified parameters are included.

@@ -1,9 +1,9 @@
 """Measurement of footprints, which describe the area that a crawling robot sweeps.
 
-The dissertation measured the curvature, the speed and the circles that bound the body
-at seven offsets (Section 5.3, Fig. 58, Table 8). This module measures these quantities
-on a simulated plant. Each offset is simulated with several initial phases of the gait,
-and each change of offset occurs at several phases.
+In the dissertation, the curvature, the speed and the circles that bound the body were
+measured at seven offsets (Section 5.3, Fig. 58, Table 8). This module measures
+curvature, speed and bounding circles in simulations. Each offset is simulated with
+several initial phases of the gait, and each change of offset occurs at several phases.
 """
 
 from __future__ import annotations
@@ -70,8 +70,8 @@ class GaitSetup:
         plant: "twin", "analytical" (the model `compliant` on wheels), or a function
             that creates a plant with the tick `TICK`.
         steering: steering method of the learning controller, as in `ILC`.
-        chambers: pneumatic model, "lag" or "orifice". It is ignored if `plant` is a
-            function.
+        chambers: pneumatic model, "lag" or "orifice". The model is ignored if `plant`
+            is a function.
         contact: contact model of the twin, or None for the default contact model.
     """
 
@@ -145,7 +145,11 @@ class GaitSetup:
 
     @property
     def offsets(self) -> tuple[float, ...]:
-        """Default offsets. The range is ±0.3 for "ilc" (Table 8), else ±0.4 (Fig. 33)."""
+        """Default offsets.
+
+        The range is ±0.3 for the controller "ilc" (Table 8) and ±0.4 for "gait" (Fig.
+        33).
+        """
         count = 3 if self.controller == "ilc" else 4
         return tuple(k / 10 for k in range(-count, count + 1))
 
@@ -205,7 +209,10 @@ class GaitSetup:
 
 
 def next_sample(time: float) -> float:
-    """Return the time of the next sample, s. The sampling period is two ticks."""
+    """Return the time of the next sample, s.
+
+    The sampling period of a simulation is two ticks.
+    """
     return round(math.ceil(time * RECORD_HZ - 1e-6) / RECORD_HZ, 9)
 
 
@@ -434,8 +441,8 @@ def footprint_study(
 
     Args:
         setup: robot, gait and plant.
-        offsets: offsets in ascending order. The default is −0.3 to 0.3 with learning
-            and otherwise −0.4 to 0.4, in steps of 0.1.
+        offsets: offsets in ascending order. The default offsets are −0.3 to 0.3 for
+            "ilc" and −0.4 to 0.4 for "gait", in steps of 0.1.
         changes: changes of offset, as pairs of the old and the new offset, by default
             `default_changes`.
         **counts: values of `periods` and `phases` of the `FootprintStudy`.
@@ -450,9 +457,9 @@ def footprint_study(
 def default_changes(offsets: Sequence[float]) -> tuple[tuple[float, float], ...]:
     """Return the changes of offset that are measured by default.
 
-    The changes connect 0 with the outermost offsets. They also connect 0 with half of
-    the outermost offsets if these are measured. A planner interpolates linearly between
-    the measured changes.
+    The changes connect 0 with the outermost offsets. The changes also connect 0 with
+    half of the outermost offsets if the half offsets are measured. A planner
+    interpolates linearly between the measured changes.
     """
     low = min(offsets)
     high = max(offsets)

@@ -1,9 +1,9 @@
 r"""Estimation of friction coefficients from pulls (Eq. 17, Table 2) and coasting tests.
 
-**Pulls.** A spring car pulls the robot along the body with rolling wheels, or across it
-with blocked wheels. Each pull yields one static friction coefficient μ. It is computed
-from the maximum deformation ΔL_max of the spring with stiffness k, and from the mass m
-of the robot:
+**Pulls.** A spring car pulls the robot along the body with rolling wheels, or across
+the body with blocked wheels. Each pull yields one static friction coefficient μ. The
+coefficient is computed from the maximum deformation ΔL_max of the spring with stiffness
+k, and from the mass m of the robot:
 
 $$ \mu = \frac{k\,\Delta L_{max}}{m g}. $$
 
@@ -35,12 +35,12 @@ coefficient to μ_t + ε √(μ_n² − μ_t²). The motion is expressed in a fr
 with the body, and the angle between the mean heading and the rolling direction is a
 fitted parameter.
 
-The misalignment ε is computed from the recorded bends. If no bends were recorded, it is
+The misalignment ε is computed from the recorded bends. If no bends were recorded, ε is
 computed from the rest bends in the robot file. Because ε(bends) is a seminorm, errors
 of the bends (`_BEND_ERROR_RAD`, `_UNSEEN_BEND_RAD`) change ε by at most ε(errors). Two
 further fits use values of ε that are increased or decreased by the 95 % quantile of
-this bound. The confidence interval of a coefficient contains the intervals of these two
-fits.
+ε(errors). The confidence interval of a coefficient contains the intervals of the two
+fits with changed ε.
 """
 
 from __future__ import annotations
@@ -215,7 +215,7 @@ def fit_pulls(pulls: Pulls, *, validation: Sequence[Pulls] = ()) -> FitEstimate:
 def _parameter(
     k: int, values: np.ndarray, mean: float, variance: float, error: float
 ) -> Parameter:
-    if not len(values):  # a single value raised an error before
+    if not len(values):  # `Pulls` does not accept a single value
         why = f"there are no pulls {_DIRECTIONS[k]}"
         return Parameter(_NAMES[k], "1", "not identifiable", why=why)
     if error >= UNIDENTIFIABLE_ERROR * mean:

@@ -19,10 +19,10 @@ rate λ until the chamber is at the ambient pressure p₀:
 
 $$ \dot n = -\lambda\,(n - p_0 V) . $$
 
-**Material.** The material is viscous with the damping time T. It may also have Maxwell
-branches with moments e_i that satisfy ė_i = g_i ḋ − e_i/τ_i. Five branches produce a
-nearly constant loss factor if their relaxation times τ_i are distributed over two
-decades about the period of the oscillation.
+**Material.** The material is viscous with the damping time T. The material may also
+have Maxwell branches with moments e_i that satisfy ė_i = g_i ḋ − e_i/τ_i. Five branches
+produce a nearly constant loss factor if their relaxation times τ_i are distributed over
+two decades about the period of the oscillation.
 """
 
 from __future__ import annotations
@@ -165,7 +165,8 @@ def swing(time, start, rest, frequency, material, segment, branches):  # type: i
         time: times in ascending order, s, shape (samples,).
         start: initial state, shape (4 + branches,).
         rest: rest bend b without pressure at each time, rad, shape (samples,).
-        frequency: approximate angular frequency, rad/s. It determines the time step.
+        frequency: approximate angular frequency, rad/s, from which the time step is
+            computed.
         material: `Material` of the segment.
         segment: `HangingSegment` with the constants of the equation of motion.
         branches: stiffness g_i (N·m/rad) and relaxation time τ_i (s) of each branch,
@@ -207,7 +208,10 @@ def swing(time, start, rest, frequency, material, segment, branches):  # type: i
 
 
 def weight_moment(segment: HangingSegment, bend: float) -> float:
-    """Return the moment due to weight, N·m. It is negative for a positive bend."""
+    """Return the moment due to weight, N·m.
+
+    The moment is negative if the bend is positive.
+    """
     chord, derivative, _ = chord_derivatives(bend, segment.length, segment.gap)
     change = derivative * math.cos(bend / 2) - chord * math.sin(bend / 2) / 2
     return segment.mass * GRAVITY * change
@@ -236,19 +240,19 @@ def ringing(
 ) -> Ringing:
     r"""Return the small oscillation about the bend at which the segment hangs.
 
-    The linearised equation has the complex stiffness of the material and the air
-    $$ K(s) = k\,(1 + s T)\Bigl(1 + \frac{r s}{s + \lambda}\Bigr), \qquad
-       r = \varphi'(x)\,G\,P\,\frac{A}{V}. $$
-    The damped frequency is computed from the complex root of M s² + K(s) + w = 0, where
-    w is the stiffness due to weight. The loss factor is Im K/Re K at this frequency.
-    Each Maxwell branch adds g s τ/(1 + s τ) to the stiffness of the material.
+    The linearised equation has the complex stiffness of the material and the air $$
+    K(s) = k\,(1 + s T)\Bigl(1 + \frac{r s}{s + \lambda}\Bigr), \qquad r =
+    \varphi'(x)\,G\,P\,\frac{A}{V}. $$ The damped frequency is computed from the complex
+    root of M s² + K(s) + w = 0, where w is the stiffness due to weight. The loss factor
+    at the damped frequency is Im K/Re K. Each Maxwell branch adds g s τ/(1 + s τ) to
+    the stiffness of the material.
 
     Args:
         segment: hanging segment.
         material: stiffness, damping time and leak rate.
         rest: rest bend b, rad.
-        air: products P V of the air in the + and − chamber, J, shape (2,). They are
-            ignored if the valves are open.
+        air: products P V of the air in the + and − chamber, J, shape (2,). The products
+            are ignored if the valves are open.
         branches: stiffness (N·m/rad) and relaxation time (s) of each Maxwell branch,
             shape (branches, 2).
     """

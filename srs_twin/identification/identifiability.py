@@ -10,11 +10,11 @@ $$ s_k \le 2\,\lVert E v_k \rVert \quad\text{or}\quad s_k \le 10^{-6} s_1 . $$
 
 Each identifiable direction has the standard error σ/s_k. A parameter is not
 identifiable if its component in the unidentifiable directions exceeds 0.1. If the
-component is smaller, the variance of a uniform distribution between the bounds is
-added. A parameter is also not identifiable if its standard error in z is at least 1,
-because the data then add little information to the bounds. A parameter is identified if
-its standard error is at most 0.1, and weakly identified if its standard error is
-between 0.1 and 1.
+component is at most 0.1, the variance of a uniform distribution between the bounds is
+added to the variance of the parameter. A parameter is also not identifiable if its
+standard error in z is at least 1, because the data then add little information to the
+bounds. A parameter is identified if its standard error is at most 0.1, and weakly
+identified if its standard error is between 0.1 and 1.
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ def identifiability(
     unidentifiable = directions[undetermined]
     covariance = (determined.T * (noise / singular[~undetermined]) ** 2) @ determined
     # Without information from data, a parameter is uniformly distributed between its
-    # bounds. The variance of this distribution is width²/12.
+    # bounds. The variance of the uniform distribution is width²/12.
     prior_std = (np.abs(unidentifiable) @ widths) / np.sqrt(12)
     covariance += (unidentifiable.T * prior_std**2) @ unidentifiable
     fraction = np.linalg.norm(unidentifiable, axis=0)

@@ -7,10 +7,10 @@ minimum that was found. Additional starting points are random but use a fixed se
 the search is deterministic.
 
 An optional first stage uses only residuals that are monotonic over a large range of the
-parameters. For a crawling robot, these are the residuals of the bends. The residuals of
-path and heading are monotonic only if the parameters are within a few per cent of the
-solution. With less accurate parameters, the simulated robot may turn in another
-direction.
+parameters. For a crawling robot, the first stage uses the residuals of the bends. The
+residuals of path and heading are monotonic only if the parameters are within a few per
+cent of the solution. With less accurate parameters, the simulated robot may turn in
+another direction.
 
 **Intervals.** Let S be the sum of squares at the estimate, p the number of parameters,
 and n the number of samples, which are equivalent to n/τ independent samples
@@ -28,7 +28,7 @@ correlation time of the residuals, and too wide otherwise.
 bias is estimated with a better model, the *reference*, by indirect inference
 (Gouriéroux, Monfort and Renault 1993, Journal of Applied Econometrics 8). The model is
 fitted to data that the reference simulates with the parameters z₀. The bias b(z₀) is
-the fitted minus the true parameters z₀.
+the difference between the fitted parameters and z₀.
 
 The bias at the unknown true values is approximated by the iteration
 b_{k+1} = b(z − b_k) with b₁ = b(z), and the covariance becomes
@@ -104,19 +104,19 @@ class SearchOptions:
     Attributes:
         step: step of finite differences in z. Models that are not smooth need a larger
             step.
-        coarse_step: larger step in z. If `first_stage` is None, the search is repeated
-            with this step, because models with kinks have local minima. Otherwise the
-            first stage uses this step.
+        coarse_step: coarse step in z. The first stage uses the coarse step. Without a
+            first stage, the search is repeated with the coarse step, because models
+            with kinks have local minima.
         tolerance: relative change of the sum of squares or of z at which the search
-            ends. The default is derived from `step`.
+            ends. The default tolerance is derived from `step`.
         first_stage: filter that selects the residuals of the first stage, which are
             monotonic over a large range of the parameters.
         identifiability_step: step of the Jacobian from which the identifiability is
-            computed, by default `step`. It is used only if the uncertainty of the
-            estimate exceeds `step`.
+            computed, by default `step`. `identifiability_step` is used only if the
+            uncertainty of the estimate exceeds `step`.
         target_rms: RMS of the weighted residuals at which the search ends early.
-        max_runs: maximum number of model runs, or None for no limit. The search does
-            not converge if it reaches the limit.
+        max_runs: maximum number of model runs, or None for no limit. A search that
+            reaches the limit does not converge.
     """
 
     step: float = 1e-4
@@ -200,7 +200,7 @@ class Search:
     def weighted(self, z: Array, only: ResidualFilter | None = None) -> Array:
         """Return the weighted residuals of the fitted data.
 
-        If `only` is given, it selects the residuals that are returned.
+        The filter `only` selects the residuals that are returned.
 
         Raises:
             _SearchStoppedError: the maximum number of runs or the target RMS is
@@ -256,7 +256,7 @@ class Search:
         if wide is None:
             return fine, coarse - fine
         # If the model is not smooth, both Jacobians are equally accurate. The error of
-        # their mean is half of their difference.
+        # the mean Jacobian is half of the difference between the two Jacobians.
         return (fine + coarse) / 2, (coarse - fine) / 2
 
     def bias(self, z: Array, refit: Refit) -> Array:
@@ -370,7 +370,7 @@ def least_squares(
     validation: Residuals | None = None,
     refit: Refit | None = None,
 ) -> FitEstimate:
-    """Fit parameters to data, as described in the module docstring.
+    """Fit parameters to data by weighted nonlinear least squares.
 
     Args:
         residuals: function that returns the residuals of all data for given parameter
@@ -378,12 +378,12 @@ def least_squares(
         unknowns: free parameters.
         options: settings of the search, by default for a smooth model.
         starts: number of searches, each from a different starting point.
-        held: constant values that affect the estimates. They are stored in the result.
+        held: constant values that affect the estimates and are stored in the result.
         watch: progress callback.
-        validation: function that returns the residuals of the validation data. To save
-            time with slow models, it is called only after the search.
-        refit: function that fits the model to data of a reference model. It is used to
-            estimate the bias due to model errors.
+        validation: function that returns the residuals of the validation data. The
+            function is called only after the search, which saves time with slow models.
+        refit: function that fits the model to data of a reference model, from which the
+            bias due to model errors is estimated.
 
     Raises:
         InputError: there is no parameter, there are fewer samples than parameters, or

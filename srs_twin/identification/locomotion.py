@@ -85,23 +85,22 @@ def measured_length(
 ) -> Parameter | None:
     r"""Measure the rigid gap or the segment length from markers, if possible.
 
-    The pitch is the sum of the rigid gap and the length of a straight segment. One of
-    these two lengths is computed from the measured pitch and the value of the other
-    length in the robot file. The markers determine the arc length ℓ of a segment if the
-    gap is assumed to have the value g in the robot file. The pitch is computed by the
-    fit
+    The pitch is the sum of the rigid gap and the length of a straight segment. The
+    requested length is the measured pitch minus the second length, whose value is taken
+    from the robot file. The markers determine the arc length ℓ of a segment if the gap
+    is assumed to have the value g in the robot file. The pitch is computed by the fit
 
     $$ \ell = a + b\,q^2, \qquad \text{pitch} = a + g . $$
 
-    The coefficient b contains the elongation of bent segments and the effect of a wrong
-    g. The standard error includes the scatter over the segments due to the placement of
-    the markers, and the noise of the two outermost markers.
+    The coefficient b contains the elongation of bent segments and the effect of an
+    error of g. The standard error includes the scatter over the segments due to the
+    placement of the markers, and the noise of the two outermost markers.
 
     Args:
         recordings: recordings, of which some or all contain markers.
         spec: robot with which the recordings were read.
-        names: requested parameters. If both lengths are requested, the result is None,
-            because markers determine only the sum of the lengths.
+        names: requested parameters. If the gap and the segment length are requested,
+            the result is None, because markers determine only the pitch.
     """
     requested = [name for name in names if name in MEASURED_LENGTHS]
     marked = [
@@ -161,7 +160,7 @@ _COARSE_STEP = 0.1
 MAX_TWIN_RUNS = 150
 """Maximum number of simulations of all recordings with the twin in one search."""
 
-_CLOSE_STEPS = {"tolerance": 2e-5}  # m/s at a time unit of 1 (`robot.scale`)
+_CLOSE_STEPS = {"tolerance": 2e-5}  # m/s, multiplied by the time scale of the robot
 """Settings of an analytical plant in a fit.
 
 The friction tolerance is a tenth of the default value. With the default tolerance, the
@@ -171,7 +170,7 @@ step size control would affect finite differences more than the parameters do.
 _COMPLIANT_STEPS = _CLOSE_STEPS | {
     "timestep": 0.0005,
     "slip_speed": 0.001,
-}  # s, m/s at a time unit of 1
+}  # s and m/s, multiplied by the time scale of the robot
 """Settings of the model `compliant` in a fit.
 
 With the default time step of 2 ms and the default slip speed of 0.25 mm/s, the sum of
@@ -217,7 +216,7 @@ class PlantModel:
 
     Attributes:
         plant: name of the plant, "analytical" or "twin".
-        settings: settings of the plant, such as model="compliant". They override the
+        settings: settings of the plant, such as model="compliant", which override the
             default settings of fits.
     """
 
@@ -232,10 +231,11 @@ class PlantModel:
         """Return the settings of a search with this plant.
 
         The motion of the twin is a smooth function of z down to steps of 1e-3. Path and
-        heading are monotonic within 1e-2 of the solution and bends within 1, so the
-        first stage uses only the bends. The step for the identifiability is a few per
-        cent, which is the uncertainty that the data leave. The model `compliant` has
-        finer kinks than the twin, and all of its signals are monotonic.
+        heading are monotonic functions of z within 1e-2 of the solution, whereas bends
+        are monotonic within 1. The first stage therefore uses only the bends. The step
+        for the identifiability is a few per cent, similar to the uncertainty of the
+        parameters. The model `compliant` has finer kinks than the twin, and all of its
+        signals are monotonic.
         """
         if self.plant == "twin":
             options = SearchOptions(

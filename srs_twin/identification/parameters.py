@@ -9,8 +9,8 @@ wheels. The parameter ``modules.sensor_bias_rad`` is common to the sensors of al
 modules.
 
 A search uses the coordinate z = ln(value), or z = value/scale if the value may be 0 or
-negative. A change of z by 1 is considered significant. It corresponds to a factor e, or
-to one `scale`.
+negative. A change of z by 1 corresponds to a factor e or to a difference of one
+`scale`, and is considered significant.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ class FreeParameter:
     Attributes:
         name: name of the robot parameter. A nuisance parameter may have any name.
         start: initial value of the search.
-        scale: difference that is considered significant, in `unit`. If it is None, the
-            value is positive and z is the logarithm of the value.
+        scale: difference that is considered significant, in `unit`. If `scale` is None,
+            the value is positive and z is the logarithm of the value.
         nuisance: whether the parameter is not a result of interest, such as the initial
             velocity of a coasting test.
     """
@@ -77,7 +77,7 @@ class FreeParameter:
 
 @dataclass(frozen=True)
 class _Accessor:
-    """Functions that read and change a parameter of connector or segment k (from 0)."""
+    """Functions that get and set a parameter of connector or segment k."""
 
     unit: str
     low: float
@@ -120,7 +120,7 @@ def free_parameters(
 
 
 def with_values(spec: RobotSpec, values: Mapping[str, float]) -> RobotSpec:
-    """Return a robot with other parameter values.
+    """Return a copy of a robot with the given parameter values.
 
     Names that are not robot parameters are ignored. The result keeps the scale of
     `spec`, so that the numerical settings are equal for all parameter values in a fit.
@@ -167,7 +167,7 @@ def _key(name: str) -> tuple[str, int]:
     match = re.fullmatch(r"(.+_)([1-9]\d?)", name, flags=re.ASCII)
     if match is not None:
         return f"{match[1]}N", int(match[2]) - 1
-    # A name with a literal N is invalid.
+    # A name that contains the letter N instead of a number is invalid.
     return "" if name.endswith("_N") else name, 0
 
 

@@ -17,8 +17,8 @@ $$ P ∘ D ∘ A(v (t − t_s)), $$
 
 where D is a constant displacement due to the transient. The path has settled when the
 turning angle per gait period differs from the turning angle at the new offset by at
-most 10 % of the change. If the turning angle still varies due to iterative learning,
-twice this variation is allowed.
+most 10 % of the change. If the turning angle still varies due to iterative learning, a
+deviation of twice the variation is allowed.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class Poses:
         return cls(length * np.sinc(half / np.pi) * np.exp(1j * half), 2 * half)
 
     def compose(self, other: Poses) -> Poses:
-        """Return self ∘ other, the pose that the motion `other` reaches from here."""
+        """Return the pose that the motion `other` reaches from this pose."""
         return Poses(
             self.place + np.exp(1j * self.heading) * other.place,
             self.heading + other.heading,
@@ -114,11 +114,11 @@ def period_averaged_path(
 ) -> tuple[np.ndarray, Poses]:
     """Return the period-averaged path of the centre of mass in a window.
 
-    A pose is at the middle of a gait period. Its direction is the direction of the
-    chord of the period. If the path turns by φ per period, the mean position over a
-    period lies inside the arc by (1 − sinc(φ/2))/κ. The result is corrected for this
-    distance. The lateral oscillation of the body vanishes in averages over whole
-    periods.
+    A pose is at the middle of a gait period. The direction of a pose is the direction
+    of the chord of the path over the period. If the path turns by φ per period, the
+    mean position over a period lies inside the arc by (1 − sinc(φ/2))/κ. The returned
+    path is corrected for the distance between mean position and arc. The lateral
+    oscillation of the body vanishes in averages over whole periods.
 
     Args:
         trajectory: motion of the snake.
@@ -224,7 +224,8 @@ class SteadyPath:
 def average_repeats(repeats: Sequence[SteadyPath]) -> tuple[SteadyPath, SteadyPath]:
     """Combine repeated measurements, and return half the range of each value.
 
-    Speed and curvature are averaged. The extents of the body are the maximum extents.
+    Speed and curvature are averaged. The extents of the body are the maxima over all
+    measurements.
     """
     values = np.array([astuple(repeat) for repeat in repeats])
     names = [field.name for field in fields(SteadyPath)]
@@ -364,7 +365,8 @@ def _settling_time(
 def combine_transients(repeats: Sequence[Transient]) -> Transient:
     """Combine the transients of changes at several phases of the gait.
 
-    Displacements are averaged. The extents of the body are the maximum extents.
+    Displacements are averaged. The extents of the body are the maxima over all
+    measurements.
     """
     first = repeats[0]
     left, right, length = (

@@ -51,7 +51,7 @@ class Prior:
         return np.interp(values, self.quantile(table), table)
 
     def with_measurement(self, value: float, sd: float) -> Prior:
-        """Return a normal distribution with the mean and error of a measurement."""
+        """Return the normal distribution of a measured value."""
         return replace(
             self,
             value=value,

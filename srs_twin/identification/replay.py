@@ -1,4 +1,4 @@
-"""Scenario that simulates a recorded run with both plants and compares the results."""
+"""Scenario that simulates a recorded run and compares simulation and recording."""
 
 from __future__ import annotations
 
@@ -27,7 +27,10 @@ _MAX_DURATION_S = 3600.0
 """Maximum duration of a scenario, s."""
 
 _BENCH_RECORD_HZ = 1000
-"""Sampling rate on a bench, Hz. There the bends respond within milliseconds."""
+"""Sampling rate on a bench, Hz.
+
+On a bench, the bends respond to the valves within milliseconds.
+"""
 
 
 @checked
@@ -46,7 +49,7 @@ def replay_scenario(
     law: str | None = None,
     notify: Callable[[str], object] = str,
 ) -> Scenario:
-    """Build the scenario that simulates both plants with recorded valve states.
+    """Build a scenario that simulates the robot with recorded valve states.
 
     `srs-twin replay` runs the scenario with `run_scenario`, whose metrics compare each
     plant with the recording.
@@ -61,7 +64,7 @@ def replay_scenario(
         expect: path of a file with expectations, as in a scenario.
         bench: whether the head of the robot is clamped on a bench.
         supply_pa: supply pressure, Pa, by default the nominal pressure of the robot.
-        plants: names of the plants to simulate, by default both plants.
+        plants: names of the plants to simulate, by default "analytical" and "twin".
         model: analytical model.
         law: friction law of the analytical plant, by default "wheel".
         notify: function that receives a summary of the recording.

@@ -115,7 +115,7 @@ class StaticTable:
         If the log contains valve states, a filling chamber is assumed to have the
         supply pressure after 5 τ, and a venting chamber is assumed to have zero gauge
         pressure. A plateau excludes times at which the valves of a chamber are closed,
-        because its pressure is then unknown.
+        because the pressure of the chamber is then unknown.
 
         Raises:
             InputError: the recording has no log or no plateau.
@@ -197,8 +197,8 @@ def _settled_frames(
     limit = _OUTLIER_MEDIANS * np.median(deviation, axis=0) + _OUTLIER_MARGIN_PA
     is_near = (deviation <= limit).all(axis=(1, 2))
     since = time[begin:end] - time[begin]
-    # The end is discarded because the next pressure step may already have begun within
-    # the band, and because the clocks may differ.
+    # The end of a plateau is discarded because the next pressure step may already have
+    # begun within the band, and because the clocks may differ.
     frames = begin + np.flatnonzero(
         is_near & (since >= wait) & (since <= span - CLOCK_ERROR_S)
     )
@@ -426,8 +426,9 @@ def fit_static(
         is_reached = _BEND_LIMIT not in searched or _BEND_LIMIT in estimate.values
         if names is not None or not unlimited or is_reached:
             return estimate
-        # The data do not reach the bend limit. Even a limit at its upper bound would
-        # reduce the bends, so the fit is repeated without a bend limit.
+        # The data do not reach the bend limit. Even a bend limit at the upper bound of
+        # the search would reduce the bends, so the fit is repeated without a bend
+        # limit.
         without = search([name for name in searched if name != _BEND_LIMIT], fixed, {})
         return without.with_fixed([estimate[_BEND_LIMIT]])
 
@@ -468,7 +469,8 @@ def _fit_dead_zone(
         estimate = search(names, fixed, {**starts, **zone_starts})
         if estimate[_ONSET_WIDTH].value is not None:
             return estimate
-        # The data do not determine the width, so the minimum width is used.
+        # The data do not determine the width of the dead zone, so the minimum width is
+        # used.
         names.remove(_ONSET_WIDTH)
         sharp = {**fixed, _ONSET_WIDTH: _SHARP_WIDTH_RAD}
         return search(names, sharp, {**starts, _ONSET: zone_starts[_ONSET]})
