@@ -93,9 +93,6 @@ class Parameter:
     Attributes:
         name: parameter name as defined in `parameters`.
         unit: unit of the value, the standard error and the interval.
-        verdict: verdict on the identifiability.
-        value: estimate.
-        standard_error: standard error of the estimate.
         low: lower end of the 95 % confidence interval.
         high: upper end of the 95 % confidence interval.
         why: reason for the verdict.
@@ -122,9 +119,8 @@ class Parameter:
 def half_width(error: float, freedom: float) -> float:
     """Return half the width of a confidence interval.
 
-    Args:
-        error: standard error of the estimate.
-        freedom: degrees of freedom of the standard error.
+    The interval follows from the standard error and the degrees of freedom of the
+    standard error.
     """
     from scipy import stats  # slow import
 

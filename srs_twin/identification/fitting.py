@@ -266,7 +266,7 @@ class FitOutput:
     def run(
         self, function: Callable[..., Calibration], files: list[str], **settings: Any
     ) -> None:
-        """Call a function of `calibration`, and print its result.
+        """Call a function of `calibration`, write the files, and print the result.
 
         If the user interrupts the search, no file is written.
         """

@@ -110,8 +110,8 @@ class Scene:
 
     Attributes:
         places: marker positions, m, shape (frames, markers, 2 or 3).
-        order: indices of the markers in their order along the body. It is empty if the
-            order is unknown.
+        order: indices of the markers in their order along the body. The tuple is empty
+            if the order is unknown.
     """
 
     places: np.ndarray
@@ -146,7 +146,7 @@ def inspect(
 def inspect_file(
     path: StrPath, recording_map: RecordingMap, spec: RobotSpec | None
 ) -> tuple[RecordingFacts, Scene | None]:
-    """Return the facts of a file, and the scene of its markers if it has any.
+    """Return the facts of a file, and the scene if the file contains markers.
 
     Args:
         path: path of a recording or a log.

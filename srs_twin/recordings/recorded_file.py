@@ -204,7 +204,7 @@ class RecordedFile:
         return rows
 
     def offset_of(self, line: int) -> int:
-        """Return the byte offset of a line (from 0), or of the end of the file."""
+        """Return the byte offset of a line, or of the end of the file."""
         start = 0
         for _ in range(line):
             start = self.raw.find(b"\n", start) + 1 or len(self.raw)
@@ -220,7 +220,8 @@ class RecordedFile:
     ) -> tuple[np.ndarray, list[str]]:
         """Read the rows below a header.
 
-        A last line without a line end is ignored, because it may end inside a number.
+        A last line without a line end is ignored, because the line may end inside a
+        number.
 
         Args:
             header_lines: number of header lines.
@@ -350,8 +351,8 @@ class RecordedFile:
             try:
                 return read(cut)
             except pa.ArrowInvalid:
-                # Arrow does not accept a cell of spaces as blank. Such cells are rare,
-                # so they are removed only after an error.
+                # Arrow does not accept a cell of spaces as blank. Cells of spaces are
+                # rare, so these cells are removed only after an error.
                 return read(_BLANKS.sub(b"", bytes(cut)))
         except (pa.ArrowException, OSError) as error:
             if uneven:
@@ -385,7 +386,9 @@ class RecordedFile:
 
 
 def recording_file(path: StrPath) -> Path:
-    """Return the path of a recording. For a folder, it is the ROS 2 bag in the folder.
+    """Return the path of a recording.
+
+    If `path` is a folder, the result is the path of the ROS 2 bag in the folder.
 
     Raises:
         InputError: the file is missing, or the folder does not contain exactly one bag.

@@ -140,9 +140,9 @@ class ValveLog:
     def gait_frequency(self) -> float | None:
         """Return the gait frequency (Hz), or None if the log is not periodic.
 
-        The frequency is the frequency at which all chambers open. The first opening is
-        ignored, because a gait may start within a period. Several openings within a
-        short time are due to a carrier and are counted as one opening.
+        The gait frequency is the frequency at which all chambers open. The first
+        opening is ignored, because a gait may start within a period. Several openings
+        within a short time are due to a carrier and are counted as one opening.
         """
         if self.kind != "valve":
             return None
@@ -296,8 +296,8 @@ def read_motion(
         spec: recorded robot.
         up: vertical axis of the file, one of `floor.UPS`.
         layout: marker layout, one of `body.layout.LAYOUTS`.
-        head: column name of the marker at the head. If it is None, the head is the end
-            in the direction of motion.
+        head: column name of the marker at the head. If `head` is None, the head is the
+            end in the direction of motion.
         map: places of markers and rigid bodies, and information that the file lacks.
         longest_gap_s: maximum duration of a gap that is interpolated, s.
         gait_frequency_hz: gait frequency, Hz, or None if the motion is not periodic.

@@ -233,8 +233,8 @@ def given_map(
 
     Args:
         path: path of the map file.
-        options: values by map key. They override the values of the file unless they are
-            None.
+        options: values by map key, which override the values of the file unless they
+            are None.
         markers: marker places, such as "NAME=connector 1", "NAME=middle 2",
             "NAME=connector 1 ahead" or "NAME=ignore".
 

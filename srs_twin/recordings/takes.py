@@ -59,8 +59,8 @@ class RecordingReader:
     Attributes:
         up: vertical axis of the file, one of `floor.UPS`.
         layout: marker layout, one of `body.layout.LAYOUTS`.
-        head: column name of the marker at the head. If it is None, the head is the end
-            in the direction of motion.
+        head: column name of the marker at the head. If `head` is None, the head is the
+            end in the direction of motion.
         map: recording map, which states what markers and columns measure.
         longest_gap_s: maximum duration of a gap that is interpolated, s.
         offset_s: clock offset that is added to the times of the log, s, or None to
@@ -82,7 +82,8 @@ class RecordingReader:
     ) -> Recording:
         """Read a captured motion with `read_motion`.
 
-        `frequency` is the gait frequency (Hz) if the reader does not have one.
+        `frequency` is the gait frequency (Hz) that is used if the reader has no gait
+        frequency.
         """
         return read_motion(
             path,
@@ -142,7 +143,7 @@ class RecordingReader:
 def logs_of(takes: Sequence[str], given: Sequence[str]) -> list[str]:
     """Return the path of the log of each recording.
 
-    `given` contains the paths of the logs in the order of the recordings. If it is
+    `given` contains the paths of the logs in the order of the recordings. If `given` is
     empty, the default paths are returned.
 
     Raises:

@@ -79,7 +79,7 @@ _MAX_AXIS_TILT = np.radians(30.0)
 
 @dataclass(frozen=True)
 class FloorPlane:
-    """Markers in floor coordinates, with the detected vertical axis.
+    """Marker positions in floor coordinates, and the detected vertical axis.
 
     Attributes:
         points: coordinates x and y on the floor and height above the origin of the
@@ -100,14 +100,14 @@ def map_to_floor(
     Args:
         points: marker positions, shape (frames, columns, 3) or (…, 2), m.
         up: vertical axis, one of `UPS`.
-        usual: usual vertical axis of the file format. It is used if the markers do not
+        usual: usual vertical axis of the file format, for files whose markers do not
             determine the vertical axis.
-        level: whether the tilt of the floor is removed. With None, the tilt is removed
-            only if it is certain.
+        level: whether the tilt of the floor is removed. If `level` is None, the tilt is
+            removed only if the tilt is certain.
 
     Raises:
-        InputError: the vertical axis cannot be determined, or the file has only two
-            coordinates and therefore no such axis.
+        InputError: the vertical axis cannot be determined, or the file has no
+            coordinate along this axis.
     """
     notes: list[str] = []
     planar = points.shape[-1] == 2

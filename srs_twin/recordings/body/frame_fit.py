@@ -1,8 +1,8 @@
 r"""Least-squares fit of pose, bends and segment lengths to single frames.
 
 **Model.** A *station* is a point along the body. The even stations 0, 2, 4, … are the
-connectors, head first, and the odd stations are the middles of the segments between
-them. A marker m at station k has the position
+connectors, head first, and the odd stations are the middles of the segments. A marker m
+at station k has the position
 
 $$ p_m = P_k + a_m\,e^{i\theta_k}, $$
 
@@ -22,9 +22,9 @@ $$ \sum_m \frac{|p_m - \hat p_m|^2}{\sigma^2} + \sum_j \frac{(\ell_j - \bar\ell_
 
 The minimum is found by the Gauss-Newton method. The standard errors are computed from
 the inverse of the Gauss-Newton matrix. The last term is included only in frames with
-hidden markers. In these frames it keeps the bends close to a spline through the bends
-of the frames without hidden markers. The mean alternating bend ε is included only if
-the segment lengths are assumed to be constant (see `shape`).
+hidden markers. In frames with hidden markers, the last term keeps the bends close to a
+spline through the bends of the remaining frames. The term with the alternating bend ε
+is included only if the segment lengths are assumed to be constant (see `shape`).
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ _MAX_LENGTH = 1e3
 The bound is needed because the fit of a wrong marker assignment may diverge.
 """
 _ALTERNATING_STARTS = np.linspace(-0.6, 0.6, 13)
-"""Initial values of the mean alternating bend ε, rad."""
+"""Initial values of the alternating bend ε, rad."""
 _SWAP_NOISE = 4.0
 """Minimum distance of a possibly swapped marker from the body, divided by the noise.
 
@@ -107,7 +107,8 @@ class MarkerPlacement:
         """
         count = self.geometry.connectors - 1
         # The middle station divides every segment into two halves. Half of the rigid
-        # gap is in front of the first half, and half of it is behind the second half.
+        # gap is in front of the first half of a segment, and half of the gap is behind
+        # the second half.
         turn, length = np.split(np.repeat(state[:, 3:] / 2, 2, axis=1), 2, axis=1)
         before, after = (
             np.tile(ends, count) * self.geometry.rigid_gap / 2
@@ -130,8 +131,8 @@ class MarkerPlacement:
         jacobian[..., 1] = 1j
         jacobian[..., 2] = 1j * (marker - station[:, :1])
         # The bend of a half segment rotates all stations behind the half segment about
-        # its rear end and changes its chord. The length of a half segment displaces
-        # these stations.
+        # its rear end and changes its chord. The length of a half segment displaces the
+        # stations behind the half segment.
         moved = self.station[:, None] > np.arange(2 * count)
         chord_derivative = front_direction * (
             length * arc_derivative - 1j * after * rotation
@@ -348,7 +349,8 @@ def fit_frames(
         gradient = gradient + (prior_mean - state)[active] @ information
         step = np.linalg.solve(inner + information, gradient[..., None])[..., 0]
         step = np.clip(step, -max_step, max_step)
-        # The bound keeps the values finite if a wrong marker assignment diverges.
+        # The bound keeps the values finite if the fit of a wrong marker assignment
+        # diverges.
         state[active] = np.clip(state[active] + step, -bound, bound)
         active = active[np.abs(step).max(axis=1) > _CONVERGED_STEP]
         if not active.size:
@@ -376,8 +378,8 @@ def fit_incomplete_frames(
     """Fit the states of frames with hidden markers.
 
     If only one marker of a pair is visible, the tracking may have confused the two
-    markers. Both assignments are fitted, and the assignment with the smaller cost is
-    returned.
+    markers. The fit is performed for the two possible assignments of the visible
+    marker, and the fit with the smaller cost is returned.
     """
     best = fit_frames(state, measured, placement, prior, missing)
     for station in np.unique(placement.station):
@@ -467,7 +469,7 @@ def _fixed_length_states(
         np.column_stack([alpha[:, 0], -2 * sign[:-1] * alpha]), axis=1
     )
     bend = -np.diff(sign * alternating)
-    # The mean alternating bend is 2 ε. Each grid value is used as the mean in turn.
+    # The mean of (−1)^j q_j is ±2 ε. Each value of the grid is used as ε in turn.
     mean = (bend * sign[:-1]).mean(axis=1, keepdims=True)
     costs = []
     bends = [bend - sign[:-1] * (mean - 2 * epsilon) for epsilon in _ALTERNATING_STARTS]

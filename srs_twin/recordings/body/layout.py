@@ -10,7 +10,7 @@ The layouts are:
 - ``head_middles``: like ``middles``, with one more marker in front of the head.
 
 The distance of markers on adjacent connectors never exceeds the length of a straight
-segment, whereas the distance of markers on more distant connectors sometimes does. The
+segment, whereas markers on more distant connectors are sometimes farther apart. The
 minimum spanning tree of the maximum distances therefore yields the order of the markers
 along the body.
 """
@@ -29,7 +29,7 @@ from srs_twin.robot.spec import RobotSpec
 
 
 class LayoutSize(NamedTuple):
-    """Numbers in the marker count `per_connector` · N + `extra` for N connectors."""
+    """Number of markers of a layout with N connectors: per_connector · N + extra."""
 
     per_connector: int
     extra: int
@@ -75,9 +75,9 @@ _MIN_MOTION_RATIO = 0.2
 def foreign_tracks(tracks: np.ndarray) -> dict[int, str]:
     """Return the tracks that do not belong to the robot, with reasons.
 
-    A marker may have an unusual but constant height, for example on a mast. It belongs
-    to the robot if its distance from a robot marker is nearly constant while both
-    markers move.
+    A marker may have an unusual but constant height, for example on a mast. Such a
+    marker belongs to the robot if its distance from a moving robot marker is nearly
+    constant.
 
     Args:
         tracks: floor coordinates, m, shape (frames, tracks, 3).
@@ -255,8 +255,8 @@ def rigid_pairs(points: np.ndarray, connectors: int) -> np.ndarray:
             pairs.append((a, b))
             free -= {a, b}
     # The distance between markers of two pairs may be as small and as constant as the
-    # distance within a pair. In this case the order along the body determines the
-    # pairs.
+    # distance within a pair. If the distances are ambiguous, the order along the body
+    # determines the pairs.
     try:
         in_order = [(int(a), int(b)) for a, b in body_order(points).reshape(-1, 2)]
     except InputError:

@@ -130,7 +130,7 @@ def tracked_body(
 ) -> TrackedBody:
     """Assign markers to the body and fit the shape of the body.
 
-    `head` is the column name of a marker at the head. If it is None, the head is
+    `head` is the column name of a marker at the head. If `head` is None, the head is
     detected.
 
     Raises:
@@ -153,7 +153,8 @@ def tracked_body(
         chosen = _best_fit(markers, spec, options, refused)
     shape, station, notes = _fit_body(markers, spec, chosen.places)
     spacing = np.quantile(np.abs(np.diff(shape.connector, axis=1)), 0.98, axis=0)
-    # If the marker at the middle of a segment is hidden, both connectors are uncertain.
+    # If the marker at the middle of a segment is hidden, the connectors at the two ends
+    # of the segment are uncertain.
     missing = np.zeros(shape.theta.shape, dtype=bool)
     for k, number in enumerate(station):
         for connector in {int(number) // 2, (int(number) + 1) // 2}:

@@ -1,12 +1,13 @@
 """Shape of the body over a recording: bends, segment lengths, and standard errors.
 
 **Lengths.** If the markers determine the bends without assumptions on the segment
-lengths, the segment lengths are free parameters. Their means and standard deviation σ_ℓ
-are estimated by expectation-maximisation. With one marker per connector, the mean
-alternating bend ε of a frame is not observable, because adjacent headings may turn in
-opposite directions: q_j = q_j⁰ + 2(−1)^{j−1} ε. In this case the segment lengths are
-assumed to be constant, which determines ε. The accuracy of ε is low if the body is
-nearly straight. If the body stretches, such recordings are rejected.
+lengths, the segment lengths are free parameters. The means and the standard deviation
+σ_ℓ of the segment lengths are estimated by expectation-maximisation. With one marker
+per connector, the alternating bend ε in q_j = q_j⁰ + 2(−1)^{j−1} ε is not observable
+without an assumption, because adjacent headings may turn in opposite directions. The
+assumption of constant segment lengths determines ε. The accuracy of ε is low if the
+body is nearly straight. Recordings with one marker per connector are rejected if the
+body stretches.
 
 **Noise.** The noise σ is estimated from high-order differences of the marker positions,
 in which the motion vanishes. If there are redundant markers, σ is computed from the
@@ -211,8 +212,8 @@ def fit_shape(
     noise = marker_noise(np.where(missing[first, :, None], np.nan, points[first]))
     complete = np.flatnonzero(~missing.any(axis=1))
     if len(complete) < 4:
-        # The spline of the bends needs some frames without hidden markers. If there are
-        # too few, the interpolated positions of hidden markers are used.
+        # The spline of the bends needs some frames without hidden markers. If too few
+        # frames are complete, the interpolated positions of hidden markers are used.
         complete = np.arange(len(time))
         missing = np.zeros_like(missing)
     sampled = complete[sample_frames(len(complete), _EM_FRAMES)]

@@ -7,15 +7,15 @@ r"""Tracking of markers through swaps and gaps.
 
    $$ \hat p_k = p_a + (k - a)(p_a - p_{a-1}), $$
 
-   A sample in the next frame certainly belongs to the tracklet if its distance from
-   this position is less than the gate, and if all other samples are at least twice as
-   far away.
-3. *Tracks*: tracklets that begin in a frame are assigned to the markers that were lost
-   before this frame. The Hungarian method minimises the sum of the distances from the
-   expected positions. After a gap of a few frames, a marker is expected at the position
-   extrapolated with its velocity. After a longer gap, two positions are considered: the
-   last position of the marker, and this position displaced by the motion of the
-   surrounding markers. The closer position is used.
+   A sample in the next frame certainly belongs to the tracklet if its distance from the
+   expected position is less than the gate, and if all other samples are at least twice
+   as far away. 3. *Tracks*: tracklets that begin in a frame are assigned to the markers
+   that were lost before this frame. The Hungarian method minimises the sum of the
+   distances from the expected positions. After a gap of a few frames, a marker is
+   expected at the position extrapolated with its velocity. After a longer gap, two
+   positions are considered: the last position of the marker, and this position
+   displaced by the motion of the surrounding markers. The position closer to the new
+   tracklet is used.
 
 Of 65 synthetic recordings with swaps, gaps and markers that reappear in new columns,
 only 16 can be read without tracking, whereas all 65 can be read with tracking.

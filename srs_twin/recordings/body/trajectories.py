@@ -6,13 +6,13 @@ dissertation n = 5:
 
 $$ v_k = \frac{\sum_m (t_m - \bar t)(y_m - \bar y)}{\sum_m (t_m - \bar t)^2}, \qquad m = k-n \ldots k+n. $$
 
-This derivative has no phase lag. The amplitude of an oscillation with the angular
+The slope v_k has no phase lag. The amplitude of an oscillation with the angular
 frequency ω is multiplied by the factor
 
 $$ \frac{3 \sum_{m=1}^{n} m \sin(m \omega \Delta t)}{n (n + 1)(n + \tfrac12)\, \omega \Delta t}. $$
 
-At 120 frames per second, this factor is 0.97 for 2 Hz. At the 15 frames per second of
-the dissertation, it is 0 for 2 Hz and 0.82 for 0.6 Hz.
+At 120 frames per second, the factor is 0.97 for an oscillation at 2 Hz. At the 15
+frames per second of the dissertation, the factor is 0 at 2 Hz and 0.82 at 0.6 Hz.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class MarkerCounts:
     Attributes:
         header_frames: number of frames stated in the header, or None if the header
             states none.
-        frames_missing: number of frames that the file skips and that were inserted.
+        frames_missing: number of frames that are missing in the file and were inserted.
         samples_other: number of positions that do not belong to the robot, such as
             reflections, other markers and short tracks.
         longest_filled_s: duration of the longest gap that was interpolated, s.
@@ -67,7 +67,7 @@ class MarkerCounts:
 
 @dataclass(frozen=True)
 class LogSummary:
-    """Summary of a measured file that states the reason for every unused sample.
+    """Summary of a measured file, with the numbers of used and unused samples.
 
     Attributes:
         kind: file format, for example "Motive CSV 1.21", "plain CSV" or "bend log".

@@ -147,7 +147,9 @@ def _format(path: StrPath, dialect: Dialect) -> Format:
 
 
 def read_topics(path: StrPath) -> RecordedTopics | None:
-    """Read poses, points and signals of a bag. The result is None if it is no bag.
+    """Read poses, points and signals of a bag.
+
+    The result is None if the file is not a bag.
 
     Raises:
         InputError: the bag is damaged or too large, or the libraries are not installed.

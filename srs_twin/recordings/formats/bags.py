@@ -123,7 +123,7 @@ def _text(content: memoryview, place: int) -> tuple[str, int]:
 
 
 _ROS1_MAGIC = b"#ROSBAG V2.0\n"
-# Each of these values of the field "op" identifies the kind of a record.
+# The field "op" of a record has one of three values.
 _ROS1_MESSAGE = b"\2"
 _ROS1_CHUNK = b"\5"
 _ROS1_CONNECTION = b"\7"

@@ -71,8 +71,8 @@ class MarkerTable:
         points: marker positions, m, shape (frames, columns, 3), or (…, 2) for positions
             in a plane. The position of a hidden marker is NaN.
         labels: column names.
-        places: station and side of each column (see `body.markers.Places`). It is empty
-            if the column names do not state the places.
+        places: station and side of each column (see `body.markers.Places`). The tuple
+            is empty if the column names do not state the places.
         header_frames: number of frames stated in the header, or None if the header
             states none.
         rotations: quaternions (x, y, z, w) of rigid bodies in the axes of the file,
@@ -110,8 +110,7 @@ class MarkerTable:
 class Format(ABC):
     """Base class of a file format of motion recordings.
 
-    A reader converts lengths to m and times to s. It does not change the axes of the
-    file.
+    A reader converts lengths to m and times to s, and keeps the axes of the file.
     """
 
     name: ClassVar[str]
@@ -176,7 +175,7 @@ def counted_times(frame: np.ndarray, time: np.ndarray, rate: float) -> np.ndarra
 def length_unit(
     file: RecordedFile, text: str, line: int | None = None, column: int | None = None
 ) -> str:
-    """Return the symbol of a unit of length, or raise an error if it is unknown."""
+    """Return the symbol of a unit of length."""
     if not (found := symbol(text, LENGTHS)):
         hint = did_you_mean(text, LENGTHS)
         allowed = ", ".join(LENGTHS)
@@ -231,7 +230,8 @@ def marker_rows(
         header_lines: number of header lines.
         width: number of cells per row.
         first: index of the first of the three columns of each marker.
-        clock: columns of frame number and time. If it is empty, the rows are counted.
+        clock: columns of frame number and time. If `clock` is empty, the rows are
+            counted.
         rate: frame rate, Hz, or None if a column contains times.
         others: indices of other columns to read.
         section: whether the rows end at an empty line.

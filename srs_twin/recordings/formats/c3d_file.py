@@ -237,9 +237,9 @@ def _frames(file: RecordedFile, contents: _Contents) -> _Frames:
 
     The frame numbers in the header have only 16 bits. For longer recordings, the number
     of frames is stated in TRIAL:ACTUAL_START_FIELD and ACTUAL_END_FIELD (two 16-bit
-    words each) or in POINT:LONG_FRAMES. These numbers may be wrong, so the largest
-    number that is possible for the file size is used. If no number exceeds 65,535, the
-    file is read to the end.
+    words each) or in POINT:LONG_FRAMES. Stated numbers of frames may be wrong, so the
+    largest number that is possible for the file size is used. If no number exceeds
+    65,535, the file is read to the end.
     """
     scale = contents.number("POINT:SCALE", 12)
     is_float = scale < 0

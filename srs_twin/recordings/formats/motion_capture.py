@@ -57,8 +57,8 @@ class Motive(Format):
         """Read the markers of an export.
 
         Columns of other types are counted and ignored. If there is no column of type
-        Marker, the markers of rigid bodies are read. If there are none, the rigid
-        bodies are read with their quaternions.
+        Marker, the markers of rigid bodies are read. Without markers of rigid bodies,
+        the rigid bodies are read with their quaternions.
 
         Raises:
             InputError: the file is damaged or has an unknown version.
@@ -383,7 +383,7 @@ class Qualisys(Format):
             clock=range(first),
             rate=None if timed else frame_rate(file, given),
         )
-        # In this format 0,0,0 denotes a missing marker, even in a single frame.
+        # In Qualisys files, 0,0,0 denotes a missing marker even in a single frame.
         points[(points == 0).all(axis=-1)] = np.nan
         notes.append("0,0,0 read as missing")
         table = marker_table(file, self.name, time, points, names, notes, unit="mm")

@@ -95,7 +95,7 @@ _MAX_NORM_ERROR = 0.01
 class Tum(Format):
     """TUM trajectory of one body, written by SLAM tools, in s and m.
 
-    Each line is ``timestamp tx ty tz qx qy qz qw``.
+    Each line contains ``timestamp tx ty tz qx qy qz qw``.
     """
 
     name = "TUM trajectory"

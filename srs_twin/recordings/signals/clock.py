@@ -11,8 +11,8 @@ the times at which motion and log overlap. S is computed for all τ at once by F
 transforms. A parabola is fitted to the smallest value of S and its two neighbours. The
 clock offset is the minimum of the parabola. The standard error of the offset is √(2
 s²/S''), where s² is the variance of the residual per independent sample. Because a gait
-is periodic, the loss at another τ may be nearly as small. In this case the offset is
-ambiguous, and an error is raised.
+is periodic, the loss may have several minima of similar size. An error is raised if the
+offset is ambiguous for this reason.
 """
 
 from __future__ import annotations
@@ -57,9 +57,9 @@ class Offset:
     Attributes:
         seconds: value to add to the times of the log, s.
         error: standard error, s, which does not include errors of the modelled lag of
-            the chambers. It is 0 if the offset was given.
-        explained: fraction of the variance of the bends that the log explains. It is 1
-            if the offset was given.
+            the chambers. The standard error is 0 if the offset was given.
+        explained: fraction of the variance of the bends that the log explains. The
+            fraction is 1 if the offset was given.
     """
 
     seconds: float
@@ -150,9 +150,9 @@ def _losses(
     count = np.rint(correlate(ones, other_ones))[:, 0]
     enough = count >= min_count
     n = np.maximum(count, 1.0)[:, None]
-    # These sums include the common samples of each delay. Squares and products are
-    # computed about the means. In the names, b is the measured bend, m the modelled
-    # bend and s a sum.
+    # The sums for each delay include the common samples of motion and log. Squares and
+    # products are computed about the means. In the names, b is the measured bend, m the
+    # modelled bend and s a sum.
     sb = correlate(bends, other_ones)
     sm = correlate(ones, model)
     bb = correlate(bends**2, other_ones) - sb**2 / n
@@ -217,8 +217,9 @@ def join(
 ) -> Recording:
     """Synchronise a log with a motion, and add the columns of the log.
 
-    If `offset` is None and both files have overlapping times since 1970, these times
-    are used. Otherwise `estimate_offset` computes the clock offset.
+    If `offset` is None and both files have overlapping times since 1970, the clock
+    offset is computed from these times. Otherwise `estimate_offset` estimates the clock
+    offset.
 
     Args:
         recording: recorded motion.

@@ -26,8 +26,8 @@ class FrameGrid:
 
     Attributes:
         time: times in ascending order, s, shape (frames,).
-        rows: row of the file for each frame, shape (frames,). It is −1 for a missing
-            frame.
+        rows: row of the file for each frame, shape (frames,). The row of a missing
+            frame is −1.
         corrections: notes on changes to the data.
     """
 
@@ -181,8 +181,8 @@ def _track_outliers(
         (rows.ravel(), columns.ravel(), 5 * np.arange(len(middle) + 1)),
         (len(middle), len(frames)),
     )
-    # With the matrix A = `cubics`, the results are |a_k·r| and |a_k| for every sample
-    # k.
+    # For every sample k, `projection` is |a_k·r| and `size` is |a_k|, with A =
+    # `cubics`.
     projection = np.linalg.norm(cubics.T @ (cubics @ points), axis=1)
     size = np.sqrt((cubics**2).sum(axis=0))
     score = projection / size
@@ -197,7 +197,7 @@ def _track_outliers(
     large = projection > min_jump * size**2
     outlier = large & (score > _OUTLIER_RATIO * _STD_PER_MAD * usual) & (score >= peak)
     # The first two and the last two samples are in too few cubic polynomials to be
-    # tested. They are included in the score, so that their errors do not affect other
+    # tested. The score includes these samples, so that their errors do not affect other
     # samples.
     outlier[[0, 1, -2, -1]] = False
     return np.asarray(outlier)

@@ -247,7 +247,7 @@ def log_of_topics(
 ) -> ValveLog:
     """Read a log from topics.
 
-    Measured pressures are interpolated. The value of any other signal is valid until
+    Measured pressures are interpolated. A valve state, duty or set point is valid until
     the next message.
 
     Raises:

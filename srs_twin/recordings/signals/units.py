@@ -102,8 +102,8 @@ def bracketed(name: str) -> tuple[str, str]:
 def stated_unit(name: str, units: Mapping[str, float]) -> str | None:
     """Return the unit in a column name such as P1 (bar), time_ms, P1/bar or timeMs.
 
-    The result is an empty string if the name contains no unit. It is None if the unit
-    is unknown or the name contains two units.
+    The result is an empty string if the name contains no unit. The result is None if
+    the unit is unknown or the name contains two units.
     """
     name = clean(name)
     bare, inside = bracketed(name)
