@@ -140,10 +140,6 @@ def read_decay(
     `start` is the time from which the segment swings freely (s), by default the time of
     the maximum speed. `noise` is the standard deviation of a bend (rad). If `noise` is
     None, the standard deviation is estimated.
-
-    Raises:
-        InputError: a column is missing, or the recording does not determine k and T
-            separately.
     """
     pressures = dict.fromkeys(("pressure_plus", "pressure_minus"), PRESSURES)
     table = read_table(read_file(path), CLOCK | {"bend": ANGLES} | pressures)
@@ -189,12 +185,7 @@ def free_swing(
     start: float | None = None,
     noise: float | None = None,
 ) -> Decay:
-    """Extract the free swing from recorded bends (rad) and gauge pressures (Pa).
-
-    Raises:
-        InputError: the swing is too small, too short, overdamped, or too fast for the
-            sampling rate.
-    """
+    """Extract the free swing from recorded bends (rad) and gauge pressures (Pa)."""
     noise = _noise(bend) if noise is None else noise
     if start is None:
         first = int(np.argmax(np.abs(np.diff(bend) / np.diff(time)))) + 1
@@ -280,11 +271,7 @@ def _turning_points(bend: np.ndarray, threshold: float) -> list[int]:
 
 
 def calm_samples(decay: Decay) -> int:
-    """Return the number of samples at rest at the start of a recording.
-
-    Raises:
-        InputError: the segment is bent or moves at the start of the recording.
-    """
+    """Return the number of samples at rest at the start of a recording."""
     moved = (
         np.abs(decay.before - np.median(decay.before[:_MIN_CALM_SAMPLES]))
         > _MIN_TURN * decay.noise

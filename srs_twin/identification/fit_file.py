@@ -85,10 +85,6 @@ def assign_roles(
     """Return all data of a fit with their roles.
 
     `label` is the plural name of the data in error messages.
-
-    Raises:
-        InputError: there are no data to fit, or a sample is used for fit and
-            validation.
     """
     result: list[tuple[Measured, Role]] = [(data, "fit") for data in fitted]
     if not result:
@@ -339,9 +335,6 @@ def fit_file(
     """Build the fit file of an estimate.
 
     `about` contains the values of name, title, robot, method, command and versions.
-
-    Raises:
-        InputError: a sample is used for fit and validation.
     """
     check_disjoint(data)
     rows = with_value(estimate.parameters)

@@ -232,12 +232,7 @@ class FitOutput:
     def from_options(
         cls, context: typer.Context, method: str, robot: str, options: FitOptions
     ) -> FitOutput:
-        """Check that the output files may be written, and return the settings.
-
-        Raises:
-            InputError: the name is not allowed, or another command wrote the existing
-                file.
-        """
+        """Check that the output files may be written, and return the settings."""
         from srs_twin.identification.fit_file import check_fit_suffix
 
         out = options.out
@@ -332,11 +327,7 @@ def command_line(context: typer.Context) -> str:
 
 
 def parse_names(text: str | None) -> list[str] | None:
-    """Split a comma-separated list of names, or return None if the list is None.
-
-    Raises:
-        InputError: the list is empty.
-    """
+    """Split a comma-separated list of names, or return None if the list is None."""
     if text is None:
         return None
     names = [name.strip() for name in text.split(",") if name.strip()]

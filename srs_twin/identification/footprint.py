@@ -416,11 +416,7 @@ class FootprintStudy:
 
 
 def steady_path(setup: GaitSetup, run: Trajectory, periods: int) -> SteadyPath:
-    """Return the steady path over the last gait periods of a simulation.
-
-    Raises:
-        InputError: the simulation is too short, or the snake does not move forward.
-    """
+    """Return the steady path over the last gait periods of a simulation."""
     window = GaitWindow.ending_at(run, setup.period, float(run.time[-1]), periods)
     if window is None:
         raise InputError(f"the run is shorter than {periods} gait periods")

@@ -258,11 +258,7 @@ def is_pull_table(path: StrPath) -> bool:
 
 
 def read_pull_table(path: StrPath) -> Pulls:
-    """Read a table of pulls.
-
-    Raises:
-        InputError: a column is missing or has a wrong unit, or a cell is invalid.
-    """
+    """Read a table of pulls."""
     known: dict[str, dict[str, float]] = dict.fromkeys(_DIRECTIONS, LENGTHS)
     table = read_table(read_file(path), known | {name: {} for name in _CONSTANTS})
     columns = {column.name: column for column in table.columns}
@@ -408,9 +404,6 @@ class CoastingTest:
 
         `start` is the time from which the robot coasts (s), by default the time of the
         maximum speed.
-
-        Raises:
-            InputError: the test is too short or too slow, or the robot turns.
         """
         needed = f"{_MIN_SAMPLES} or more are needed"
         time = trajectory.time
@@ -484,10 +477,6 @@ def fit_coasting(
         wheel_inertia: whether the wheels have rotational inertia. Skids and the wheels
             of the analytical plant have no rotational inertia.
         watch: progress callback.
-
-    Raises:
-        InputError: no test is given, the law is unknown, or a validation test is also
-            fitted.
     """
     allowed = [name for name in LAWS if name != "viscous"]
     if law not in allowed:

@@ -384,10 +384,6 @@ def least_squares(
             function is called only after the search, which saves time with slow models.
         refit: function that fits the model to data of a reference model, from which the
             bias due to model errors is estimated.
-
-    Raises:
-        InputError: there is no parameter, there are fewer samples than parameters, or
-            the initial residuals are not finite.
     """
     search = Search(residuals, tuple(unknowns), options or SearchOptions(), watch)
     ends = [search.run(start) for start in select_starts(search, starts)]

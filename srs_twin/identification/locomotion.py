@@ -52,11 +52,7 @@ from srs_twin.trajectory import Trajectory
 
 
 def gait_run(recording: Recording, name: str, supply_pa: float) -> GaitRun:
-    """Create a gait run from a recording with valve states or measured pressures.
-
-    Raises:
-        InputError: the recording has no log, or contains only bends.
-    """
+    """Create a gait run from a recording with valve states or measured pressures."""
     trajectory = recording.trajectory
     if recording.only_bends:
         raise InputError(f"{name}: {NO_MARKERS}")
@@ -380,11 +376,6 @@ def fit_locomotion(
             estimated (see `least_squares`). Without a reference, the intervals assume
             that the model is correct.
         known: measured parameters, which are constant in the fit.
-
-    Raises:
-        InputError: no run is given, there are too few runs for the number of
-            parameters, a run has no complete gait period, or a validation run is also
-            fitted.
     """
     if compare_signals not in AGAINST:
         raise UnknownNameError("residual", compare_signals, AGAINST)
@@ -437,9 +428,6 @@ def signals(
             aligned, or None if `trajectory` is the measured run.
         compare_signals: signals to compare, one of `AGAINST`.
         name: name of the run.
-
-    Raises:
-        InputError: averages are requested, but the run has no complete gait period.
     """
     result: dict[str, np.ndarray] = {}
     if compare_signals != "shapes":

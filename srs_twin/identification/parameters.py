@@ -96,11 +96,6 @@ def free_parameters(
 
     `starts` contains initial values, by parameter name, that replace values of the
     robot.
-
-    Raises:
-        UnknownNameError: a parameter does not exist.
-        InputError: the robot does not have the parameter, a name is repeated, or an
-            initial value is out of bounds.
     """
     parameters: list[FreeParameter] = []
     for name in names:
@@ -124,9 +119,6 @@ def with_values(spec: RobotSpec, values: Mapping[str, float]) -> RobotSpec:
 
     Names that are not robot parameters are ignored. The result keeps the scale of
     `spec`, so that the numerical settings are equal for all parameter values in a fit.
-
-    Raises:
-        InputError: the values are not allowed for a robot.
     """
     scale = spec.scale
     for name, value in values.items():
@@ -144,11 +136,7 @@ def is_parameter(name: str) -> bool:
 
 
 def parameter_unit(name: str) -> str:
-    """Return the unit of a robot parameter.
-
-    Raises:
-        UnknownNameError: the parameter does not exist.
-    """
+    """Return the unit of a robot parameter."""
     accessor, _ = _accessor(name)
     return accessor.unit
 

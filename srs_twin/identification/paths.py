@@ -177,9 +177,6 @@ class SteadyPath:
             trajectory: motion of the snake.
             geometry: geometry of the robot.
             window: window of at least three periods.
-
-        Raises:
-            InputError: the snake does not move forward.
         """
         chords, turns = displacement_per_period(trajectory, window)
         chord = float(chords.mean())
@@ -281,9 +278,6 @@ def measure_transient(
         period: gait period, s.
         change: change of offset.
         paths: steady paths of the old and the new offset.
-
-    Raises:
-        InputError: the run is too short.
     """
     old = GaitWindow.ending_at(trajectory, period, change.time, STEADY_PERIODS)
     if old is None:

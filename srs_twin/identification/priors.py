@@ -75,11 +75,6 @@ class Priors:
         """Return the prior distribution in a robot file.
 
         `exclude` contains paths of parameters that are treated as exactly known.
-
-        Raises:
-            UnknownNameError: a path does not belong to an uncertain parameter.
-            InputError: no parameter is uncertain, or the correlations contradict each
-                other.
         """
         records = {
             path: record

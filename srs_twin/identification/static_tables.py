@@ -116,9 +116,6 @@ class StaticTable:
         supply pressure after 5 τ, and a venting chamber is assumed to have zero gauge
         pressure. A plateau excludes times at which the valves of a chamber are closed,
         because the pressure of the chamber is then unknown.
-
-        Raises:
-            InputError: the recording has no log or no plateau.
         """
         trajectory = recording.trajectory
         log = log_of(recording, name)
@@ -278,12 +275,7 @@ NamedRecordings = Sequence[tuple[str, Recording]]
 def plateau_tables(
     recordings: NamedRecordings, spec: RobotSpec, supply_pa: float
 ) -> list[StaticTable]:
-    """Return the plateaus of recordings for a fit.
-
-    Raises:
-        InputError: a recording has no plateau, or a pressure that varies has fewer than
-            three levels in all recordings together.
-    """
+    """Return the plateaus of recordings for a fit."""
     tables = [
         StaticTable.from_recording(recording, name, spec, supply_pa)
         for name, recording in recordings
@@ -336,12 +328,7 @@ def is_static_table(path: StrPath) -> bool:
 
 
 def read_static_table(path: StrPath, spec: RobotSpec) -> StaticTable:
-    """Read a static table.
-
-    Raises:
-        InputError: the file has no bends, columns of segments that the robot does not
-            have, or implausible values.
-    """
+    """Read a static table."""
     names = [*(f"pressure_{side}" for side in SIDES), "bend", "bend_error"]
     units = dict.fromkeys(names[:2], PRESSURES) | dict.fromkeys(names[2:], ANGLES)
     table = read_table(read_file(path), units)
@@ -396,9 +383,6 @@ def fit_static(
             bend limit and a dead zone.
         validation: tables for validation.
         watch: progress callback.
-
-    Raises:
-        InputError: no table is given, or a validation table is also fitted.
     """
     data = assign_roles("static tables", tables, validation)
     largest = max(float(np.nanmax(np.abs(table.bend), initial=0.1)) for table in tables)

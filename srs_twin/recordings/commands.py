@@ -245,11 +245,7 @@ class FormatOptions:
     npz: Annotated[bool, option("--npz")] = False
 
     def chosen(self, out: str | None) -> str:
-        """Return the chosen format, which the suffix of `out` determines by default.
-
-        Raises:
-            InputError: no format or more than one format is given.
-        """
+        """Return the chosen format, which the suffix of `out` determines by default."""
         names = [name for name, chosen in vars(self).items() if chosen]
         if not names and out and Path(out).suffix[1:] in _FORMATS:
             return Path(out).suffix[1:]

@@ -118,11 +118,7 @@ class CsvTable:
     def per_segment(
         self, names: Sequence[str], robot: str, segments: int
     ) -> list[CsvColumn]:
-        """Return the columns with the given base names, ordered by segment.
-
-        Raises:
-            InputError: a column is missing, or its segment number exceeds `segments`.
-        """
+        """Return the columns with the given base names, ordered by segment."""
         by_key = {
             (column.name, column.number): column
             for column in self.columns
@@ -194,10 +190,6 @@ def read_table(
         known: accepted units of each base name, with their conversion factors to SI
             units. A dimensionless quantity has no units.
         meanings: meanings of the columns that a recording map mentions, by column name.
-
-    Raises:
-        UnknownNameError: a column that `meanings` mentions does not exist.
-        InputError: the header is missing, a name occurs twice, or a unit is unknown.
     """
     file = laid_out(file)
     line = file.header_lines or 1

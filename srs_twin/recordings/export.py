@@ -70,10 +70,6 @@ def write_mcap(path: Path, runs: Mapping[str, Trajectory]) -> None:
     """Write the trajectories of plants as ROS 2 messages in an MCAP file.
 
     An existing file is replaced.
-
-    Raises:
-        InputError: the extra `recordings` is not installed, or the file cannot be
-            written.
     """
     try:
         from mcap.writer import Writer

@@ -180,9 +180,6 @@ class RecordedFile:
         Args:
             lines: number of lines to read.
             after: number of lines to ignore before these lines.
-
-        Raises:
-            InputError: the lines are not CSV, or are too long for a header.
         """
         start = self.offset_of(after)
         split = self.raw[start : start + MAX_HEADER_BYTES].split(b"\n", lines)
@@ -274,9 +271,6 @@ class RecordedFile:
         Args:
             clock: index of the time column, which contains numbers or dates.
             unit: unit of the numbers. An empty string means seconds.
-
-        Raises:
-            InputError: `rows` raises an error, or a row has no time.
         """
         import pyarrow as pa
 
@@ -389,9 +383,6 @@ def recording_file(path: StrPath) -> Path:
     """Return the path of a recording.
 
     If `path` is a folder, the result is the path of the ROS 2 bag in the folder.
-
-    Raises:
-        InputError: the file is missing, or the folder does not contain exactly one bag.
     """
     place = Path(path)
     inside = place.glob("*") if (place / "metadata.yaml").is_file() else ()
@@ -445,11 +436,7 @@ def _bytes(place: Path, limit: int) -> bytes:
 
 
 def read_file(path: StrPath) -> RecordedFile:
-    """Read a recorded text file.
-
-    Raises:
-        InputError: `read_bytes` raises an error, or the file is not UTF-8 text.
-    """
+    """Read a recorded text file."""
     file = read_bytes(path)
     # A zero byte means that the file is not text, except in UTF-16 files, for which
     # another error is raised.

@@ -46,9 +46,6 @@ class RecordedPressures(Pneumatics):
             supply_pa: gauge supply pressure, Pa, from which only `max_pressure_ratio`
                 is computed.
             layout: valve layout of the commands of the controller.
-
-        Raises:
-            InputError: the log does not match the robot, or the times do not increase.
         """
         if pressure.shape != (len(time), spec.segments, 2):
             raise InputError(

@@ -217,9 +217,6 @@ class Recording:
 
         If pressures were recorded instead, all chambers vent. `name` is the name of the
         recording in error messages.
-
-        Raises:
-            InputError: the recording has no log.
         """
         log = self.valves
         time = self.trajectory.time
@@ -464,9 +461,6 @@ def in_slots(table: MarkerTable, points: np.ndarray) -> Tracks:
     """Combine the columns of markers that reappear in new columns (see `pack_slots`).
 
     Rigid bodies and columns whose place on the robot is known are not combined.
-
-    Raises:
-        InputError: the number of slots is too large for tracking.
     """
     slots = Tracks(
         points, np.where(np.isnan(points[..., 0]), -1, np.arange(len(table.labels))), 0

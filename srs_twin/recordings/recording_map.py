@@ -155,9 +155,6 @@ class RecordingMap(StrictModel):
         """Return the markers that belong to the robot according to the map.
 
         If no marker has a place, only the markers marked as "ignore" are removed.
-
-        Raises:
-            UnknownNameError: the map contains a marker that the file does not have.
         """
         named = {**self.markers, **self.bodies}
         for name in named:
@@ -237,9 +234,6 @@ def given_map(
             are None.
         markers: marker places, such as "NAME=connector 1", "NAME=middle 2",
             "NAME=connector 1 ahead" or "NAME=ignore".
-
-    Raises:
-        InputError: a marker place or the file is invalid.
     """
     data: dict[str, object] = {}
     places: dict[str, object] = {}

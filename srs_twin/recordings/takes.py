@@ -145,9 +145,6 @@ def logs_of(takes: Sequence[str], given: Sequence[str]) -> list[str]:
 
     `given` contains the paths of the logs in the order of the recordings. If `given` is
     empty, the default paths are returned.
-
-    Raises:
-        InputError: the number of logs differs from the number of recordings.
     """
     if not given:
         return [_log_of(Path(take)) for take in takes]

@@ -104,10 +104,6 @@ def map_to_floor(
             determine the vertical axis.
         level: whether the tilt of the floor is removed. If `level` is None, the tilt is
             removed only if the tilt is certain.
-
-    Raises:
-        InputError: the vertical axis cannot be determined, or the file has no
-            coordinate along this axis.
     """
     notes: list[str] = []
     planar = points.shape[-1] == 2

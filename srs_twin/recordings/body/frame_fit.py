@@ -175,10 +175,6 @@ def marker_offsets(
         missing: mask of hidden markers, shape (frames, markers).
         places: station and side of each marker.
         names: marker names.
-
-    Raises:
-        InputError: a station has more than two markers or two markers on one side, or a
-            marker pair is oblique to the body.
     """
     offsets = np.zeros(len(places), dtype=complex)
     position = points @ [1, 1j]

@@ -154,9 +154,6 @@ def robot_markers(
     Returns:
         Possible layouts (["named"] if column names state the places), and indices of
         the tracks of the robot markers.
-
-    Raises:
-        InputError: there are too few or too many markers.
     """
     visible = ~np.isnan(points[..., 0])
     coverage = visible.mean(axis=0)
@@ -214,9 +211,6 @@ def body_order(points: np.ndarray) -> np.ndarray:
 
     Args:
         points: marker positions, m, shape (frames, markers, 2).
-
-    Raises:
-        InputError: the markers are not arranged along a line.
     """
     from scipy.sparse.csgraph import depth_first_order, minimum_spanning_tree
 
@@ -238,11 +232,7 @@ def body_order(points: np.ndarray) -> np.ndarray:
 
 
 def rigid_pairs(points: np.ndarray, connectors: int) -> np.ndarray:
-    """Return the pairs of markers with a constant distance, shape (connectors, 2).
-
-    Raises:
-        InputError: no two markers have a constant distance.
-    """
+    """Return the pairs of markers with a constant distance, shape (connectors, 2)."""
     median, spread = distance_statistics(points)
     score = spread + 0.02 * median
     pairs: list[tuple[int, int]] = []
@@ -294,10 +284,6 @@ def check_scale(points: np.ndarray, spec: RobotSpec) -> None:
     Args:
         points: marker positions in slots, m, shape (frames, slots, 2).
         spec: recorded robot.
-
-    Raises:
-        InputError: the smallest distance between markers is too large for the robot, or
-            the largest distance is too small.
     """
     pitch = spec.geometry.pitch
     straight = spec.segments * spec.geometry.pitch

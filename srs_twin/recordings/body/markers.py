@@ -132,11 +132,6 @@ def tracked_body(
 
     `head` is the column name of a marker at the head. If `head` is None, the head is
     detected.
-
-    Raises:
-        InputError: the markers do not match this robot or do not determine its shape,
-            or the layout or the head cannot be determined.
-        UnknownNameError: there is no column with the name given as the head.
     """
     options: list[_Assignment] = []
     refused: list[str] = []

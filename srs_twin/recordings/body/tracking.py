@@ -78,9 +78,6 @@ def pack_slots(points: np.ndarray) -> Tracks:
 
     Args:
         points: marker positions, m, shape (frames, columns, 2 or 3).
-
-    Raises:
-        InputError: the file contains no marker.
     """
     visible = ~np.isnan(points[..., 0])
     used = np.flatnonzero(visible.any(axis=0))
@@ -162,9 +159,6 @@ def track_markers(
         columns: column of the file that contains each sample, shape (frames, slots).
         longest: maximum length of a gap that is interpolated, frames.
         reach: maximum distance of a marker from its expected position, m.
-
-    Raises:
-        InputError: the markers jump too often to be tracked.
     """
     distance = pairwise_distances(points, _DISTANCE_FRAMES)
     nearest = np.where(np.isnan(distance), np.inf, distance).min(axis=(1, 2))

@@ -84,9 +84,6 @@ def identify(path: StrPath, dialect: Dialect = AS_FOUND) -> str:
     """Return the name of the format of a recording, detected from the first bytes.
 
     `dialect` describes the layout of a plain table whose layout cannot be detected.
-
-    Raises:
-        InputError: the file is missing, a folder, empty, or in an unknown format.
     """
     return _format(path, dialect).name
 
@@ -150,9 +147,6 @@ def read_topics(path: StrPath) -> RecordedTopics | None:
     """Read poses, points and signals of a bag.
 
     The result is None if the file is not a bag.
-
-    Raises:
-        InputError: the bag is damaged or too large, or the libraries are not installed.
     """
     start = start_of(path)
     for form in _formats():

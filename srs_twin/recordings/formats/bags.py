@@ -53,12 +53,7 @@ class Mcap(Bag):
         return start.data.startswith(MCAP_MAGIC)
 
     def messages(self, file: RecordedFile) -> Iterator[BagMessage]:
-        """Yield the messages in the order of the file.
-
-        Raises:
-            InputError: the total unpacked size of the chunks exceeds the limit.
-            ChunkError: the file is damaged. A truncated file raises a `CutError`.
-        """
+        """Yield the messages in the order of the file."""
         data = memoryview(file.data)
         chunks = (
             content
@@ -144,12 +139,7 @@ class Ros1Bag(Bag):
         return start.data.startswith(_ROS1_MAGIC)
 
     def messages(self, file: RecordedFile) -> Iterator[BagMessage]:
-        """Yield the messages in the order of the bag.
-
-        Raises:
-            InputError: the total unpacked size of the chunks exceeds the limit.
-            ChunkError: the bag is damaged. A truncated bag raises a `CutError`.
-        """
+        """Yield the messages in the order of the bag."""
         data = memoryview(file.data)[len(_ROS1_MAGIC) :]
         connections = dict[str, Topic]()
         sizes = (
@@ -230,12 +220,7 @@ class Ros2Bag(Bag):
         return start.data.startswith(_SQLITE_MAGIC)
 
     def messages(self, file: RecordedFile) -> Iterator[BagMessage]:
-        """Yield the messages in the order of the bag.
-
-        Raises:
-            InputError: the database does not have the tables of a bag.
-            ChunkError: the tables contain more data than the file.
-        """
+        """Yield the messages in the order of the bag."""
         data = bytearray(file.data)
         data[_JOURNALS] = b"\1\1"
         with closing(sqlite3.connect(":memory:")) as base:

@@ -185,11 +185,7 @@ def length_unit(
 
 
 def frame_rate(file: RecordedFile, given: str, line: int | None = None) -> float:
-    """Return the frame rate (Hz) that a file or a map states.
-
-    Raises:
-        InputError: the frame rate is not a positive number.
-    """
+    """Return the frame rate (Hz) that a file or a map states."""
     with suppress(ValueError):
         if 0 < float(given) < 1e6:
             return float(given)
@@ -235,9 +231,6 @@ def marker_rows(
         rate: frame rate, Hz, or None if a column contains times.
         others: indices of other columns to read.
         section: whether the rows end at an empty line.
-
-    Raises:
-        InputError: `RecordedFile.rows` raises an error, or a row has no time.
     """
     columns = [*clock, *(k + axis for k in first for axis in range(3)), *others]
     values, notes = file.rows(header_lines, columns, width, section=section)
@@ -293,9 +286,6 @@ def marker_table(
         notes: notes on the file.
         unit: unit of all lengths, or the unit of each marker.
         rotations: quaternions as in `MarkerTable`.
-
-    Raises:
-        InputError: there are no frames.
     """
     if not len(time):
         raise file.error("the recording has no frames; record or export it again")

@@ -159,9 +159,6 @@ class C3d(Format):
         """Read the points of a C3D file.
 
         The time of frame 1 is 0 s, and a negative residual denotes a missing point.
-
-        Raises:
-            InputError: the file is damaged or has no points, rate or unit.
         """
         with decoding(file, self.name):
             contents = _contents(file)
@@ -296,10 +293,6 @@ def _analog_values(
 
     If the header and the parameters contradict each other, the number that matches the
     size of the data section is used.
-
-    Raises:
-        InputError: no number or more than one number matches the size of the data
-            section.
     """
     by_header = contents.header_word(4)
     if "ANALOG:USED" not in contents.parameters:

@@ -59,9 +59,6 @@ class Motive(Format):
         Columns of other types are counted and ignored. If there is no column of type
         Marker, the markers of rigid bodies are read. Without markers of rigid bodies,
         the rigid bodies are read with their quaternions.
-
-        Raises:
-            InputError: the file is damaged or has an unknown version.
         """
         lines = file.head(_MOTIVE_HEADER_LINES)
         header = dict(pairwise(lines[0]))
@@ -336,9 +333,6 @@ class Qualisys(Format):
                 optional.
             unstated: frame rate, which is used if FREQUENCY is EXT and there is no
                 column Time.
-
-        Raises:
-            InputError: the file is damaged, or it is a 2D or 6D export.
         """
         file = replace(file, separator="\t")
         *above, row = file.head(_qtm_header_lines(file) + 1)

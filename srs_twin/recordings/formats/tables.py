@@ -46,11 +46,7 @@ class Trc(Format):
         return start.title.split(maxsplit=1)[:1] == ["PathFileType"]
 
     def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
-        """Read the markers of a TRC file. Empty cells denote missing markers.
-
-        Raises:
-            InputError: the file is damaged, or its unit is unknown.
-        """
+        """Read the markers of a TRC file. Empty cells denote missing markers."""
         file = replace(file, separator="\t")
         lines = file.head(_AXES_LINE + 2)
         if len(lines) <= _AXES_LINE or lines[3][:1] != ["Frame#"]:
@@ -153,10 +149,6 @@ class DeepLabCut(Format):
             file: CSV file.
             unstated: frame rate of the video, size of a pixel, and unit of the
                 coordinates. With the unit None or "px", the coordinates are in pixels.
-
-        Raises:
-            InputError: the frame rate or the scale is not given, or the file is
-                damaged.
         """
         factor = _dlc_scale(file, unstated)
         rate = frame_rate(file, str(unstated.rate_hz))
@@ -235,12 +227,7 @@ class PlainCsv(Format):
         return any(map(is_clock, start.names)) or bool(axis_columns(start.names))
 
     def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
-        """Read the markers of a plain CSV file.
-
-        Raises:
-            InputError: the file is damaged, has no positions, or states contradictory
-                units.
-        """
+        """Read the markers of a plain CSV file."""
         file = laid_out(file, unstated.dialect)
         numbered = any(map(_NUMBERED.match, file.names))
         table = read_table(file, CLOCK)

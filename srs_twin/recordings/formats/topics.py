@@ -101,11 +101,7 @@ class BagMessage(NamedTuple):
 
 
 def check_unpacked(file: RecordedFile, sizes: Iterable[int]) -> None:
-    """Check the declared unpacked sizes of the chunks of a file.
-
-    Raises:
-        InputError: the sum of the sizes exceeds the limit.
-    """
+    """Check the declared unpacked sizes of the chunks of a file."""
     allowed = min(_MAX_UNPACKED, _MIN_ALLOWED + _MAX_RATIO * len(file.data))
     total = 0
     with suppress(CutError):  # a truncated file is allowed
@@ -183,11 +179,7 @@ class Bag(Format):
         """
 
     def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
-        """Read the topics that contain positions.
-
-        Raises:
-            InputError: `read_topics` raises an error, or no topic contains positions.
-        """
+        """Read the topics that contain positions."""
         recorded = self.read_topics(file, signals=False)
         if recorded.markers is None:
             types = (

@@ -78,10 +78,6 @@ def estimate_offset(
         measured: measured bends, rad, shape (frames, segments).
         log_time: evenly spaced times of the log, s, shape (rows,).
         driven: bends computed from the log, rad, shape (rows, segments).
-
-    Raises:
-        InputError: the recordings are too short or contain no motion, or the offset is
-            not unique.
     """
     step = max(_MIN_STEP, float(np.median(np.diff(time))) / 2)
     spans = (time[-1] - time[0], log_time[-1] - log_time[0])
@@ -231,9 +227,6 @@ def join(
         Interval of the motion in which the log has values. The trajectory has the
         columns ``valve_plus_1…`` or ``pressure_plus_1…``, and its metadata contain the
         offset. The log is on the clock of the motion.
-
-    Raises:
-        InputError: motion and log do not overlap, or the offset cannot be determined.
     """
     trajectory = recording.trajectory
     segments = {log.values.shape[1], trajectory.stack("bend").shape[1]}

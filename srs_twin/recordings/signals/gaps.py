@@ -62,9 +62,6 @@ def frame_grid(time: np.ndarray) -> FrameGrid:
     """Sort rows by time and insert the missing frames.
 
     `time` contains the finite time of each row, s, shape (rows,).
-
-    Raises:
-        InputError: there are too few frames, or the times are implausible.
     """
     check_times(time)
     order, notes = time_order(time)

@@ -113,9 +113,6 @@ def read_bends(
     Returns:
         Longest interval in which all bends are known. The head is at the origin, and
         its heading is 0.
-
-    Raises:
-        InputError: the file cannot be used.
     """
     table = _table(path, map, ("bend",))
     clock = table.clock("no column 'time'; a bend log has time,bend_1,…")
@@ -204,9 +201,6 @@ def read_valves(
     """Read a log of valve states, duties or pressures from a CSV file or a bag.
 
     `map` states the meanings of columns and the carrier frequency of duties.
-
-    Raises:
-        InputError: the file or a column is missing, or a value is impossible.
     """
     if (topics := read_topics(path)) is not None:
         return log_of_topics(topics, spec, map)
@@ -249,10 +243,6 @@ def log_of_topics(
 
     Measured pressures are interpolated. A valve state, duty or set point is valid until
     the next message.
-
-    Raises:
-        InputError: a signal is missing, or a value is impossible.
-        UnknownNameError: the map contains a signal that does not exist.
     """
     meanings = recording_map.meanings(("valve", "duty", *AIR))
     names = {meaning.key: signal for signal, meaning in meanings.items()}
@@ -409,9 +399,6 @@ def on_bench(recording: Recording, spec: RobotSpec) -> Recording:
     """Transform a recording to the frame of its clamp.
 
     The origin of this frame is the centre of mass that a straight body would have.
-
-    Raises:
-        InputError: the head moves, so it is not clamped.
     """
     trajectory = recording.trajectory
     head = trajectory.position[:, 0]

@@ -161,10 +161,6 @@ def unit_of(
         stated: unit in the column name, as returned by `stated_unit`.
         units: allowed units.
         meaning: meaning of the column according to the map.
-
-    Raises:
-        InputError: the stated units differ, or the unit of a pressure or an angle is
-            missing or unknown.
     """
     allowed = f"allowed: {', '.join(units) or 'none'}"
     given = symbol(meaning.unit, units)
