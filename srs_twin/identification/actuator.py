@@ -209,16 +209,11 @@ def fixed_values(
 def predict_response(
     response: Response, spec: RobotSpec, clock: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Predict the bends and pressures of free segments.
+    """Predict the bends and pressures of free segments for a clock offset (s).
 
-    Args:
-        response: response that provides the drive and the sample times.
-        spec: robot specification.
-        clock: clock offset, s.
-
-    Returns:
-        Bends, rad, shape (samples, segments), and pressures, Pa, shape (samples,
-        segments, 2). The pressures are None if the response contains logged pressures.
+    Bends (rad) have the shape (samples, segments), and pressures (Pa) have the shape
+    (samples, segments, 2). The pressures are None if the response contains logged
+    pressures.
     """
     if isinstance(response.drive, ValveLog):
         delayed = response.drive.at(response.time + clock - spec.actuator.tau_mode)

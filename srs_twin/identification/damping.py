@@ -160,13 +160,9 @@ def fit_damping(
 ) -> FitEstimate:
     """Estimate stiffness, damping time, frequency and loss factor.
 
-    Args:
-        decays: free oscillations of one segment with one body.
-        spec: robot that provides the geometry and the chambers.
-        valves: state of the chambers, "open" to the air or "closed".
-        body: hanging body, by default the first connector.
-        leak: leak rate of closed chambers, 1/s, or None to estimate the rate.
-        watch: progress callback.
+    The state `valves` of the chambers is "open" to the air or "closed". By default, the
+    hanging body is the first connector. If the leak rate `leak` (1/s) is None, the leak
+    rate is estimated.
     """
     check_choice("valves", valves, VALVES)
     if not decays:

@@ -79,7 +79,6 @@ class CandidateExperiment:
 
     Attributes:
         description: instruction for the operator.
-        minutes: duration of the experiment, minutes.
         predict: function that returns the predicted observations for a robot.
         noise: function that returns the standard deviations of the predicted
             observations.
@@ -237,7 +236,6 @@ class ExperimentDesign:
         chosen: experiments in the order in which they were chosen.
         after: accuracy of each requested parameter after each experiment.
         before: accuracy of each requested parameter before the first experiment.
-        targets: requested accuracy of each parameter.
     """
 
     chosen: tuple[CandidateExperiment, ...]
@@ -308,11 +306,8 @@ def choose_experiments(
 ) -> ExperimentDesign:
     """Choose experiments until the requested accuracy is reached.
 
-    Args:
-        spec: robot with the current values.
-        known: value and standard deviation of each uncertain parameter.
-        targets: half width of the requested 95 % interval of each parameter, relative
-            to the value.
+    `known` contains the value and the standard deviation of each uncertain parameter.
+    `targets` contains half widths of 95 % intervals, relative to the values.
     """
     if not targets:
         raise InputError(

@@ -59,12 +59,10 @@ class Residual:
 
     Attributes:
         name: name of the data set and of the signal, such as ``"step_1 bend_2"``.
-        unit: unit of the values.
         values: residuals, shape (samples,). The residuals of a time series are ordered
             by time.
         scale: standard deviation of the expected noise, in `unit`. The fit divides the
             residuals by this scale.
-        role: role of the data, "fit" or "validation".
     """
 
     name: str
@@ -92,7 +90,6 @@ class Parameter:
 
     Attributes:
         name: parameter name as defined in `parameters`.
-        unit: unit of the value, the standard error and the interval.
         low: lower end of the 95 % confidence interval.
         high: upper end of the 95 % confidence interval.
         why: reason for the verdict.
@@ -153,12 +150,9 @@ def with_value(parameters: Sequence[Estimated]) -> list[int]:
 def correlation_matrix(
     covariance: np.ndarray, parameters: Sequence[Parameter]
 ) -> np.ndarray:
-    """Return the correlation matrix, with NaN for parameters that have no value.
+    """Return the correlation matrix for a covariance matrix.
 
-    Args:
-        covariance: covariance of the parameters, shape (parameters, parameters). Rows
-            and columns of parameters without a value are ignored.
-        parameters: estimated parameters.
+    Entries of parameters without a value are NaN.
     """
     matrix = np.full(covariance.shape, np.nan)
     rows = with_value(parameters)
@@ -184,11 +178,10 @@ class FitEstimate(HtmlResult):
             effect, both components of the direction are 0.71.
         samples: number of fitted samples.
         independent: equivalent number of independent samples (see `correlation_time`).
-        residual_scale: standard deviation of the weighted residuals. The standard
-            deviation is 1 if the residuals are as large as expected.
+        residual_scale: standard deviation of the weighted residuals, which is 1 if the
+            residuals are as large as expected.
         held: names and values of the quantities that were constant in the fit and
             affect the estimates.
-        converged: whether the search converged.
         derived: quantities computed from the parameters, such as a frequency.
     """
 

@@ -42,7 +42,6 @@ class DataSet:
         name: file name or label.
         sha256: SHA-256 of the file. If there is no file, the SHA-256 of the numbers is
             stored.
-        role: role of the data, "fit" or "validation".
         from_s: start of the interval that is used, s, or None for the start of the
             data.
         to_s: end of the interval that is used, s, or None for the end of the data.

@@ -214,12 +214,7 @@ NOTHING_WRITTEN = "nothing was written"
 
 @dataclass(frozen=True)
 class FitOutput:
-    """Output files of a fit, and format of the printed result.
-
-    Attributes:
-        path: path of the fit file. The report is written to the same folder.
-        robot: name or path of the initial robot, as the user gave it.
-    """
+    """Output files of a fit, and format of the printed result."""
 
     name: str
     path: Path

@@ -62,9 +62,7 @@ class GaitSetup:
     """Robot, gait and plant for which a footprint is measured.
 
     Attributes:
-        spec: robot specification.
         frequency: gait frequency, Hz.
-        supply_pa: supply pressure, Pa.
         controller: "gait" (Eq. 13) or "ilc" (Eq. 32).
         target: target bend amplitude of the learning controller, rad.
         plant: "twin", "analytical" (the model `compliant` on wheels), or a function
@@ -240,7 +238,6 @@ class FootprintMeasurement:
 
     Attributes:
         spread: half the range of the repeated simulations, for each entry of `steady`.
-        transients: measured transients after changes of offset.
         repeats: number of simulations per offset and per change of offset.
         periods: number of measured gait periods of each steady simulation.
     """
@@ -320,10 +317,9 @@ class FootprintStudy:
     ) -> FootprintMeasurement:
         """Simulate the plant and measure the footprint.
 
-        Args:
-            threads: number of parallel simulations, by default one per processor.
-            progress: function called with the number of finished simulations and the
-                total number of simulations.
+        By default, the number of threads is the number of processors. The callback
+        `progress` receives the number of finished simulations and the total number of
+        simulations.
 
         Raises:
             DivergedError: a simulation diverged.
@@ -435,13 +431,9 @@ def footprint_study(
 ) -> FootprintStudy:
     """Return the study of a footprint.
 
-    Args:
-        setup: robot, gait and plant.
-        offsets: offsets in ascending order. The default offsets are −0.3 to 0.3 for
-            "ilc" and −0.4 to 0.4 for "gait", in steps of 0.1.
-        changes: changes of offset, as pairs of the old and the new offset, by default
-            `default_changes`.
-        **counts: values of `periods` and `phases` of the `FootprintStudy`.
+    The default offsets are −0.3 to 0.3 for "ilc" and −0.4 to 0.4 for "gait", in steps
+    of 0.1. `changes` contains pairs of the old and the new offset, by default
+    `default_changes`. `counts` contains `periods` and `phases` of the `FootprintStudy`.
     """
     rows = setup.offsets if offsets is None else tuple(map(float, offsets))
     study = FootprintStudy(setup, rows, tuple(changes or ()), **counts)

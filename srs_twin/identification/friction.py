@@ -467,16 +467,11 @@ def fit_coasting(
 ) -> FitEstimate:
     """Estimate μ_t and μ_n from coasting tests.
 
-    Args:
-        runs: coasting tests. The coefficient of a direction is identifiable only if the
-            robot coasts in this direction.
-        spec: robot whose wheels and masses determine the effect of rotational inertia.
-        validation: coasting tests for validation. Only their initial velocities are
-            fitted.
-        law: friction law, one of `robot.friction.LAWS` except "viscous".
-        wheel_inertia: whether the wheels have rotational inertia. Skids and the wheels
-            of the analytical plant have no rotational inertia.
-        watch: progress callback.
+    The coefficient of a direction is identifiable only if the robot coasts in this
+    direction. Validation tests do not influence the coefficients, but their initial
+    velocities are fitted. If `wheel_inertia` is false, the wheels have no rotational
+    inertia, as on skids and in the analytical plant. `law` is one of
+    `robot.friction.LAWS` except "viscous".
     """
     allowed = [name for name in LAWS if name != "viscous"]
     if law not in allowed:

@@ -422,12 +422,8 @@ def signals(
 ) -> dict[str, np.ndarray]:
     """Return the signals that are compared, each of shape (samples,).
 
-    Args:
-        trajectory: measured or simulated run.
-        measured: measured run with which the times and the pose of a simulated run are
-            aligned, or None if `trajectory` is the measured run.
-        compare_signals: signals to compare, one of `AGAINST`.
-        name: name of the run.
+    If `measured` is given, `trajectory` is a simulated run. The times and the pose of
+    the simulated run are then aligned with the measured run.
     """
     result: dict[str, np.ndarray] = {}
     if compare_signals != "shapes":

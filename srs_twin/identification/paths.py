@@ -114,18 +114,12 @@ def period_averaged_path(
 ) -> tuple[np.ndarray, Poses]:
     """Return the period-averaged path of the centre of mass in a window.
 
-    A pose is at the middle of a gait period. The direction of a pose is the direction
-    of the chord of the path over the period. If the path turns by φ per period, the
-    mean position over a period lies inside the arc by (1 − sinc(φ/2))/κ. The returned
-    path is corrected for the distance between mean position and arc. The lateral
-    oscillation of the body vanishes in averages over whole periods.
-
-    Args:
-        trajectory: motion of the snake.
-        window: window of K periods with an approximately constant turning rate.
-
-    Returns:
-        Times, s, and poses over K − 1 periods, each of shape (instants,).
+    The result contains the times (s) and the poses over K − 1 of the K periods of the
+    window. A pose is at the middle of a gait period. The direction of a pose is the
+    direction of the chord of the path over the period. If the path turns by φ per
+    period, the mean position over a period lies inside the arc by (1 − sinc(φ/2))/κ.
+    The returned path is corrected for the distance between mean position and arc. The
+    lateral oscillation of the body vanishes in averages over whole periods.
     """
     mean, velocity = window.running_mean(trajectory, trajectory.com)
     turn = (
@@ -168,15 +162,10 @@ class SteadyPath:
     def measure(
         cls, trajectory: Trajectory, geometry: Geometry, window: GaitWindow
     ) -> SteadyPath:
-        """Measure the steady path over whole gait periods of a run.
+        """Measure the steady path over at least three whole gait periods of a run.
 
         The body is modelled as a band about the centre line with round ends and the
         width of the robot. The centre line includes the arcs between connectors.
-
-        Args:
-            trajectory: motion of the snake.
-            geometry: geometry of the robot.
-            window: window of at least three periods.
         """
         chords, turns = displacement_per_period(trajectory, window)
         chord = float(chords.mean())
@@ -246,13 +235,7 @@ MAX_UNREST = 0.1
 
 @dataclass(frozen=True)
 class OffsetChange:
-    """Change of offset in a run.
-
-    Attributes:
-        time: time of the change, s.
-        before: old offset.
-        after: new offset.
-    """
+    """Change of offset in a run at a time (s)."""
 
     time: float
     before: float
@@ -269,15 +252,8 @@ def measure_transient(
     """Measure the transient after one change of offset.
 
     The part of the body that is still on the old arc is excluded, because a planner
-    includes this part in the area swept along the old arc.
-
-    Args:
-        trajectory: motion that includes some periods before the change and some periods
-            after the path has settled.
-        geometry: geometry of the robot.
-        period: gait period, s.
-        change: change of offset.
-        paths: steady paths of the old and the new offset.
+    includes this part in the area swept along the old arc. `paths` contains the steady
+    paths of the old and the new offset.
     """
     old = GaitWindow.ending_at(trajectory, period, change.time, STEADY_PERIODS)
     if old is None:

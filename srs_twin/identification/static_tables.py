@@ -373,16 +373,7 @@ def fit_static(
 
     A dead zone is included if it improves the fit significantly (F-test, 1 %). A dead
     zone without a response inside the zone is fitted first, and then a dead zone with a
-    response.
-
-    Args:
-        tables: measured tables.
-        spec: robot with the initial values of the search. The value of
-            `actuator.bend_rad` is constant, as in `fit_actuator`.
-        names: names of the free parameters, by default the gains, the rest bends, the
-            bend limit and a dead zone.
-        validation: tables for validation.
-        watch: progress callback.
+    response. `actuator.bend_rad` is constant, as in `fit_actuator`.
     """
     data = assign_roles("static tables", tables, validation)
     largest = max(float(np.nanmax(np.abs(table.bend), initial=0.1)) for table in tables)

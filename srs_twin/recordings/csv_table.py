@@ -185,11 +185,9 @@ def read_table(
 ) -> CsvTable:
     """Read the header of a plain table.
 
-    Args:
-        file: plain table.
-        known: accepted units of each base name, with their conversion factors to SI
-            units. A dimensionless quantity has no units.
-        meanings: meanings of the columns that a recording map mentions, by column name.
+    `known` contains the accepted units of each base name, with their conversion factors
+    to SI units. `meanings` contains the meanings of the columns that a recording map
+    mentions.
     """
     file = laid_out(file)
     line = file.header_lines or 1

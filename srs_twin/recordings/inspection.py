@@ -148,10 +148,7 @@ def inspect_file(
 ) -> tuple[RecordingFacts, Scene | None]:
     """Return the facts of a file, and the scene if the file contains markers.
 
-    Args:
-        path: path of a recording or a log.
-        recording_map: known units, frame rate and marker places.
-        spec: robot for which the file is checked, or None to omit the check.
+    If `spec` is given, the file is also checked as a recording of this robot.
     """
     facts, scene = _file_facts(path, recording_map)
     if spec is not None and facts.content == "markers":

@@ -175,11 +175,9 @@ class RecordedFile:
         return InputError(f"{self.name}{position}: {problem}")
 
     def head(self, lines: int, after: int = 0) -> list[list[str]]:
-        """Return the cells of some header lines without surrounding spaces.
+        """Return the cells of header lines, without the first `after` lines.
 
-        Args:
-            lines: number of lines to read.
-            after: number of lines to ignore before these lines.
+        The cells have no surrounding spaces.
         """
         start = self.offset_of(after)
         split = self.raw[start : start + MAX_HEADER_BYTES].split(b"\n", lines)
@@ -266,11 +264,8 @@ class RecordedFile:
     def times(self, clock: int, unit: str) -> Times:
         """Read the times of the rows of a plain table.
 
-        Times since 1970 are shifted to start at 0.
-
-        Args:
-            clock: index of the time column, which contains numbers or dates.
-            unit: unit of the numbers. An empty string means seconds.
+        The column `clock` contains numbers or dates. If `unit` is empty, the numbers
+        are in seconds. Times since 1970 are shifted to start at 0.
         """
         import pyarrow as pa
 

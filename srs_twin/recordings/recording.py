@@ -481,13 +481,7 @@ def robot_tracks(
 
     Rigid bodies are identified by their names and are not tracked. Columns whose place
     on the robot is known always belong to the robot. The returned positions do not
-    include the height.
-
-    Args:
-        table: markers in the file.
-        slots: positions from `in_slots`.
-        longest_gap: maximum length of a gap that is interpolated, frames.
-        reach: maximum distance of a marker from its expected position, m.
+    include the height. `longest_gap` is in frames, and `reach` is in m.
     """
     tracks = slots
     if not table.bodies:

@@ -226,14 +226,11 @@ def log_meaning(key: str) -> Meaning | None:
 def given_map(
     path: str | None, options: Mapping[str, object], markers: Sequence[str]
 ) -> dict[str, object]:
-    """Combine a map file and options to plain data.
+    """Combine a map file, options and marker places to plain data.
 
-    Args:
-        path: path of the map file.
-        options: values by map key, which override the values of the file unless they
-            are None.
-        markers: marker places, such as "NAME=connector 1", "NAME=middle 2",
-            "NAME=connector 1 ahead" or "NAME=ignore".
+    The options override the values of the file unless they are None. A marker place has
+    the form "NAME=connector 1", "NAME=middle 2", "NAME=connector 1 ahead" or
+    "NAME=ignore".
     """
     data: dict[str, object] = {}
     places: dict[str, object] = {}

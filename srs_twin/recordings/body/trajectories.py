@@ -101,14 +101,8 @@ class LogSummary:
     ) -> LogSummary:
         """Return the summary of a file.
 
-        Args:
-            source: recorded file.
-            kind: file format.
-            frames: frame grid of the file.
-            time: times of the frames in the trajectory, s.
-            filled: number of interpolated samples.
-            corrections: notes on changes to the data.
-            markers: counts and errors of the markers, or None for a bend log.
+        `time` contains the times (s) of the frames in the trajectory, and `filled` is
+        the number of interpolated samples.
         """
         head = (
             source.name,
@@ -188,13 +182,8 @@ def moving_slope(
 ) -> np.ndarray:
     """Return the time derivatives of signals as slopes of fitted lines.
 
-    The result has the shape of `values`.
-
-    Args:
-        time: times in ascending order, s, shape (frames,).
-        values: finite signals, shape (frames, …).
-        half_width: number n of samples on each side of a sample. Near the ends of the
-            signal, the line is fitted to fewer samples.
+    The line for a sample is fitted to this sample and to `half_width` samples on each
+    side. Near the ends of a signal, the line is fitted to fewer samples.
     """
     n = half_width
     frames = len(time)
@@ -268,11 +257,8 @@ def pose_columns(
 ) -> dict[str, np.ndarray]:
     """Return the columns of a trajectory that contain poses.
 
-    Args:
-        com: complex position x + i y of the centre of mass, m, shape (frames,).
-        heading: heading of the body, rad, shape (frames,).
-        connector: complex connector positions x + i y, m, shape (frames, N).
-        theta: connector headings, rad, shape (frames, N).
+    The positions of the centre of mass and of the connectors are complex numbers x + i
+    y in m. The headings are in rad.
     """
     columns = {"com_x": com.real, "com_y": com.imag, "heading": heading}
     columns |= numbered_columns("x", connector.real) | numbered_columns(

@@ -199,7 +199,7 @@ class Rows(NamedTuple):
 
     Attributes:
         points: marker positions in the unit of the file, shape (frames, markers, 3).
-        others: values of the other requested columns, shape (frames, others).
+        others: values of the additional columns, shape (frames, columns).
     """
 
     time: np.ndarray
@@ -229,7 +229,7 @@ def marker_rows(
         clock: columns of frame number and time. If `clock` is empty, the rows are
             counted.
         rate: frame rate, Hz, or None if a column contains times.
-        others: indices of other columns to read.
+        others: indices of additional columns.
         section: whether the rows end at an empty line.
     """
     columns = [*clock, *(k + axis for k in first for axis in range(3)), *others]
@@ -277,15 +277,8 @@ def marker_table(
 ) -> MarkerTable:
     """Build a marker table in m, with implausible points removed.
 
-    Args:
-        file: recorded file.
-        kind: file format.
-        time: times of the frames, s, shape (frames,).
-        points: marker positions in `unit`, shape (frames, markers, 2 or 3).
-        names: marker names.
-        notes: notes on the file.
-        unit: unit of all lengths, or the unit of each marker.
-        rotations: quaternions as in `MarkerTable`.
+    `unit` is the unit of the given positions, or a sequence with the unit of each
+    marker.
     """
     if not len(time):
         raise file.error("the recording has no frames; record or export it again")

@@ -328,11 +328,8 @@ class Qualisys(Format):
     def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
         """Read a 3D export, in which 0,0,0 denotes a missing marker.
 
-        Args:
-            file: tab-separated file with a header. The columns Frame and Time are
-                optional.
-            unstated: frame rate, which is used if FREQUENCY is EXT and there is no
-                column Time.
+        The columns Frame and Time are optional. The frame rate in `unstated` is used if
+        FREQUENCY is EXT and there is no column Time.
         """
         file = replace(file, separator="\t")
         *above, row = file.head(_qtm_header_lines(file) + 1)

@@ -145,10 +145,7 @@ class DeepLabCut(Format):
     def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
         """Read the tracks in the image plane.
 
-        Args:
-            file: CSV file.
-            unstated: frame rate of the video, size of a pixel, and unit of the
-                coordinates. With the unit None or "px", the coordinates are in pixels.
+        The coordinates are in pixels if the unit in `unstated` is None or "px".
         """
         factor = _dlc_scale(file, unstated)
         rate = frame_rate(file, str(unstated.rate_hz))

@@ -118,12 +118,7 @@ def check_unpacked(file: RecordedFile, sizes: Iterable[int]) -> None:
 def unpacked(
     data: memoryview | bytes, compression: str, size: int | None
 ) -> bytes | memoryview:
-    """Unpack data.
-
-    Args:
-        data: packed data.
-        compression: name of the compression.
-        size: declared unpacked size, bytes, or None for a single message.
+    """Unpack data of the declared size (bytes), or of a single message if it is None.
 
     Raises:
         ChunkError: the data are damaged, too large, or not of the declared size.
@@ -195,16 +190,12 @@ class Bag(Format):
     def read_topics(
         self, file: RecordedFile, *, signals: bool = True
     ) -> RecordedTopics:
-        """Read poses, points and signals.
+        """Read poses and points, and signals unless `signals` is false.
 
-        The time of a message is its header stamp, or its log time if it has no header
-        stamp. The times of the frames are the times of the body with the most messages.
-        The pose of each other body is taken from the nearest message within half a
-        frame.
-
-        Args:
-            file: message file.
-            signals: whether topics without positions are read.
+        The time of a message is the header stamp, or the log time if the message has no
+        header stamp. The times of the frames are the times of the body with the most
+        messages. The pose of each other body is taken from the nearest message within
+        half a frame.
 
         Raises:
             InputError: the file is damaged or too large, or the libraries are not

@@ -73,11 +73,8 @@ def estimate_offset(
 ) -> Offset:
     """Estimate the offset between the clocks of a motion and a log.
 
-    Args:
-        time: times of the motion in ascending order, s, shape (frames,).
-        measured: measured bends, rad, shape (frames, segments).
-        log_time: evenly spaced times of the log, s, shape (rows,).
-        driven: bends computed from the log, rad, shape (rows, segments).
+    The times (s) of the log must be evenly spaced. `driven` contains the bends (rad)
+    computed from the log.
     """
     step = max(_MIN_STEP, float(np.median(np.diff(time))) / 2)
     spans = (time[-1] - time[0], log_time[-1] - log_time[0])

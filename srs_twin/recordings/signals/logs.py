@@ -101,18 +101,10 @@ def read_bends(
     gait_frequency_hz: float | None = None,
     map: RecordingMap = NO_MAP,  # noqa: A002
 ) -> Recording:
-    """Read a bend log.
+    """Read the longest interval of a bend log in which all bends are known.
 
-    Args:
-        path: path of the bend log.
-        spec: recorded robot.
-        longest_gap_s: maximum duration of a gap that is interpolated, s.
-        gait_frequency_hz: gait frequency, Hz, or None if the motion is not periodic.
-        map: recording map with the column names and the layout of the file.
-
-    Returns:
-        Longest interval in which all bends are known. The head is at the origin, and
-        its heading is 0.
+    In the returned recording, the head is at the origin with the heading 0. The gait
+    frequency (Hz) is None if the motion is not periodic.
     """
     table = _table(path, map, ("bend",))
     clock = table.clock("no column 'time'; a bend log has time,bend_1,…")

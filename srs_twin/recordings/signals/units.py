@@ -156,11 +156,7 @@ def unit_of(
 ) -> tuple[str, str]:
     """Return the unit of a column in a map, and a note if the map key has another unit.
 
-    Args:
-        column: column name.
-        stated: unit in the column name, as returned by `stated_unit`.
-        units: allowed units.
-        meaning: meaning of the column according to the map.
+    `stated` is the unit in the column name, as returned by `stated_unit`.
     """
     allowed = f"allowed: {', '.join(units) or 'none'}"
     given = symbol(meaning.unit, units)
