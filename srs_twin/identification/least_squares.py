@@ -137,12 +137,7 @@ class SearchOptions:
 
 @dataclass(frozen=True)
 class SearchResult:
-    """Result of a search.
-
-    Attributes:
-        z: coordinates of the minimum, shape (n,).
-        cost: half the sum of squared weighted residuals.
-    """
+    """Coordinates z of a minimum, and half the sum of squared weighted residuals."""
 
     z: Array
     cost: float

@@ -30,7 +30,6 @@ class Prior:
 
     Attributes:
         path: path of the parameter in a robot file.
-        value: value in the robot file.
         bounds: minimum and maximum value that a robot file allows.
     """
 

@@ -101,9 +101,8 @@ class MarkerPlacement:
     def kinematics(self, state: np.ndarray) -> _Kinematics:
         """Return positions, headings and the Jacobian of the markers.
 
-        Args:
-            state: position x, y, heading θ_1, bends and segment lengths, shape (frames,
-                3 + 2 segments).
+        `state` contains the position x, y, the heading θ_1, the bends and the segment
+        lengths, shape (frames, 3 + 2 segments).
         """
         count = self.geometry.connectors - 1
         # The middle station divides every segment into two halves. Half of the rigid
@@ -167,14 +166,8 @@ def marker_offsets(
 
     A single marker at a station has the offset 0. Two markers without a stated side are
     placed symmetrically about the station, along or across the body. Two markers with
-    the same name replace a rigid body and may have any direction.
-
-    Args:
-        points: marker positions, m, shape (frames, markers, 2). The positions of hidden
-            markers are interpolated.
-        missing: mask of hidden markers, shape (frames, markers).
-        places: station and side of each marker.
-        names: marker names.
+    the same name replace a rigid body and may have any direction. The positions of
+    hidden markers must be interpolated.
     """
     offsets = np.zeros(len(places), dtype=complex)
     position = points @ [1, 1j]
@@ -307,12 +300,11 @@ def fit_frames(
 ) -> FrameFit:
     """Fit the states of frames by the Gauss-Newton method.
 
-    The positions of hidden markers are interpolated. In frames with hidden markers the
-    fit keeps the bends close to the initial bends q̂.
-
     Args:
-        state: initial states, shape (frames, 3 + 2 segments).
-        measured: complex marker positions, m, shape (frames, markers).
+        state: initial states, shape (frames, 3 + 2 segments). In frames with hidden
+            markers, the fit keeps the bends close to the initial bends q̂.
+        measured: complex marker positions, m, shape (frames, markers). The positions of
+            hidden markers are interpolated.
         placement: positions of the markers on the body.
         prior: prior distribution of the state.
         missing: mask of hidden markers, shape (frames, markers), or None if all markers

@@ -77,10 +77,7 @@ def foreign_tracks(tracks: np.ndarray) -> dict[int, str]:
 
     A marker may have an unusual but constant height, for example on a mast. Such a
     marker belongs to the robot if its distance from a moving robot marker is nearly
-    constant.
-
-    Args:
-        tracks: floor coordinates, m, shape (frames, tracks, 3).
+    constant. Positions are floor coordinates in m.
     """
     visible = np.isfinite(tracks[..., 0])
     if visible.any():
@@ -141,7 +138,7 @@ def _move_together(pair: np.ndarray) -> bool:
 def robot_markers(
     points: np.ndarray, connectors: int, pitch: float, layout: str, named: int
 ) -> tuple[list[str], np.ndarray]:
-    """Select the markers of the robot.
+    """Return the possible layouts and the indices of the robot markers.
 
     Args:
         points: positions of all tracks, m, shape (frames, tracks, 2).
@@ -150,10 +147,6 @@ def robot_markers(
         layout: layout, one of `LAYOUTS`. With "auto", all layouts that have the visible
             number of markers are possible.
         named: number of columns whose names state a place on the robot.
-
-    Returns:
-        Possible layouts (["named"] if column names state the places), and indices of
-        the tracks of the robot markers.
     """
     visible = ~np.isnan(points[..., 0])
     coverage = visible.mean(axis=0)
@@ -207,11 +200,7 @@ def _wrong_number(
 
 
 def body_order(points: np.ndarray) -> np.ndarray:
-    """Return the markers in their order along the body, starting at either end.
-
-    Args:
-        points: marker positions, m, shape (frames, markers, 2).
-    """
+    """Return the markers in their order along the body, starting at either end."""
     from scipy.sparse.csgraph import depth_first_order, minimum_spanning_tree
 
     # A high quantile is used instead of the maximum, because a few frames may be wrong.
@@ -279,12 +268,7 @@ def distance_statistics(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def check_scale(points: np.ndarray, spec: RobotSpec) -> None:
-    """Check before tracking that the distances of the markers match the robot.
-
-    Args:
-        points: marker positions in slots, m, shape (frames, slots, 2).
-        spec: recorded robot.
-    """
+    """Raise an error if the distances of the markers do not match the robot."""
     pitch = spec.geometry.pitch
     straight = spec.segments * spec.geometry.pitch
     distance = pairwise_distances(points, _DISTANCE_FRAMES)
@@ -317,11 +301,8 @@ def unit_hint(ratio: float) -> str:
 def forward_distance(period: float, points: np.ndarray) -> float:
     """Return the distance travelled towards the first marker, m.
 
-    A motion towards the last marker is negative.
-
-    Args:
-        period: time between frames, s.
-        points: marker positions along the body, m, shape (frames, N, 2).
+    A motion towards the last marker is negative. `period` is the time between two
+    frames (s), and `points` contains the marker positions along the body (m).
     """
     stride = max(1, round(0.25 / period))
     if len(points) > stride:

@@ -131,11 +131,6 @@ def length_model(
 
     The standard errors of the bends are computed for one typical shape. If the markers
     do not determine the bends under any assumption, the result is None.
-
-    Args:
-        station: station of each marker, shape (markers,).
-        offset: complex offset of each marker from its station, m, shape (markers,).
-        geometry: robot geometry.
     """
     placement = MarkerPlacement(station, offset, geometry)
     count = geometry.connectors - 1
@@ -170,11 +165,8 @@ def marker_noise(points: np.ndarray) -> float:
     The n-th differences of white noise with variance σ² have the variance C(2n, n) σ²,
     where C is the binomial coefficient. Motion increases the estimate of σ, mainly at
     low orders n, so the result is the minimum over all orders. The use of a median
-    removes the effect of outliers.
-
-    Args:
-        points: marker positions, m, shape (frames, markers, 2). The positions of hidden
-            markers are NaN.
+    removes the effect of outliers. In `points` (m), the positions of hidden markers are
+    NaN.
     """
     estimates = []
     for order in range(1, min(_MAX_DIFFERENCE_ORDER, len(points) - 2) + 1):
@@ -196,15 +188,9 @@ def fit_shape(
     placement: MarkerPlacement,
     model: LengthModel,
 ) -> BodyShape:
-    """Fit the body shape to markers.
+    """Fit the body shape to marker positions (m).
 
-    Args:
-        time: times of the frames, s, shape (frames,).
-        points: marker positions, m, shape (frames, markers, 2). The positions of hidden
-            markers are interpolated.
-        missing: mask of hidden markers, shape (frames, markers).
-        placement: positions of the markers on the body.
-        model: assumption on the segment lengths, as returned by `length_model`.
+    The positions of hidden markers must be interpolated.
     """
     measured = points @ [1, 1j]
     missing = missing.copy()

@@ -74,11 +74,7 @@ class Tracks(NamedTuple):
 
 
 def pack_slots(points: np.ndarray) -> Tracks:
-    """Combine columns to the smallest possible number of slots.
-
-    Args:
-        points: marker positions, m, shape (frames, columns, 2 or 3).
-    """
+    """Combine columns to the smallest possible number of slots."""
     visible = ~np.isnan(points[..., 0])
     used = np.flatnonzero(visible.any(axis=0))
     if not used.size:
@@ -154,11 +150,8 @@ def track_markers(
 ) -> Tracks:
     """Track markers over all frames.
 
-    Args:
-        points: marker positions in slots, m, shape (frames, slots, 2 or 3).
-        columns: column of the file that contains each sample, shape (frames, slots).
-        longest: maximum length of a gap that is interpolated, frames.
-        reach: maximum distance of a marker from its expected position, m.
+    `longest` is the maximum length of a gap that is interpolated, in frames. `reach` is
+    the maximum distance of a marker from its expected position, in m.
     """
     distance = pairwise_distances(points, _DISTANCE_FRAMES)
     nearest = np.where(np.isnan(distance), np.inf, distance).min(axis=(1, 2))

@@ -66,11 +66,9 @@ class MarkerTable:
     """Markers of a file over time, in SI units and in the axes of the file.
 
     Attributes:
-        name: name of the file in messages.
         kind: file format, including the version if there are several versions.
         points: marker positions, m, shape (frames, columns, 3), or (…, 2) for positions
             in a plane. The position of a hidden marker is NaN.
-        labels: column names.
         places: station and side of each column (see `body.markers.Places`). The tuple
             is empty if the column names do not state the places.
         header_frames: number of frames stated in the header, or None if the header

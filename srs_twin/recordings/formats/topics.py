@@ -118,7 +118,9 @@ def check_unpacked(file: RecordedFile, sizes: Iterable[int]) -> None:
 def unpacked(
     data: memoryview | bytes, compression: str, size: int | None
 ) -> bytes | memoryview:
-    """Unpack data of the declared size (bytes), or of a single message if it is None.
+    """Unpack data.
+
+    `size` is the declared unpacked size in bytes, or None for a single message.
 
     Raises:
         ChunkError: the data are damaged, too large, or not of the declared size.

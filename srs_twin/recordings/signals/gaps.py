@@ -132,9 +132,7 @@ _STD_PER_MAD = 1.4826
 def outliers(points: np.ndarray, min_jump: float) -> np.ndarray:
     """Return the mask of single outliers, shape (frames, tracks).
 
-    Args:
-        points: marker positions, m, shape (frames, tracks, 2).
-        min_jump: minimum distance of an outlier from the track, m.
+    `min_jump` is the minimum distance of an outlier from the track (m).
     """
     result = np.zeros(points.shape[:2], dtype=bool)
     for track in range(points.shape[1]):
@@ -214,12 +212,8 @@ def runs(missing: np.ndarray) -> np.ndarray:
 def longest_complete(time: np.ndarray, points: np.ndarray, longest: float) -> slice:
     """Return the longest interval without long gaps.
 
-    All tracks are visible in the first and the last frame of the interval.
-
-    Args:
-        time: times of the frames, s, shape (frames,).
-        points: positions, shape (frames, tracks, axes). An unknown position is NaN.
-        longest: maximum time between the samples before and after a gap, s.
+    All tracks are visible in the first and the last frame of the interval. `longest` is
+    the maximum time between the samples before and after a gap (s).
     """
     allowed = np.ones(len(time), dtype=bool)
     visible = ~np.isnan(points[..., 0])
@@ -240,11 +234,7 @@ def longest_complete(time: np.ndarray, points: np.ndarray, longest: float) -> sl
 def fill_gaps(time: np.ndarray, points: np.ndarray, degree: int) -> np.ndarray:
     """Interpolate the gaps of tracks whose first and last position are known.
 
-    Args:
-        time: times of the frames, s, shape (frames,).
-        points: positions, shape (frames, tracks, axes). An unknown position is NaN.
-        degree: degree of the spline, 3 or 1. The degree is 1 for tracks with few
-            samples.
+    The degree of the spline is 1 for tracks with few samples.
     """
     from scipy.interpolate import make_interp_spline
 
