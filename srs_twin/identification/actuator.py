@@ -169,8 +169,8 @@ def fit_actuator(
         robot = with_values(spec, values)
         result: list[Residual] = []
         for k, (response, role) in enumerate(data):
-            # Validation responses have no clock parameter, because they must not
-            # influence the fit.
+            # Validation responses have no clock parameter, because validation data must
+            # not influence the fit.
             clock = values.get(f"clock_{k}", 0.0)
             result += _response_residuals(response, robot, clock, role)
         return result
@@ -197,8 +197,8 @@ def fixed_values(
 ) -> dict[str, float]:
     """Return the constants to which the fitted gains refer.
 
-    These constants are the nominal pressure and, unless it is a free parameter, the
-    bend at the nominal pressure.
+    The constants are the nominal pressure and, unless the bend is a free parameter, the
+    bend at this pressure.
     """
     fixed = {"actuator.at_pressure_kpa": spec.supply.nominal / 1e3}
     if all(unknown.name != _BEND for unknown in unknowns):

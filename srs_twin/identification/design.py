@@ -16,8 +16,8 @@ of the ratio of interval to requested interval, over all intervals that are stil
 wide. The design is complete if no further experiment narrows an interval by 2 %.
 
 Model errors are included only for gait runs. The model error is 2 % of the speed and 2
-% of the turning rate, regardless of the duration of a run. This error is the difference
-between the model `compliant` and the twin.
+% of the turning rate, regardless of the duration of a run. The model error is estimated
+as the difference between the model `compliant` and the twin.
 """
 
 from __future__ import annotations

@@ -175,7 +175,7 @@ class FitEstimate(HtmlResult):
         residuals: residuals of the fitted data and of the validation data.
         cancels: unidentifiable directions in the coordinates z, each as a mapping from
             parameter names to components. If only the ratio of two parameters has an
-            effect, both components of the direction are 0.71.
+            effect, the two components of the direction are 0.71.
         samples: number of fitted samples.
         independent: equivalent number of independent samples (see `correlation_time`).
         residual_scale: standard deviation of the weighted residuals, which is 1 if the

@@ -1,7 +1,7 @@
 """Fit files, which store a fit with its data, command line and package versions.
 
 The files are calibration/fits/*.yaml. Each data set is listed with its SHA-256 and its
-role, fit or validation. A file is refused if a sample has both roles.
+role, fit or validation. An error is raised if a sample is used for fit and validation.
 """
 
 from __future__ import annotations

@@ -17,11 +17,11 @@ optional standard errors ``spring_error_n_per_m`` and ``mass_error_kg`` must be
 constant.
 
 **Coasting tests.** The robot with vented chambers is pushed and released on the floor.
-A straight robot decelerates by μ_t g/(1 + s) along the wheels and by μ_n g across them.
-In other directions the deceleration depends on the friction law (see `floor.slide`,
-which also defines s). The initial position and velocity of each run are fitted together
-with μ_t and μ_n. A component of the initial velocity is set to 0 if the displacement in
-its direction does not exceed the noise.
+A straight robot decelerates by μ_t g/(1 + s) along the wheels and by μ_n g across the
+wheels. In other directions the deceleration depends on the friction law (see
+`floor.slide`, which also defines s). The initial position and velocity of each run are
+fitted together with μ_t and μ_n. A component of the initial velocity is set to 0 if the
+displacement in its direction does not exceed the noise.
 
 **Bent bodies.** The wheels of a bent body cannot all roll without slip. The body moves
 along the circular arc with the minimum dissipation. On this arc the mean misalignment

@@ -11,7 +11,7 @@ $$ M \ddot q + \tfrac12 M' \dot q^2 - m g\,\frac{d}{dq}\bigl(L \cos\tfrac q2\big
 
 Here φ(x) is the bend law of `pneumatics.chambers`, which converts the pressures to a
 bend, and b is the rest bend without pressure. Because a real material recovers slowly
-after it was held, b contains decaying exponentials.
+from a bend, b contains decaying exponentials.
 
 **Air.** If the chambers are open, φ = 0. The air in a closed chamber has a constant
 temperature and the absolute pressure P. The amount of air n = P V changes at the leak

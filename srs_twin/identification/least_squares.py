@@ -250,8 +250,9 @@ class Search:
         coarse = self.jacobian(z, 2 * step)
         if wide is None:
             return fine, coarse - fine
-        # If the model is not smooth, both Jacobians are equally accurate. The error of
-        # the mean Jacobian is half of the difference between the two Jacobians.
+        # If the model is not smooth, the Jacobians with the two step sizes are equally
+        # accurate. The error of the mean Jacobian is half of the difference between the
+        # two Jacobians.
         return (fine + coarse) / 2, (coarse - fine) / 2
 
     def bias(self, z: Array, refit: Refit) -> Array:

@@ -401,8 +401,8 @@ def fit_locomotion(
         search = Search(
             partial(comparison.residuals, simulated), unknowns, options, None
         )
-        # The search starts at the starting point of the fit, so that both searches find
-        # the same local minimum.
+        # The search starts at the starting point of the fit, so that the search finds
+        # the same local minimum as the fit.
         return search.values(search.run(search.start).z)
 
     estimate = least_squares(

@@ -152,8 +152,8 @@ def robot_markers(
     coverage = visible.mean(axis=0)
     candidates = np.flatnonzero(coverage >= MIN_COVERAGE)
     if len(candidates) > connectors and not named:
-        # In most frames in which a robot marker is visible, another marker is close to
-        # it.
+        # A robot marker is close to another marker in most frames in which the robot
+        # marker is visible.
         limit = _MAX_NEIGHBOUR_PITCH * pitch
         has_neighbour = (
             pairwise_distances(points[:, candidates], _NEIGHBOUR_FRAMES) < limit
