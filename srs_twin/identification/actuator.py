@@ -1,17 +1,19 @@
 """Actuator parameters of free segments, estimated from step responses.
 
-The data are valve states or pressures over time, and the resulting bends. The model is
-`pneumatics.LagPneumatics`, which is Eq. 14 for nominal modules. The time constants
-τ_fill, τ_vent and τ_mode are common to all modules, whereas each module has its own
-gain and rest bend.
+The data are time series of valve states or pressures and of the resulting bends. The
+model is `pneumatics.LagPneumatics`, which is Eq. 14 of the dissertation for nominal
+modules. The time constants τ_fill, τ_vent and τ_mode are common to all modules, whereas
+each module has its own gain and rest bend.
 
-The segments must bend freely, on a bench or lifted, because on the floor the bends also
-depend on the load of the body. A change of `actuator.bend_rad` is equivalent to a
-common factor of all gains, so this parameter is fixed unless requested.
+The segments must bend freely (on a bench, or with the robot lifted), because contact
+with the floor also changes the bends. Scaling `actuator.bend_rad` has the same effect
+as scaling all gains. A fit therefore keeps `actuator.bend_rad` constant unless it is
+requested.
 
-If pressures instead of valve states were logged, the bends are assumed to follow the
-pressures with the delay τ_mode, and τ_fill and τ_vent are not identified. For pressures
-with the time constant τ₁, the relative error of this approximation is (τ_mode/τ₁)².
+If the log contains pressures instead of valve states, the model assumes that each bend
+lags its pressures by τ_mode. For pressures with the time constant τ₁, the relative
+error of the modelled bends is (τ_mode/τ₁)². The parameters τ_fill and τ_vent are not
+identifiable from pressures.
 """
 
 from __future__ import annotations
@@ -39,13 +41,13 @@ from srs_twin.recordings.signals.logs import SIDES
 from srs_twin.robot.spec import RobotSpec
 
 _BEND_NOISE_RAD = 0.01
-"""Standard deviation of bends whose error is unknown, rad."""
+"""Assumed standard deviation of a bend without a stated error, rad."""
 
 _PRESSURE_NOISE_PA = 500.0
 """Standard deviation of measured pressures, Pa."""
 
 MIN_DRIFT_RAD = 1e-4
-"""Drift over a plateau below which a bend has settled, and minimum error, rad."""
+"""Maximum drift of a settled bend, and minimum standard error of a bend, rad."""
 
 CLOCK_ERROR_S = 0.05
 """Standard error of an estimated clock offset, s."""
@@ -59,14 +61,14 @@ class Response:
     """Bends of segments in response to valve states or measured pressures.
 
     Attributes:
-        drive: valve states from time 0, or a log of pressures on the clock of `time`.
-        supply_pa: gauge supply pressure, Pa, not used with a log of pressures.
+        drive: valve states from time 0, or logged pressures on the clock of `time`.
+        supply_pa: gauge supply pressure, Pa, which is ignored if pressures were logged.
         time: sample times in ascending order, s, shape (samples,).
-        bend: measured bends, NaN if unknown, rad, shape (samples, segments).
-        pressure: pressures measured in addition to valve states, Pa, shape (samples,
-            segments, 2), or None.
-        clock_known: whether drive and bends share a clock. If not, the clock offset is
-            estimated.
+        bend: measured bends, rad, shape (samples, segments). An unknown bend is NaN.
+        pressure: pressures measured in addition to the valve states, Pa, shape
+            (samples, segments, 2).
+        clock_known: whether drive and bends have the same clock. If the clocks differ,
+            the fit estimates the clock offset.
     """
 
     name: str
@@ -84,10 +86,7 @@ class Response:
     ) -> Response:
         """Create a response from a recording with a log.
 
-        Interpolated bends become NaN.
-
-        Raises:
-            InputError: the recording has no log.
+        An interpolated bend becomes NaN.
         """
         trajectory = recording.trajectory
         log = log_of(recording, name)
@@ -115,11 +114,7 @@ class Response:
 
 
 def log_of(recording: Recording, name: str) -> ValveLog:
-    """Return the log of a recording.
-
-    Raises:
-        InputError: the recording has no log.
-    """
+    """Return the log of a recording, or raise an `InputError` if it has no log."""
     if recording.valves is None:
         raise InputError(
             f"{name}: the recording has no log of valves or pressures; give one with"
@@ -131,7 +126,8 @@ def log_of(recording: Recording, name: str) -> ValveLog:
 def measured_bends(recording: Recording) -> np.ndarray:
     """Return the measured bends, rad, shape (samples, segments).
 
-    A bend is NaN where a marker of the segment was interpolated.
+    The bend of a segment is NaN in a frame in which a marker of the segment was
+    interpolated.
     """
     trajectory = recording.trajectory
     bend = trajectory.stack("bend").copy()
@@ -156,19 +152,10 @@ def fit_actuator(
     starts: int = 1,
     watch: Watch | None = None,
 ) -> FitEstimate:
-    """Estimate time constants, gains and rest bends from responses.
+    """Estimate time constants, gains and rest bends from measured responses.
 
-    Args:
-        responses: measured responses.
-        spec: robot whose values are the start of the search.
-        names: names of the free parameters, by default `default_actuator_parameters`.
-        validation: responses for validation.
-        starts: number of searches.
-        watch: progress callback.
-
-    Raises:
-        InputError: there is no response, a response has the wrong number of segments,
-            or a validation response is also fitted.
+    The values of `spec` are the starting point of the search. The `validation`
+    responses do not influence the fit.
     """
     data = assign_roles("responses", responses, validation)
     for response, _ in data:
@@ -182,8 +169,8 @@ def fit_actuator(
         robot = with_values(spec, values)
         result: list[Residual] = []
         for k, (response, role) in enumerate(data):
-            # Validation responses have no clock parameter, because they must not
-            # influence the fit.
+            # Validation responses have no clock parameter, because validation data must
+            # not influence the fit.
             clock = values.get(f"clock_{k}", 0.0)
             result += _response_residuals(response, robot, clock, role)
         return result
@@ -208,10 +195,10 @@ def fit_actuator(
 def fixed_values(
     spec: RobotSpec, unknowns: Sequence[FreeParameter]
 ) -> dict[str, float]:
-    """Return the fixed values that the fitted gains refer to.
+    """Return the constants to which the fitted gains refer.
 
-    These are the nominal pressure and, unless it is a free parameter, the bend at this
-    pressure.
+    The constants are the nominal pressure and, unless the bend is a free parameter, the
+    bend at this pressure.
     """
     fixed = {"actuator.at_pressure_kpa": spec.supply.nominal / 1e3}
     if all(unknown.name != _BEND for unknown in unknowns):
@@ -222,16 +209,11 @@ def fixed_values(
 def predict_response(
     response: Response, spec: RobotSpec, clock: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Predict the bends and pressures of free segments.
+    """Predict the bends and pressures of free segments for a clock offset (s).
 
-    Args:
-        response: response whose drive and sample times are used.
-        spec: robot specification.
-        clock: clock offset, s.
-
-    Returns:
-        Bends, rad, shape (samples, segments), and pressures, Pa, shape (samples,
-        segments, 2), or None if pressures were logged.
+    Bends (rad) have the shape (samples, segments), and pressures (Pa) have the shape
+    (samples, segments, 2). The pressures are None if the response contains logged
+    pressures.
     """
     if isinstance(response.drive, ValveLog):
         delayed = response.drive.at(response.time + clock - spec.actuator.tau_mode)
@@ -260,8 +242,8 @@ def bend_residuals(
 ) -> list[Residual]:
     """Return the residuals of the measured bends of each segment.
 
-    All residuals of a segment share one scale, which is the RMS of the errors, or
-    `_BEND_NOISE_RAD` if any error is unknown.
+    The scale of the residuals of a segment is the RMS of the standard errors of the
+    bends. If a standard error is unknown, the scale is `_BEND_NOISE_RAD`.
     """
     residuals = []
     columns = zip(difference.T, np.broadcast_to(error, difference.shape).T, strict=True)

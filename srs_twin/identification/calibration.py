@@ -63,7 +63,7 @@ from srs_twin.scenario.provenance import versions
 Paths = Sequence[StrPath]
 Robot = StrPath | RobotSpec
 Notify = Callable[[str], object]
-"""Function called with a note about each recording before the search starts."""
+"""Function that receives a message about each recording before the search starts."""
 
 LOCOMOTION = (
     "friction.mu_t",
@@ -80,17 +80,17 @@ _NOT_RECORDED = {"out", "notify", "progress"}
 
 @dataclass(frozen=True)
 class Calibration:
-    """Result of a fit, with the data that it used.
+    """Result of a fit, with the data that were fitted.
 
     Attributes:
-        estimate: parameters, correlations and residuals, which a notebook displays as a
-            page.
+        estimate: estimated parameters, correlations and residuals. A notebook displays
+            the estimate as an HTML page.
         method: fit method.
-        title: title of one line.
+        title: one-line title of the report.
         robot: name or path of the initial robot.
-        data: data sets.
-        plateaus: table of constant pressures found in recordings, or None for other
-            fits.
+        data: data sets of the fit and of the validation.
+        plateaus: table of the intervals of constant pressure found in recordings, or
+            None if the method does not use such intervals.
     """
 
     estimate: FitEstimate
@@ -101,7 +101,7 @@ class Calibration:
     plateaus: StaticTable | None = None
 
     def write(self, path: Path, name: str, command: str) -> FitFile:
-        """Write the report and the fit file together, and return the fit file.
+        """Write the fit file and the HTML report, and return the fit file.
 
         Args:
             path: path of the fit file. The report is written to the same folder.
@@ -147,21 +147,22 @@ def calibrate_friction(
     """Estimate mu_t and mu_n, as `srs-twin calibrate friction` does.
 
     Args:
-        files: one table of spring deformations, or recordings of coasting tests.
-        robot: initial robot.
-        validate: tables or recordings for validation, not used by the fit.
-        law: friction law of coasting tests ("wheel", "axis" or "ellipse").
-        wheel_inertia: whether the rotational inertia of the wheels is included in
+        files: path of a table of spring deformations, or paths of recordings of
             coasting tests.
+        robot: initial robot.
+        validate: paths of tables or recordings that are used only for validation.
+        law: friction law for coasting tests: "wheel", "axis" or "ellipse".
+        wheel_inertia: whether the model of coasting tests includes the rotational
+            inertia of the wheels.
         reader: reader of recordings.
         out: path of the fit file, or None to write nothing. An existing file is
             replaced, and the report is written to the same folder.
-        notify: function called with a note about each recording.
+        notify: function that receives a message about each recording.
         progress: function called with the number of model runs and the best weighted
             RMS so far.
 
     Raises:
-        InputError: a file cannot be read, or the data do not allow the fit.
+        InputError: a file cannot be read, or the data are not sufficient for the fit.
     """
     task = _Task(calibrate_friction, locals())
     if task.all_are(is_pull_table, "table of pulls", "recording of a coasting test"):
@@ -188,24 +189,25 @@ def calibrate_actuator(
     """Estimate the actuator parameters, as `srs-twin calibrate actuator` does.
 
     Args:
-        files: recordings of step responses, or tables or recordings of constant
-            pressures (gains only).
+        files: paths of recordings of step responses, or of tables or recordings of
+            constant pressures. Constant pressures determine only the gains.
         robot: initial robot.
-        valves: logs of `files` followed by logs of `validate`, by default the logs
-            beside the recordings.
-        validate: recordings or tables for validation, not used by the fit.
+        valves: paths of the logs for `files`, followed by paths of the logs for
+            `validate`. By default, each log is in the folder of its recording.
+        validate: paths of recordings or tables that are used only for validation.
         supply_pa: supply pressure, Pa, by default the nominal pressure of the robot.
-        parameters: names of the parameters to fit, by default all that the data can
-            determine.
-        static: whether plateaus of constant pressure in recordings are fitted.
-        starts: number of searches.
+        parameters: names of the parameters to fit, by default all parameters that the
+            data can determine.
+        static: whether to fit only the intervals of constant pressure in the
+            recordings.
+        starts: number of searches, each from a different starting point.
         reader: see `calibrate_friction`.
         out: see `calibrate_friction`.
         notify: see `calibrate_friction`.
         progress: see `calibrate_friction`.
 
     Raises:
-        InputError: a file cannot be read, or the data do not allow the fit.
+        InputError: a file cannot be read, or the data are not sufficient for the fit.
     """
     task = _Task(calibrate_actuator, locals())
     if task.all_are(is_static_table, "table of constant pressures", "recording"):
@@ -239,29 +241,30 @@ def calibrate_locomotion(
 ) -> Calibration:
     """Estimate friction, gap, masses or stiffness from runs on the floor.
 
-    If recordings include markers, the rigid gap (or the length of a segment) is
-    measured from the markers.
+    If the recordings contain markers, the rigid gap or the length of a segment is
+    measured from the marker positions.
 
     Args:
-        files: recordings.
+        files: paths of recordings.
         robot: initial robot.
-        valves: logs of `files` followed by logs of `validate`, by default the logs
-            beside the recordings.
-        validate: recordings for validation, not used by the fit.
+        valves: paths of the logs for `files`, followed by paths of the logs for
+            `validate`. By default, each log is in the folder of its recording.
+        validate: paths of recordings that are used only for validation.
         supply_pa: supply pressure, Pa, by default the nominal pressure of the robot.
         parameters: names of the parameters to fit.
         plant: simulated plant, "analytical" or "twin".
         model: analytical model, by default "compliant".
         law: friction law of the analytical plant, by default "wheel".
-        compare_signals: compared signals ("averages", "shapes" or "both").
-        starts: number of searches, by default 3, or 1 with shapes of the twin.
+        compare_signals: signals to compare: "averages", "shapes" or "both".
+        starts: number of searches, each from a different starting point. The default
+            number is 1 if the twin is compared by shapes, and otherwise 3.
         reader: see `calibrate_friction`.
         out: see `calibrate_friction`.
         notify: see `calibrate_friction`.
         progress: see `calibrate_friction`.
 
     Raises:
-        InputError: a file cannot be read, or the data do not allow the fit.
+        InputError: a file cannot be read, or the data are not sufficient for the fit.
     """
     task = _Task(calibrate_locomotion, locals())
     reference = None if plant == "twin" else PlantModel("twin")
@@ -294,22 +297,23 @@ def calibrate_damping(
     """Estimate stiffness, damping time and loss factor from free oscillations.
 
     Args:
-        files: recordings of one hanging segment that is released from a bend.
+        files: paths of recordings of one hanging segment that is bent and then
+            released.
         robot: initial robot.
         valves: state of the chambers, "open" to the air or "closed".
         mass_kg: mass of the body at the end of the segment, by default the mass of the
             first connector.
-        inertia_kg_m2: moment of inertia of the body about its centre, by default
-            computed from the radius of gyration of the first connector.
-        leak_per_s: leak rate of closed chambers, or None to fit it.
-        noise_rad: standard deviation of a recorded bend, or None to estimate it.
-        from_s: time from which the segment swings freely, or None to detect it.
+        inertia_kg_m2: moment of inertia of the body about the centre of the body. The
+            default is computed from the radius of gyration of the first connector.
+        leak_per_s: leak rate of closed chambers, 1/s, or None to estimate the rate.
+        noise_rad: standard deviation of a recorded bend, rad, or None to estimate it.
+        from_s: start time of the free swing, s, or None to detect the start.
         out: see `calibrate_friction`.
         notify: see `calibrate_friction`.
         progress: see `calibrate_friction`.
 
     Raises:
-        InputError: a file cannot be read, or the data do not allow the fit.
+        InputError: a file cannot be read, or the data are not sufficient for the fit.
     """
     task = _Task(calibrate_damping, locals())
     body = HangingBody.of(task.spec, mass_kg, inertia_kg_m2)
@@ -321,7 +325,7 @@ def _texts(paths: Paths) -> list[str]:
 
 
 class _Task:
-    """Call of a fit, with the fitted files before the validation files in `files`."""
+    """Arguments of a fit function, with the robot and the input files."""
 
     def __init__(
         self, function: Callable[..., Calibration], given: Mapping[str, Any]
@@ -440,8 +444,8 @@ def _read_gait_runs(task: _Task) -> list[GaitRun]:
     recordings = task.recordings()
     length = measured()
     if length is not None:
-        # The recordings are read again, because bends and centre of mass depend on the
-        # measured length.
+        # The recordings are read again, because the bends and the centre of mass depend
+        # on the measured length.
         task.spec = with_values(task.spec, {length.name: length.value or 0.0})
         task.notify = str
         recordings = task.recordings()

@@ -69,7 +69,7 @@ def calibrate() -> None:
 
 
 def _fits(declaration: Callable[..., None]) -> None:
-    """Build the command that calls `calibrate_NAME` with the given options."""
+    """Build the command NAME, which calls the function `calibrate_NAME`."""
 
     @app.command()
     @with_options

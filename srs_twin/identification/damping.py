@@ -1,23 +1,24 @@
 """Stiffness and damping of a segment, fitted to free oscillations after a release.
 
-`decay` reads the recordings, and `hanging_segment` contains the model. A decay alone
-determines only k/m and T, where k is the stiffness, m the mass and T the damping time.
-The stiffness follows because the mass and the weight are known.
+A free oscillation alone determines only k/m and T, where k is the stiffness, m the mass
+and T the damping time. The stiffness k is identifiable because the mass and the weight
+are known.
 
-**Fit.** The parameters k, T and the leak rate are common to all recordings. Each
-recording has an initial state and a rest bend. Two exponentials describe how the rest
-bend recovers after the segment was held.
+**Fit.** The stiffness k, the damping time T and the leak rate have the same values in
+all recordings. Each recording has its own initial state and rest bend. Two exponentials
+describe how the rest bend recovers after the segment was held.
 
-Without measured pressures, closed chambers are assumed to be at ambient pressure at the
-first sample, when the segment is at rest. The amount of air at the release follows from
-the leak rate and the recorded bends. The effects of k and of the pressures are
-separated by the rest bends before and after the release.
+If the pressures were not measured, closed chambers are assumed to be at ambient
+pressure at the first sample, when the segment is at rest. The amount of air at the
+release is computed from the leak rate and the recorded bends. The rest bends before and
+after the release make the stiffness distinguishable from the effect of the enclosed
+air.
 
-**Intervals.** The scale of the residuals combines the noise with an allowance of 1 % of
-the amplitude for model errors. In the model the damping is viscous, so the loss factor
-η = 2π f T is proportional to the frequency f. The resulting error is estimated by a fit
-to a simulated material with a nearly constant loss factor, which has the fitted
-stiffness and loss at f.
+**Intervals.** The scale of the residuals combines the noise with a model error of 1 %
+of the amplitude. The model assumes viscous damping, so its loss factor η = 2π f T is
+proportional to the frequency f. The error due to viscous damping is estimated by
+fitting the model to a simulated material with a nearly constant loss factor. At the
+frequency f, the simulated material has the fitted stiffness and loss factor.
 """
 
 from __future__ import annotations
@@ -65,35 +66,39 @@ NAMES = ("bending.stiffness_nm_per_rad", "bending.damping_time_s")
 VALVES = ("open", "closed")
 
 _MODEL_ERROR = 0.01
-"""Allowance for model errors, as a fraction of the amplitude."""
+"""Assumed model error, as a fraction of the amplitude."""
 
 _CREEP_RATIOS = (3.0, 12.0)
-"""Time constants with which the rest bend recovers, as multiples of 1/ω."""
+"""Time constants of the recovery of the rest bend, as multiples of 1/ω."""
 
 _MAX_CALM_SAMPLES = 25
-"""Maximum number of samples at rest that count as independent."""
+"""Maximum number of samples at rest that are treated as independent."""
 
 _FIRST_LEAK = 0.1
 """Initial leak rate of a search, 1/s."""
 
 _LEAKS = (-2.0, 30.0)
-"""Bounds of the leak rate, 1/s. A bound of 0 would cut the interval of a small rate."""
+"""Bounds of the leak rate, 1/s.
+
+The lower bound is negative so that the confidence interval of a small rate is not
+truncated.
+"""
 
 _STAGES = (2.0, 4.0, 8.0)
-"""Numbers of swings to which the model is fitted in turn.
+"""Numbers of swings in the successive stages of the fit.
 
-A first search over the whole decay could end at a frequency that is off by whole
-periods.
+A search over all swings at once could converge to a wrong frequency, at which the
+number of periods is wrong.
 """
 
 _SEARCH = SearchOptions(step=1e-3, tolerance=1e-8)
-"""Search options with steps that average over the kinks of the air stiffness."""
+"""Search options for a model whose air stiffness has kinks."""
 
 _ERROR_STEP = 1e-3
 """Step of finite differences of derived quantities, in standard errors."""
 
 _UPSAMPLING = 4
-"""Number of points per sample at which measured pressures are interpolated."""
+"""Number of interpolated pressures per sample of the recording."""
 
 
 @dataclass(frozen=True)
@@ -112,13 +117,9 @@ class HangingBody:
     def of(
         cls, spec: RobotSpec, mass: float | None = None, inertia: float | None = None
     ) -> HangingBody:
-        """Return the first connector of a robot, or a body with other mass or inertia.
+        """Return the first connector, or a body with the given mass or inertia.
 
-        If only a mass is given, the body has the radius of gyration of the connector.
-
-        Raises:
-            InputError: a value is not positive, or the robot has a skin or bends in
-                space.
+        If only the mass is given, the radius of gyration is taken from the connector.
         """
         if spec.skin is not None or spec.chamber.directions is not None:
             raise InputError(
@@ -138,7 +139,7 @@ class HangingBody:
         return cls(mass, inertia)
 
     def segment(self, spec: RobotSpec, encloses_air: bool) -> HangingSegment:
-        """Return the first segment of a robot with this body at its end."""
+        """Return the first segment of a robot with this body attached to the end."""
         g = spec.geometry
         chamber = spec.chamber
         plus, minus = (float(gain) for gain in chamber_gains(spec)[0])
@@ -159,17 +160,9 @@ def fit_damping(
 ) -> FitEstimate:
     """Estimate stiffness, damping time, frequency and loss factor.
 
-    Args:
-        decays: free swings of one segment with one body.
-        spec: robot whose geometry and chambers are used.
-        valves: state of the chambers, "open" to the air or "closed".
-        body: hanging body, by default the first connector.
-        leak: leak rate of closed chambers, 1/s, or None to fit it.
-        watch: progress callback.
-
-    Raises:
-        InputError: there is no decay, or the valves are unknown or contradict measured
-            pressures.
+    The state `valves` of the chambers is "open" to the air or "closed". By default, the
+    hanging body is the first connector. If the leak rate `leak` (1/s) is None, the leak
+    rate is estimated.
     """
     check_choice("valves", valves, VALVES)
     if not decays:
@@ -186,15 +179,16 @@ def fit_damping(
     for swings in _STAGES:
         fit.search(fit.unknowns(coarse=True), watch=watch, swings=swings)
     start = fit.search(fit.unknowns(), watch=watch)
-    # The fitted frequency hardly depends on how the material dissipates energy, so its
-    # interval uses the first fit, without the bias of k and T.
+    # The fitted frequency hardly depends on the assumed damping law. The error of the
+    # frequency therefore comes from the first fit, before the bias of k and T is
+    # included.
     error = fit.frequency_error()
     estimate = fit.search(fit.unknowns(), watch=watch, refit=fit.refit)
     derived: tuple[Parameter, ...] = ()
     if estimate.values.keys() >= set(NAMES):
         frequency = _derived(start, fit, "frequency", "Hz", error)
         derived = (frequency, _derived(estimate, fit, "loss_factor", "1"))
-    count = len(NAMES)  # other unknowns come after these parameters
+    count = len(NAMES)  # the stiffness and the damping time come first
     return replace(
         estimate,
         parameters=estimate.parameters[:count],
@@ -205,14 +199,14 @@ def fit_damping(
 
 
 class _Swing(NamedTuple):
-    """Predicted bends, rad, and product p V of the enclosed air at the end, J."""
+    """Predicted bends (rad) and final products p V of the enclosed air (J)."""
 
     bend: np.ndarray
     air: np.ndarray
 
 
 class _DampingFit:
-    """Model of several decays, with the best values found so far."""
+    """Model of several free oscillations, with the best values found so far."""
 
     def __init__(
         self,
@@ -264,7 +258,10 @@ class _DampingFit:
         return values
 
     def unknowns(self, *, coarse: bool = False) -> list[FreeParameter]:
-        """Return the unknowns, of which a coarse fit omits leak rate and recovery."""
+        """Return the free parameters.
+
+        A coarse fit does not include the leak rate and the recovery of the rest bend.
+        """
 
         def free(
             name: str, unit: str, bounds: tuple[float, float], scale: float
@@ -298,7 +295,7 @@ class _DampingFit:
         refit: Refit | None = None,
         swings: float = math.inf,
     ) -> FitEstimate:
-        """Fit the unknowns to the first swings of the measured or given bends."""
+        """Fit the parameters to the first swings of the measured or given bends."""
         fitted = [decay.bend for decay in self.decays] if bends is None else bends
 
         def residuals(values: Mapping[str, float]) -> list[Residual]:
@@ -355,10 +352,10 @@ class _DampingFit:
     def small_swing(
         self, values: Mapping[str, float], constant_about: float | None = None
     ) -> Ringing:
-        """Return the small oscillation at the end of the first recording.
+        """Return the small oscillation about the rest position of the first recording.
 
-        The loss factor is nearly constant about the frequency `constant_about` (rad/s),
-        or proportional to the frequency if it is None.
+        The loss factor is nearly constant about the frequency `constant_about` (rad/s).
+        If `constant_about` is None, the loss factor is proportional to the frequency.
         """
         values = self.values | dict(values)
         material = self._material(values)
@@ -398,17 +395,17 @@ class _DampingFit:
         return _Swing(path[:: len(grid) // len(decay.time)], end[2:4])
 
     def _enclosed_air(self, decay: Decay, leak: float) -> np.ndarray:
-        """Return the product p V of the air at the start of the free swing, J."""
+        """Return p V of each chamber at the start of the free swing, J."""
         volumes = self._volumes(decay.before)
-        # The amount of air approaches the amount at ambient pressure, which changes
-        # with the volume.
+        # The amount of air approaches the amount at ambient pressure, which depends on
+        # the volume.
         kept = np.exp(-leak * (decay.time[0] - decay.before_time))
         weights = np.append(np.diff(kept), 0.0)
         amounts: np.ndarray = AMBIENT_PA * (kept[0] * volumes[0] + weights @ volumes)
         return amounts
 
     def _air_at_end(self) -> np.ndarray:
-        """Return the product p V at the mean final pressure of the first decay, J."""
+        """Return p V at the mean final pressure of the first recording, J."""
         first = self.decays[0]
         end = slice(-(len(first.time) // 4), None)
         pressure = 0.0 if first.pressure is None else first.pressure[end].mean(axis=0)
@@ -465,7 +462,7 @@ def _derived(
 ) -> Parameter:
     """Return an attribute of `Ringing` with linearly propagated errors.
 
-    `model_error` is an additional error of the logarithm.
+    `model_error` is an additional error of the logarithm of the attribute.
     """
 
     def logarithm(changes: Mapping[str, float]) -> float:

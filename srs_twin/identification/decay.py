@@ -1,15 +1,16 @@
-"""Recordings of decays, that is, free swings of a segment that is bent and released.
+"""Recordings of a segment that is bent, released, and then swings freely.
 
 A recording is a CSV file with ``time_s`` and ``bend_rad`` (or ``bend_deg``), sampled at
 100 Hz or more. The optional columns ``pressure_plus_kpa`` and ``pressure_minus_kpa``
-contain gauge pressures of closed chambers.
+contain the gauge pressures of closed chambers.
 
 The free swing begins at the maximum speed, about a quarter of a period after the
-release. The fit uses twice the time during which half swings exceed the noise.
+release. The model is fitted to an interval that is twice as long as the interval in
+which the half swings exceed the noise.
 
-The noise is estimated from the smallest singular values of the trajectory matrix. They
-would be 0 without noise, because successive samples of a free swing satisfy a linear
-recurrence.
+The noise is estimated from the smallest singular values of the trajectory matrix.
+Without noise the smallest singular values would be 0, because successive samples of a
+free swing satisfy a linear recurrence.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from srs_twin.recordings.recorded_file import read_file
 from srs_twin.recordings.signals.units import ANGLES, PRESSURES
 
 DECAY_COLUMNS = "time_s,bend_rad"
-"""First line of a recording of a decay."""
+"""Header line of a recording of a free swing."""
 
 _MIN_RATE_HZ = 100.0
 _MIN_SAMPLES = 20
@@ -58,7 +59,7 @@ The number must exceed the number of exponentials in a swing.
 """
 
 _KEPT_SPANS = 2.0
-"""Duration of the fitted part, relative to the duration of the visible swing."""
+"""Ratio of the duration of the fitted interval to the duration of the visible swing."""
 
 _MIN_CALM_SAMPLES = 5
 
@@ -70,11 +71,11 @@ class Decay:
     Attributes:
         time: times of the free swing, s, shape (samples,).
         bend: measured bends, rad, shape (samples,).
-        before: bends recorded up to the first sample of the free swing, rad, shape
-            (earlier samples + 1,).
+        before: bends recorded before the free swing and at the first sample of the free
+            swing, rad, shape (earlier samples + 1,).
         before_time: sample times of `before`, s.
         pressure: measured gauge pressures of the + and − chamber, Pa, shape (samples,
-            2), or None if they were not measured.
+            2), or None if the pressures were not measured.
         noise: standard deviation of a measured bend, rad.
         half_period: mean time between two turning points, s.
         log_decrement: mean logarithm of the ratio of two successive half swings.
@@ -99,7 +100,8 @@ class Decay:
     def first_state(self) -> tuple[float, float]:
         """Return the bend (rad) and bend rate (rad/s) at the first sample.
 
-        A sine is fitted to the first swing.
+        The bend and the bend rate are computed from a sine that is fitted to the first
+        swing.
         """
         since = (
             self.time[self.time <= self.time[0] + 2 * self.half_period] - self.time[0]
@@ -112,7 +114,7 @@ class Decay:
         return float(mean + at_start), float(forward) * self.pulsation
 
     def text(self) -> str:
-        """Return one line that describes the swing found in the recording."""
+        """Describe the free swing in one line."""
         return (
             f"{self.name}: free swing from {self.time[0]:.3f} to {self.time[-1]:.3f} s,"
             f" about {0.5 / self.half_period:.3g} Hz, noise {self.noise:.2g} rad"
@@ -135,15 +137,9 @@ def read_decay(
 ) -> Decay:
     """Read the free swing in a recording.
 
-    Args:
-        path: CSV file.
-        start: time from which the segment swings freely, s, by default the time of the
-            maximum speed.
-        noise: standard deviation of a bend, rad, or None to estimate it.
-
-    Raises:
-        InputError: a column is missing, or the swing does not determine k and T
-            separately.
+    `start` is the time from which the segment swings freely (s), by default the time of
+    the maximum speed. `noise` is the standard deviation of a bend (rad). If `noise` is
+    None, the standard deviation is estimated.
     """
     pressures = dict.fromkeys(("pressure_plus", "pressure_minus"), PRESSURES)
     table = read_table(read_file(path), CLOCK | {"bend": ANGLES} | pressures)
@@ -189,14 +185,7 @@ def free_swing(
     start: float | None = None,
     noise: float | None = None,
 ) -> Decay:
-    """Extract the free swing from recorded bends.
-
-    `Decay` and `read_decay` describe the arguments.
-
-    Raises:
-        InputError: the swing is too small, too short, overdamped or too fast for the
-            sampling.
-    """
+    """Extract the free swing from recorded bends (rad) and gauge pressures (Pa)."""
     noise = _noise(bend) if noise is None else noise
     if start is None:
         first = int(np.argmax(np.abs(np.diff(bend) / np.diff(time)))) + 1
@@ -282,11 +271,7 @@ def _turning_points(bend: np.ndarray, threshold: float) -> list[int]:
 
 
 def calm_samples(decay: Decay) -> int:
-    """Return the number of samples at rest at the start of a recording.
-
-    Raises:
-        InputError: the recording begins with a bent or moving segment.
-    """
+    """Return the number of samples at rest at the start of a recording."""
     moved = (
         np.abs(decay.before - np.median(decay.before[:_MIN_CALM_SAMPLES]))
         > _MIN_TURN * decay.noise

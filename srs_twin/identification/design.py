@@ -1,23 +1,23 @@
-r"""Optimal experimental design, which chooses recordings for a requested accuracy.
+r"""Optimal experimental design: choice of the recordings for a requested accuracy.
 
-Each candidate experiment has predicted observations and their noise. Let z be the
+Each candidate experiment has predicted observations with known noise. Let z be the
 logarithms of all uncertain parameters, J the Jacobian of the predictions with respect
-to z, and R the covariance of the noise. The experiment changes the information matrix Λ
-to
+to z, and R the covariance of the noise. The information matrix Λ after the experiment
+is
 
 $$ \Lambda' = \Lambda + J^T R^{-1} J, \qquad \mathrm{sd}(z_i) = \sqrt{(\Lambda'^{-1})_{ii}}. $$
 
-The initial Λ is computed from the `uncertain` parameters of the robot file. For a
-parameter that is 0, such as drag, z is the value divided by a tenth of the axial
-friction of the robot.
+The initial information matrix is computed from the `uncertain` entries of the robot
+file. If a parameter such as drag is 0, z is the parameter divided by a tenth of the
+axial friction of the robot.
 
-The experiments are chosen one after another. Each experiment minimises the mean of the
-logarithm of (interval/requested interval) over all intervals that are still too wide.
-The design ends if no experiment narrows an interval by 2 %.
+The experiments are chosen one after another. Each choice minimises the mean logarithm
+of the ratio of interval to requested interval, over all intervals that are still too
+wide. The design is complete if no further experiment narrows an interval by 2 %.
 
-Model errors are included for gait runs only, as 2 % of the speed and of the turning
-rate. The speeds and turning rates of the model `compliant` and of the twin differ by
-this fraction, regardless of the duration of a run.
+Model errors are included only for gait runs. The model error is 2 % of the speed and 2
+% of the turning rate, regardless of the duration of a run. The model error is estimated
+as the difference between the model `compliant` and the twin.
 """
 
 from __future__ import annotations
@@ -61,16 +61,16 @@ _MAX_REPETITIONS = 3
 """Maximum number of times that an experiment is chosen."""
 
 _MIN_NARROWING = 0.98
-"""Ratio of the new to the old interval below which an experiment is worthwhile."""
+"""Maximum ratio of the new to the old interval of a worthwhile experiment."""
 
 _STEP = 0.05
 """Step of finite differences in z.
 
-The step is large because metrics of simulated runs are not smooth in the third digit.
+The step is large because the metrics of simulated runs are not smooth functions of z.
 """
 
 _PRIOR_STD = 3.0
-"""Standard deviation of z for a parameter without a prior in the robot file."""
+"""Standard deviation of z if the robot file states no uncertainty of the parameter."""
 
 
 @dataclass(frozen=True)
@@ -79,9 +79,9 @@ class CandidateExperiment:
 
     Attributes:
         description: instruction for the operator.
-        minutes: duration, minutes.
         predict: function that returns the predicted observations for a robot.
-        noise: function that returns the standard deviations of given predictions.
+        noise: function that returns the standard deviations of the predicted
+            observations.
     """
 
     description: str
@@ -229,14 +229,13 @@ def _gait_runs(spec: RobotSpec) -> Iterator[CandidateExperiment]:
 class ExperimentDesign:
     """Chosen experiments and the accuracy after each experiment.
 
-    Accuracies are half widths of 95 % intervals relative to the value of the parameter.
-    The accuracy of a parameter with the value 0 is absolute.
+    The accuracy of a parameter is the half width of its 95 % interval relative to its
+    value. If the value is 0, the accuracy is the absolute half width.
 
     Attributes:
-        chosen: experiments in the order of the design.
+        chosen: experiments in the order in which they were chosen.
         after: accuracy of each requested parameter after each experiment.
         before: accuracy of each requested parameter before the first experiment.
-        targets: requested accuracy of each parameter.
     """
 
     chosen: tuple[CandidateExperiment, ...]
@@ -278,9 +277,10 @@ def calibrate_design(
     """Choose recordings for a requested accuracy, as `srs-twin calibrate design` does.
 
     Args:
-        robot: name or path of the robot, whose file states what is known.
-        target_accuracy: half width of the requested 95 % interval of each parameter, relative to
-            the value (0.05 is 5 %).
+        robot: name or path of the robot. The robot file states the current
+            uncertainties.
+        target_accuracy: half width of the requested 95 % interval of each parameter,
+            relative to the value, for example 0.05.
 
     Raises:
         InputError: the robot is not valid, or no parameter is requested.
@@ -306,14 +306,8 @@ def choose_experiments(
 ) -> ExperimentDesign:
     """Choose experiments until the requested accuracy is reached.
 
-    Args:
-        spec: robot with the current values.
-        known: value and standard deviation of each uncertain parameter.
-        targets: half width of the requested 95 % interval of each parameter, relative
-            to the value.
-
-    Raises:
-        InputError: no parameter is requested.
+    `known` contains the value and the standard deviation of each uncertain parameter.
+    `targets` contains half widths of 95 % intervals, relative to the values.
     """
     if not targets:
         raise InputError(
@@ -371,7 +365,10 @@ def _information(
     values: Mapping[str, float],
     scale: Array,
 ) -> Array:
-    """Return the information JᵀR⁻¹J from central differences (one-sided at 0)."""
+    """Return the information matrix JᵀR⁻¹J.
+
+    J is computed by central differences, or by one-sided differences if a value is 0.
+    """
     predicted = experiment.predict(spec)
     columns = []
     for name, size in zip(names, scale, strict=True):

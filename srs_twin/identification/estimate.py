@@ -1,24 +1,26 @@
-r"""Result of a fit, with a verdict on each parameter.
+r"""Result of a fit, with a verdict on the identifiability of each parameter.
 
-The verdicts of `identifiability` assume that the model is correct. If the RMS of the
-weighted residuals exceeds `MAX_RESIDUAL_SCALE`, in total or for one kind of signal, the
-model does not explain the data. The verdict is then "cannot tell", because a confidence
-interval has no meaning under a wrong model.
+The verdicts of `identifiability` assume that the model is correct. The model does not
+explain the data if the RMS of all weighted residuals, or of the residuals of one kind
+of signal, exceeds `MAX_RESIDUAL_SCALE`. If the model does not explain the data, the
+verdict is "cannot tell", because the confidence intervals of a wrong model are
+meaningless.
 
 **Independent samples.** Residuals of successive samples are correlated, because cameras
-and filters smooth the noise and because the model has errors. With the autocorrelation
-ρ_k of the residuals, n samples are equivalent to n/τ independent samples, where
+and filters smooth the noise and because the model has errors. If the residuals have the
+autocorrelation ρ_k, n samples are equivalent to n/τ independent samples, where
 
 $$ \tau = 1 + 2 \sum_{k \ge 1} \rho_k . $$
 
-The sum ends at the first pair ρ_{2m} + ρ_{2m+1} that is not positive (initial positive
-sequence; Geyer 1992, Statistical Science 7). A fit of p parameters removes slow noise
-from the residuals, about a fraction c = p τ/n of their power at all short lags. The
-autocorrelation is therefore corrected by ρ_k → (ρ_k + c)/(1 + c), iteratively because c
-depends on τ.
+The sum is truncated at the first pair ρ_{2m} + ρ_{2m+1} that is not positive. The
+truncation follows the initial positive sequence estimator (Geyer 1992, Statistical
+Science 7). A fit of p parameters removes about a fraction c = p τ/n of the power of the
+noise from the residuals, mainly at low frequencies. The autocorrelation is therefore
+replaced by (ρ_k + c)/(1 + c). The correction of the autocorrelation is iterated because
+c depends on τ.
 
-The autocorrelations of all series are averaged with their power as weight. The values
-of a short series, such as pulls or averages of runs, count as independent samples.
+The autocorrelation is a mean over all series, weighted by their power. The values of a
+short series, such as pulls or averages of runs, are treated as independent samples.
 """
 
 from __future__ import annotations
@@ -34,16 +36,16 @@ from srs_twin.errors import InputError
 from srs_twin.trajectory import HtmlResult
 
 IDENTIFIED_ERROR = 0.1
-"""Maximum standard error in z of an identified parameter."""
+"""Maximum standard error of the coordinate z of an identified parameter."""
 
 UNIDENTIFIABLE_ERROR = 1.0
-"""Standard error in z from which a parameter is not identifiable."""
+"""Minimum standard error of the coordinate z of an unidentifiable parameter."""
 
 MAX_RESIDUAL_SCALE = 2.0
-"""Maximum RMS of the weighted residuals of a signal that the model explains."""
+"""Maximum RMS of the weighted residuals if the model explains the data."""
 
 LEVEL = 0.95
-"""Level of the confidence intervals."""
+"""Confidence level of the intervals."""
 
 MISFIT_MESSAGE = "the model does not explain the data; these intervals do not hold"
 
@@ -53,15 +55,14 @@ Role = Literal["fit", "validation"]
 
 @dataclass(frozen=True)
 class Residual:
-    """Measured minus predicted values of one signal.
+    """Difference between the measured and predicted values of one signal.
 
     Attributes:
-        name: names of data set and signal, such as ``"step_1 bend_2"``.
-        unit: unit of the values.
-        values: residuals, shape (samples,), in the order of time for a time series.
-        scale: standard deviation of the expected noise, in `unit`, by which residuals
-            are divided in the fit.
-        role: role of the data, "fit" or "validation".
+        name: name of the data set and of the signal, such as ``"step_1 bend_2"``.
+        values: residuals, shape (samples,). The residuals of a time series are ordered
+            by time.
+        scale: standard deviation of the expected noise, in `unit`. The fit divides the
+            residuals by this scale.
     """
 
     name: str
@@ -80,19 +81,15 @@ class Residual:
 
 @dataclass(frozen=True)
 class Parameter:
-    """Estimated value of one parameter, with a verdict.
+    """Estimated value of one parameter, with a verdict on its identifiability.
 
     - "identified": the standard error is at most a tenth of the value or scale.
     - "weakly identified": the standard error is at most the value or scale.
     - "cannot tell": the model does not explain the data.
-    - "not identifiable": the data do not determine the parameter, which has no value.
+    - "not identifiable": the data do not determine the parameter, so `value` is None.
 
     Attributes:
-        name: name of the parameter as in `parameters`.
-        unit: unit of value, standard error and interval.
-        verdict: verdict on the parameter.
-        value: estimate.
-        standard_error: standard error of the estimate.
+        name: parameter name as defined in `parameters`.
         low: lower end of the 95 % confidence interval.
         high: upper end of the 95 % confidence interval.
         why: reason for the verdict.
@@ -119,17 +116,19 @@ class Parameter:
 def half_width(error: float, freedom: float) -> float:
     """Return half the width of a confidence interval.
 
-    Args:
-        error: standard error of an estimate.
-        freedom: degrees of freedom of the standard error.
+    The interval follows from the standard error and the degrees of freedom of the
+    standard error.
     """
-    from scipy import stats  # imported here because the import takes long
+    from scipy import stats  # slow import
 
     return float(stats.t.ppf(0.5 + LEVEL / 2, freedom)) * error
 
 
 def verdict_on(error: float, scale: float) -> Verdict:
-    """Return the verdict on a standard error in units of a significant difference."""
+    """Return the verdict on a standard error.
+
+    `scale` is a significant difference, in the unit of the error.
+    """
     if error <= IDENTIFIED_ERROR * scale:
         return "identified"
     return "weakly identified"
@@ -151,17 +150,14 @@ def with_value(parameters: Sequence[Estimated]) -> list[int]:
 def correlation_matrix(
     covariance: np.ndarray, parameters: Sequence[Parameter]
 ) -> np.ndarray:
-    """Return the correlation matrix, with NaN for parameters that have no value.
+    """Return the correlation matrix for a covariance matrix.
 
-    Args:
-        covariance: covariance of the parameters, shape (parameters, parameters).
-            Entries of parameters without a value are ignored.
-        parameters: estimated parameters.
+    Entries of parameters without a value are NaN.
     """
     matrix = np.full(covariance.shape, np.nan)
     rows = with_value(parameters)
     known = covariance[np.ix_(rows, rows)]
-    # Without noise all standard errors are 0, so a lower limit avoids 0/0.
+    # Without noise all standard errors are 0. The lower limit prevents a division by 0.
     errors = np.maximum(np.sqrt(np.diag(known)), 1e-150)
     matrix[np.ix_(rows, rows)] = np.clip(known / np.outer(errors, errors), -1.0, 1.0)
     matrix[rows, rows] = 1.0
@@ -176,17 +172,17 @@ class FitEstimate(HtmlResult):
         parameters: estimated parameters, in the requested order.
         correlation: correlation matrix of the estimates, shape (parameters,
             parameters). Entries of a parameter without a value are NaN.
-        residuals: residuals of all data, fit and validation.
-        cancels: unidentifiable directions, each with components by parameter name in
-            the coordinates z. In the direction {mass: 0.71, stiffness: 0.71}, only the
-            ratio of mass and stiffness has an effect.
+        residuals: residuals of the fitted data and of the validation data.
+        cancels: unidentifiable directions in the coordinates z, each as a mapping from
+            parameter names to components. If only the ratio of two parameters has an
+            effect, the two components of the direction are 0.71.
         samples: number of fitted samples.
-        independent: equivalent number of independent samples (`correlation_time`).
+        independent: equivalent number of independent samples (see `correlation_time`).
         residual_scale: standard deviation of the weighted residuals, which is 1 if the
             residuals are as large as expected.
-        held: values that were fixed in the fit and affect the estimates, by name.
-        converged: whether the search converged.
-        derived: quantities that follow from the parameters, such as a frequency.
+        held: names and values of the quantities that were constant in the fit and
+            affect the estimates.
+        derived: quantities computed from the parameters, such as a frequency.
     """
 
     page: ClassVar[str] = "fit"
@@ -219,14 +215,14 @@ class FitEstimate(HtmlResult):
 
     @property
     def misfit(self) -> tuple[str, ...]:
-        """One line per kind of signal that the model does not explain."""
+        """Description of each kind of signal that the model does not explain."""
         explained = explains_data(self.residuals, self.residual_scale)
         if explained:
             return ()
         return (MISFIT_MESSAGE, *describe_misfit(self.residuals))
 
     def with_fixed(self, known: Sequence[Parameter]) -> FitEstimate:
-        """Return the estimate with additional measured and uncorrelated parameters."""
+        """Return the estimate with additional, independently measured parameters."""
         size = len(self.parameters)
         count = len(known)
         correlation = np.eye(size + count)
@@ -239,7 +235,7 @@ class FitEstimate(HtmlResult):
         )
 
     def rms(self, role: Role) -> float | None:
-        """Return the RMS of the weighted residuals of a role, or None without data."""
+        """Return the RMS of the weighted residuals, or None if there are no data."""
         squares = [
             (r.values / r.scale) ** 2
             for r in self.residuals
@@ -250,7 +246,7 @@ class FitEstimate(HtmlResult):
         return None
 
     def text(self) -> str:
-        """Return the estimate as text, one line per parameter."""
+        """Return the estimate as text with one line per parameter."""
         lines = []
         for parameter in (*self.parameters, *self.derived):
             if parameter.value is None:
@@ -270,11 +266,11 @@ _MIN_SERIES = 20
 """Minimum number of values of a signal that is treated as a time series."""
 
 _GROWTH = 1.5
-"""Ratio of the RMS in the second to the first half that indicates growing residuals."""
+"""Minimum ratio of the RMS of growing residuals in the second and the first half."""
 
 
 def residuals_by_kind(residuals: Sequence[Residual]) -> dict[str, list[Residual]]:
-    """Return the residuals per kind of signal, sorted by weighted RMS."""
+    """Return the residuals of each kind of signal, sorted by weighted RMS."""
     kinds: dict[str, list[Residual]] = {}
     for residual in residuals:
         if residual.role == "fit" and len(residual.values):
@@ -291,16 +287,14 @@ def _weighted_rms(residuals: Sequence[Residual]) -> float:
 def explains_data(residuals: Sequence[Residual], scale: float) -> bool:
     """Return whether the model explains all data and each kind of signal.
 
-    Args:
-        residuals: all residuals.
-        scale: standard deviation of the weighted residuals.
+    `scale` is the standard deviation of all weighted residuals.
     """
     scales = map(_weighted_rms, residuals_by_kind(residuals).values())
     return max(scale, *scales, 0.0) <= MAX_RESIDUAL_SCALE
 
 
 def describe_misfit(residuals: Sequence[Residual]) -> Iterator[str]:
-    """Yield a line for each kind of signal whose residuals exceed the noise."""
+    """Describe each kind of signal whose residuals exceed the noise."""
     for kind, signals in residuals_by_kind(residuals).items():
         if (scale := _weighted_rms(signals)) <= 1:
             break
@@ -318,20 +312,23 @@ def describe_misfit(residuals: Sequence[Residual]) -> Iterator[str]:
 
 
 MIN_CORRELATED_SAMPLES = 20
-"""Minimum length of a series from which the autocorrelation is estimated."""
+"""Minimum number of samples of a series whose autocorrelation is estimated."""
 
 _ITERATIONS = 5
-"""Number of iterations of the correction for fitted parameters (three suffice)."""
+"""Number of iterations of the correction for fitted parameters."""
 
 _MAX_REMOVED_FRACTION = 0.5
-"""Maximum value of c, above which the residuals no longer represent the noise."""
+"""Maximum value of c.
+
+With a larger c, the residuals would no longer represent the noise.
+"""
 
 
 def correlation_time(series: Sequence[np.ndarray], unknowns: int = 0) -> float:
     """Return the correlation time τ in samples, which is at least 1.
 
     Args:
-        series: residuals over time in comparable units, each of shape (samples,).
+        series: time series of weighted residuals, each of shape (samples,).
         unknowns: number p of fitted parameters.
     """
     long = [
@@ -348,7 +345,7 @@ def correlation_time(series: Sequence[np.ndarray], unknowns: int = 0) -> float:
     pairs = rho[: longest // 2 * 2].reshape(-1, 2).sum(axis=1)
     ends = np.flatnonzero(pairs <= 0)
     kept = pairs[: ends[0]] if ends.size else pairs
-    lags = 2 * len(kept) - 1  # without lag 0
+    lags = 2 * len(kept) - 1  # excludes lag 0
     uncorrected = max(1.0, float(2 * kept.sum() - 1))
     samples = sum(len(residuals) for residuals in long)
     time = uncorrected

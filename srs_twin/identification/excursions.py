@@ -1,9 +1,9 @@
-"""Excursions of a path follower, measured on random paths.
+"""Measurement of the excursions of a path follower on random paths.
 
-An excursion is the maximum distance of the body beyond the footprint. The runs have the
-conditions of a scenario. After the straight lead-in of the scenario, the robot follows a
-random path of length `LENGTH_M` without obstacles. The seed of a run determines the
-modules, the camera noise and the path.
+An excursion is the maximum distance of the body beyond the footprint. The runs are
+simulated under the conditions of a scenario. After the straight lead-in of the
+scenario, the robot follows a random path of length `LENGTH_M` without obstacles. The
+seed of a run determines the modules, the camera noise and the path.
 """
 
 from __future__ import annotations
@@ -46,18 +46,18 @@ _ARC_LENGTHS_M = (0.3, 0.8)
 """Minimum and maximum length of an arc, m."""
 
 _MIN_ARC_M = 0.05
-"""Remaining length below which no further arc is added, m."""
+"""Minimum length of an arc, m."""
 
 _MAX_HEADING = 1.4
 """Maximum heading of a random path relative to its start, rad.
 
-Beyond this heading a path might cross itself.
+A path with a larger heading could cross itself.
 """
 
 _SLOWEST_FRACTION = 0.5
-"""Mean speed below which a run counts as failed, relative to the footprint.
+"""Minimum mean speed of a successful run, relative to the speed in the footprint.
 
-The reference is the minimum speed over all offsets of the footprint.
+The speed in the footprint is the minimum over all offsets.
 """
 
 _DIGITS = 4
@@ -66,10 +66,10 @@ _DIGITS = 4
 
 @dataclass(frozen=True)
 class FollowerRun:
-    """Run of the path follower of a scenario along a random path.
+    """Simulation of the path follower of a scenario on a random path.
 
     Attributes:
-        document: scenario with a straight path to follow, as plain data.
+        document: scenario that follows a straight path, as plain data.
         lead_in: length of the straight start of the path, m.
     """
 
@@ -113,7 +113,7 @@ class FollowerRun:
             replan=lambda pose, fraction: plan_from(pose),
         )
         longest = (self.lead_in + LENGTH_M + 1) / (_SLOWEST_FRACTION * min(body.speeds))
-        # A multiple of the duration of the scenario is a whole number of ticks.
+        # A multiple of the duration of the scenario is also a multiple of the tick.
         duration = scenario.duration * math.ceil(longest / scenario.duration)
         trajectory = rollout(
             scenario.build_plant(self.plant),
@@ -131,7 +131,7 @@ class FollowerRun:
         during_lead_in = 0.0
         if self.lead_in:
             during_lead_in = float(excess[~is_after].max(initial=0.0))
-        if metadata["ending"] != next(iter(ENDINGS)):  # the robot did not arrive
+        if metadata["ending"] != next(iter(ENDINGS)):  # the goal was not reached
             return during_lead_in, LOST_M
         return during_lead_in, float(excess[is_after].max())
 
@@ -139,7 +139,7 @@ class FollowerRun:
 def _random_arcs(
     rng: np.random.Generator, low: float, high: float
 ) -> list[tuple[float, float]]:
-    """Return curvature and length of arcs, which are straight or curved as in plans."""
+    """Return the curvature (1/m) and the length (m) of random arcs."""
     arcs = []
     left = LENGTH_M
     heading = 0.0
@@ -150,7 +150,7 @@ def _random_arcs(
         )
         length = min(float(rng.uniform(*_ARC_LENGTHS_M)), left)
         # The heading is limited because the nearest point of a path that crosses itself
-        # is ambiguous.
+        # is not unique.
         if curvature and abs(heading + curvature * length) > _MAX_HEADING:
             length = (math.copysign(_MAX_HEADING, curvature) - heading) / curvature
         if length > _MIN_ARC_M:
@@ -161,10 +161,7 @@ def _random_arcs(
 
 
 NO_MARGIN = Override("a margin to be measured", ("planner", "margin_probability"), None)
-"""Override that removes the margin of a scenario.
-
-A margin would hide the excursions.
-"""
+"""Override that removes the margin, because a margin would hide the excursions."""
 
 
 @checked
@@ -186,16 +183,17 @@ def calibrate_margin(
             no file.
         set: values that override fields of the scenario, as in `load_scenario`.
         runs: number of runs per plant.
-        plants: plants to run, by default the plants of the scenario.
+        plants: names of the plants to simulate, by default the plants of the scenario.
         workers: number of processes, by default one per processor.
-        progress: function called with the numbers of finished and of all runs.
+        progress: function called with the number of finished runs and the total number
+            of runs.
 
     Returns:
         Excursions on each plant.
 
     Raises:
-        InputError: the scenario follows no plan, a run failed, or the file cannot be
-            written.
+        InputError: the scenario does not follow a plan, a run failed, or the file
+            cannot be written.
     """
     loaded = load_scenario(scenario, set=[*Override.list_of(set), NO_MARGIN])
     kinds = plants or tuple(loaded.plants)
@@ -239,18 +237,8 @@ def measure_excursions(
 ) -> ExcursionsFile:
     """Measure the excursions of the path follower of a scenario on a plant.
 
-    Args:
-        scenario: scenario that follows a plan.
-        plant: simulated plant, "analytical" or "twin".
-        runs: number of runs, whose seeds start at 0.
-        workers: number of processes, by default one per processor.
-        progress: function called after each run.
-
-    Returns:
-        Entry of a footprint file.
-
-    Raises:
-        InputError: the scenario does not follow a plan, or a run failed.
+    The seeds of the runs are 0 to `runs` − 1. The result is an entry of a footprint
+    file.
     """
     planner = scenario.file.section("planner")
     controller = scenario.controller

@@ -1,7 +1,7 @@
 """Fit files, which store a fit with its data, command line and package versions.
 
 The files are calibration/fits/*.yaml. Each data set is listed with its SHA-256 and its
-role, fit or validation. A file in which samples have both roles is refused.
+role, fit or validation. An error is raised if a sample is used for fit and validation.
 """
 
 from __future__ import annotations
@@ -40,10 +40,11 @@ class DataSet:
 
     Attributes:
         name: file name or label.
-        sha256: SHA-256 of the file, or of the numbers if there is no file.
-        role: role of the data, "fit" or "validation".
-        from_s: start of the part that is used, s, or None for the start of the data.
-        to_s: end of the part that is used, s, or None for the end of the data.
+        sha256: SHA-256 of the file. If there is no file, the SHA-256 of the numbers is
+            stored.
+        from_s: start of the interval that is used, s, or None for the start of the
+            data.
+        to_s: end of the interval that is used, s, or None for the end of the data.
     """
 
     name: str
@@ -54,7 +55,7 @@ class DataSet:
     to_s: float | None = None
 
     def overlaps(self, other: DataSet) -> bool:
-        """Return whether both data sets have samples in common."""
+        """Return whether the two data sets have samples in common."""
         if self.sha256 != other.sha256:
             return False
         if (
@@ -68,7 +69,7 @@ class DataSet:
 
 
 class Data(Protocol):
-    """Protocol of measurements of any kind."""
+    """Protocol of measurements that a fit can use."""
 
     def data_set(self, role: Role) -> DataSet:
         """Return name, hash and size of the data."""
@@ -82,14 +83,7 @@ def assign_roles(
 ) -> list[tuple[Measured, Role]]:
     """Return all data of a fit with their roles.
 
-    Args:
-        label: plural name of the data in messages.
-        fitted: fitted data.
-        validation: validation data.
-
-    Raises:
-        InputError: there are no data to fit, or data of both roles have samples in
-            common.
+    `label` is the plural name of the data in error messages.
     """
     result: list[tuple[Measured, Role]] = [(data, "fit") for data in fitted]
     if not result:
@@ -107,11 +101,7 @@ def data_sets(fitted: Iterable[Data], validation: Iterable[Data]) -> list[DataSe
 
 
 def check_disjoint(sets: Iterable[DataSet]) -> None:
-    """Check that no data are used for both fit and validation.
-
-    Raises:
-        InputError: a fitted and a validation data set have samples in common.
-    """
+    """Check that no sample is used for both fit and validation."""
     all_sets = list(sets)
     fitted = [entry for entry in all_sets if entry.role == "fit"]
     validation = [entry for entry in all_sets if entry.role == "validation"]
@@ -124,7 +114,7 @@ def check_disjoint(sets: Iterable[DataSet]) -> None:
 
 
 def array_hash(*arrays: np.ndarray) -> str:
-    """Return the SHA-256 of arrays and their shapes as a hexadecimal text."""
+    """Return the SHA-256 of arrays and their shapes as a hexadecimal string."""
     digest = hashlib.sha256()
     for array in arrays:
         values = np.ascontiguousarray(array, dtype=float)
@@ -133,7 +123,7 @@ def array_hash(*arrays: np.ndarray) -> str:
 
 
 def trajectory_hash(trajectory: Trajectory) -> str:
-    """Return the SHA-256 of the recorded file, or of the columns without a file."""
+    """Return the SHA-256 of the recorded file, or of the columns if no file exists."""
     source = trajectory.metadata.get("source")
     if isinstance(source, dict) and isinstance(source.get("sha256"), str):
         return str(source["sha256"])
@@ -159,21 +149,21 @@ Method = Literal[
 ]
 
 _MAX_COMMAND_LENGTH = 2000
-"""Maximum length of a command in a fit file, characters."""
+"""Maximum number of characters of a command in a fit file."""
 
 
 def short_command(command: str) -> str:
-    """Return a command for a fit file, cut if it is too long."""
+    """Return a command, truncated to the maximum length in a fit file."""
     if len(command) <= _MAX_COMMAND_LENGTH:
         return command
     return command[: _MAX_COMMAND_LENGTH - 1] + "…"
 
 
 _DIGITS = 9
-"""Significant digits of numbers in a fit file."""
+"""Number of significant digits in a fit file."""
 
 _NUMBERS = ("value", "standard_error", "low", "high")
-"""Keys that are missing if a parameter has no value."""
+"""Keys of a parameter that are omitted if the parameter has no value."""
 
 
 class DataEntry(StrictModel):
@@ -306,7 +296,7 @@ class FitFile(StrictModel, HtmlResult):
         )
 
     def unidentified(self) -> list[str]:
-        """Return the parameters without a value, which prevent predictions."""
+        """Return the names of the parameters that have no value."""
         return [
             parameter.name
             for parameter in self.parameters
@@ -343,13 +333,7 @@ def fit_file(
 ) -> FitFile:
     """Build the fit file of an estimate.
 
-    Args:
-        estimate: result of the fit.
-        data: all data with their roles.
-        **about: name, title, robot, method, command and versions of the `FitFile`.
-
-    Raises:
-        InputError: fit and validation have samples in common.
+    `about` contains the values of name, title, robot, method, command and versions.
     """
     check_disjoint(data)
     rows = with_value(estimate.parameters)
@@ -377,34 +361,20 @@ def fit_file(
 def check_fit_suffix(option: str, path: Path) -> None:
     """Check that a path has the suffix of a fit file.
 
-    Args:
-        option: name of the option for the error message.
-        path: path to check.
-
-    Raises:
-        InputError: the path has another suffix.
+    `option` is the name of the option in the error message.
     """
     if path.suffix not in (".yaml", ".yml"):
         raise InputError(f"{option}: {path} is not allowed; a fit file ends in .yaml")
 
 
 def write_fit(file: FitFile, path: StrPath) -> Path:
-    """Write a fit file atomically.
-
-    Raises:
-        InputError: the path cannot be written.
-    """
+    """Write a fit file atomically."""
     write_text(path, dump_yaml(file.model_dump(mode="json", exclude_none=True)))
     return Path(path)
 
 
 def load_fit(path: StrPath) -> FitFile:
-    """Load and validate a fit file.
-
-    Raises:
-        InputError: the file does not exist or cannot be read.
-        InputFileError: the file is invalid.
-    """
+    """Load and validate a fit file."""
     return load_model(FitFile, require_file(Path(path)), {("robot",): "robot"})
 
 

@@ -23,7 +23,7 @@ _MAX_PANELS = 10
 """Maximum number of signals in a plot."""
 
 _MAX_BARS = 3
-"""Maximum number of samples drawn as bars. A longer series is drawn as a line."""
+"""Maximum number of samples in a bar plot. A longer series is drawn as a line."""
 
 _COLORS = {"fit": "#0072B2", "validation": "#D55E00"}
 
@@ -31,9 +31,7 @@ _COLORS = {"fit": "#0072B2", "validation": "#D55E00"}
 def fit_report(fit: FitFile, estimate: FitEstimate) -> str:
     """Return the self-contained HTML page of a fit.
 
-    Args:
-        fit: fit file.
-        estimate: result of the fit with the residuals of all data.
+    `estimate` must contain the residuals of all data.
     """
     quality = fit.quality
     validated = (
@@ -74,11 +72,7 @@ def fit_page(fit: FitEstimate | FitFile) -> str:
 
 @drawing
 def residual_plot(residuals: Sequence[Residual]) -> Figure:
-    """Plot residuals over samples, with the expected noise as a band.
-
-    Args:
-        residuals: residuals of one or more signals, of which at most ten are shown.
-    """
+    """Plot the residuals of at most ten signals, with the expected noise as a band."""
     shown = residuals[:_MAX_PANELS]
     figure, rows = panels(0.95 + 0.95 * len(shown), len(shown))
     for axes, residual in zip(rows, shown, strict=True):

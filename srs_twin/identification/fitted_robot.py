@@ -1,7 +1,7 @@
-"""Robots with the fitted parameters of one or more fits.
+"""Robot whose parameters are replaced by the results of one or more fits.
 
-The result is the block `robot: {base: …}` of a scenario, or a robot file. Later fits
-override earlier fits.
+The result is the block `robot: {base: …}` of a scenario, or a robot file. If several
+fits contain a parameter, the last fit sets its value.
 """
 
 from __future__ import annotations
@@ -35,19 +35,19 @@ _PA_PER_KPA = 1e3
 _BEND = "actuator.bend_rad"
 
 _STDS_IN_INTERVAL = 3.92
-"""Width of a 95 % interval in standard deviations."""
+"""Ratio of the width of a 95 % interval to the standard deviation."""
 
 _MIN_CORRELATION = 0.05
 """Minimum magnitude of a correlation that is written."""
 
 _MAX_CORRELATION = 0.99
-"""Maximum magnitude of a written correlation.
+"""Maximum magnitude of a correlation that is written.
 
-With a correlation of 1, the correlation matrix would be singular.
+A correlation of 1 would make the correlation matrix singular.
 """
 
 _ROUNDING = 1e-7
-"""Tolerance for equal values. Numbers in fit files have nine digits."""
+"""Relative tolerance for equal values (numbers in fit files have nine digits)."""
 
 
 def robot_override(
@@ -55,14 +55,14 @@ def robot_override(
 ) -> dict[str, Any]:
     """Return the robot block of a scenario with the result of a fit.
 
-    A parameter that is not identifiable keeps the value of the base, or the value at
-    which the fit fixed it.
+    A parameter that is not identifiable keeps the value of the base robot, or the
+    constant value used in the fit.
 
     Args:
-        fit: fit, whose robot becomes the base.
+        fit: fit file. The robot of the fit is the base robot of the block.
         weak: whether weakly identified parameters are included.
-        over: base robot with the results of other fits, by default the base robot. List
-            elements that this fit does not estimate are kept.
+        over: robot with the results of other fits, by default the base robot. List
+            elements that the fit does not estimate are copied from `over`.
 
     Raises:
         InputError: the base robot does not exist or draws a fitted parameter at random,
@@ -106,7 +106,7 @@ def robot_override(
 def _changes(
     fit: FitFile, used: Sequence[ParameterEntry], changed: Iterable[str]
 ) -> Iterator[tuple[str, str, str]]:
-    """Yield the name, status and source of the values that change."""
+    """Yield name, status and source of each value that differs from the base robot."""
     for parameter in used:
         record = _record_key(parameter.name)
         same_record = [other for other in used if _record_key(other.name) == record]
@@ -121,7 +121,7 @@ def _changes(
 
 
 def apply_fit(fit: FitFile, robot: RobotSpec, *, weak: bool = True) -> RobotSpec:
-    """Return a robot with the fitted and fixed values of a fit."""
+    """Return a robot with the values that a fit estimated or held constant."""
     used = _used_parameters(fit, weak)
     values = {parameter.name: parameter.value or 0.0 for parameter in used}
     base = load_robot_file(fit.robot).spec()
@@ -185,7 +185,7 @@ def _prior(parameter: ParameterEntry) -> dict[str, object]:
     if parameter.name.startswith(("modules.", "mass.")) or None in numbers:
         return {}
     value, low, high = (float(number or 0.0) for number in numbers)
-    if low > 0.0:  # logarithms of positive parameters are fitted
+    if low > 0.0:  # the fit used the logarithms of positive parameters
         factor = (high / low) ** (1 / _STDS_IN_INTERVAL)
         if factor > 1.0 and value:
             return {"uncertain": {"kind": "lognormal", "factor": min(factor, 100.0)}}
@@ -223,14 +223,14 @@ def merge_overrides(
     """Return the robot block of a scenario with the results of several fits.
 
     Args:
-        fits: paths of fit files, of which later ones override earlier ones.
-        base: robot to change, by default the robot of the fits.
+        fits: paths of fit files. If several files contain a parameter, the last file
+            sets its value.
+        base: name or path of the robot to change, by default the robot of the fits.
         weak: whether weakly identified parameters are included.
 
     Raises:
-        InputError: there is no fit, a fit is for another robot, or a fit has no
+        InputError: no fit is given, a fit is for another robot, or a fit has no
             identified parameter.
-        InputFileError: a file is not a valid fit.
     """
     loaded = [load_fit(path) for path in fits]
     if not loaded:
@@ -263,17 +263,7 @@ def merge_overrides(
 
 
 def fitted_robot(fits: Sequence[StrPath], name: str, *, weak: bool = True) -> RobotFile:
-    """Return the base robot of the fits with their results, as a complete robot file.
-
-    Args:
-        fits: fit files.
-        name: robot name.
-        weak: whether weakly identified parameters are included.
-
-    Raises:
-        InputError: `merge_overrides` fails.
-        InputFileError: the result is not a valid robot.
-    """
+    """Return a robot file with the values of the base robot and the results of fits."""
     block = merge_overrides(fits, weak=weak)
     title = f"{block['base']}, fitted: {', '.join(Path(path).stem for path in fits)}"
     return robot_in(Document(name, block | {"name": name, "title": title[:200]}))
@@ -293,14 +283,15 @@ def calibrate_robot(
     `RobotFile.spec` converts the result to a specification for the plants.
 
     Args:
-        fits: fit files of one robot, of which later ones override earlier ones.
+        fits: paths of fit files of one robot. If several files contain a parameter, the
+            last file sets its value.
         name: name of the robot.
         out: path of the robot file, or None to write nothing.
         weak: whether weakly identified parameters are included.
         overwrite: whether an existing file is replaced.
 
     Raises:
-        InputError: a fit cannot be used, or the file exists or cannot be written.
+        InputError: a fit cannot be used, or the robot file exists or cannot be written.
     """
     if out is not None:
         path = Path(out)
@@ -317,9 +308,5 @@ def calibrate_robot(
 
 
 def write_robot(robot: RobotFile, path: StrPath) -> None:
-    """Write a robot file atomically.
-
-    Raises:
-        InputError: the path cannot be written.
-    """
+    """Write a robot file atomically."""
     write_text(path, dump_yaml(robot.model_dump(mode="json", exclude_none=True)))

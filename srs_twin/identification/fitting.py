@@ -1,4 +1,4 @@
-"""Options, progress display, output files and tables of the fitting commands."""
+"""Options, progress display and output of the commands that fit parameters."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ ParametersOption = Annotated[str | None, option("--parameters NAMES", _PARAMETER
 
 @dataclass(frozen=True)
 class DataOptions:
-    """Robot, logs and validation data of a fit to recordings with logs."""
+    """Options for the robot, the logs and the validation data of a fit."""
 
     robot: RobotOption
     valves: ValvesOption = None
@@ -63,11 +63,7 @@ class DataOptions:
     pressure: PressureOption = None
 
     def given(self) -> dict[str, Any]:
-        """Return the arguments of the functions in `calibration`.
-
-        Raises:
-            InputError: the pressure is not allowed.
-        """
+        """Return the options as arguments of the functions in `calibration`."""
         if self.pressure is not None and not 0.1 <= self.pressure <= 2000.0:
             raise InputError(
                 f"--pressure: {self.pressure:g} kPa is not allowed; it must be from 0.1"
@@ -97,7 +93,7 @@ class FitOptions:
 
 
 class FitProgress(Display):
-    """Display of the number of model runs and the best weighted RMS of a search."""
+    """Display of the progress of a search."""
 
     def __init__(self, title: str, *, quiet: bool = False) -> None:
         super().__init__(title, quiet=quiet)
@@ -121,7 +117,7 @@ class FitProgress(Display):
 
 
 _TABLE_WIDTH = 100
-"""Minimum width of a printed table, characters."""
+"""Minimum width of a printed table, in characters."""
 
 _STRONG_CORRELATION = 0.5
 """Minimum magnitude of a correlation that is printed."""
@@ -136,7 +132,7 @@ _MAX_SIGNALS = 24
 def print_table(
     headings: Sequence[str], rows: Iterable[Sequence[str]], left: Collection[int] = ()
 ) -> None:
-    """Print a table. The columns in `left` are left-aligned."""
+    """Print a table, with the columns whose indices are in `left` left-aligned."""
     table = new_table(*headings, left=left)
     for row in rows:
         table.add_row(*row)
@@ -171,7 +167,7 @@ def print_estimate(estimate: FitEstimate) -> None:
 
 
 def correlation_lines(estimate: FitEstimate) -> Iterator[str]:
-    """Yield a line for each of the strongest correlations."""
+    """Yield a line of text for each of the strongest correlations."""
     import numpy as np
 
     matrix = np.triu(np.nan_to_num(estimate.correlation), 1)
@@ -184,7 +180,7 @@ def correlation_lines(estimate: FitEstimate) -> Iterator[str]:
 
 
 def direction_lines(estimate: FitEstimate) -> Iterator[str]:
-    """Yield a line for each unidentifiable direction."""
+    """Yield a line of text for each unidentifiable direction."""
     for direction in estimate.cancels:
         components = ", ".join(
             f"{component:+.2f} {name}" for name, component in direction.items()
@@ -218,12 +214,7 @@ NOTHING_WRITTEN = "nothing was written"
 
 @dataclass(frozen=True)
 class FitOutput:
-    """Output files of a fit, and format of the printed result.
-
-    Attributes:
-        path: path of the fit file. The report is written to the same folder.
-        robot: name or path of the initial robot, as given.
-    """
+    """Output files of a fit, and format of the printed result."""
 
     name: str
     path: Path
@@ -236,12 +227,7 @@ class FitOutput:
     def from_options(
         cls, context: typer.Context, method: str, robot: str, options: FitOptions
     ) -> FitOutput:
-        """Return the output files after checking that they may be written.
-
-        Raises:
-            InputError: the name is not allowed, or the file exists and was written by
-                another command.
-        """
+        """Check that the output files may be written, and return the settings."""
         from srs_twin.identification.fit_file import check_fit_suffix
 
         out = options.out
@@ -270,9 +256,9 @@ class FitOutput:
     def run(
         self, function: Callable[..., Calibration], files: list[str], **settings: Any
     ) -> None:
-        """Fit with a function of `calibration`, write its files, and print the result.
+        """Call a function of `calibration`, write the files, and print the result.
 
-        If the user interrupts the search, nothing is written.
+        If the user interrupts the search, no file is written.
         """
         with (
             interruptible(NOTHING_WRITTEN),
@@ -312,7 +298,7 @@ def _check_same_command(path: Path, command: str) -> None:
 
 
 def command_line(context: typer.Context) -> str:
-    """Return the command line, without options that have their default value."""
+    """Return the command line without options that have their default value."""
     words = ["srs-twin", *context.command_path.split()[1:]]
     arguments: list[str] = []
     for parameter in context.command.params:
@@ -336,11 +322,7 @@ def command_line(context: typer.Context) -> str:
 
 
 def parse_names(text: str | None) -> list[str] | None:
-    """Split a list such as friction.mu_t,friction.mu_n, or return None for None.
-
-    Raises:
-        InputError: the list is empty.
-    """
+    """Split a comma-separated list of names, or return None if the list is None."""
     if text is None:
         return None
     names = [name.strip() for name in text.split(",") if name.strip()]

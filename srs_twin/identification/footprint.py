@@ -1,9 +1,9 @@
-"""Measurement of footprints, that is, of the area that a crawling robot sweeps.
+"""Measurement of footprints, which describe the area that a crawling robot sweeps.
 
-The dissertation measured curvature, speed and the circles that bound the body at seven
-offsets (Section 5.3, Fig. 58, Table 8). Here the measurements are made on a simulated
-plant. Each offset is simulated with several initial phases of the gait, and each change
-of offset occurs at several phases.
+In the dissertation, the curvature, the speed and the circles that bound the body were
+measured at seven offsets (Section 5.3, Fig. 58, Table 8). This module measures
+curvature, speed and bounding circles in simulations. Each offset is simulated with
+several initial phases of the gait, and each change of offset occurs at several phases.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ CONTROLLERS = ("gait", "ilc")
 TICK = 0.005
 """Control period, s.
 
-It is short because learning must resolve the peaks of the ripple, and because changes
-of offset must fall on ticks.
+The period is short because iterative learning must resolve the peaks of the ripple, and
+because a change of offset must coincide with a tick.
 """
 
 RECORD_HZ = 100.0
@@ -54,24 +54,23 @@ FREQUENCY_HZ = {"gait": 2.0, "ilc": 1.5}
 """Default gait frequency for each controller, Hz."""
 
 _MIN_SAMPLES = 25
-"""Minimum number of samples per gait period that resolves the edges."""
+"""Minimum number of samples per gait period."""
 
 
 @dataclass(frozen=True)
 class GaitSetup:
-    """Robot, gait and plant of a footprint.
+    """Robot, gait and plant for which a footprint is measured.
 
     Attributes:
-        spec: robot specification.
         frequency: gait frequency, Hz.
-        supply_pa: supply pressure, Pa.
         controller: "gait" (Eq. 13) or "ilc" (Eq. 32).
         target: target bend amplitude of the learning controller, rad.
-        plant: "twin", "analytical" (model compliant on wheels), or a function that
-            creates a plant with the tick `TICK`.
-        steering: steering of the learning controller, as in `ILC`.
-        chambers: pneumatic model of a plant given by name, "lag" or "orifice".
-        contact: contact model of the twin, or None for the default.
+        plant: "twin", "analytical" (the model `compliant` on wheels), or a function
+            that creates a plant with the tick `TICK`.
+        steering: steering method of the learning controller, as in `ILC`.
+        chambers: pneumatic model, "lag" or "orifice". The model is ignored if `plant`
+            is a function.
+        contact: contact model of the twin, or None for the default contact model.
     """
 
     spec: RobotSpec
@@ -85,13 +84,6 @@ class GaitSetup:
     contact: str | None = None
 
     def __post_init__(self) -> None:
-        """Validate the settings.
-
-        Raises:
-            InputError: a number is out of range, or the pressure exceeds the limit of
-                the robot for pulses.
-            UnknownNameError: the controller, plant or chambers do not exist.
-        """
         allowed = {"controller": CONTROLLERS, "plant": PLANTS, "chambers": KINDS}
         for name, names in allowed.items():
             value = getattr(self, name)
@@ -129,7 +121,7 @@ class GaitSetup:
 
     @property
     def twin_contact(self) -> str | None:
-        """Contact model of the twin, or None for another plant."""
+        """Contact model of the twin, or None if the plant is not the twin."""
         if self.plant == "twin":
             return self.contact or ModelSettings.contact.name
         return None
@@ -141,26 +133,26 @@ class GaitSetup:
 
     @property
     def settling_periods(self) -> int:
-        """Number of gait periods until a run is steady after its start."""
+        """Number of gait periods after which a run is steady."""
         return 16 if self.controller == "ilc" else 8
 
     @property
     def transient_periods(self) -> int:
-        """Number of gait periods allowed for the transient after a change of offset."""
+        """Maximum number of gait periods of the transient after a change of offset."""
         return 12 if self.controller == "ilc" else 6
 
     @property
     def offsets(self) -> tuple[float, ...]:
-        """Default offsets: ±0.3 with learning (Table 8), otherwise ±0.4 (Fig. 33)."""
+        """Default offsets.
+
+        The range is ±0.3 for the controller "ilc" (Table 8) and ±0.4 for "gait" (Fig.
+        33).
+        """
         count = 3 if self.controller == "ilc" else 4
         return tuple(k / 10 for k in range(-count, count + 1))
 
     def make_controller(self, offset: float, phase: float = 0.0) -> Gait | ILC:
-        """Return a controller with an offset and the initial phase ψ, rad.
-
-        Raises:
-            InputError: a setting is not allowed.
-        """
+        """Return a controller with the given offset and the initial phase ψ (rad)."""
         if self.controller == "ilc":
             return ILC(
                 self.frequency,
@@ -180,7 +172,7 @@ class GaitSetup:
     def steady_job(
         self, factory: Callable[[], Plant], offset: float, phase: float, periods: int
     ) -> Job:
-        """Return a run at one offset that is measured in the last gait periods."""
+        """Return a simulation at a constant offset."""
         duration = next_sample((self.settling_periods + periods) * self.period)
         return Job(
             factory,
@@ -190,7 +182,7 @@ class GaitSetup:
         )
 
     def change_time(self, phase: float) -> float:
-        """Return the time of a change of offset, s, at a phase in gait periods."""
+        """Return the time (s) of a change of offset at a phase (in gait periods)."""
         return next_sample((self.settling_periods + phase) * self.period)
 
     def change_job(
@@ -200,9 +192,10 @@ class GaitSetup:
         time: float,
         periods: int,
     ) -> Job:
-        """Return a run with a change of offset (before, after) at a time (s).
+        """Return a simulation in which the offset changes at a given time (s).
 
-        The run ends `periods` gait periods after the maximum allowed transient.
+        The simulation ends `periods` gait periods after the maximum duration of the
+        transient.
         """
         before, after = change
 
@@ -214,7 +207,10 @@ class GaitSetup:
 
 
 def next_sample(time: float) -> float:
-    """Return the time of the next sample, s, on the grid of every other tick."""
+    """Return the time of the next sample, s.
+
+    The sampling period of a simulation is two ticks.
+    """
     return round(math.ceil(time * RECORD_HZ - 1e-6) / RECORD_HZ, 9)
 
 
@@ -231,8 +227,8 @@ def _make_plant(setup: GaitSetup) -> Plant:
         return TwinSnake(setup.spec, **settings)
     from srs_twin.plants.analytical import AnalyticalSnake
 
-    # With the pulses of learning, the model with prescribed bends would slip too much
-    # (docs/module.md).
+    # With the pulses of iterative learning, a model with prescribed bends would slip
+    # too much (docs/module.md).
     return AnalyticalSnake(setup.spec, model="compliant", friction="wheel", **settings)
 
 
@@ -241,10 +237,9 @@ class FootprintMeasurement:
     """Measured footprint.
 
     Attributes:
-        spread: half the range over the repeated runs, for each value of `steady`.
-        transients: measured changes of offset.
-        repeats: number of runs per offset and per change.
-        periods: number of measured gait periods of each steady run.
+        spread: half the range of the repeated simulations, for each entry of `steady`.
+        repeats: number of simulations per offset and per change of offset.
+        periods: number of measured gait periods of each steady simulation.
     """
 
     setup: GaitSetup
@@ -265,14 +260,15 @@ _LIMITS = {"periods": (3, 200), "phases": (1, 64)}
 
 @dataclass(frozen=True)
 class FootprintStudy:
-    """Runs from which a footprint is measured.
+    """Simulations from which a footprint is measured.
 
     Attributes:
-        offsets: three or more offsets on both sides of 0, in ascending order.
-        changes: changes of offset to measure, as (before, after).
-        periods: number of measured gait periods of each steady run.
-        phases: number of runs per offset and per change, at equidistant phases of the
-            gait.
+        offsets: three or more offsets in ascending order, with negative and positive
+            values.
+        changes: changes of offset to measure, as pairs of the old and the new offset.
+        periods: number of measured gait periods of each steady simulation.
+        phases: number of simulations per offset and per change of offset, which start
+            at equidistant phases of the gait.
     """
 
     setup: GaitSetup
@@ -282,11 +278,6 @@ class FootprintStudy:
     phases: int = 4
 
     def __post_init__(self) -> None:
-        """Validate offsets, changes and counts.
-
-        Raises:
-            InputError: a value is not allowed.
-        """
         for offset in (*self.offsets, *itertools.chain.from_iterable(self.changes)):
             self.setup.make_controller(offset)
         listed = ", ".join(f"{offset:g}" for offset in self.offsets) or "(none)"
@@ -315,7 +306,7 @@ class FootprintStudy:
 
     @property
     def runs(self) -> int:
-        """Number of runs."""
+        """Number of simulations."""
         return self.phases * (len(self.offsets) + len(self.changes))
 
     def measure(
@@ -324,14 +315,14 @@ class FootprintStudy:
         threads: int | None = None,
         progress: Callable[[int, int], object] = max,
     ) -> FootprintMeasurement:
-        """Run the plant and measure the footprint.
+        """Simulate the plant and measure the footprint.
 
-        Args:
-            threads: number of parallel runs, by default one per processor.
-            progress: function called with the numbers of finished and of all runs.
+        By default, the number of threads is the number of processors. The callback
+        `progress` receives the number of finished simulations and the total number of
+        simulations.
 
         Raises:
-            DivergedError: a run diverged.
+            DivergedError: a simulation diverged.
             InputError: the snake does not move forward at an offset.
         """
         setup = self.setup
@@ -421,11 +412,7 @@ class FootprintStudy:
 
 
 def steady_path(setup: GaitSetup, run: Trajectory, periods: int) -> SteadyPath:
-    """Return the path over the last gait periods of a run.
-
-    Raises:
-        InputError: the run is too short, or the snake does not move forward.
-    """
+    """Return the steady path over the last gait periods of a simulation."""
     window = GaitWindow.ending_at(run, setup.period, float(run.time[-1]), periods)
     if window is None:
         raise InputError(f"the run is shorter than {periods} gait periods")
@@ -442,17 +429,11 @@ def footprint_study(
     changes: Changes | None = None,
     **counts: int,
 ) -> FootprintStudy:
-    """Return the study of a footprint, in which missing values have defaults.
+    """Return the study of a footprint.
 
-    Args:
-        setup: robot, gait and plant.
-        offsets: offsets in ascending order. By default they go from −0.3 to 0.3 with
-            learning, otherwise from −0.4 to 0.4, in steps of 0.1.
-        changes: changes of offset, as (before, after), by default `default_changes`.
-        **counts: periods and phases of the `FootprintStudy`.
-
-    Raises:
-        InputError: a value is not allowed.
+    The default offsets are −0.3 to 0.3 for "ilc" and −0.4 to 0.4 for "gait", in steps
+    of 0.1. `changes` contains pairs of the old and the new offset, by default
+    `default_changes`. `counts` contains `periods` and `phases` of the `FootprintStudy`.
     """
     rows = setup.offsets if offsets is None else tuple(map(float, offsets))
     study = FootprintStudy(setup, rows, tuple(changes or ()), **counts)
@@ -464,9 +445,9 @@ def footprint_study(
 def default_changes(offsets: Sequence[float]) -> tuple[tuple[float, float], ...]:
     """Return the changes of offset that are measured by default.
 
-    The changes connect 0 with the outermost offsets, and with half of the outermost
-    offsets if these are measured. A planner interpolates linearly between measured
-    changes.
+    The changes connect 0 with the outermost offsets. The changes also connect 0 with
+    half of the outermost offsets if the half offsets are measured. A planner
+    interpolates linearly between the measured changes.
     """
     low = min(offsets)
     high = max(offsets)

@@ -70,11 +70,7 @@ class MeasurementOptions:
     threads: Annotated[int | None, workers_option("--workers -j N")] = None
 
     def given(self) -> dict[str, Any]:
-        """Return the arguments of `calibrate_footprint`.
-
-        Raises:
-            InputError: the offsets are not numbers.
-        """
+        """Return the options as arguments of `calibrate_footprint`."""
         given = asdict(self)
         given["frequency_hz"] = given.pop("frequency")
         given["target_rad"] = given.pop("target")

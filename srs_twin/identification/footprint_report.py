@@ -1,4 +1,4 @@
-"""Footprint files with measured values and a header that identifies the study."""
+"""Footprint files: conversion of measurements, and header with the study settings."""
 
 from __future__ import annotations
 
@@ -45,11 +45,11 @@ _SPREADS = {
     "left_m": "left",
     "right_m": "right",
 }
-"""Attribute of `SteadyPath` for each key of the spread in a footprint file."""
+"""Attributes of `SteadyPath` that correspond to the keys of the spread in the file."""
 
 
 def footprint_file(measured: FootprintMeasurement, name: str) -> FootprintFile:
-    """Convert a measurement to the content of a footprint file."""
+    """Convert a measurement to a footprint file."""
     setup = measured.setup
     paths = measured.steady
     phases = f"{measured.repeats} phases of the gait"
@@ -58,8 +58,7 @@ def footprint_file(measured: FootprintMeasurement, name: str) -> FootprintFile:
         f" {measured.periods} gait periods at each of {phases} at the start"
     )
     edge = "as curvature_per_m; the farthest that any repeat reached"
-    # The snake is straight at the start and longest then, so this length is an upper
-    # bound.
+    # A straight snake has the maximum length, so half of this length is an upper bound.
     body = setup.spec.geometry
     straight = round((body.body_length + body.width) / 2, _DIGITS)
 
@@ -128,24 +127,29 @@ def calibrate_footprint(
     Args:
         robot: name or path of the robot, or a loaded robot.
         out: folder of the footprint file, or None to write nothing.
-        name: name of the footprint and its file, by default robot and controller.
+        name: name of the footprint and of its file, by default composed of the names of
+            robot and controller.
         overwrite: whether the file of another measurement is replaced.
-        controller: controller, "gait" (open loop) or "ilc" (learning).
+        controller: controller, "gait" (open loop) or "ilc" (iterative learning
+            control).
         frequency_hz: gait frequency, Hz, by default `FREQUENCY_HZ`.
         supply_pa: supply pressure, Pa, by default the nominal pressure of the robot.
         target_rad: target bend amplitude of the learning controller, rad.
         plant: simulated plant, "twin" or "analytical".
-        contact: contact model of the twin, or None for the default.
+        contact: contact model of the twin, or None for the default contact model.
         chambers: pneumatic model, "lag" or "orifice".
-        offsets: offsets, by default as in `footprint_study`.
+        offsets: steering offsets to measure, by default as in `footprint_study`.
         transients: whether changes of offset are measured.
-        periods: number of measured gait periods of each run.
-        phases: number of runs per offset, with different initial phases.
-        threads: number of parallel runs, by default one per processor.
-        progress: function called with the numbers of finished and of all runs.
+        periods: number of measured gait periods of each simulation.
+        phases: number of simulations per offset, which start at different phases of the
+            gait.
+        threads: number of parallel simulations, by default one per processor.
+        progress: function called with the number of finished simulations and the total
+            number of simulations.
 
     Raises:
-        InputError: a setting is not allowed, or the file exists or cannot be written.
+        InputError: a setting is not allowed, or the footprint file exists or cannot be
+            written.
     """
     spec = load_robot(robot)
     if frequency_hz is None:
@@ -179,13 +183,7 @@ def calibrate_footprint(
 
 
 def calibrate_command(study: FootprintStudy, robot: str, name: str) -> str:
-    """Return the command that repeats a measurement.
-
-    Args:
-        study: footprint study.
-        robot: name or path of the robot, as given.
-        name: name of the footprint.
-    """
+    """Return the command that repeats a measurement."""
     setup = study.setup
     words = [
         f"srs-twin calibrate footprint {robot} --name {name}",
@@ -221,7 +219,7 @@ def header_lines(
 def robot_hash(spec: RobotSpec) -> str:
     """Return the SHA-256 of the values of a robot that differ from their defaults.
 
-    A new parameter with a default value therefore does not change the hash.
+    Adding a new parameter with a default value therefore does not change the hash.
     """
 
     def non_defaults(section: object) -> object:
@@ -259,7 +257,7 @@ def _identity(study: FootprintStudy, robot: str, name: str) -> list[str]:
 
 
 def _column(paths: Sequence[SteadyPath], key: str) -> list[float]:
-    # Values of a straight path may round to -0.0, which adding 0.0 turns into 0.0.
+    # Adding 0.0 converts −0.0 to 0.0.
     return [round(getattr(path, key), _DIGITS) + 0.0 for path in paths]
 
 

@@ -1,42 +1,46 @@
-r"""Friction coefficients of the wheels from pulls (Eq. 17, Table 2) and coasting tests.
+r"""Estimation of friction coefficients from pulls (Eq. 17, Table 2) and coasting tests.
 
-**Pulls.** A spring car pulls the robot along the body with rolling wheels, or across it
-with blocked wheels. Each pull gives one static friction coefficient from the maximum
-deformation of the spring when the motion begins:
+**Pulls.** A spring car pulls the robot along the body with rolling wheels, or across
+the body with blocked wheels. Each pull yields one static friction coefficient μ. The
+coefficient is computed from the maximum deformation ΔL_max of the spring with stiffness
+k, and from the mass m of the robot:
 
 $$ \mu = \frac{k\,\Delta L_{max}}{m g}. $$
 
-The kinetic coefficient may be smaller. The estimate is the mean over all pulls, and the
-standard error includes the errors of k and m, which all pulls share.
+The kinetic friction coefficient may be smaller. The estimate is the mean over all
+pulls. The standard error includes the errors of k and m, which are common to all pulls.
 
-A table of pulls is a CSV file with one pull per row. ``along_mm`` or ``across_mm`` is
-the maximum deformation of the spring, and a cell is empty if there was no pull in this
-direction. ``spring_n_per_m``, ``mass_kg`` and the optional standard errors
-``spring_error_n_per_m`` and ``mass_error_kg`` must be equal in all rows.
+A table of pulls is a CSV file. A row contains the maximum deformation of the spring in
+a pull along the body (column ``along_mm``), in a pull across the body (``across_mm``),
+or in one pull in each direction. The columns ``spring_n_per_m`` and ``mass_kg`` and the
+optional standard errors ``spring_error_n_per_m`` and ``mass_error_kg`` must be
+constant.
 
 **Coasting tests.** The robot with vented chambers is pushed and released on the floor.
-A straight robot decelerates by μ_t g/(1 + s) along the wheels and by μ_n g across them.
-In other directions the friction law determines the deceleration (`floor.slide`, which
-also defines s). The initial position and velocity of each run are fitted together with
-μ_t and μ_n. If the motion in a direction is within the noise, this component of the
-velocity is set to 0.
+A straight robot decelerates by μ_t g/(1 + s) along the wheels and by μ_n g across the
+wheels. In other directions the deceleration depends on the friction law (see
+`floor.slide`, which also defines s). The initial position and velocity of each run are
+fitted together with μ_t and μ_n. A component of the initial velocity is set to 0 if the
+displacement in its direction does not exceed the noise.
 
-**Bent bodies.** The wheels of a bent body cannot all roll. The body follows the
-circular arc with the minimum dissipation, on which the wheels have the mean
-misalignment
+**Bent bodies.** The wheels of a bent body cannot all roll without slip. The body moves
+along the circular arc with the minimum dissipation. On this arc the mean misalignment
+of the wheels is
 
 $$ ε = \min_{a, b} \sum_i \frac{m_i}{M}\,\lvert δ_i - a - b\,i \rvert , $$
 
-where δ_i is the heading of connector i. Under the law `wheel`, the lateral slip of the
-wheels increases the drag coefficient to μ_t + ε √(μ_n² − μ_t²). The motion is measured
-in a frame that turns with the body, and the angle between the mean heading and the
-rolling direction is fitted.
+where δ_i is the heading of connector i, m_i the mass of connector i, and M the total
+mass. Under the friction law `wheel`, the lateral slip of the wheels increases the drag
+coefficient to μ_t + ε √(μ_n² − μ_t²). The motion is expressed in a frame that turns
+with the body, and the angle between the mean heading and the rolling direction is a
+fitted parameter.
 
-The misalignment ε is computed from the recorded bends, or else from the rest bends in
-the robot file. Because ε is a seminorm, it changes by at most the ε of the errors of
-the bends (`_BEND_ERROR_RAD`, `_UNSEEN_BEND_RAD`). Two further fits change ε by the 95 %
-quantile of this bound. The interval of a coefficient includes the intervals of these
-fits.
+The misalignment ε is computed from the recorded bends. If no bends were recorded, ε is
+computed from the rest bends in the robot file. Because ε(bends) is a seminorm, errors
+of the bends (`_BEND_ERROR_RAD`, `_UNSEEN_BEND_RAD`) change ε by at most ε(errors). Two
+further fits use values of ε that are increased or decreased by the 95 % quantile of
+ε(errors). The confidence interval of a coefficient contains the intervals of the two
+fits with changed ε.
 """
 
 from __future__ import annotations
@@ -92,16 +96,17 @@ _DIRECTIONS = ("along", "across")
 
 @dataclass(frozen=True)
 class Pulls:
-    """Measurements with a spring car.
+    """Spring deformations measured while a spring car pulled the robot.
 
     Attributes:
-        along: maximum deformation of the spring in each pull with rolling wheels, m.
-        across: maximum deformation across the body or with blocked wheels, m.
+        along: maximum deformation of the spring in each pull along the body, m.
+        across: maximum deformation of the spring in each pull across the body or with
+            blocked wheels, m.
         stiffness: spring stiffness k, N/m.
         mass: mass m of the pulled robot, kg.
         stiffness_error: standard error of k, N/m.
         mass_error: standard error of m, kg.
-        sha256: SHA-256 of the file, or an empty string without a file.
+        sha256: SHA-256 of the file, or an empty string if the data are not from a file.
     """
 
     along: Sequence[float]
@@ -142,7 +147,7 @@ class Pulls:
 
     @property
     def factor(self) -> float:
-        """Ratio of friction coefficient to deformation, 1/m."""
+        """Ratio of the friction coefficient to the spring deformation, 1/m."""
         return self.stiffness / (self.mass * GRAVITY)
 
     def coefficients(self, direction: str) -> np.ndarray:
@@ -162,14 +167,7 @@ class Pulls:
 def fit_pulls(pulls: Pulls, *, validation: Sequence[Pulls] = ()) -> FitEstimate:
     """Estimate μ_t and μ_n from pulls.
 
-    A coefficient without pulls in its direction is not identifiable.
-
-    Args:
-        pulls: measured pulls.
-        validation: pulls for validation.
-
-    Raises:
-        InputError: the same pulls are used for fit and validation.
+    A coefficient is not identifiable if there are no pulls in its direction.
     """
     data_with_roles = assign_roles("pulls", [pulls], validation)
     shared = (pulls.stiffness_error / pulls.stiffness) ** 2
@@ -183,7 +181,8 @@ def fit_pulls(pulls: Pulls, *, validation: Sequence[Pulls] = ()) -> FitEstimate:
             means[k] = value.mean()
             variances[k] = value.var(ddof=1) / len(value)
             scatter[k] = max(value.std(ddof=1), 1e-12)
-    # Errors of k and m change both coefficients by one factor, which correlates them.
+    # Errors of k and m scale both coefficients by the same factor, so the coefficients
+    # are correlated.
     covariance = np.diag(variances) + shared * np.outer(means, means)
     errors = np.sqrt(np.diag(covariance))
     parameters = [
@@ -216,14 +215,14 @@ def fit_pulls(pulls: Pulls, *, validation: Sequence[Pulls] = ()) -> FitEstimate:
 def _parameter(
     k: int, values: np.ndarray, mean: float, variance: float, error: float
 ) -> Parameter:
-    if not len(values):  # a single value is refused elsewhere
+    if not len(values):  # `Pulls` does not accept a single value
         why = f"there are no pulls {_DIRECTIONS[k]}"
         return Parameter(_NAMES[k], "1", "not identifiable", why=why)
     if error >= UNIDENTIFIABLE_ERROR * mean:
         why = f"the scatter of the pulls {_DIRECTIONS[k]} is as large as their mean"
         return Parameter(_NAMES[k], "1", "not identifiable", why=why)
     # The Welch-Satterthwaite formula gives the degrees of freedom. The standard errors
-    # of k and m count as exactly known, so they have many degrees of freedom.
+    # of k and m are treated as exact, so they have infinitely many degrees of freedom.
     freedom = np.inf
     if variance > 0:
         freedom = (len(values) - 1) * (error**2 / variance) ** 2
@@ -240,21 +239,17 @@ def _parameter(
 
 
 _CONSTANTS = ("spring_n_per_m", "mass_kg", "spring_error_n_per_m", "mass_error_kg")
-"""Columns of constants that all pulls of a table share. The errors are optional."""
+"""Columns with constant values. The columns of standard errors are optional."""
 
 _MAX_DEFORMATION_M = 10.0
-"""Maximum plausible deformation, m. A larger deformation is in a wrong unit."""
+"""Maximum plausible deformation, m. A larger value indicates a wrong unit."""
 
 PULL_COLUMNS = "along_mm,across_mm,spring_n_per_m,mass_kg"
-"""First line of a table of pulls."""
+"""Header line of a table of pulls."""
 
 
 def is_pull_table(path: StrPath) -> bool:
-    """Return whether the first line of a file names a column of pulls.
-
-    Raises:
-        InputError: the file cannot be read.
-    """
+    """Return whether the header of a file contains a column of a table of pulls."""
     return any(
         name == direction or name.startswith((f"{direction}_", f"{direction} "))
         for name in first_line_names(path)
@@ -263,12 +258,7 @@ def is_pull_table(path: StrPath) -> bool:
 
 
 def read_pull_table(path: StrPath) -> Pulls:
-    """Read a table of pulls.
-
-    Raises:
-        InputError: the file does not exist, a column is missing or has a wrong unit, or
-            a cell is invalid.
-    """
+    """Read a table of pulls."""
     known: dict[str, dict[str, float]] = dict.fromkeys(_DIRECTIONS, LENGTHS)
     table = read_table(read_file(path), known | {name: {} for name in _CONSTANTS})
     columns = {column.name: column for column in table.columns}
@@ -361,7 +351,7 @@ _MIN_TRAVEL = 3.0
 """Minimum displacement for fitting an initial velocity, in standard deviations."""
 
 _MAX_ROLL_ANGLE_RAD = 0.1
-"""Maximum angle between mean heading and rolling direction of a bent body, rad."""
+"""Maximum angle between the mean heading and the rolling direction, rad."""
 
 _HEADING_DEGREE = 3
 """Degree of the polynomial in time that smooths the heading."""
@@ -387,14 +377,15 @@ class CoastingTest:
     """Recorded deceleration of the vented robot after a push.
 
     Attributes:
-        time: time since the first used sample, s, shape (samples,).
+        time: time since the first sample that is used, s, shape (samples,).
         position: displacement of the centre of mass along and across the heading, m,
             shape (samples, 2).
         velocity: initial guess of the initial velocity along and across the heading,
             m/s.
-        span: first and last used time on the clock of the recording, s.
-        bends: mean recorded bends, rad, shape (segments,), or None if bends were not
-            recorded.
+        span: first and last time of the samples that are used, on the clock of the
+            recording, s.
+        bends: mean recorded bends, rad, shape (segments,), or None if the bends were
+            not recorded.
     """
 
     name: str
@@ -411,14 +402,8 @@ class CoastingTest:
     ) -> CoastingTest:
         """Extract the coasting test from a trajectory.
 
-        Args:
-            trajectory: recording or simulation.
-            name: data name.
-            start: time from which on the robot coasts, s, by default the time of the
-                maximum speed.
-
-        Raises:
-            InputError: the test is too short or too slow, or the robot turns.
+        `start` is the time from which the robot coasts (s), by default the time of the
+        maximum speed.
         """
         needed = f"{_MIN_SAMPLES} or more are needed"
         time = trajectory.time
@@ -482,20 +467,11 @@ def fit_coasting(
 ) -> FitEstimate:
     """Estimate μ_t and μ_n from coasting tests.
 
-    Args:
-        runs: coasting tests, which must cover both directions to determine both
-            coefficients.
-        spec: robot whose wheels and masses determine the effect of rotational inertia.
-        validation: coasting tests for validation, of which only the initial velocities
-            are fitted.
-        law: friction law, one of `robot.friction.LAWS` except "viscous".
-        wheel_inertia: whether the wheels have rotational inertia. Skids and the wheels
-            of the analytical plant have none.
-        watch: progress callback.
-
-    Raises:
-        InputError: there is no run, the law is unknown, or a validation run is also
-            fitted.
+    The coefficient of a direction is identifiable only if the robot coasts in this
+    direction. Validation tests do not influence the coefficients, but their initial
+    velocities are fitted. If `wheel_inertia` is false, the wheels have no rotational
+    inertia, as on skids and in the analytical plant. `law` is one of
+    `robot.friction.LAWS` except "viscous".
     """
     allowed = [name for name in LAWS if name != "viscous"]
     if law not in allowed:
@@ -507,7 +483,7 @@ def fit_coasting(
     model = _CoastingModel(spec, law, fraction)
     estimate = model.fit(runs, 0.0, watch)
     if "friction.mu_n" not in estimate.values:
-        # The drag of a bent body depends on μ_n, which these runs do not determine.
+        # The drag of a bent body depends on μ_n, which these tests do not determine.
         model = replace(model, mu_n=spec.friction.mu_n)
         estimate = model.fit(runs, 0.0, watch)
     ends = [model.fit(runs, side, None) for side in (-1.0, 1.0)]
@@ -524,15 +500,13 @@ def fit_coasting(
 
 
 _STDS_IN_HALF_WIDTH = 1.96
-"""Half width of a 95 % interval in standard deviations."""
+"""Ratio of the half width of a 95 % interval to the standard deviation."""
 
 
 def misalignment(bends: np.ndarray, spec: RobotSpec) -> np.ndarray:
     """Return the mean misalignment ε of the wheels of bent bodies, rad.
 
-    Args:
-        bends: bends, rad, shape (..., segments).
-        spec: robot specification.
+    `bends` are in rad and have the shape (..., segments).
     """
     weights = spec.mass.array() / spec.mass.total
     number = np.arange(len(weights))
@@ -540,7 +514,8 @@ def misalignment(bends: np.ndarray, spec: RobotSpec) -> np.ndarray:
         [np.zeros_like(bends[..., :1]), np.cumsum(bends, axis=-1)], axis=-1
     )
     smallest = np.full(bends.shape[:-1], np.inf)
-    # A line with the minimum sum of absolute deviations passes through two points.
+    # The line with the minimum sum of absolute deviations passes through two of the
+    # points.
     for i, j in itertools.combinations(number, 2):
         slope = (headings[..., j] - headings[..., i]) / (j - i)
         line = headings[..., i, None] + slope[..., None] * (number - i)
@@ -567,10 +542,10 @@ def _widened(parameter: Parameter, ends: Sequence[FitEstimate]) -> Parameter:
 
 @dataclass(frozen=True)
 class _CoastingModel:
-    """Prediction of coasting tests.
+    """Model that predicts coasting tests.
 
-    `fraction` is the fraction s of `floor.slide`. `mu_n` is the coefficient for lateral
-    slip of a bent body, by default the fitted μ_n.
+    `fraction` is the fraction s of `floor.slide`. `mu_n` is the coefficient for the
+    lateral slip of a bent body, by default the fitted μ_n.
     """
 
     spec: RobotSpec
@@ -581,7 +556,11 @@ class _CoastingModel:
     def fit(
         self, runs: Sequence[CoastingTest], side: float, watch: Watch | None
     ) -> FitEstimate:
-        """Fit the coefficients at the lower end (−1), best value or upper end of ε."""
+        """Fit the coefficients with the lower bound, estimate or upper bound of ε.
+
+        `side` is −1 for the lower bound of ε, 0 for the estimate, and 1 for the upper
+        bound.
+        """
         angles = [self._misalignment(run, side) for run in runs]
 
         def residuals(values: Mapping[str, float]) -> list[Residual]:
@@ -610,7 +589,10 @@ class _CoastingModel:
     def _residuals(
         self, run: CoastingTest, k: int, values: Mapping[str, float], angle: float
     ) -> list[Residual]:
-        """Return the residuals of run k without their means (initial position)."""
+        """Return the residuals of run k minus their mean values.
+
+        Subtracting the mean value is equivalent to fitting the initial position.
+        """
         velocity = values.get(f"along_{k}", 0.0), values.get(f"across_{k}", 0.0)
         mu_t, mu_n = (values[name] for name in _NAMES)
         slip_law = getattr(friction, self.law)
@@ -648,11 +630,11 @@ class _CoastingModel:
 
 
 _SHARP_SLIP = 1e-12
-"""Negligible slip speed that avoids 0/0, relative to a speed of 1 m/s."""
+"""Slip speed of the regularised friction law, m/s. Its effect is negligible."""
 
 
 def _motion(run: CoastingTest, k: int) -> list[FreeParameter]:
-    """Return the initial velocities and the rolling angle of run k as parameters."""
+    """Return the initial velocities and the rolling direction as free parameters."""
     few = len(run.time) // 4
     late = run.position[-few:].mean(axis=0)
     moved = late - run.position[2 * few : 3 * few].mean(axis=0)

@@ -2,27 +2,27 @@ r"""Free swing of a body that hangs on one bent segment.
 
 The upper end of the segment is clamped so that the segment hangs straight down. The
 other end carries a body of mass m and moment of inertia J about the centre of the body.
-With the bend q and the chord L(q) of `robot.geometry`, which has the angle q/2,
-Lagrange's equation is
+The bend is q. The chord has the length L(q) defined in `robot.geometry` and the angle
+q/2. Lagrange's equation is
 
 $$ M \ddot q + \tfrac12 M' \dot q^2 - m g\,\frac{d}{dq}\bigl(L \cos\tfrac q2\bigr)
    = k\,d + k T \dot d + \sum_i e_i, \qquad M = m \Bigl(L'^2 + \frac{L^2}{4}\Bigr) + J, \qquad
    d = b(t) + \varphi(x) - q . $$
 
-The bend law φ(x) of `pneumatics.chambers` converts the pressures to a bend, and b is
-the rest bend without pressure. Because a real material recovers slowly after it was
-held, b contains decaying exponentials.
+Here φ(x) is the bend law of `pneumatics.chambers`, which converts the pressures to a
+bend, and b is the rest bend without pressure. Because a real material recovers slowly
+from a bend, b contains decaying exponentials.
 
-**Air.** Open chambers have φ = 0. The air in a closed chamber has a constant
-temperature and the absolute pressure P. The amount of air n = P V leaks at the rate λ
-until the chamber has the ambient pressure p₀:
+**Air.** If the chambers are open, φ = 0. The air in a closed chamber has a constant
+temperature and the absolute pressure P. The amount of air n = P V changes at the leak
+rate λ until the chamber is at the ambient pressure p₀:
 
 $$ \dot n = -\lambda\,(n - p_0 V) . $$
 
-**Material.** The material is viscous with the damping time T. It may also have Maxwell
-branches with moments e_i that satisfy ė_i = g_i ḋ − e_i/τ_i. Five branches whose
-relaxation times τ_i are spread over two decades about the period of the oscillation
-produce a nearly constant loss factor.
+**Material.** The material is viscous with the damping time T. The material may also
+have Maxwell branches with moments e_i that satisfy ė_i = g_i ḋ − e_i/τ_i. Five branches
+produce a nearly constant loss factor if their relaxation times τ_i are distributed over
+two decades about the period of the oscillation.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ _half_angle_terms = kernel_only(half_angle_terms)
 _chord = kernel_only(chord_from_half_angle)
 
 _LARGEST_REST_RAD = 3.0
-"""Bound of the search for the bend at rest, rad."""
+"""Maximum magnitude of the bend at rest, rad."""
 
 _SMALL_BEND_RAD = 1e-4
 """Step of finite differences with respect to the bend, rad."""
@@ -56,23 +56,23 @@ _MAX_ANGLE_STEP = 0.06
 """Maximum product of the angular frequency and a time step, rad."""
 
 _SHORTEST_S = 1e-3
-"""Time scale on which no branch has relaxed, far below the period of a swing, s."""
+"""Time scale of an oscillation that is too fast for the branches to relax, s."""
 
 _SLOWEST_RAD_S = 1e-6
 """Angular frequency assigned to an overdamped swing, rad/s."""
 
 NO_BRANCHES = np.empty((0, 2))
-"""Branches of a viscous material."""
+"""Empty list of branches for a purely viscous material."""
 
 _BRANCH_RATIOS = 10.0 ** np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
-"""Relaxation times of the branches as multiples of 1/ω."""
+"""Relaxation times of the Maxwell branches as multiples of 1/ω."""
 
 _SMALLEST_RELAXED_FRACTION = 0.02
 """Minimum fraction of the stiffness that remains after all branches have relaxed."""
 
 
 class HangingSegment(NamedTuple):
-    """Constants of the equation of motion, for the kernel.
+    """Constants of the equation of motion.
 
     Attributes:
         length: length l of the bending part, m.
@@ -81,11 +81,12 @@ class HangingSegment(NamedTuple):
         inertia: moment of inertia J of the body about its centre, kg·m².
         gain_plus: gain of the + chamber, rad/Pa.
         gain_minus: gain of the − chamber, rad/Pa.
-        law: parameters of φ.
+        law: parameters of the bend law φ.
         dead_volume: dead volume V₀ of a chamber, m³.
-        displacement: increase A of the chamber volume per bend, m³/rad.
-        encloses_air: whether the chambers are closed, so that the pressures follow from
-            the enclosed air.
+        displacement: derivative A of the chamber volume with respect to the bend,
+            m³/rad.
+        encloses_air: whether the chambers are closed, so that the pressures are
+            computed from the enclosed air.
     """
 
     length: float
@@ -157,21 +158,22 @@ def _derivatives(state, creep, creep_derivative, material, segment, branches, re
 def swing(time, start, rest, frequency, material, segment, branches):  # type: ignore[no-untyped-def]  # noqa: D417
     """Integrate the free swing with the Runge-Kutta method of order 4.
 
-    The state consists of bend (rad), bend rate (rad/s), amounts P V of air in the + and
-    − chamber (J), and moments of the branches (N·m).
+    The state consists of the bend (rad), the bend rate (rad/s), the products P V of the
+    air in the + and − chamber (J), and the moments of the branches (N·m).
 
     Args:
-        time: ascending times, s, shape (samples,).
+        time: times in ascending order, s, shape (samples,).
         start: initial state, shape (4 + branches,).
         rest: rest bend b without pressure at each time, rad, shape (samples,).
-        frequency: approximate angular frequency, rad/s, which determines the time step.
+        frequency: approximate angular frequency, rad/s, from which the time step is
+            computed.
         material: `Material` of the segment.
-        segment: `HangingSegment` with constants of the equation of motion.
+        segment: `HangingSegment` with the constants of the equation of motion.
         branches: stiffness g_i (N·m/rad) and relaxation time τ_i (s) of each branch,
             shape (branches, 2).
 
     Returns:
-        Bends at the times, rad, shape (samples,), and the final state.
+        Bend at each time, rad, shape (samples,), and final state.
     """
     result = np.empty(len(time))
     state = start.copy()
@@ -206,7 +208,10 @@ def swing(time, start, rest, frequency, material, segment, branches):  # type: i
 
 
 def weight_moment(segment: HangingSegment, bend: float) -> float:
-    """Return the moment due to weight, which is negative for a positive bend, N·m."""
+    """Return the moment due to weight, N·m.
+
+    The moment is negative if the bend is positive.
+    """
     chord, derivative, _ = chord_derivatives(bend, segment.length, segment.gap)
     change = derivative * math.cos(bend / 2) - chord * math.sin(bend / 2) / 2
     return segment.mass * GRAVITY * change
@@ -235,22 +240,21 @@ def ringing(
 ) -> Ringing:
     r"""Return the small oscillation about the bend at which the segment hangs.
 
-    The linear equation has the complex stiffness of material and air
-
-    $$ K(s) = k\,(1 + s T)\Bigl(1 + \frac{r s}{s + \lambda}\Bigr), \qquad
-       r = \varphi'(x)\,G\,P\,\frac{A}{V}. $$
-
-    The damped frequency follows from the complex root of M s² + K(s) + w = 0, where w
-    is the stiffness due to weight. The loss factor is Im K/Re K at this frequency. Each
-    Maxwell branch adds g s τ/(1 + s τ) to the stiffness of the material.
+    The linearised equation has the complex stiffness of the material and the air $$
+    K(s) = k\,(1 + s T)\Bigl(1 + \frac{r s}{s + \lambda}\Bigr), \qquad r =
+    \varphi'(x)\,G\,P\,\frac{A}{V}. $$ The damped frequency is computed from the complex
+    root of M s² + K(s) + w = 0, where w is the stiffness due to weight. The loss factor
+    at the damped frequency is Im K/Re K. Each Maxwell branch adds g s τ/(1 + s τ) to
+    the stiffness of the material.
 
     Args:
         segment: hanging segment.
-        material: material and leak rate.
+        material: stiffness, damping time and leak rate.
         rest: rest bend b, rad.
-        air: amounts of enclosed air in the + and − chamber, J, shape (2,), which are
-            not used with open valves.
-        branches: Maxwell branches.
+        air: products P V of the air in the + and − chamber, J, shape (2,). The products
+            are ignored if the valves are open.
+        branches: stiffness (N·m/rad) and relaxation time (s) of each Maxwell branch,
+            shape (branches, 2).
     """
     k, damping_time, leak = material
     gains = (segment.gain_plus, -segment.gain_minus)
@@ -296,11 +300,12 @@ def ringing(
 
 
 class Branches(NamedTuple):
-    """Material with Maxwell branches, and the moments of the branches at the start.
+    """Material with Maxwell branches, and the initial moments of the branches.
 
     Attributes:
         material: stiffness and viscous damping without the branches.
-        branches: stiffness and relaxation time of each branch, shape (branches, 2).
+        branches: stiffness (N·m/rad) and relaxation time (s) of each branch, shape
+            (branches, 2).
         moments: moments of the branches when the swing passes the rest position, N·m,
             shape (branches,).
     """
@@ -313,13 +318,10 @@ class Branches(NamedTuple):
 def constant_loss(material: Material, pulsation: float, rate: float) -> Branches:
     """Return a material with a nearly constant loss factor.
 
-    At the given frequency it has the stiffness and loss of the viscous material.
-
-    Args:
-        material: viscous material.
-        pulsation: angular frequency at which both materials agree, rad/s.
-        rate: bend rate at the start, that is, a quarter of a period after the release,
-            rad/s.
+    At the angular frequency `pulsation` (rad/s), the material has the stiffness and
+    loss factor of the given viscous material. The initial moments of the branches are
+    computed for a swing that passes the rest position with the bend rate `rate`
+    (rad/s).
     """
     x = _BRANCH_RATIOS
     storage = x**2 / (1 + x**2)

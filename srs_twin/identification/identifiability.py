@@ -1,17 +1,20 @@
 r"""Identifiability of the parameters of a fit, and the accuracy of their values.
 
 Let J be the Jacobian of the weighted residuals with respect to the coordinates z of
-`parameters`, with singular values s_k and right singular vectors v_k. The error E of J
-is estimated by the difference of two Jacobians with steps h and 2h. A direction v_k is
-*unidentifiable* if its effect on the residuals is within the error of the derivatives:
+`parameters`. J has singular values s_k and right singular vectors v_k. The error E of J
+is estimated from the difference between Jacobians computed with the steps h and 2h. A
+direction v_k is *unidentifiable* if its effect on the residuals does not exceed the
+error of the derivatives:
 
 $$ s_k \le 2\,\lVert E v_k \rVert \quad\text{or}\quad s_k \le 10^{-6} s_1 . $$
 
-The other directions have the standard error σ/s_k. A parameter is not identifiable if
-its component in the unidentifiable directions exceeds 0.1. For a smaller component, the
-variance within the bounds is added. A parameter is also not identifiable if the
-standard error in z is at least 1, because the data then add little to the bounds. With
-a standard error up to 0.1 it is identified, and weakly identified in between.
+Each identifiable direction has the standard error σ/s_k. A parameter is not
+identifiable if its component in the unidentifiable directions exceeds 0.1. If the
+component is at most 0.1, the variance of a uniform distribution between the bounds is
+added to the variance of the parameter. A parameter is also not identifiable if its
+standard error in z is at least 1, because the data then add little information to the
+bounds. A parameter is identified if its standard error is at most 0.1, and weakly
+identified if its standard error is between 0.1 and 1.
 """
 
 from __future__ import annotations
@@ -31,7 +34,7 @@ from srs_twin.identification.estimate import (
 from srs_twin.identification.parameters import FreeParameter
 
 MAX_UNIDENTIFIABLE_FRACTION = 0.1
-"""Maximum component in unidentifiable directions of an identifiable parameter."""
+"""Maximum component of an identifiable parameter in the unidentifiable directions."""
 
 _DERIVATIVE_ERRORS = 2.0
 """Factor of the error E in the criterion for unidentifiable directions."""
@@ -40,7 +43,7 @@ _RELATIVE_CUTOFF = 1e-6
 """Relative singular value below which a direction is unidentifiable."""
 
 _MIN_COMPONENT = 0.05
-"""Minimum component of a unit direction that is listed."""
+"""Minimum component of a listed parameter in an unidentifiable direction."""
 
 _SPREAD_ONLY = "the spread about the best value under a wrong model"
 
@@ -51,7 +54,8 @@ class Identifiability:
 
     Attributes:
         covariance: covariance of the n parameters, shape (n, n).
-        fraction: component of each parameter in the unidentifiable directions, shape (n,).
+        fraction: component of each parameter in the unidentifiable directions, shape
+            (n,).
         directions: unidentifiable directions, shape (directions, n).
     """
 
@@ -87,7 +91,7 @@ class Identifiability:
 
     @property
     def cancels(self) -> tuple[dict[str, float], ...]:
-        """Unidentifiable directions, each with components by parameter name."""
+        """Unidentifiable directions, as mappings from parameter names to components."""
         rows = []
         for row in self.directions:
             positive = row * np.sign(row[np.argmax(np.abs(row))])
@@ -127,7 +131,7 @@ def identifiability(
     unidentifiable = directions[undetermined]
     covariance = (determined.T * (noise / singular[~undetermined]) ** 2) @ determined
     # Without information from data, a parameter is uniformly distributed between its
-    # bounds, with the variance width²/12.
+    # bounds. The variance of the uniform distribution is width²/12.
     prior_std = (np.abs(unidentifiable) @ widths) / np.sqrt(12)
     covariance += (unidentifiable.T * prior_std**2) @ unidentifiable
     fraction = np.linalg.norm(unidentifiable, axis=0)
@@ -139,13 +143,14 @@ class Accuracy:
     """Accuracy of the result of a search.
 
     Attributes:
-        unknowns: n free parameters.
+        unknowns: the n free parameters.
         z: estimate, shape (n,).
-        inside: indices of the parameters that did not end at a bound.
+        inside: indices of the parameters whose estimates are not at a bound.
         known: identifiability of the parameters in `inside`.
-        bias: bias due to model error in z, shape (n,).
-        spread: maximum distance in z to a minimum that fits equally well, shape (n,).
-        quantile: half width of a confidence interval in standard errors.
+        bias: bias in z due to model errors, shape (n,).
+        spread: maximum distance in z to another minimum that fits equally well, shape
+            (n,).
+        quantile: half width of a confidence interval divided by the standard error.
     """
 
     unknowns: tuple[FreeParameter, ...]
@@ -159,7 +164,7 @@ class Accuracy:
     explained: bool
 
     def parameter(self, i: int) -> Parameter:
-        """Return parameter i with verdict and interval."""
+        """Return parameter i with its verdict and confidence interval."""
         unknown = self.unknowns[i]
         z = float(self.z[i])
         index = int(np.searchsorted(self.inside, i))
@@ -204,7 +209,7 @@ class Accuracy:
         return "identified", ""
 
     def covariance(self, kept: Sequence[int]) -> np.ndarray:
-        """Return the covariance in z of the parameters `kept`, with NaN at bounds."""
+        """Return the covariance in z. The entries of parameters at bounds are NaN."""
         matrix = np.full((len(self.unknowns), len(self.unknowns)), np.nan)
         matrix[np.ix_(self.inside, self.inside)] = self.known.covariance
         return matrix[np.ix_(kept, kept)]

@@ -2,13 +2,15 @@ r"""Weighted nonlinear least squares with confidence intervals and identifiabili
 
 **Search.** SciPy's trust-region method minimises the sum of squared weighted residuals
 within bounds, in the coordinates z of `parameters`. The Jacobian is computed by central
-differences. If the model has kinks, the search is repeated from its end point with a
-coarse step. Further starts are drawn with a fixed seed, so the search is deterministic.
+differences. If the model has kinks, the search is repeated with a coarse step from the
+minimum that was found. Additional starting points are random but use a fixed seed, so
+the search is deterministic.
 
 An optional first stage uses only residuals that are monotonic over a large range of the
-parameters. For a crawling robot, these are the residuals of the bends. Path and heading
-are monotonic only within a few per cent, because the simulated robot may turn in
-another direction if the parameters are farther from the solution.
+parameters. For a crawling robot, the first stage uses the residuals of the bends. The
+residuals of path and heading are monotonic only if the parameters are within a few per
+cent of the solution. With less accurate parameters, the simulated robot may turn in
+another direction.
 
 **Intervals.** Let S be the sum of squares at the estimate, p the number of parameters,
 and n the number of samples, which are equivalent to n/τ independent samples
@@ -17,15 +19,16 @@ and n the number of samples, which are equivalent to n/τ independent samples
 $$ C = s^2\,\tau\,(J^\top J)^{-1}, \qquad s^2 = \frac{S}{n}\,\frac{n/\tau}{n/\tau - p}.
 $$
 
-Intervals are computed in z with Student's t distribution and n/τ − p degrees of
-freedom, so intervals of positive parameters are asymmetric. They are exact for
-parameters whose effect varies slowly compared with the correlation of the residuals,
-and too wide for other parameters.
+The confidence intervals are computed in z with Student's t distribution and n/τ − p
+degrees of freedom. The interval of a positive parameter is therefore asymmetric. The
+intervals are exact if the effect of a parameter varies slowly compared with the
+correlation time of the residuals, and too wide otherwise.
 
-**Model error.** Model errors bias the estimate even if the residuals are small. A
-better model, the *reference*, reveals the bias by indirect inference (Gouriéroux,
-Monfort and Renault 1993, Journal of Applied Econometrics 8). The model is fitted to
-data that the reference simulates with values z₀. The result minus z₀ is the bias b(z₀).
+**Model error.** Model errors bias the estimate even if the residuals are small. The
+bias is estimated with a better model, the *reference*, by indirect inference
+(Gouriéroux, Monfort and Renault 1993, Journal of Applied Econometrics 8). The model is
+fitted to data that the reference simulates with the parameters z₀. The bias b(z₀) is
+the difference between the fitted parameters and z₀.
 
 The bias at the unknown true values is approximated by the iteration
 b_{k+1} = b(z − b_k) with b₁ = b(z), and the covariance becomes
@@ -33,7 +36,8 @@ b_{k+1} = b(z − b_k) with b₁ = b(z), and the covariance becomes
 $$ C \to C + b_n b_n^\top + (b_n - b_{n-1})(b_n - b_{n-1})^\top , $$
 
 where the last term is the uncertainty of b. The iteration ends when b changes by less
-than the standard errors, or after five searches. The estimate itself is not corrected.
+than the standard errors, or after five searches. The estimate is not corrected for the
+bias.
 """
 
 from __future__ import annotations
@@ -66,28 +70,28 @@ Residuals = Callable[[Values], Sequence[Residual]]
 ResidualFilter = Callable[[Residual], bool]
 
 Refit = Callable[[Values], Values]
-"""Function that fits the model to data simulated by a reference with given values."""
+"""Function that fits the model to data simulated by a reference model."""
 
 Watch = Callable[[int, float], None]
-"""Progress callback that receives the number of runs and the best weighted RMS."""
+"""Progress callback, called with the number of model runs and the best weighted RMS."""
 
 _START_RANGE = 1.5
-"""Range in z about the first start from which further starts are drawn."""
+"""Range in z from which additional starting points are drawn."""
 
 _MIN_START_DISTANCE = 0.7
-"""Minimum distance in z between two starts.
+"""Minimum distance in z between two starting points.
 
-Searches from closer starts would reach one minimum.
+Searches from closer points would find the same minimum.
 """
 
 _CANDIDATES_PER_START = 12
-"""Number of random points per further start, of which the best one is used."""
+"""Number of random points per additional starting point. The best point is used."""
 
 _MAX_COARSE_SEARCHES = 4
 """Maximum number of repetitions with the coarse step."""
 
 _IMPROVEMENT = 0.99
-"""Ratio of the sums of squares below which another repetition is worthwhile."""
+"""Maximum ratio of the new to the old sum of squares for another repetition."""
 
 _MAX_ITERATIONS = 100
 """Maximum number of iterations of SciPy's search."""
@@ -95,22 +99,24 @@ _MAX_ITERATIONS = 100
 
 @dataclass(frozen=True)
 class SearchOptions:
-    """Settings of a search, chosen for a model.
+    """Settings of a search, which depend on the model.
 
     Attributes:
-        step: step of finite differences in z, which is larger for models that are not
-            smooth.
-        coarse_step: step with which a finished search is repeated for models with
-            kinks, or step of the first stage.
-        tolerance: relative change of the sum of squares, or of z, that ends the search,
-            by default derived from `step`.
+        step: step of finite differences in z. Models that are not smooth need a larger
+            step.
+        coarse_step: coarse step in z. The first stage uses the coarse step. Without a
+            first stage, the search is repeated with the coarse step, because models
+            with kinks have local minima.
+        tolerance: relative change of the sum of squares or of z at which the search
+            ends. The default tolerance is derived from `step`.
         first_stage: filter that selects the residuals of the first stage, which are
             monotonic over a large range of the parameters.
-        identifiability_step: step of the Jacobian for the identifiability, by default
-            `step`. It is used if the data leave a larger uncertainty than `step`.
+        identifiability_step: step of the Jacobian from which the identifiability is
+            computed, by default `step`. `identifiability_step` is used only if the
+            uncertainty of the estimate exceeds `step`.
         target_rms: RMS of the weighted residuals at which the search ends early.
-        max_runs: maximum number of model runs, after which the search ends without
-            convergence, or None.
+        max_runs: maximum number of model runs, or None for no limit. A search that
+            reaches the limit does not converge.
     """
 
     step: float = 1e-4
@@ -123,7 +129,7 @@ class SearchOptions:
 
     @property
     def effective_tolerance(self) -> float:
-        """Tolerance as given, or derived from `step`."""
+        """Tolerance, which is derived from `step` if it is not given."""
         if self.tolerance is None:
             return max(1e-12, 1e-3 * self.step**2)
         return self.tolerance
@@ -131,12 +137,7 @@ class SearchOptions:
 
 @dataclass(frozen=True)
 class SearchResult:
-    """Result of a search.
-
-    Attributes:
-        z: coordinates, shape (n,).
-        cost: half the sum of squared weighted residuals.
-    """
+    """Coordinates z of a minimum, and half the sum of squared weighted residuals."""
 
     z: Array
     cost: float
@@ -181,25 +182,24 @@ class Search:
             )
 
     def values(self, z: Array) -> dict[str, float]:
-        """Return the parameter values at z, by name."""
+        """Return the parameter values at z as a mapping from names to values."""
         return {
             unknown.name: unknown.value(float(at))
             for unknown, at in zip(self.unknowns, z, strict=True)
         }
 
     def residuals(self, z: Array) -> tuple[Residual, ...]:
-        """Run the model, and return all residuals at z."""
+        """Run the model and return all residuals at z."""
         return tuple(self._residuals(self.values(z)))
 
     def weighted(self, z: Array, only: ResidualFilter | None = None) -> Array:
         """Return the weighted residuals of the fitted data.
 
-        Args:
-            z: coordinates.
-            only: filter that selects residuals, or None for all residuals.
+        The filter `only` selects the residuals that are returned.
 
         Raises:
-            _SearchStoppedError: the runs are used up, or the target RMS is reached.
+            _SearchStoppedError: the maximum number of runs or the target RMS is
+                reached.
         """
         if self._is_searching and self._runs_left <= 0:
             raise _SearchStoppedError
@@ -224,7 +224,7 @@ class Search:
             self._watch(self._runs, self._smallest_rms)
 
     def jacobian(self, z: Array, h: float, only: ResidualFilter | None = None) -> Array:
-        """Return the Jacobian by central differences of step h, one-sided at bounds."""
+        """Return the Jacobian by central differences, which are one-sided at bounds."""
         columns = []
         for i in range(len(z)):
             up = z.copy()
@@ -236,11 +236,9 @@ class Search:
         return np.stack(columns, axis=1)
 
     def jacobian_and_error(self, z: Array, noise: float) -> tuple[Array, Array]:
-        """Return the Jacobian and an estimate of its error, shape (samples, n) each.
+        """Return the Jacobian and an estimate of its error, each of shape (samples, n).
 
-        Args:
-            z: coordinates.
-            noise: standard deviation of a weighted residual.
+        `noise` is the standard deviation of a weighted residual.
         """
         step = self._options.step
         wide = self._options.identifiability_step
@@ -252,18 +250,19 @@ class Search:
         coarse = self.jacobian(z, 2 * step)
         if wide is None:
             return fine, coarse - fine
-        # If the model is not smooth, both Jacobians are equally accurate. Half their
-        # difference is the error of their mean.
+        # If the model is not smooth, the Jacobians with the two step sizes are equally
+        # accurate. The error of the mean Jacobian is half of the difference between the
+        # two Jacobians.
         return (fine + coarse) / 2, (coarse - fine) / 2
 
     def bias(self, z: Array, refit: Refit) -> Array:
-        """Return the bias b(z), computed from a search in data simulated at z."""
+        """Return the bias b(z) from a fit to data that the reference simulates at z."""
         values = refit(self.values(z))
         found = [unknown.coordinate(values[unknown.name]) for unknown in self.unknowns]
         return np.array(found) - z
 
     def run(self, start: Array) -> SearchResult:
-        """Search from a start. A stopped search returns its best point."""
+        """Search from a starting point. A stopped search returns its best point."""
         options = self._options
         self._best = SearchResult(start, np.inf, False)
         self._is_searching = True
@@ -281,11 +280,11 @@ class Search:
             self._is_searching = False
 
     def start_cost(self, z: Array) -> float:
-        """Return the sum of squares that ranks possible starts."""
+        """Return the sum of squares that is used to rank starting points."""
         return float(np.sum(self.weighted(z, self._options.first_stage) ** 2))
 
     def _minimize_with_kinks(self, start: Array) -> SearchResult:
-        """Minimise with coarse and fine steps in turn to escape minima at kinks."""
+        """Minimise with fine and coarse steps in turn to leave local minima."""
         fine = self._options.step
         coarse = self._options.coarse_step
         end = self._minimize(start, fine)
@@ -303,10 +302,10 @@ class Search:
     def _minimize(
         self, start: Array, step: float, only: ResidualFilter | None = None
     ) -> SearchResult:
-        from scipy import optimize  # imported here because the import takes 0.5 s
+        from scipy import optimize  # slow import
 
-        # One observation per parameter is added, so that a parameter without effect on
-        # the filtered residuals keeps its initial value.
+        # The prior adds one observation per parameter, so that a parameter without
+        # effect on the filtered residuals keeps its initial value.
         count = 0 if only is None else len(start)
         prior = np.eye(count, len(start))
         result = optimize.least_squares(
@@ -323,7 +322,7 @@ class Search:
 
 
 class _SearchStoppedError(Exception):
-    """Signal that a search has used up its model runs or reached its target RMS."""
+    """Signal that a search has reached its maximum number of runs or its target RMS."""
 
 
 def _weighted(residuals: Sequence[Residual]) -> Array:
@@ -334,9 +333,9 @@ def _weighted(residuals: Sequence[Residual]) -> Array:
 
 
 def select_starts(search: Search, count: int) -> list[Array]:
-    """Return the first start and the best of many random points about it.
+    """Return the first starting point and the best of many random points around it.
 
-    All starts have a minimum distance from each other.
+    All starting points have a minimum distance from each other.
     """
     size = (_CANDIDATES_PER_START * (count - 1), len(search.start))
     shifts = np.random.default_rng(0).uniform(-_START_RANGE, _START_RANGE, size)
@@ -353,7 +352,7 @@ def select_starts(search: Search, count: int) -> list[Array]:
 
 
 _BOUND_DISTANCE = 1e-3
-"""Distance in z from a bound below which a parameter is at the bound."""
+"""Maximum distance in z from a bound of a parameter that counts as at the bound."""
 
 
 def least_squares(
@@ -367,24 +366,20 @@ def least_squares(
     validation: Residuals | None = None,
     refit: Refit | None = None,
 ) -> FitEstimate:
-    """Fit parameters to data, as described in the module docstring.
+    """Fit parameters to data by weighted nonlinear least squares.
 
     Args:
-        residuals: function that returns the residuals of all data for given values.
-            Number and lengths of the residuals must be constant.
+        residuals: function that returns the residuals of all data for given parameter
+            values. The number and the lengths of the residuals must be constant.
         unknowns: free parameters.
         options: settings of the search, by default for a smooth model.
-        starts: number of searches.
-        held: fixed values that the estimates depend on, which are stored in the result.
+        starts: number of searches, each from a different starting point.
+        held: constant values that affect the estimates and are stored in the result.
         watch: progress callback.
-        validation: function that returns residuals for validation. It is called only at
-            the end, which saves time with slow models.
-        refit: function that fits the model to data of a reference, which measures the
-            bias due to model errors.
-
-    Raises:
-        InputError: there is no parameter, there are fewer samples than parameters, or
-            residuals are not finite at the start.
+        validation: function that returns the residuals of the validation data. The
+            function is called only after the search, which saves time with slow models.
+        refit: function that fits the model to data of a reference model, from which the
+            bias due to model errors is estimated.
     """
     search = Search(residuals, tuple(unknowns), options or SearchOptions(), watch)
     ends = [search.run(start) for start in select_starts(search, starts)]
@@ -448,7 +443,7 @@ def _identify(
     search: Search, z: Array, noise: float
 ) -> tuple[np.ndarray, Identifiability]:
     jacobian, error = search.jacobian_and_error(z, noise)
-    # A parameter without effect may end anywhere, even at a bound.
+    # A parameter without effect on the residuals may end anywhere, even at a bound.
     has_effect = np.linalg.norm(jacobian, axis=0) > 2 * np.linalg.norm(error, axis=0)
     at_bound = has_effect & (
         (z - search.low < _BOUND_DISTANCE) | (search.high - z < _BOUND_DISTANCE)
@@ -488,12 +483,15 @@ def _iterate_bias(
 
 
 _MAX_REFITS = 5
-"""Maximum number of fits to data of the reference. Gait fits need three to five."""
+"""Maximum number of fits to data of the reference model.
+
+Gait fits need three to five.
+"""
 
 
 def _spread_of_minima(
     best: SearchResult, ends: Sequence[SearchResult], limit: float
 ) -> Array:
-    """Return the distance of each parameter in z to the farthest equivalent minimum."""
+    """Return the distance in z of each parameter to the farthest equivalent minimum."""
     minima = [end.z for end in ends if 2 * (end.cost - best.cost) <= limit]
     return np.asarray(np.abs(np.array(minima) - best.z).max(axis=0))

@@ -1,12 +1,13 @@
 """Fits of friction, lengths, masses or stiffness to runs of the crawling robot.
 
-The recorded valve states drive a plant, whose motion is compared with the measured
-motion. The compared signals are the period-averaged speed and yaw rate (`averages`),
-the path, heading and bends over time (`shapes`), or both.
+A plant is simulated with the recorded valve states, and its motion is compared with the
+measured motion. The comparison uses the period-averaged speed and yaw rate
+("averages"), or the path, heading and bends over time ("shapes"), or all of these
+signals ("both").
 
 Some parameters cannot be identified from these data. The motion depends only on ratios
-of masses, and on stiffness and damping relative to the masses. In the model `complete`,
-whose bends are prescribed, the stiffness has no effect.
+of masses, and on the ratios of stiffness and damping to the masses. The model
+`complete` has prescribed bends, so its motion does not depend on the stiffness.
 """
 
 from __future__ import annotations
@@ -51,11 +52,7 @@ from srs_twin.trajectory import Trajectory
 
 
 def gait_run(recording: Recording, name: str, supply_pa: float) -> GaitRun:
-    """Create a gait run from a recording with valve states or measured pressures.
-
-    Raises:
-        InputError: the recording has no log, or only bends.
-    """
+    """Create a gait run from a recording with valve states or measured pressures."""
     trajectory = recording.trajectory
     if recording.only_bends:
         raise InputError(f"{name}: {NO_MARKERS}")
@@ -74,7 +71,7 @@ def _recorded_pressures(
 
 
 MEASURED_LENGTHS = ("geometry.rigid_gap_m", "geometry.segment_length_m")
-"""Lengths whose sum, the pitch, is determined by markers."""
+"""Lengths whose sum, the pitch of the segments, can be measured with markers."""
 
 FROM_MARKERS = "measured from the markers, not from the walk"
 
@@ -82,23 +79,24 @@ FROM_MARKERS = "measured from the markers, not from the walk"
 def measured_length(
     recordings: Sequence[Recording], spec: RobotSpec, names: Sequence[str]
 ) -> Parameter | None:
-    r"""Measure the rigid gap or segment length from markers, if possible.
+    r"""Measure the rigid gap or the segment length from markers, if possible.
 
-    The pitch is the sum of rigid gap and length of a straight segment. One of the two
-    lengths is computed from the pitch and the other length in the robot file. The arc
-    lengths ℓ, which the markers determine with the gap g of the file, are fitted by
+    The pitch is the sum of the rigid gap and the length of a straight segment. The
+    requested length is the measured pitch minus the second length, whose value is taken
+    from the robot file. The markers determine the arc length ℓ of a segment if the gap
+    is assumed to have the value g in the robot file. The pitch is computed by the fit
 
     $$ \ell = a + b\,q^2, \qquad \text{pitch} = a + g . $$
 
-    The coefficient b contains the elongation of segments and the effect of a wrong g.
-    The standard error includes the scatter over segments due to the placement of
-    markers, and the noise of the two outermost markers.
+    The coefficient b contains the elongation of bent segments and the effect of an
+    error of g. The standard error includes the scatter over the segments due to the
+    placement of the markers, and the noise of the two outermost markers.
 
     Args:
-        recordings: recordings, some or all with markers.
+        recordings: recordings, of which some or all contain markers.
         spec: robot with which the recordings were read.
-        names: requested parameters. If both lengths are requested, nothing is measured,
-            because markers determine only the sum.
+        names: requested parameters. If the gap and the segment length are requested,
+            the result is None, because markers determine only the pitch.
     """
     requested = [name for name in names if name in MEASURED_LENGTHS]
     marked = [
@@ -146,38 +144,38 @@ NOISE = {
 }
 """Expected standard deviation and unit of each signal.
 
-If the error of a bend computed from the markers is larger, this error is used.
+For a bend, the error computed from the markers is used if it is larger.
 """
 
 _STEP = 3e-2
 """Step of finite differences in z for the analytical plants, which have kinks."""
 
 _COARSE_STEP = 0.1
-"""Coarse step in z for the analytical plants."""
+"""Coarse step of finite differences in z for the analytical plants."""
 
 MAX_TWIN_RUNS = 150
 """Maximum number of simulations of all recordings with the twin in one search."""
 
-_CLOSE_STEPS = {"tolerance": 2e-5}  # m/s at a time unit of 1 (`robot.scale`)
+_CLOSE_STEPS = {"tolerance": 2e-5}  # m/s, multiplied by the time scale of the robot
 """Settings of an analytical plant in a fit.
 
-The friction tolerance is a tenth of the default. With the default, the step size
-control would affect finite differences more than the parameters.
+The friction tolerance is a tenth of the default value. With the default tolerance, the
+step size control would affect finite differences more than the parameters do.
 """
 
 _COMPLIANT_STEPS = _CLOSE_STEPS | {
     "timestep": 0.0005,
     "slip_speed": 0.001,
-}  # s, m/s at a time unit of 1
+}  # s and m/s, multiplied by the time scale of the robot
 """Settings of the model `compliant` in a fit.
 
-With the default time step and slip speed (2 ms, 0.25 mm/s), the sum of squares has many
-local minima a few standard errors apart. The slip speed is equal to the slip speed in
-the twin.
+With the default time step of 2 ms and the default slip speed of 0.25 mm/s, the sum of
+squares has many local minima a few standard errors apart. The slip speed used here is
+the slip speed of the twin.
 """
 
 _DIVERGED_RESIDUAL = 1e3
-"""Residual assigned to each sample of a run that diverges."""
+"""Residual assigned to each sample of a simulation that diverges."""
 
 _MAX_RATE_HZ = 50.0
 """Maximum sampling rate at which shapes are compared, Hz."""
@@ -191,8 +189,8 @@ class GaitRun:
         trajectory: measured motion from rest, with the gait frequency in the metadata.
         controller: controller that replays the recorded valve states.
         supply_pa: supply pressure, Pa.
-        chambers: pneumatic model that replays recorded pressures, or None if valve
-            states were recorded.
+        chambers: function that creates a pneumatic model with the recorded pressures,
+            or None if valve states were recorded.
     """
 
     trajectory: Trajectory
@@ -210,12 +208,12 @@ class GaitRun:
 
 @dataclass(frozen=True)
 class PlantModel:
-    """Plant with which the robot is simulated.
+    """Plant that simulates the robot in a fit.
 
     Attributes:
         plant: name of the plant, "analytical" or "twin".
-        settings: settings of the plant such as model="compliant", which override the
-            settings that fits use by default.
+        settings: settings of the plant, such as model="compliant", which override the
+            default settings of fits.
     """
 
     plant: str = "analytical"
@@ -228,11 +226,12 @@ class PlantModel:
     def search_options(self, compare_signals: str) -> SearchOptions:
         """Return the settings of a search with this plant.
 
-        The motion of the twin is smooth down to steps of 1e-3 in z. Path and heading
-        are monotonic within 1e-2 and bends within 1, so the first stage uses only the
-        bends. The identifiability is computed with a step of the few per cent that the
-        data leave undetermined. The model `compliant` has finer kinks than the twin,
-        and all of its signals are monotonic.
+        The motion of the twin is a smooth function of z down to steps of 1e-3. Path and
+        heading are monotonic functions of z within 1e-2 of the solution, whereas bends
+        are monotonic within 1. The first stage therefore uses only the bends. The step
+        for the identifiability is a few per cent, similar to the uncertainty of the
+        parameters. The model `compliant` has finer kinks than the twin, and all of its
+        signals are monotonic.
         """
         if self.plant == "twin":
             options = SearchOptions(
@@ -262,10 +261,7 @@ class PlantModel:
     ) -> Plant:
         """Return the plant of a robot.
 
-        Args:
-            spec: robot specification.
-            supply_pa: supply pressure, Pa.
-            chambers: pneumatic model, or None for the default.
+        `chambers` is the pneumatic model, or None for the default model.
         """
         settings = dict(self.settings)
         if chambers is not None:
@@ -283,10 +279,10 @@ class PlantModel:
         return AnalyticalSnake(spec, supply_pa=supply_pa, **settings)
 
     def simulate(self, run: GaitRun, spec: RobotSpec) -> Trajectory:
-        """Return the motion of the plant under the valve states of a run.
+        """Simulate the plant with the recorded valve states or pressures of a run.
 
         Raises:
-            DivergedError: the simulation diverges.
+            DivergedError: the simulation diverged.
         """
         chambers = run.chambers and run.chambers(spec)
         plant = self.build(spec, run.supply_pa, chambers)
@@ -368,22 +364,18 @@ def fit_locomotion(
 
     Args:
         runs: measured runs.
-        spec: robot with the initial values and the fixed values.
-        names: names of the free parameters, as in `parameters`.
+        spec: robot with the initial values and the constant values.
+        names: names of the free parameters, as defined in `parameters`.
         model: plant that simulates the robot, by default the analytical plant.
-        compare_signals: compared signals ("averages", "shapes" or "both").
+        compare_signals: signals to compare: "averages", "shapes" or "both".
         validation: runs for validation.
-        starts: number of searches. A single search may end in a local minimum, except
-            with shapes of the twin.
+        starts: number of searches, each from a different starting point. A single
+            search may end in a local minimum unless the twin is compared by shapes.
         watch: progress callback.
-        reference: better model of the robot, which reveals the bias due to model errors
-            (`least_squares`). Without it, the intervals assume a correct model.
-        known: measured parameters, which are fixed at their values.
-
-    Raises:
-        InputError: there is no run, there are too few runs for the number of
-            parameters, a run has no complete gait period, or a validation run is also
-            fitted.
+        reference: better model of the robot, from which the bias due to model errors is
+            estimated (see `least_squares`). Without a reference, the intervals assume
+            that the model is correct.
+        known: measured parameters, which are constant in the fit.
     """
     if compare_signals not in AGAINST:
         raise UnknownNameError("residual", compare_signals, AGAINST)
@@ -409,8 +401,8 @@ def fit_locomotion(
         search = Search(
             partial(comparison.residuals, simulated), unknowns, options, None
         )
-        # The search starts where the fit started, so that both end in one local
-        # minimum.
+        # The search starts at the starting point of the fit, so that the search finds
+        # the same local minimum as the fit.
         return search.values(search.run(search.start).z)
 
     estimate = least_squares(
@@ -428,17 +420,10 @@ def fit_locomotion(
 def signals(
     trajectory: Trajectory, measured: Trajectory | None, compare_signals: str, name: str
 ) -> dict[str, np.ndarray]:
-    """Return the signals by which runs are compared, each of shape (samples,).
+    """Return the signals that are compared, each of shape (samples,).
 
-    Args:
-        trajectory: measured or simulated run.
-        measured: measured run that the times and the pose of a simulated run are
-            aligned with, or None for a measured run.
-        compare_signals: compared signals, one of `AGAINST`.
-        name: name of the run.
-
-    Raises:
-        InputError: averages are requested, but the run has no complete gait period.
+    If `measured` is given, `trajectory` is a simulated run. The times and the pose of
+    the simulated run are then aligned with the measured run.
     """
     result: dict[str, np.ndarray] = {}
     if compare_signals != "shapes":
@@ -474,7 +459,7 @@ def _shapes(
     path = resample(trajectory, trajectory.com)
     heading = resample(trajectory, trajectory["heading"])[:, 0]
     if is_aligned:
-        # A simulated run starts at the origin, so the paths are aligned and only their
+        # A simulated run starts at the origin, so the paths are aligned before their
         # shapes are compared.
         target = resample(measured, measured.com)
         target_heading = resample(measured, measured["heading"])[:, 0]

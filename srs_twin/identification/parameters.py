@@ -1,13 +1,16 @@
-"""Free parameters, which are robot parameters that a fit estimates.
+"""Free parameters: robot parameters that a fit estimates.
 
-A name is `section.key` of a robot file, for example ``actuator.bend_rad``, the bend at
-the nominal supply pressure. An element of a list has the number of the connector or
-segment at the end, as in ``mass.connectors_kg_5`` or ``modules.gain_plus_2``. Without a
-number, ``mass.connectors_kg`` is the mean mass, which scales all masses including the
-wheels. ``modules.sensor_bias_rad`` is one value for the sensors of all modules.
+The name of a parameter has the form `section.key` as in robot files. For example,
+``actuator.bend_rad`` is the bend at the nominal supply pressure. The name of a list
+element ends with the number of the connector or segment, as in ``mass.connectors_kg_5``
+or ``modules.gain_plus_2``. Without a number, ``mass.connectors_kg`` is the mean mass of
+the connectors. A change of the mean mass scales all masses, including the masses of the
+wheels. The parameter ``modules.sensor_bias_rad`` is common to the sensors of all
+modules.
 
 A search uses the coordinate z = ln(value), or z = value/scale if the value may be 0 or
-negative. One unit of z, that is, a factor e or one scale, is a significant difference.
+negative. A change of z by 1 corresponds to a factor e or to a difference of one
+`scale`, and is considered significant.
 """
 
 from __future__ import annotations
@@ -28,11 +31,11 @@ class FreeParameter:
     """Free parameter of a search.
 
     Attributes:
-        name: name of the robot parameter, or any name of a nuisance parameter.
+        name: name of the robot parameter. A nuisance parameter may have any name.
         start: initial value of the search.
-        scale: significant difference in `unit`, or None for a positive value whose
-            logarithm is z.
-        nuisance: whether the value is not a result of interest, such as the initial
+        scale: difference that is considered significant, in `unit`. If `scale` is None,
+            the value is positive and z is the logarithm of the value.
+        nuisance: whether the parameter is not a result of interest, such as the initial
             velocity of a coasting test.
     """
 
@@ -58,7 +61,7 @@ class FreeParameter:
         return value / self.scale
 
     def value(self, coordinate: float) -> float:
-        """Return the value at z, clipped to the bounds."""
+        """Return the value at the coordinate z, clipped to the bounds."""
         if self.scale is None:
             value = math.exp(coordinate)
         else:
@@ -74,7 +77,7 @@ class FreeParameter:
 
 @dataclass(frozen=True)
 class _Accessor:
-    """Getter and setter of a parameter of connector or segment k, counted from 0."""
+    """Functions that get and set a parameter of connector or segment k."""
 
     unit: str
     low: float
@@ -89,17 +92,10 @@ class _Accessor:
 def free_parameters(
     spec: RobotSpec, names: Iterable[str], *, starts: Mapping[str, float] | None = None
 ) -> tuple[FreeParameter, ...]:
-    """Return free parameters that start from the values of a robot.
+    """Return free parameters whose initial values are the values of a robot.
 
-    Args:
-        spec: robot specification.
-        names: names of the parameters.
-        starts: initial values, by name, that differ from the robot.
-
-    Raises:
-        UnknownNameError: a parameter does not exist.
-        InputError: this robot does not have a parameter, a name is repeated, or an
-            initial value is out of bounds.
+    `starts` contains initial values, by parameter name, that replace values of the
+    robot.
     """
     parameters: list[FreeParameter] = []
     for name in names:
@@ -119,20 +115,17 @@ def free_parameters(
 
 
 def with_values(spec: RobotSpec, values: Mapping[str, float]) -> RobotSpec:
-    """Return a robot with other parameter values.
+    """Return a copy of a robot with the given parameter values.
 
-    Values that are not robot parameters are ignored. The result keeps the scale of
-    `spec`, so that numerical settings are equal for all candidates of a fit.
-
-    Raises:
-        InputError: a robot cannot have these values.
+    Names that are not robot parameters are ignored. The result keeps the scale of
+    `spec`, so that the numerical settings are equal for all parameter values in a fit.
     """
     scale = spec.scale
     for name, value in values.items():
         if is_parameter(name):
             accessor, k = _checked_accessor(spec, name)
             spec = accessor.set(spec, value, k)
-    vars(spec)["scale"] = scale  # `cached_property` reads the value from here
+    vars(spec)["scale"] = scale  # `cached_property` reads this value
     return spec
 
 
@@ -143,22 +136,18 @@ def is_parameter(name: str) -> bool:
 
 
 def parameter_unit(name: str) -> str:
-    """Return the unit of a robot parameter.
-
-    Raises:
-        UnknownNameError: the parameter does not exist.
-    """
+    """Return the unit of a robot parameter."""
     accessor, _ = _accessor(name)
     return accessor.unit
 
 
 def parameter_names() -> list[str]:
-    """Return the names of all parameters that can be fitted, with N for a number."""
+    """Return the names of all parameters that can be fitted, with "N" for a number."""
     return list(_ACCESSORS)
 
 
 def per_segment(spec: RobotSpec, *names: str) -> tuple[str, ...]:
-    """Return names with segment numbers from 1, such as ``modules.bias_rad_1``."""
+    """Return parameter names with segment numbers, such as ``modules.bias_rad_1``."""
     return tuple(f"{name}_{j}" for name in names for j in range(1, spec.segments + 1))
 
 
@@ -166,7 +155,7 @@ def _key(name: str) -> tuple[str, int]:
     match = re.fullmatch(r"(.+_)([1-9]\d?)", name, flags=re.ASCII)
     if match is not None:
         return f"{match[1]}N", int(match[2]) - 1
-    # A name with a literal N is invalid.
+    # A name that contains the letter N instead of a number is invalid.
     return "" if name.endswith("_N") else name, 0
 
 
@@ -245,7 +234,7 @@ def _set_mass(spec: RobotSpec, value: float, k: int) -> RobotSpec:
 
 
 def _lightest(spec: RobotSpec) -> float:
-    """Return the minimum mass of a connector, kg, slightly above the wheel mass."""
+    """Return the minimum mass of a connector (kg), slightly above the wheel mass."""
     return 2.01 * spec.mass.wheel / WHEEL_FRACTION
 
 
@@ -265,7 +254,7 @@ def _set_bend(spec: RobotSpec, value: float, k: int) -> RobotSpec:
     )
 
 
-# The bounds lie within the bounds of robot files, so that every result can be written.
+# The bounds lie within the bounds of robot files, so that every result can be saved.
 _ACCESSORS: dict[str, _Accessor] = {
     "geometry.segment_length_m": _scalar("geometry", "segment_length", "m", 0.005, 0.5),
     "geometry.rigid_gap_m": _scalar("geometry", "rigid_gap", "m", 0.0, 0.2, scale=0.02),

@@ -1,24 +1,24 @@
 r"""Period-averaged path of a crawling snake: speed, curvature, edges and transients.
 
-A pose is a point of the path and the direction of the path at this point. The motion
-along an arc of curvature κ and length L is
+A pose consists of a point of the path and the direction of the path at this point. The
+motion along an arc of curvature κ and length L is
 
 $$ A_κ(L) = \Bigl(L\,\mathrm{sinc}\tfrac{κL}{2},\; \text{at the angle}\; \tfrac{κL}{2};\;\; κL\Bigr), $$
 
-and P ∘ A is the pose at the end of an arc that starts at P. Arrays of poses have one
-leading axis.
+where P ∘ A is the pose at the end of an arc that starts at the pose P.
 
 `SteadyPath` describes crawling at a constant offset (Fig. 58, Table 8).
 `measure_transient` measures a change of offset at the time t_s. The pose P at t_s is
-extrapolated from the steady arc before the change. If the path changed instantly, as
-the dissertation assumes, the snake would follow the steady arc P ∘ A(v (t − t_s)) of
-the new offset. The settled path of a real snake is
+extrapolated from the steady arc before the change. The dissertation assumes that the
+curvature changes instantly, so that the snake then moves along the steady arc P ∘ A(v
+(t − t_s)) of the new offset. After the transient of a real snake, its path is
 
 $$ P ∘ D ∘ A(v (t − t_s)), $$
 
-as if the snake had jumped by the constant displacement D. The path has settled when the
-turn per period differs from the turn at the new offset by at most 10 % of the change.
-If learning still varies the turn, twice this variation is allowed.
+where D is a constant displacement due to the transient. The path has settled when the
+turning angle per gait period differs from the turning angle at the new offset by at
+most 10 % of the change. If the turning angle still varies due to iterative learning, a
+deviation of twice the variation is allowed.
 """
 
 from __future__ import annotations
@@ -42,10 +42,10 @@ from srs_twin.robot.spec import Geometry
 from srs_twin.trajectory import Trajectory
 
 _STRAIGHT_PER_M = 1e-9
-"""Curvature below which an arc is a line, within rounding."""
+"""Curvature below which an arc is treated as a straight line."""
 
 _SMALL_TURN_RAD = 1e-4
-"""Turn below which a series replaces a quotient of two small numbers."""
+"""Turning angle below which a series expansion replaces a quotient, rad."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Poses:
     """Poses, or motions from one pose to another.
 
     Attributes:
-        place: position x + i y, m, shape (n,) or ().
+        place: position as a complex number x + i y, m, shape (n,) or ().
         heading: heading, rad, with the shape of `place`.
     """
 
@@ -62,12 +62,12 @@ class Poses:
 
     @classmethod
     def arc(cls, curvature: float, length: np.ndarray | float) -> Poses:
-        """Return the motions A_κ(L), where a negative length (m) moves backward."""
+        """Return the motions A_κ(L). A negative length (m) is a backward motion."""
         half = curvature * np.asarray(length, dtype=float) / 2
         return cls(length * np.sinc(half / np.pi) * np.exp(1j * half), 2 * half)
 
     def compose(self, other: Poses) -> Poses:
-        """Return self ∘ other, that is, the end of the other motion from this pose."""
+        """Return the pose that the motion `other` reaches from this pose."""
         return Poses(
             self.place + np.exp(1j * self.heading) * other.place,
             self.heading + other.heading,
@@ -87,13 +87,13 @@ class Poses:
         """Return the coordinates of points relative to arcs through these poses.
 
         Args:
-            points: points in the plane, m, shape (n, points, 2). With a single pose, n
-                is arbitrary.
+            points: points in the plane, m, shape (n, points, 2). If there is a single
+                pose, n is arbitrary.
             curvature: curvature of the arcs, 1/m.
 
         Returns:
-            Positions along the arc, and distances to the left of the arc, m, both of
-            shape (n, points).
+            Position along the arc and distance to the left of the arc, m, each of shape
+            (n, points).
         """
         relative = points[..., 0] + 1j * points[..., 1] - self.place[..., None]
         relative = relative * np.exp(-1j * self.heading)[..., None]
@@ -114,17 +114,12 @@ def period_averaged_path(
 ) -> tuple[np.ndarray, Poses]:
     """Return the period-averaged path of the centre of mass in a window.
 
-    A pose lies at the middle of a period and has the direction of the chord of the
-    period. The mean position over an arc with the turn φ per period lies inside the arc
-    by (1 − sinc(φ/2))/κ, which is corrected. The sway of the body vanishes in means
-    over whole periods.
-
-    Args:
-        trajectory: motion of the snake.
-        window: window of K periods with an approximately constant turning rate.
-
-    Returns:
-        Times, s, and poses over K − 1 periods, both of shape (instants,).
+    The result contains the times (s) and the poses over K − 1 of the K periods of the
+    window. A pose is at the middle of a gait period. The direction of a pose is the
+    direction of the chord of the path over the period. If the path turns by φ per
+    period, the mean position over a period lies inside the arc by (1 − sinc(φ/2))/κ.
+    The returned path is corrected for the distance between mean position and arc. The
+    lateral oscillation of the body vanishes in averages over whole periods.
     """
     mean, velocity = window.running_mean(trajectory, trajectory.com)
     turn = (
@@ -148,11 +143,12 @@ class SteadyPath:
 
     Attributes:
         speed: speed of the centre of mass along the arc, m/s.
-        curvature: curvature of the arc, 1/m, positive to the left.
+        curvature: curvature of the arc, 1/m. A left turn has a positive curvature.
         left: maximum extent of the body to the left of the arc, m.
-        right: maximum extent to the right of the arc, m.
-        ahead: maximum extent in front of the centre of mass along the arc, m.
-        behind: maximum extent behind the centre of mass along the arc, m.
+        right: maximum extent of the body to the right of the arc, m.
+        ahead: maximum extent of the body in front of the centre of mass, along the arc,
+            m.
+        behind: maximum extent of the body behind the centre of mass, along the arc, m.
     """
 
     speed: float
@@ -166,18 +162,10 @@ class SteadyPath:
     def measure(
         cls, trajectory: Trajectory, geometry: Geometry, window: GaitWindow
     ) -> SteadyPath:
-        """Measure the steady path over whole periods of a run.
+        """Measure the steady path over at least three whole gait periods of a run.
 
-        The body is a band about the centre line with round ends and the width of the
-        robot, including the arcs between connectors.
-
-        Args:
-            trajectory: motion of the snake.
-            geometry: geometry of the robot.
-            window: window of three or more periods.
-
-        Raises:
-            InputError: the snake does not move forward.
+        The body is modelled as a band about the centre line with round ends and the
+        width of the robot. The centre line includes the arcs between connectors.
         """
         chords, turns = displacement_per_period(trajectory, window)
         chord = float(chords.mean())
@@ -203,13 +191,13 @@ class SteadyPath:
         along, left = on_arc.coordinates(
             body_sides(trajectory, geometry)[in_window], curvature
         )
-        # Head and tail are discs, as in the collision geometry of the twin.
+        # Head and tail are modelled as discs, as in the collision geometry of the twin.
         ends, offset = on_arc.coordinates(
             trajectory.position[in_window][:, [0, -1]], curvature
         )
         extent = (
             geometry.width / 2 / (1 - curvature * offset)
-        )  # half widths of the discs as angles about the centre of the arc
+        )  # half the width of a disc as an angle about the centre of the arc
         if abs(curvature) > _STRAIGHT_PER_M:
             extent = np.arcsin(curvature * extent) / curvature
         ahead = max(along.max(), (ends + extent).max())
@@ -220,9 +208,10 @@ class SteadyPath:
 
 
 def average_repeats(repeats: Sequence[SteadyPath]) -> tuple[SteadyPath, SteadyPath]:
-    """Combine repeated measurements, and return half their range.
+    """Combine repeated measurements, and return half the range of each value.
 
-    Speed and curvature are averaged, and the extents of the body are maxima.
+    Speed and curvature are averaged. The extents of the body are the maxima over all
+    measurements.
     """
     values = np.array([astuple(repeat) for repeat in repeats])
     names = [field.name for field in fields(SteadyPath)]
@@ -235,24 +224,18 @@ def average_repeats(repeats: Sequence[SteadyPath]) -> tuple[SteadyPath, SteadyPa
 
 BothPaths = tuple[SteadyPath, SteadyPath]
 STEADY_PERIODS = 4
-"""Number of periods that are averaged before a change and after settling."""
+"""Number of gait periods that are averaged before a change and after the transient."""
 
 SETTLED = 0.1
-"""Relative error of the turn per period below which a change is complete."""
+"""Maximum relative error of the turning angle per period of a settled path."""
 
 MAX_UNREST = 0.1
-"""Maximum relative error of the turn at the end of a run whose path has settled."""
+"""Maximum relative error of the turning angle at the end of a run."""
 
 
 @dataclass(frozen=True)
 class OffsetChange:
-    """Change of offset in a run.
-
-    Attributes:
-        time: time of the change, s.
-        before: old offset.
-        after: new offset.
-    """
+    """Change of offset in a run at a time (s)."""
 
     time: float
     before: float
@@ -266,21 +249,11 @@ def measure_transient(
     change: OffsetChange,
     paths: BothPaths,
 ) -> Transient:
-    """Measure one change of offset.
+    """Measure the transient after one change of offset.
 
     The part of the body that is still on the old arc is excluded, because a planner
-    assigns it to this arc.
-
-    Args:
-        trajectory: motion with some periods before the change and some after the path
-            has settled.
-        geometry: geometry of the robot.
-        period: gait period, s.
-        change: change of offset.
-        paths: steady paths of the old and the new offset.
-
-    Raises:
-        InputError: the run is too short.
+    includes this part in the area swept along the old arc. `paths` contains the steady
+    paths of the old and the new offset.
     """
     old = GaitWindow.ending_at(trajectory, period, change.time, STEADY_PERIODS)
     if old is None:
@@ -317,10 +290,10 @@ def _excess(
     begin: Poses,
     paths: BothPaths,
 ) -> tuple[float, float]:
-    """Return how far the body reaches beyond the new arc to the left and right, m.
+    """Return the maximum distance of the body beyond the new arc to each side, m.
 
-    The area swept along the old arc within one body length before the change is
-    excluded.
+    The area swept along the old arc is excluded if it lies within one body length of
+    the change.
     """
     before, after = paths
     during = (trajectory.time >= time - 1e-9) & (trajectory.time <= settled + 1e-9)
@@ -360,9 +333,10 @@ def _settling_time(
 
 
 def combine_transients(repeats: Sequence[Transient]) -> Transient:
-    """Combine transients at several phases.
+    """Combine the transients of changes at several phases of the gait.
 
-    Displacements are averaged, and the extents of the body are maxima.
+    Displacements are averaged. The extents of the body are the maxima over all
+    measurements.
     """
     first = repeats[0]
     left, right, length = (

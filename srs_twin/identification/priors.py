@@ -1,12 +1,13 @@
 r"""Prior distributions of the uncertain parameters of a robot, with correlations.
 
-The entry `uncertain` of a value in a robot file states its distribution F. Correlations
-R between values are represented by standard normal variables ζ (Gaussian copula):
+The entry `uncertain` of a value in a robot file defines the distribution F of the
+value. Correlations R between values are represented by standard normal variables ζ
+(Gaussian copula):
 
 $$ x_i = F_i^{-1}(\Phi(\zeta_i)), \qquad \zeta = L z, \quad L L^T = R, \quad z_i = \Phi^{-1}(u_i), $$
 
-where u is uniform and independent. Normal and lognormal distributions are truncated at
-the bounds of robot files.
+where the variables u are independent and uniformly distributed. Normal and lognormal
+distributions are truncated at the bounds that robot files allow.
 """
 
 from __future__ import annotations
@@ -29,7 +30,6 @@ class Prior:
 
     Attributes:
         path: path of the parameter in a robot file.
-        value: value in the robot file.
         bounds: minimum and maximum value that a robot file allows.
     """
 
@@ -50,7 +50,7 @@ class Prior:
         return np.interp(values, self.quantile(table), table)
 
     def with_measurement(self, value: float, sd: float) -> Prior:
-        """Return a normal distribution with a measured mean and standard deviation."""
+        """Return the normal distribution of a measured value."""
         return replace(
             self,
             value=value,
@@ -73,14 +73,7 @@ class Priors:
     def from_robot(cls, robot: RobotFile, *, exclude: Collection[str] = ()) -> Priors:
         """Return the prior distribution in a robot file.
 
-        Args:
-            robot: robot file.
-            exclude: paths of parameters that are treated as exact.
-
-        Raises:
-            UnknownNameError: a path does not belong to an uncertain parameter.
-            InputError: no parameter is uncertain, or the correlations contradict each
-                other.
+        `exclude` contains paths of parameters that are treated as exactly known.
         """
         records = {
             path: record
@@ -120,7 +113,7 @@ class Priors:
 
     @property
     def paths(self) -> tuple[str, ...]:
-        """Paths of the parameters."""
+        """Paths of the parameters in the robot file."""
         return tuple(prior.path for prior in self.parameters)
 
     @property
@@ -139,7 +132,7 @@ class Priors:
         return np.stack(columns, axis=-1)
 
     def document(self) -> list[dict[str, object]]:
-        """Return plain data for digests and results."""
+        """Return the prior distribution as plain data."""
         rows = [
             {
                 "parameter": p.path,

@@ -1,4 +1,4 @@
-"""Scenario that compares a recorded run with both plants."""
+"""Scenario that simulates a recorded run and compares simulation and recording."""
 
 from __future__ import annotations
 
@@ -24,10 +24,13 @@ from srs_twin.scenario.loading import parse_scenario
 from srs_twin.scenario.scenario import Scenario
 
 _MAX_DURATION_S = 3600.0
-"""Maximum duration of a replay, s (limit of a scenario)."""
+"""Maximum duration of a scenario, s."""
 
 _BENCH_RECORD_HZ = 1000
-"""Sampling rate on a bench, where bends follow the valves within milliseconds, Hz."""
+"""Sampling rate on a bench, Hz.
+
+On a bench, the bends respond to the valves within milliseconds.
+"""
 
 
 @checked
@@ -46,28 +49,28 @@ def replay_scenario(
     law: str | None = None,
     notify: Callable[[str], object] = str,
 ) -> Scenario:
-    """Build the scenario that drives both plants with the valve states of a recording.
+    """Build a scenario that simulates the robot with recorded valve states.
 
     `srs-twin replay` runs the scenario with `run_scenario`, whose metrics compare each
     plant with the recording.
 
     Args:
-        motion: file of motion capture, or of bends on a bench.
-        robot: robot to simulate.
-        recording: further keys of the section `recording` of a scenario, such as
+        motion: path of a file with motion capture, or with bends measured on a bench.
+        robot: name or path of the robot to simulate.
+        recording: additional keys of the section `recording` of a scenario, such as
             `valves`.
         set: values that override fields of the scenario, as in `load_scenario`.
-        fits: fit files of this robot.
-        expect: file of expectations, as in a scenario.
-        bench: whether the robot is clamped at its head on a bench.
+        fits: paths of fit files for this robot.
+        expect: path of a file with expectations, as in a scenario.
+        bench: whether the head of the robot is clamped on a bench.
         supply_pa: supply pressure, Pa, by default the nominal pressure of the robot.
-        plants: plants that run, by default both.
+        plants: names of the plants to simulate, by default "analytical" and "twin".
         model: analytical model.
         law: friction law of the analytical plant, by default "wheel".
-        notify: function called with a summary of the recording.
+        notify: function that receives a summary of the recording.
 
     Raises:
-        InputError: the recording cannot be read or does not fit the robot.
+        InputError: the recording cannot be read or does not match the robot.
     """
     robot_file = _load_robot(robot, fits)
     path = Path(motion)

@@ -1,4 +1,4 @@
-"""Command `srs-twin replay`, which compares a recorded run with both plants."""
+"""Command `srs-twin replay`, which compares a recorded run with simulations."""
 
 from __future__ import annotations
 

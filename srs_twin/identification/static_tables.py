@@ -2,24 +2,26 @@ r"""Gains, rest bends and dead zones of free segments, fitted to static measurem
 
 **Tables.** A CSV file contains constant pressures and the bends at which free segments
 come to rest. The columns are ``pressure_plus_1,pressure_minus_1,bend_1,…``, with
-optional standard errors ``bend_error_1``. Units may be stated by the name
-(``pressure_plus_1_kpa``, ``bend_1_deg``). A missing pressure is 0, and an empty bend
-was not measured. Static data do not determine time constants or masses.
+optional standard errors ``bend_error_1``. A column name may include the unit
+(``pressure_plus_1_kpa``, ``bend_1_deg``). A pressure without a column is 0, and an
+empty cell means that the bend was not measured. Static data do not determine time
+constants or masses.
 
-**Plateaus** of a recording form such a table. A plateau starts when all pressures begin
-to stay within ±1 kPa (or ±5 standard deviations of the noise). The first 5 τ of the
-plateau, where τ is the maximum time constant of the robot, the last 50 ms, and outliers
-of the pressures are discarded. The first quarter of the remaining frames is discarded
-repeatedly until the bend of a segment has settled. A bend has settled if the drift of a
-fitted line is less than twice its standard error, or less than 0.1 mrad. The mean bend
-has the standard error
+**Plateaus.** A table can also be computed from the plateaus of a recording. A plateau
+is an interval in which all pressures stay within ±1 kPa, or within ±5 standard
+deviations of the noise. The first 5 τ of a plateau are discarded, where τ is the
+maximum time constant of the robot. The last 50 ms and frames with outliers of the
+pressures are also discarded. If the bend of a segment has not yet settled, the first
+quarter of the remaining frames is discarded repeatedly. A bend has settled if the drift
+of a fitted line is less than twice the standard error of the drift, or less than 0.1
+mrad. The mean bend has the standard error
 
 $$ \sigma = \max\bigl(s / \sqrt{n/\tau_c},\; e/10\bigr), $$
 
 where s is the standard deviation of n frames about the line, τ_c the
-`correlation_time`, and e the recorded standard error of one frame (``bend_error_1``).
-A tenth of e is assumed to be common to all frames, for example due to marker offsets,
-so averaging does not reduce it.
+`correlation_time`, and e the recorded standard error of one frame (``bend_error_1``). A
+tenth of e is assumed to be a systematic error, for example due to marker offsets, which
+averaging does not reduce.
 """
 
 from __future__ import annotations
@@ -62,19 +64,19 @@ from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 
 _PLATEAU_BAND_PA = 1e3
-"""Maximum deviation of a constant pressure from the mean, Pa."""
+"""Maximum deviation of a constant pressure from its mean, Pa."""
 
 _OUTLIER_MEDIANS = 7.5
-"""Deviation of an outlier of a pressure, in median absolute deviations."""
+"""Minimum deviation of an outlier, as a multiple of the median absolute deviation."""
 
 _OUTLIER_MARGIN_PA = 100.0
-"""Additional allowed deviation of pressures without noise, Pa."""
+"""Additional deviation allowed before a pressure is an outlier, Pa."""
 
 _MAX_PRESSURE_PA = 2e6
-"""Maximum plausible pressure, Pa. A larger pressure is in a wrong unit."""
+"""Maximum plausible pressure, Pa. A larger value indicates a wrong unit."""
 
 _MAX_BEND_RAD = 2 * math.pi
-"""Maximum plausible bend, rad. A larger bend is in a wrong unit."""
+"""Maximum plausible bend, rad. A larger value indicates a wrong unit."""
 
 _BEND_LIMIT = "actuator.bend_limit_rad"
 _ONSET_FRACTION = "actuator.onset_fraction"
@@ -83,8 +85,7 @@ _ONSET_WIDTH = "actuator.dead_zone_transition_rad"
 _DEAD_ZONE = (_ONSET, _ONSET_WIDTH, _ONSET_FRACTION)
 
 _SHARP_WIDTH_RAD = 0.02
-"""Width of a dead zone that the data do not determine, rad (minimum of robot files).
-"""
+"""Width of a dead zone whose width cannot be identified, rad."""
 
 
 @dataclass(frozen=True)
@@ -93,9 +94,10 @@ class StaticTable:
 
     Attributes:
         pressure: gauge pressures, Pa, shape (points, segments, 2).
-        bend: measured bends, NaN if not measured, rad, shape (points, segments).
-        bend_error: standard errors of the bends, NaN if unknown, rad, shape (points,
-            segments).
+        bend: measured bends, rad, shape (points, segments). A bend that was not
+            measured is NaN.
+        bend_error: standard errors of the bends, rad, shape (points, segments). An
+            unknown standard error is NaN.
     """
 
     name: str
@@ -110,12 +112,10 @@ class StaticTable:
     ) -> StaticTable:
         """Return the plateaus of a recording with a log.
 
-        With a log of valves, a filling chamber is assumed to have the supply pressure
-        after 5 τ, and a venting chamber zero pressure. No plateau is possible while a
-        chamber holds its pressure, because this pressure is unknown.
-
-        Raises:
-            InputError: the recording has no log or no plateau.
+        If the log contains valve states, a filling chamber is assumed to have the
+        supply pressure after 5 τ, and a venting chamber is assumed to have zero gauge
+        pressure. A plateau excludes times at which the valves of a chamber are closed,
+        because the pressure of the chamber is then unknown.
         """
         trajectory = recording.trajectory
         log = log_of(recording, name)
@@ -194,14 +194,14 @@ def _settled_frames(
     limit = _OUTLIER_MEDIANS * np.median(deviation, axis=0) + _OUTLIER_MARGIN_PA
     is_near = (deviation <= limit).all(axis=(1, 2))
     since = time[begin:end] - time[begin]
-    # The end is discarded because the next step may already have begun within the band,
-    # and because clocks may differ.
+    # The end of a plateau is discarded because the next pressure step may already have
+    # begun within the band, and because the clocks may differ.
     frames = begin + np.flatnonzero(
         is_near & (since >= wait) & (since <= span - CLOCK_ERROR_S)
     )
     if len(frames) < MIN_FRAMES:
         return None
-    # A slow ramp stays within the band for some time, although it is not a plateau.
+    # A slow ramp may stay within the band for some time, but it is not a plateau.
     slope = np.polyfit(
         since[frames - begin], pressure[frames].reshape(len(frames), -1), 1
     )[0]
@@ -230,9 +230,10 @@ def _constant_intervals(
 def _noise_scale(values: np.ndarray) -> np.ndarray:
     """Return the noise scale of a log, which is 1.65 σ for white noise.
 
-    The scale is the smaller median magnitude of first and second differences, because
-    steps change few first differences and ramps change no second differences. For white
-    noise, first differences are smaller than second differences by the factor √3.
+    The scale is the smaller one of the median magnitudes of the first and the second
+    differences. The median of the first differences is insensitive to steps, and the
+    second differences are insensitive to ramps. For white noise, first differences are
+    smaller than second differences by the factor √3.
     """
     medians = [
         scale * np.median(np.abs(np.diff(values, order, axis=0)), axis=0)
@@ -245,7 +246,7 @@ def _noise_scale(values: np.ndarray) -> np.ndarray:
 def _settled_mean(
     time: np.ndarray, pressure: np.ndarray, bend: np.ndarray, frame_error: np.ndarray
 ) -> list[float]:
-    """Return mean pressures, mean bend (NaN if not settled) and standard error."""
+    """Return mean pressures, mean bend and standard error. An unsettled bend is NaN."""
     kept = np.flatnonzero(np.isfinite(bend))
     while len(kept) >= MIN_FRAMES:
         since = time[kept] - time[kept].mean()
@@ -268,24 +269,19 @@ def _settled_mean(
 
 
 NamedRecordings = Sequence[tuple[str, Recording]]
-"""Recordings with logs, each with a name."""
+"""Names and recordings. Each recording has a log."""
 
 
 def plateau_tables(
     recordings: NamedRecordings, spec: RobotSpec, supply_pa: float
 ) -> list[StaticTable]:
-    """Return the plateaus of recordings for a fit.
-
-    Raises:
-        InputError: `StaticTable.from_recording` fails, or a logged pressure that varies
-            has fewer than 3 levels in all recordings.
-    """
+    """Return the plateaus of recordings for a fit."""
     tables = [
         StaticTable.from_recording(recording, name, spec, supply_pa)
         for name, recording in recordings
     ]
     if any(log_of(recording, name).kind == "valve" for name, recording in recordings):
-        return tables  # a log of valves has only two pressures
+        return tables  # a log of valve states yields only two pressures
     merged = merge_tables(tables)
     for j, k in np.ndindex(spec.segments, len(SIDES)):
         levels = np.sort(merged.pressure[np.isfinite(merged.bend[:, j]), j, k])
@@ -310,7 +306,7 @@ def merge_tables(tables: Sequence[StaticTable]) -> StaticTable:
 
 
 def write_static_table(table: StaticTable, path: StrPath) -> None:
-    """Write a table for `read_static_table` with full precision."""
+    """Write a table with full precision, so that `read_static_table` can read it."""
     points, segments = table.bend.shape
     header = [f"pressure_{side}_{j + 1}_pa" for j in range(segments) for side in SIDES]
     header += [
@@ -325,23 +321,14 @@ def write_static_table(table: StaticTable, path: StrPath) -> None:
 
 
 def is_static_table(path: StrPath) -> bool:
-    """Return whether the first line of a file names bends, but no time.
-
-    Raises:
-        InputError: the file cannot be read.
-    """
+    """Return whether the header of a file contains bends but no time."""
     names = first_line_names(path)
     has_time = any(is_clock(name) for name in names)
     return not has_time and any(name.startswith("bend_") for name in names)
 
 
 def read_static_table(path: StrPath, spec: RobotSpec) -> StaticTable:
-    """Read a static table.
-
-    Raises:
-        InputError: the file does not exist, has no bends, or has columns of other
-            segments or implausible values.
-    """
+    """Read a static table."""
     names = [*(f"pressure_{side}" for side in SIDES), "bend", "bend_error"]
     units = dict.fromkeys(names[:2], PRESSURES) | dict.fromkeys(names[2:], ANGLES)
     table = read_table(read_file(path), units)
@@ -384,20 +371,9 @@ def fit_static(
 ) -> FitEstimate:
     """Estimate gains, rest bends and the bend limit from static tables.
 
-    A dead zone is included if it improves the fit significantly (F-test, 1 %). The dead
-    zone is first fitted without a response inside the zone, and then with a response.
-
-    Args:
-        tables: measured tables.
-        spec: robot whose values are the start of the search. `actuator.bend_rad` is
-            fixed as in `fit_actuator`.
-        names: names of the free parameters, by default gains, rest bends, bend limit
-            and a dead zone.
-        validation: tables for validation.
-        watch: progress callback.
-
-    Raises:
-        InputError: there is no table, or a validation table is also fitted.
+    A dead zone is included if it improves the fit significantly (F-test, 1 %). A dead
+    zone without a response inside the zone is fitted first, and then a dead zone with a
+    response. `actuator.bend_rad` is constant, as in `fit_actuator`.
     """
     data = assign_roles("static tables", tables, validation)
     largest = max(float(np.nanmax(np.abs(table.bend), initial=0.1)) for table in tables)
@@ -425,8 +401,9 @@ def fit_static(
         is_reached = _BEND_LIMIT not in searched or _BEND_LIMIT in estimate.values
         if names is not None or not unlimited or is_reached:
             return estimate
-        # The data do not reach the bend limit. Even at its upper bound it would reduce
-        # the bends, so the fit is repeated without a bend limit.
+        # The data do not reach the bend limit. Even a bend limit at the upper bound of
+        # the search would reduce the bends, so the fit is repeated without a bend
+        # limit.
         without = search([name for name in searched if name != _BEND_LIMIT], fixed, {})
         return without.with_fixed([estimate[_BEND_LIMIT]])
 
@@ -447,7 +424,10 @@ def fit_static(
 _StaticSearch = Callable[
     [Sequence[str], Mapping[str, float], Mapping[str, float]], FitEstimate
 ]
-"""Search of a static fit, given free parameters, fixed values and initial values."""
+"""Search function.
+
+Its arguments are the free parameters, constants and initial values.
+"""
 
 
 def _fit_dead_zone(
@@ -464,7 +444,8 @@ def _fit_dead_zone(
         estimate = search(names, fixed, {**starts, **zone_starts})
         if estimate[_ONSET_WIDTH].value is not None:
             return estimate
-        # The data do not determine the width, so the minimum width is used.
+        # The data do not determine the width of the dead zone, so the minimum width is
+        # used.
         names.remove(_ONSET_WIDTH)
         sharp = {**fixed, _ONSET_WIDTH: _SHARP_WIDTH_RAD}
         return search(names, sharp, {**starts, _ONSET: zone_starts[_ONSET]})

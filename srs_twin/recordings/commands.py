@@ -1,8 +1,4 @@
-"""Commands `srs-twin inspect` and `export`, and options for reading recordings.
-
-`inspect` describes recordings and needs neither a robot nor a log. `export` writes a
-run in a format that other tools read.
-"""
+"""Commands `srs-twin inspect` and `srs-twin export`, and options for recordings."""
 
 from __future__ import annotations
 
@@ -80,11 +76,7 @@ class TableOptions:
     decimal: Annotated[str | None, option("--decimal CHARACTER")] = None
 
     def map_data(self, markers: Sequence[str] = ()) -> dict[str, object]:
-        """Return the map as plain data, with the other options merged into it.
-
-        Raises:
-            InputFileError: the map is invalid.
-        """
+        """Return the map as plain data, including the values of the other options."""
         from srs_twin.recordings.recording_map import given_map
 
         options = {
@@ -120,7 +112,7 @@ class ReadingOptions(TableOptions):
     marker: Annotated[list[str] | None, option("--marker NAME=PLACE")] = None
 
     def given(self) -> dict[str, Any]:
-        """Return the given options, named after the attributes of `RecordingReader`."""
+        """Return the given options as attributes of `RecordingReader`."""
         values = {
             "up": self.up,
             "layout": self.layout,
@@ -131,11 +123,7 @@ class ReadingOptions(TableOptions):
         return {name: value for name, value in values.items() if value is not None}
 
     def reader(self, **more: Any) -> RecordingReader:
-        """Return a reader with these options.
-
-        Raises:
-            InputFileError: the map is invalid.
-        """
+        """Return a reader of recordings with these options."""
         from srs_twin.recordings.recording_map import read_map
         from srs_twin.recordings.takes import RecordingReader
 
@@ -177,7 +165,7 @@ def inspect(
     from srs_twin.recordings.recording_map import read_map
     from srs_twin.robot.file import load_robot
 
-    read_map(table.map_data())  # fails early if the map is invalid
+    read_map(table.map_data())  # raises an error if the map is invalid
     spec = None if robot is None else load_robot(robot)
     _check_outputs(picture, write_map, overwrite=overwrite)
     found = []
@@ -237,7 +225,7 @@ def _save_picture(scene: Scene, path: Path) -> None:
 _FORMATS = ("mcap", "csv", "npz")
 
 MAP_SUFFIX = ".map.yaml"
-"""Suffix of the recording map that `export` writes beside a recording for `inspect`."""
+"""Suffix of the recording map that `export` writes for an exported file."""
 
 _LAYOUT_SUFFIX = ".foxglove.json"
 
@@ -257,11 +245,7 @@ class FormatOptions:
     npz: Annotated[bool, option("--npz")] = False
 
     def chosen(self, out: str | None) -> str:
-        """Return the chosen format, or the format that the suffix of the file names.
-
-        Raises:
-            InputError: no format or more than one format is given.
-        """
+        """Return the chosen format, which the suffix of `out` determines by default."""
         names = [name for name, chosen in vars(self).items() if chosen]
         if not names and out and Path(out).suffix[1:] in _FORMATS:
             return Path(out).suffix[1:]

@@ -1,7 +1,8 @@
-"""Plain tables, whose columns are converted to SI units.
+"""Plain tables whose columns are converted to SI units.
 
-The first line of a plain table names its columns, for example ``x_1``, ``x_1_mm``,
-``pressure_plus_2 (kPa)`` or ``time_ms``. Columns without a unit are in SI units.
+The first line of a plain table contains the column names, for example ``x_1``,
+``x_1_mm``, ``pressure_plus_2 (kPa)`` or ``time_ms``. A column whose name contains no
+unit is in SI units.
 """
 
 from __future__ import annotations
@@ -48,8 +49,8 @@ class TimedRows(NamedTuple):
 
     Attributes:
         values: numbers in SI units, shape (rows, columns).
-        epoch_ns: offset that was subtracted from times since 1970, ns, or None for
-            other times.
+        epoch_ns: offset that was subtracted from times since 1970, ns, or None if the
+            times have another origin.
     """
 
     time: np.ndarray
@@ -59,10 +60,9 @@ class TimedRows(NamedTuple):
 
 
 def first_line_names(path: StrPath, dialect: Dialect = AS_FOUND) -> list[str]:
-    """Return the column names of a table in lower case, or nothing without a header.
+    """Return the column names of a table in lower case.
 
-    Raises:
-        InputError: the file cannot be read.
+    The list is empty if the table has no header.
     """
     return [name.lower() for name in laid_out(read_file(path), dialect).names]
 
@@ -73,8 +73,9 @@ class CsvColumn:
 
     Attributes:
         name: base name, for example "x".
-        number: number at the end of the name, or 0 if the name has none.
-        unit: unit symbol from the name or a map, or an empty string.
+        number: number at the end of the column name, or 0 if there is no number.
+        unit: unit symbol from the column name or the recording map, or an empty string
+            if no unit is stated.
     """
 
     place: int
@@ -87,7 +88,7 @@ class CsvColumn:
 
 @dataclass(frozen=True)
 class CsvTable:
-    """Plain table with its recognised columns and the names of unused columns."""
+    """Plain table with its known columns and the names of its unused columns."""
 
     file: RecordedFile
     columns: tuple[CsvColumn, ...]
@@ -97,7 +98,7 @@ class CsvTable:
     def error(
         self, column: CsvColumn, problem: str, row: int | None = None
     ) -> InputError:
-        """Return an error at the header of a column, or at a row (counted from 0)."""
+        """Return an error at the header of a column, or at a row, counted from 0."""
         if row is None:
             line = self.file.header_lines or 1
         else:
@@ -107,11 +108,7 @@ class CsvTable:
     def clock(self, missing: str) -> CsvColumn:
         """Return the time column.
 
-        Args:
-            missing: message of the error if there is no time column.
-
-        Raises:
-            InputError: the table has no time column.
+        `missing` is the error message if there is no time column.
         """
         column = next((column for column in self.columns if column.name in CLOCK), None)
         if column is None:
@@ -121,11 +118,7 @@ class CsvTable:
     def per_segment(
         self, names: Sequence[str], robot: str, segments: int
     ) -> list[CsvColumn]:
-        """Return the columns with these base names, ordered by segment from the head.
-
-        Raises:
-            InputError: a column is missing, or its segment number exceeds `segments`.
-        """
+        """Return the columns with the given base names, ordered by segment."""
         by_key = {
             (column.name, column.number): column
             for column in self.columns
@@ -147,15 +140,11 @@ class CsvTable:
         return [by_key[key] for key in required]
 
     def read(self, columns: Sequence[CsvColumn]) -> tuple[np.ndarray, list[str]]:
-        """Read columns in SI units, shape (rows, columns), and return notes.
-
-        Raises:
-            InputError: `RecordedFile.rows` cannot read the rows.
-        """
+        """Return columns in SI units, shape (rows, columns), and notes."""
         places = [column.place for column in columns]
         file = self.file
         values, notes = file.rows(file.header_lines, places, len(file.names))
-        with np.errstate(over="ignore"):  # callers reject the inf of an overflow
+        with np.errstate(over="ignore"):  # the caller reports infinite values
             values = values * [column.factor for column in columns]
         return values, [*file.notes, *self.notes, *notes]
 
@@ -167,10 +156,8 @@ class CsvTable:
     ) -> TimedRows:
         """Read columns in SI units with their times.
 
-        Without a time column, times are computed from row numbers and frame rate.
-
-        Raises:
-            InputError: `RecordedFile.times` cannot read the times.
+        If there is no time column, the times are computed from the row numbers and the
+        frame rate.
         """
         values, notes = self.read(columns)
         if clock is None:
@@ -184,7 +171,7 @@ class CsvTable:
 
 
 def not_used(names: Sequence[str]) -> list[str]:
-    """Return a note on unused columns, or no note if all columns were used."""
+    """Return a list with a note on unused columns, or an empty list."""
     if not names:
         return []
     listed = [*names[:_LISTED], *["…"] * (len(names) > _LISTED)]
@@ -198,15 +185,9 @@ def read_table(
 ) -> CsvTable:
     """Read the header of a plain table.
 
-    Args:
-        file: plain table.
-        known: accepted units of each base name, with their factors to SI units. A
-            dimensionless quantity has no units.
-        meanings: meaning of each column that a recording map mentions.
-
-    Raises:
-        UnknownNameError: `meanings` names a column that does not exist.
-        InputError: the header is missing, a name occurs twice, or a unit is unknown.
+    `known` contains the accepted units of each base name, with their conversion factors
+    to SI units. `meanings` contains the meanings of the columns that a recording map
+    mentions.
     """
     file = laid_out(file)
     line = file.header_lines or 1
@@ -223,7 +204,7 @@ def read_table(
                 column, note = _mapped_column(place, text, known, meaning)
                 if note:
                     notes.append(note)
-            elif bracketed(text)[0] in taken:  # a column of the map replaces this one
+            elif bracketed(text)[0] in taken:  # a column of the map has priority
                 column = None
             else:
                 column = _own_column(place, text, known)
@@ -262,7 +243,7 @@ def _own_column(
         return None
     name, number, trailing = match[1].lower(), match[2], match[3]
     if name not in known and trailing and number is None:
-        # The last word belongs to the name and is not a unit.
+        # The last word is a part of the name and not a unit.
         name = f"{name}_{trailing.lower()}"
         trailing = None
     if name not in known or name == "time":

@@ -10,7 +10,7 @@ The topics of a plant, for example ``twin``, are:
 - ``/twin/valves`` (std_msgs/Int8MultiArray): valve states of the + and − chamber of
   each segment.
 
-Time stamps and log times are the simulated time since the start.
+Time stamps and log times are simulated times since the start of the run.
 """
 
 from __future__ import annotations
@@ -40,11 +40,7 @@ _SIDES = ("plus", "minus")
 
 
 def write_csv(path: Path, run: Trajectory) -> None:
-    """Write the columns of a trajectory as CSV in SI units.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
+    """Write the columns of a trajectory as CSV in SI units."""
     names = list(run.columns)
     with atomic_write(path) as part, part.open("w", encoding="utf-8") as file:
         file.write(",".join(names) + "\n")
@@ -55,10 +51,7 @@ def write_csv(path: Path, run: Trajectory) -> None:
 def write_npz(path: Path, run: Trajectory) -> None:
     """Write the columns of a trajectory as a NumPy archive.
 
-    The entries ``units`` and ``metadata`` are JSON texts.
-
-    Raises:
-        InputError: the file cannot be written.
+    The entries ``units`` and ``metadata`` are JSON strings.
     """
     about = {
         "units": json.dumps(dict(run.units)),
@@ -74,15 +67,9 @@ def write_npz(path: Path, run: Trajectory) -> None:
 
 
 def write_mcap(path: Path, runs: Mapping[str, Trajectory]) -> None:
-    """Write trajectories as ROS 2 messages in an MCAP file.
+    """Write the trajectories of plants as ROS 2 messages in an MCAP file.
 
-    Args:
-        path: output file. An existing file is replaced.
-        runs: trajectory of each plant.
-
-    Raises:
-        InputError: the extra `recordings` is not installed, or the file cannot be
-            written.
+    An existing file is replaced.
     """
     try:
         from mcap.writer import Writer
@@ -111,7 +98,7 @@ def write_mcap(path: Path, runs: Mapping[str, Trajectory]) -> None:
 
 
 def recording_map(plant: str, run: Trajectory) -> dict[str, object]:
-    """Return the map with which `inspect` and `replay` read an exported MCAP file."""
+    """Return the recording map for an exported MCAP file."""
     connectors = range(1, run.position.shape[1] + 1)
     log = {
         f"pressure_{side}_{j}": {
@@ -130,7 +117,7 @@ def recording_map(plant: str, run: Trajectory) -> dict[str, object]:
 
 
 def foxglove_layout(runs: Mapping[str, Trajectory]) -> dict[str, object]:
-    """Return a Foxglove layout: the snakes in 3D, and plots of bends and pressures."""
+    """Return a Foxglove layout with a 3D view and plots of bends and pressures."""
     bends = []
     pressures = []
     for plant, run in runs.items():

@@ -1,7 +1,7 @@
-"""Facts that `srs-twin inspect` reports: as JSON, as text and as a proposed map.
+"""Facts that `srs-twin inspect` prints as JSON, as text and as a proposed map.
 
-The JSON has one object per readable file and omits keys that do not apply to the file.
-`srs-twin schema inspect` prints the JSON Schema of this list.
+The JSON list contains one object per readable file. An object omits the keys that do
+not apply to its file. `srs-twin schema inspect` prints the JSON Schema of this list.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ Pair = Annotated[list[str], Field(min_length=2, max_length=2)]
 
 
 class _Facts(StrictModel):
-    # NumPy scalars are converted to Python numbers, because JSON cannot hold them.
+    # NumPy scalars are converted to Python numbers, because JSON does not support NumPy
+    # scalars.
     model_config = ConfigDict(strict=False, frozen=False, validate_assignment=True)
 
 
@@ -186,7 +187,7 @@ class RecordingFacts(_Facts):
     """Notes on results, conversions, assumptions and data that were left out."""
 
     def document(self) -> dict[str, object]:
-        """Return the facts that apply to the file as plain data for JSON."""
+        """Return the facts that apply to the file as plain data."""
         return self.model_dump(mode="json", exclude_unset=True)
 
 
@@ -197,7 +198,7 @@ def facts_json_schema() -> dict[str, object]:
 
 
 def proposed_map(facts: Sequence[RecordingFacts]) -> str:
-    """Return a proposed map (YAML) for the files of one recording, with comments."""
+    """Return a proposed map for the files of one recording, as YAML with comments."""
     lines = ["# Proposed by srs-twin inspect: check it, then use it as --map."]
     for file in (file for file in facts if file.content == "markers"):
         lines.append(f"# {file.file}: {file.format}, {file.rate_hz:.4g} Hz")
@@ -257,7 +258,7 @@ def _marker_lines(facts: RecordingFacts) -> list[str]:
 
 
 def in_words(facts: RecordingFacts) -> str:
-    """Return the facts as text, one per line."""
+    """Return the facts as text with one fact per line."""
     lines = [f"{facts.file}: {facts.format}, {facts.content}"]
     if facts.rate_hz:
         count = f"{facts.frames} frames, {facts.rate_hz:.4g} Hz"

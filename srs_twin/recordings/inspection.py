@@ -1,7 +1,7 @@
 """Inspection of a recording without a robot.
 
-The inspection finds the format, clock, axes, markers and possible heads, and proposes a
-recording map. `srs-twin inspect --json` prints the results (`facts.py`).
+The inspection detects the format, clock, axes, markers and possible heads, and proposes
+a recording map. `srs-twin inspect --json` prints the results (see `facts`).
 """
 
 from __future__ import annotations
@@ -84,13 +84,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _RIGID_NOISE_RATIO = 1.3
-"""Maximum ratio of variation to noise of a distance that counts as constant."""
+"""Maximum ratio of the variation of a constant distance to the noise."""
 _DISTANCE_FRAMES = 2000
 """Number of frames from which distances are computed."""
 _MIN_CRAWLED = 0.3
-"""Minimum displacement that reveals the head, in distances of adjacent markers."""
+"""Minimum displacement that identifies the head, in distances of adjacent markers."""
 _MAX_SIGNALS = 200
-"""Maximum number of signals that are described."""
+"""Maximum number of described signals."""
 _QUANTITY_TEXTS = {
     "time": "time",
     "valve": "valve states",
@@ -101,7 +101,7 @@ _QUANTITY_TEXTS = {
 }
 """Description of each quantity of a signal whose unit is not stated."""
 _MAX_NEIGHBOUR_M = 2.0
-"""Distance of adjacent markers above which the unit of length is probably wrong, m."""
+"""Maximum plausible distance of adjacent markers, m."""
 
 
 @dataclass(frozen=True)
@@ -109,8 +109,9 @@ class Scene:
     """Markers seen from above.
 
     Attributes:
-        places: marker positions, shape (frames, markers, 2 or 3), m.
-        order: markers in their order along the body, or empty if the order is unknown.
+        places: marker positions, m, shape (frames, markers, 2 or 3).
+        order: indices of the markers in their order along the body. The tuple is empty
+            if the order is unknown.
     """
 
     places: np.ndarray
@@ -129,9 +130,9 @@ def inspect(
     """Describe a recording and propose a map, as the command `srs-twin inspect` does.
 
     Args:
-        path: recording or log.
+        path: path of a recording or a log.
         map: known entries of a recording map, or the path of a map.
-        robot: robot that the file is checked against, or None to skip the check.
+        robot: robot for which the file is checked, or None to omit the check.
 
     Raises:
         InputError: the file cannot be read.
@@ -145,15 +146,9 @@ def inspect(
 def inspect_file(
     path: StrPath, recording_map: RecordingMap, spec: RobotSpec | None
 ) -> tuple[RecordingFacts, Scene | None]:
-    """Return the facts of a file, and the scene of its markers if it has any.
+    """Return the facts of a file, and the scene if the file contains markers.
 
-    Args:
-        path: recording or log.
-        recording_map: known units, frame rate and marker places.
-        spec: robot that the file is checked against, or None to skip the check.
-
-    Raises:
-        InputError: the file cannot be read.
+    If `spec` is given, the file is also checked as a recording of this robot.
     """
     facts, scene = _file_facts(path, recording_map)
     if spec is not None and facts.content == "markers":
@@ -319,7 +314,7 @@ def _neighbour_distance(points: np.ndarray) -> float:
 
 def _possible_layouts(markers: int, *, bodies: bool) -> dict[str, int]:
     if bodies:
-        return {"pair": markers}  # each rigid body counts as two points
+        return {"pair": markers}  # a rigid body is replaced by two points
     connectors = {
         layout: divmod(markers - size.extra, size.per_connector)
         for layout, size in LAYOUT_SIZES.items()
@@ -333,8 +328,8 @@ def _rigid_pairs(
     closest = np.nanmin(median, axis=0)
     constant = spread < _RIGID_NOISE_RATIO * np.sqrt(2) * noise
     rigid = constant & (median <= 1.5 * np.minimum.outer(closest, closest))
-    # On a body that bends little, many distances are nearly constant. A marker has at
-    # most one partner at a truly constant distance.
+    # On a body that hardly bends, many distances are nearly constant. A marker can have
+    # a constant distance to only one other marker.
     single = rigid.sum(axis=0) == 1
     return tuple(
         (int(a), int(b))
@@ -502,7 +497,7 @@ def _stated_quantity(name: str, values: np.ndarray, meaning: Meaning | None) -> 
 
 
 def markers_view(scene: Scene) -> Figure:
-    """Plot the markers from above: paths, the body at three times, and rigid pairs."""
+    """Plot the marker paths from above, the body at three times, and rigid pairs."""
     from srs_twin.viewing.plots.style import PLUS_COLOR, finish, panels
 
     places = scene.places

@@ -1,7 +1,7 @@
 """Recorded files in memory, and the rows of plain tables.
 
-`laid_out` detects comments, separator and decimal mark unless a `Dialect` states them.
-Errors name the line and the column of a table.
+`laid_out` detects comments, cell separator and decimal mark unless a `Dialect` states
+them. Error messages state the line and the column of a table.
 """
 
 from __future__ import annotations
@@ -27,29 +27,29 @@ if TYPE_CHECKING:
     from pyarrow.csv import InvalidRow
 
 MAX_BYTES = 256 << 20
-"""Maximum file size, bytes (twice the size of one hour of ten markers at 120 Hz)."""
+"""Maximum file size in bytes. One hour of ten markers at 120 Hz needs half of it."""
 
 MAX_HEADER_BYTES = 4 << 20
-"""Maximum header size, bytes.
+"""Maximum header size in bytes.
 
-A header reaches 1 MB if a recording has thousands of columns.
+The header of a recording with thousands of columns has about 1 MB.
 """
 
 MAX_VALUES = 1 << 26
-"""Maximum product of the numbers of rows and columns (half a gigabyte)."""
+"""Maximum product of the numbers of rows and columns, which needs half a gigabyte."""
 
 MAX_COLUMNS = 20_000
 """Maximum number of columns of a table."""
 
 BLANK = ["", "NaN", "nan", "NAN", "-nan", "null", "NULL", "N/A", "n/a"]
-"""Contents of a cell without a value."""
+"""Texts of a cell that has no value."""
 
 _PEEK = 1 << 16
-"""Number of bytes from which a format is identified."""
+"""Number of bytes that are read to detect the format."""
 _BLOCK = 8 << 20
-"""Number of bytes that Arrow reads at once, and hence the maximum length of a line."""
+"""Number of bytes that Arrow reads at once. A line must not be longer."""
 _BLANKS = re.compile(rb"(?<=[,;|\t\n]) +(?=[,;|\t\r\n])|^ +(?=[,;|\t])")
-"""Cells that contain only spaces."""
+"""Pattern of a cell that contains only spaces."""
 _EMPTY_LINE = re.compile(rb"^[ \t,]*\r?$", re.MULTILINE)
 _NUMBER = re.compile(
     r"\s*(?:[-+]?(?=.?\d)[\d.,]+(?:[eE][-+]?\d+)?|nan|\d{4}-\d\d-\d\d[T"
@@ -63,7 +63,8 @@ _REPORTED_CELL = re.compile(
 _COMMENT = re.compile(r"\s*#|sep=.$", re.IGNORECASE)  # "sep=" is an Excel directive
 _ZONE = re.compile(r"(?:Z|[+-]\d\d:?\d\d)\s*$")
 _DATE = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:")
-# Matches a decimal comma that cannot separate thousands, as in 0,5 or 1234,5.
+# This pattern matches a decimal comma that cannot separate thousands, as in 0,5 or
+# 1234,5.
 _DECIMAL_COMMA = re.compile(
     rb"(?<![\d,])(?:0|\d{4,}),\d|\d,(?:\d{1,2}|\d{4,})(?![\d,])"
 )
@@ -75,9 +76,9 @@ _SEPARATOR_NAMES = {
     "|": "bars",
 }
 _EPOCH_RANGE = (1e9, 4.2e9)
-"""Range of times that count as seconds since 1970 (the years 2001 to 2103)."""
+"""Range of times that are interpreted as seconds since 1970 (years 2001 to 2103)."""
 _MAX_EPOCH_STEP = 100.0
-"""Maximum step between times since 1970, s. Longer steps indicate a wrong unit."""
+"""Maximum step between times since 1970, s. A longer step indicates a wrong unit."""
 _MAX_COMMENT_LINES = 1000
 """Maximum number of comment lines above the header."""
 
@@ -87,8 +88,7 @@ class Dialect(NamedTuple):
 
     Attributes:
         columns: column names of a file without a header.
-        separator: cell separator, where a space stands for any number of spaces and
-            tabs.
+        separator: cell separator. A space means any number of spaces and tabs.
     """
 
     columns: tuple[str, ...] = ()
@@ -97,15 +97,15 @@ class Dialect(NamedTuple):
 
 
 AS_FOUND = Dialect()
-"""Dialect that leaves every attribute to detection."""
+"""Dialect of which every attribute is detected."""
 
 
 class Times(NamedTuple):
     """Times of the rows.
 
     Attributes:
-        epoch_ns: offset that was subtracted from times since 1970, ns, or None for
-            other times.
+        epoch_ns: offset that was subtracted from times since 1970, ns, or None if the
+            times have another origin.
     """
 
     time: np.ndarray
@@ -118,8 +118,9 @@ class RecordedFile:
     """Recorded file in memory.
 
     Attributes:
-        body: contents in which single separators have replaced runs of spaces.
-        problem: reason why the file is not a table, or an empty string.
+        body: contents in which each sequence of spaces is replaced by one separator.
+        problem: reason why the file is not a table, or an empty string if it is a
+            table.
     """
 
     name: str
@@ -134,11 +135,11 @@ class RecordedFile:
 
     @cached_property
     def raw(self) -> bytes:
-        """Contents without a byte order mark, with line feeds as line ends."""
+        """Contents without a byte order mark. All lines end with a line feed."""
         if self.body is not None:
             return self.body
         text = self.data.removeprefix(b"\xef\xbb\xbf")
-        # Programs of the classic Mac OS end lines with a carriage return only.
+        # In files of the classic Mac OS, lines end with a carriage return only.
         if b"\n" in text:
             return text
         return text.replace(b"\r", b"\n")
@@ -148,7 +149,7 @@ class RecordedFile:
         """First line that is not blank."""
         wide = self.data.startswith(
             (b"\xff\xfe", b"\xfe\xff")
-        )  # UTF-16 is reported when the rows are read
+        )  # an error about UTF-16 is raised when the rows are read
         text = self.data.removeprefix(b"\xef\xbb\xbf").decode(
             "utf-16" if wide else "utf-8", "replace"
         )
@@ -161,27 +162,22 @@ class RecordedFile:
 
     @cached_property
     def sha256(self) -> str:
-        """SHA-256 checksum of the file as a hexadecimal text."""
+        """SHA-256 of the file as a hexadecimal string."""
         return hashlib.sha256(self.data).hexdigest()
 
     def error(
         self, problem: str, line: int | None = None, column: int | None = None
     ) -> InputError:
-        """Return an error at a line and column (cell), both counted from 1."""
+        """Return an error that states the line and the column, counted from 1."""
         position = "".join(
             f":{number}" for number in (line, column) if number is not None
         )
         return InputError(f"{self.name}{position}: {problem}")
 
     def head(self, lines: int, after: int = 0) -> list[list[str]]:
-        """Return the cells of some header lines without surrounding spaces.
+        """Return the cells of header lines, without the first `after` lines.
 
-        Args:
-            lines: number of lines to read.
-            after: number of lines to skip.
-
-        Raises:
-            InputError: the lines are not CSV, or are too long for a header.
+        The cells have no surrounding spaces.
         """
         start = self.offset_of(after)
         split = self.raw[start : start + MAX_HEADER_BYTES].split(b"\n", lines)
@@ -203,7 +199,7 @@ class RecordedFile:
         return rows
 
     def offset_of(self, line: int) -> int:
-        """Return the byte offset of a line counted from 0, or the end of the file."""
+        """Return the byte offset of a line, or of the end of the file."""
         start = 0
         for _ in range(line):
             start = self.raw.find(b"\n", start) + 1 or len(self.raw)
@@ -219,7 +215,8 @@ class RecordedFile:
     ) -> tuple[np.ndarray, list[str]]:
         """Read the rows below a header.
 
-        A last line without a line end is left out, because it may end inside a number.
+        A last line without a line end is ignored, because the line may end inside a
+        number.
 
         Args:
             header_lines: number of header lines.
@@ -229,8 +226,8 @@ class RecordedFile:
                 file.
 
         Returns:
-            Numbers of shape (rows, columns), with NaN for blank or non-finite cells,
-            and notes.
+            Numbers of shape (rows, columns), and notes. A blank or non-finite cell
+            becomes NaN.
 
         Raises:
             InputError: there are no rows or too many values, a row has the wrong number
@@ -267,14 +264,8 @@ class RecordedFile:
     def times(self, clock: int, unit: str) -> Times:
         """Read the times of the rows of a plain table.
 
-        Times since 1970 are shifted to start at 0.
-
-        Args:
-            clock: index of the time column, which contains numbers or dates.
-            unit: unit of the numbers, where an empty string stands for seconds.
-
-        Raises:
-            InputError: `rows` cannot read the rows, or a row has no time.
+        The column `clock` contains numbers or dates. If `unit` is empty, the numbers
+        are in seconds. Times since 1970 are shifted to start at 0.
         """
         import pyarrow as pa
 
@@ -296,8 +287,8 @@ class RecordedFile:
         if not _are_since_1970(time, unit):
             with np.errstate(over="ignore"):
                 return Times(time * TIMES[unit or "s"], notes, None)
-        # Times are parsed as exact numbers, because a double resolves times since 1970
-        # only to 256 ns.
+        # Times are parsed as exact numbers, because the resolution of times since 1970
+        # in a double is only 256 ns.
         (texts,) = self._parsed(cut, top, [clock], width, pa.string())
         numbers = (text.replace(self.decimal, ".") for text in texts.to_pylist())
         return _since_1970([*map(Decimal, numbers)], unit or "s", notes)
@@ -326,7 +317,7 @@ class RecordedFile:
             uneven.append(row)
             return "error"
 
-        # Arrow reports the row of an error only in a single thread.
+        # Arrow reports the row of an error only if a single thread is used.
         reading = ReadOptions(column_names=names, use_threads=False, block_size=_BLOCK)
         parsing = ParseOptions(
             delimiter=self.separator,
@@ -349,8 +340,8 @@ class RecordedFile:
             try:
                 return read(cut)
             except pa.ArrowInvalid:
-                # Arrow parses a cell of spaces as text. Such cells are rare, so they
-                # are removed only after an error.
+                # Arrow does not accept a cell of spaces as blank. Cells of spaces are
+                # rare, so these cells are removed only after an error.
                 return read(_BLANKS.sub(b"", bytes(cut)))
         except (pa.ArrowException, OSError) as error:
             if uneven:
@@ -363,7 +354,10 @@ class RecordedFile:
     def _not_a_number(
         self, rows: bytes, header_lines: int, reported: str
     ) -> InputError:
-        """Return an error at the cell that Arrow reports, counting empty lines too."""
+        """Return an error at the cell that Arrow reports.
+
+        Arrow does not count empty lines.
+        """
         cell = _REPORTED_CELL.search(reported)
         if cell is None:
             problem = f"no rows of numbers ({' '.join(reported.split())[:200]})"
@@ -381,10 +375,9 @@ class RecordedFile:
 
 
 def recording_file(path: StrPath) -> Path:
-    """Return the path of a recording, which may be given as the folder of a ROS 2 bag.
+    """Return the path of a recording.
 
-    Raises:
-        InputError: the file is missing, or the folder does not contain exactly one bag.
+    If `path` is a folder, the result is the path of the ROS 2 bag in the folder.
     """
     place = Path(path)
     inside = place.glob("*") if (place / "metadata.yaml").is_file() else ()
@@ -399,11 +392,7 @@ def recording_file(path: StrPath) -> Path:
 
 
 def start_of(path: StrPath, dialect: Dialect = AS_FOUND) -> RecordedFile:
-    """Read the first bytes of a file as a table.
-
-    Raises:
-        InputError: the file is missing or cannot be read.
-    """
+    """Read the first bytes of a file as a table."""
     place = recording_file(path)
     return laid_out(RecordedFile(display_path(place), _bytes(place, _PEEK)), dialect)
 
@@ -442,14 +431,10 @@ def _bytes(place: Path, limit: int) -> bytes:
 
 
 def read_file(path: StrPath) -> RecordedFile:
-    """Read a recorded text file.
-
-    Raises:
-        InputError: `read_bytes` fails, or the file is not UTF-8 text.
-    """
+    """Read a recorded text file."""
     file = read_bytes(path)
-    # UTF-16 has its own error message. Otherwise a zero byte means that the file is not
-    # text.
+    # A zero byte means that the file is not text, except in UTF-16 files, for which
+    # another error is raised.
     zero = file.data.find(b"\0")
     if zero >= 0 and not file.data.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise file.error(f"not a text file (byte {zero + 1} is 0x00); use a CSV file")
@@ -459,7 +444,10 @@ def read_file(path: StrPath) -> RecordedFile:
 
 
 def laid_out(file: RecordedFile, dialect: Dialect = AS_FOUND) -> RecordedFile:
-    """Return a file with the given or detected names, separator and decimal mark."""
+    """Return a file with its column names, cell separator and decimal mark.
+
+    Values that `dialect` does not state are detected.
+    """
     if file.names or file.problem:
         return file
     start = file.raw[:MAX_HEADER_BYTES].split(b"\n", _MAX_COMMENT_LINES)

@@ -1,12 +1,12 @@
 r"""Chamber model that drives a plant with recorded pressures.
 
-The pressures are interpolated linearly between the samples of the log and are constant
-before and after the log. The linear bend x follows the drive u = G (g⁺p⁺ − g⁻p⁻) with
-the time constant τ₂ as in `lag`. While the drive changes from u₀ at the rate m,
+The pressures are interpolated linearly between the samples of the log, and are constant
+before and after the log. The linear bend x responds to the drive u = G (g⁺p⁺ − g⁻p⁻)
+with the time constant τ₂, as in `lag`. If the drive is u₀ + m t,
 
 $$ x(t) = u_0 + m (t - \tau_2) + (x_0 - u_0 + m \tau_2)\, e^{-t/\tau_2}. $$
 
-Valve commands have no effect. The pneumatic energy is unknown and stays 0.
+Valve commands have no effect. The pneumatic energy is unknown, so it is 0.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from srs_twin.robot.spec import RobotSpec
 
 
 class RecordedPressures(Pneumatics):
-    """Chamber model that replays recorded pressures."""
+    """Pneumatic model that replays recorded pressures."""
 
     kind = "recorded"
     measures_air = False
@@ -40,14 +40,12 @@ class RecordedPressures(Pneumatics):
 
         Args:
             spec: recorded robot.
-            time: ascending times of the samples since the start of the run, s. Times
-                before the start are negative.
-            pressure: gauge pressures, shape (samples, segments, 2), Pa.
-            supply_pa: gauge supply pressure, Pa, used for `max_pressure_ratio` only.
+            time: times of the samples since the start of the run in ascending order, s.
+                Times before the start are negative.
+            pressure: gauge pressures, Pa, shape (samples, segments, 2).
+            supply_pa: gauge supply pressure, Pa, from which only `max_pressure_ratio`
+                is computed.
             layout: valve layout of the commands of the controller.
-
-        Raises:
-            InputError: the log does not fit the robot, or the times do not increase.
         """
         if pressure.shape != (len(time), spec.segments, 2):
             raise InputError(
@@ -133,7 +131,7 @@ def _linear_bend_at_samples(
     linear[0] = drive[0]
     decay = np.exp(-np.diff(time) / tau)
     for k, factor in enumerate(decay):
-        # This is the exact solution for a linearly changing drive.
+        # This is the exact solution if the drive changes linearly.
         lag = derivative[k] * tau
         linear[k + 1] = drive[k + 1] - lag + (linear[k] - drive[k] + lag) * factor
     return linear
@@ -146,7 +144,7 @@ def _fill_bends(motion, bias, law, trace):  # type: ignore[no-untyped-def]
         for j in range(linear.shape[1]):
             bend, derivative, curve = apply_bend_law(linear[k, j], law)
             trace.bend[k, j] = bias[j] + bend
-            # The chain rule gives the derivatives of the nonlinear bend.
+            # The derivatives of the nonlinear bend are computed by the chain rule.
             trace.bend_rate[k, j] = derivative * speed[k, j]
             trace.bend_acceleration[k, j] = (
                 derivative * acceleration[k, j] + curve * speed[k, j] * speed[k, j]

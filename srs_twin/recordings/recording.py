@@ -1,4 +1,4 @@
-"""Recorded motion of a robot as a trajectory, together with a valve log."""
+"""Recorded motion of a robot as a trajectory, with a log of valves or pressures."""
 
 from __future__ import annotations
 
@@ -48,21 +48,27 @@ from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 
 LONGEST_GAP = 0.2
-"""Default maximum gap that is filled, s. Longer gaps end the trajectory."""
+"""Default maximum duration of an interpolated gap, s.
+
+A longer gap ends the trajectory.
+"""
 
 _BODY_MARKER_OFFSET = 0.01
 """Distance from the centre of a rigid body to the two markers that replace it, m."""
 _MIN_JUMP = 0.06
 """Minimum displacement of an outlier, relative to the segment length."""
 _REACH = 0.8
-"""Maximum distance of a marker from its predicted position, in segment lengths."""
+"""Maximum distance of a marker from its expected position, in segment lengths."""
 
 _MIN_OPENINGS = 4
 """Minimum number of openings of a chamber for an estimate of the gait frequency."""
 _MAX_UNEVENNESS = 0.05
-"""Maximum deviation of an opening time from a periodic one, in periods."""
+"""Maximum deviation of an opening time from a periodic pattern, in periods."""
 _CARRIER_S = 0.07
-"""Minimum interval between two openings due to a gait instead of a carrier, s."""
+"""Minimum interval between two openings due to the gait, s.
+
+Shorter intervals are due to a carrier.
+"""
 _STILL_S = 1e-9
 """Tolerance of times, s."""
 _MAX_EMPTY_PA = 1e3
@@ -75,13 +81,14 @@ class ValveLog:
 
     Attributes:
         kind: "valve" or "pressure".
-        time: ascending times of the rows, shape (rows,), s.
-        values: valve states, which hold until the next row, or gauge pressures (Pa),
-            shape (rows, segments, 2). The last axis is (+ chamber, − chamber).
-        epoch_ns: time since 1970 at 0 s, ns, or None if the clock of the file has
-            another origin.
-        holds: whether pressures hold until the next row, like set points, instead of
-            being interpolated, like measured pressures.
+        time: times of the rows in ascending order, s, shape (rows,).
+        values: valve states or gauge pressures (Pa), shape (rows, segments, 2). The
+            last axis is (+ chamber, − chamber). A valve state is valid until the next
+            row.
+        epoch_ns: time since 1970 that corresponds to 0 s, ns, or None if the clock of
+            the file has another origin.
+        holds: whether the pressures are set points, which are constant until the next
+            row. Measured pressures are interpolated.
     """
 
     kind: str
@@ -94,11 +101,11 @@ class ValveLog:
     holds: bool = False
 
     def shifted(self, offset: float) -> ValveLog:
-        """Return the log with `offset` (s) added to its times."""
+        """Return the log with `offset` (s) added to the times of the log."""
         return replace(self, time=self.time + offset)
 
     def schedule(self) -> Schedule:
-        """Return a log of valve states as a schedule from the first row to the last."""
+        """Return the valve states as a schedule from the first row to the last row."""
         states = self.values.astype(np.int8)
         changes = np.append(
             0, np.flatnonzero((states[1:] != states[:-1]).any(axis=(1, 2))) + 1
@@ -118,7 +125,7 @@ class ValveLog:
         return np.stack(columns, axis=-1).reshape(len(time), *self.values.shape[1:])
 
     def breakpoints(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return breakpoints (time and pressures) of a piecewise linear function.
+        """Return the times and pressures of a piecewise linear function.
 
         The function has the values that `at` returns. A step between set points has two
         breakpoints.
@@ -126,15 +133,16 @@ class ValveLog:
         if not self.holds:
             return self.time, self.values
         time = np.repeat(self.time, 2)[1:]
-        # The first of the two breakpoints lies immediately before the step.
+        # The first of the two breakpoints is immediately before the step.
         time[1::2] = np.nextafter(time[1::2], -np.inf)
         return time, np.repeat(self.values, 2, axis=0)[:-1]
 
     def gait_frequency(self) -> float | None:
-        """Return the frequency at which all chambers open periodically, Hz, or None.
+        """Return the gait frequency (Hz), or None if the log is not periodic.
 
-        The first opening is ignored, because a gait may begin within a period. Openings
-        in rapid succession are due to a carrier and count as one opening.
+        The gait frequency is the frequency at which all chambers open. The first
+        opening is ignored, because a gait may start within a period. Several openings
+        within a short time are due to a carrier and are counted as one opening.
         """
         if self.kind != "valve":
             return None
@@ -159,7 +167,10 @@ class ValveLog:
 
 
 def held_values(time: np.ndarray, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return the values of the last row at or before each time, or of the first row."""
+    """Return the values of the last row at or before each time.
+
+    At times before the first row, the values of the first row are returned.
+    """
     return np.asarray(
         values[np.maximum(np.searchsorted(rows, time, side="right") - 1, 0)]
     )
@@ -171,10 +182,11 @@ class Recording:
 
     Attributes:
         trajectory: measured motion with the columns of a plant. Bends have the rates
-            ``bend_rate_1…``. A motion from markers also has ``filled_1…`` (1 where a
-            marker of the connector was interpolated), ``residual``,
-            ``com_velocity_x``, ``com_velocity_y`` and ``yaw_rate``.
-        valves: log of valves or pressures on the clock of the trajectory, or None
+            ``bend_rate_1…``. If the motion was measured with markers, the trajectory
+            also has the columns ``residual``, ``com_velocity_x``, ``com_velocity_y``,
+            ``yaw_rate`` and ``filled_1…`` (1 if a marker of the connector was
+            interpolated).
+        valves: log of valve states or pressures on the clock of the trajectory, or None
             before `join`.
     """
 
@@ -192,8 +204,8 @@ class Recording:
         """Return the recorded pressures, or None if valve states were recorded.
 
         Returns:
-            Times since the first sample, shape (rows,), s, and gauge pressures, shape
-            (rows, segments, 2), Pa.
+            Times since the first sample, s, shape (rows,), and gauge pressures, Pa,
+            shape (rows, segments, 2).
         """
         if self.valves is None or self.valves.kind == "valve":
             return None
@@ -203,13 +215,8 @@ class Recording:
     def commands(self, name: str) -> Schedule:
         """Return the valve states since the first sample.
 
-        If pressures were recorded instead, all valves vent.
-
-        Args:
-            name: name of the recording in error messages.
-
-        Raises:
-            InputError: the recording has no log.
+        If pressures were recorded instead, all chambers vent. `name` is the name of the
+        recording in error messages.
         """
         log = self.valves
         time = self.trajectory.time
@@ -239,7 +246,7 @@ class Recording:
         return bool(empty.all())
 
     def start_pose(self) -> Pose:
-        """Return the mean pose of the body until the first valve opens."""
+        """Return the mean pose of the body before the first valve opens."""
         trajectory = self.trajectory
         log = self.valves
         moves = trajectory.time[0]
@@ -258,7 +265,7 @@ class Recording:
 
 @contextmanager
 def named_in_errors(file: str) -> Iterator[None]:
-    """Add a file name to the messages of errors that the block raises."""
+    """Add a file name to the messages of errors that are raised in the block."""
     try:
         yield
     except UnknownNameError as error:
@@ -286,19 +293,18 @@ def read_motion(
         spec: recorded robot.
         up: vertical axis of the file, one of `floor.UPS`.
         layout: marker layout, one of `body.layout.LAYOUTS`.
-        head: column name of the marker at the head, or None for the end in the
-            direction of motion.
+        head: column name of the marker at the head. If `head` is None, the head is the
+            end in the direction of motion.
         map: places of markers and rigid bodies, and information that the file lacks.
-        longest_gap_s: maximum duration of a gap that is filled, s.
-        gait_frequency_hz: gait frequency for the metrics, Hz, or None for a motion that
-            is not periodic.
+        longest_gap_s: maximum duration of a gap that is interpolated, s.
+        gait_frequency_hz: gait frequency, Hz, or None if the motion is not periodic.
 
     Returns:
         Longest interval of the motion in which all markers are known.
 
     Raises:
         InputError: the file cannot be used.
-        UnknownNameError: `up`, `layout` or `head` is an unknown name.
+        UnknownNameError: the value of `up`, `layout` or `head` is unknown.
     """
     if not 0 <= longest_gap_s <= 10:
         raise InputError(
@@ -344,8 +350,8 @@ def _captured_markers(
 ) -> tuple[CapturedMarkers, list[str]]:
     geometry = spec.geometry
     slots = in_slots(table, points)
-    # Tracking compares distances with the robot, so a wrong unit of length must be
-    # reported before.
+    # The tracking compares distances with the robot, so an error in the unit of length
+    # must be reported before the tracking.
     check_scale(slots.points[..., :2], spec)
     tracks, notes = robot_tracks(
         table, slots, longest_gap_s / frames.period, _REACH * geometry.pitch
@@ -387,10 +393,10 @@ def _kept_frames(frames: FrameGrid, points: np.ndarray, longest_gap_s: float) ->
 
 
 def bodies_as_pairs(table: MarkerTable) -> MarkerTable:
-    """Replace each rigid body with a rotation by two markers on one of its axes.
+    """Replace each rigid body that has a rotation by two markers on one of its axes.
 
-    The axis whose direction varies most is used, because a vertical axis would not show
-    the heading.
+    The axis whose direction varies most is used, because the direction of a vertical
+    axis does not depend on the heading.
     """
     if table.rotations is None:
         return table
@@ -452,12 +458,9 @@ def _counts(
 
 
 def in_slots(table: MarkerTable, points: np.ndarray) -> Tracks:
-    """Join the columns of markers that reappear in new columns (`pack_slots`).
+    """Combine the columns of markers that reappear in new columns (see `pack_slots`).
 
-    Rigid bodies and columns whose place on the robot is known are not joined.
-
-    Raises:
-        InputError: too many slots remain for tracking.
+    Rigid bodies and columns whose place on the robot is known are not combined.
     """
     slots = Tracks(
         points, np.where(np.isnan(points[..., 0]), -1, np.arange(len(table.labels))), 0
@@ -476,14 +479,9 @@ def robot_tracks(
 ) -> tuple[Tracks, list[str]]:
     """Return the tracks that may belong to the robot, and notes on other tracks.
 
-    Rigid bodies are identified by name and not tracked. Columns whose place on the
-    robot is known always belong to the robot. The returned positions have no height.
-
-    Args:
-        table: marker file.
-        slots: positions from `in_slots`.
-        longest_gap: maximum gap that is filled, frames.
-        reach: maximum distance of a marker from its expected position, m.
+    Rigid bodies are identified by their names and are not tracked. Columns whose place
+    on the robot is known always belong to the robot. The returned positions do not
+    include the height. `longest_gap` is in frames, and `reach` is in m.
     """
     tracks = slots
     if not table.bodies:

@@ -117,7 +117,7 @@ class RecordingMap(StrictModel):
 
     @property
     def ambient(self) -> float:
-        """Pressure subtracted from absolute pressures, Pa, or 0 for gauge pressures."""
+        """Pressure that is subtracted from absolute pressures, Pa, by default 0."""
         value = self.log.get("ambient_kpa")
         if isinstance(value, float):
             return 1e3 * value
@@ -125,7 +125,7 @@ class RecordingMap(StrictModel):
 
     @property
     def dialect(self) -> Dialect:
-        """Layout of plain files."""
+        """Layout of plain tables."""
         separator = self.separator or ""
         return Dialect(
             tuple(self.columns),
@@ -135,11 +135,11 @@ class RecordingMap(StrictModel):
 
     @property
     def unstated(self) -> Unstated:
-        """Information for marker files that do not state it."""
+        """Information that a marker file may lack."""
         return Unstated(self.rate_hz, self.units, self.scale_m, self.dialect)
 
     def meanings(self, kinds: Collection[str]) -> dict[str, Meaning]:
-        """Return the meanings of the log columns with these quantities."""
+        """Return the meanings of the log columns that contain the given quantities."""
         meanings = {}
         for key, value in self.log.items():
             meaning = log_meaning(key)
@@ -152,10 +152,9 @@ class RecordingMap(StrictModel):
         return meanings
 
     def applied(self, table: MarkerTable) -> MarkerTable:
-        """Return the markers that have a place, or else all that are not ignored.
+        """Return the markers that belong to the robot according to the map.
 
-        Raises:
-            UnknownNameError: the map names a marker that the file does not have.
+        If no marker has a place, only the markers marked as "ignore" are removed.
         """
         named = {**self.markers, **self.bodies}
         for name in named:
@@ -191,7 +190,7 @@ class RecordingMap(StrictModel):
 
 
 NO_MAP = RecordingMap()
-"""Map without entries."""
+"""Recording map without entries."""
 
 
 def _log_problems(key: str, value: str | float | LogColumn) -> Iterator[str]:
@@ -227,16 +226,11 @@ def log_meaning(key: str) -> Meaning | None:
 def given_map(
     path: str | None, options: Mapping[str, object], markers: Sequence[str]
 ) -> dict[str, object]:
-    """Merge a map file with options into plain data.
+    """Combine a map file, options and marker places to plain data.
 
-    Args:
-        path: map file.
-        options: values by key that override the file. The value None has no effect.
-        markers: places of markers, such as "NAME=connector 1", "NAME=middle 2",
-            "NAME=connector 1 ahead" or "NAME=ignore".
-
-    Raises:
-        InputError: a marker place or the file is invalid.
+    The options override the values of the file unless they are None. A marker place has
+    the form "NAME=connector 1", "NAME=middle 2", "NAME=connector 1 ahead" or
+    "NAME=ignore".
     """
     data: dict[str, object] = {}
     places: dict[str, object] = {}
@@ -271,11 +265,7 @@ def given_map(
 
 
 def read_map(data: Mapping[str, object]) -> RecordingMap:
-    """Return a map from the plain data of `given_map`.
-
-    Raises:
-        InputFileError: the data are invalid.
-    """
+    """Return a recording map from the plain data that `given_map` returns."""
     document = Document("--map", dict(data))
     model = validate(RecordingMap, document, document.data)
     document.raise_problems()
@@ -284,7 +274,7 @@ def read_map(data: Mapping[str, object]) -> RecordingMap:
 
 
 def canonical_key(name: str) -> str:
-    """Return the map key of a column name without the unit, such as pressure_plus_1."""
+    """Return the map key of a column, such as pressure_plus_1, without a unit."""
     match = re.fullmatch(r"(.+_\d{1,3})(?:[_ ]+[a-z]+)?", bracketed(name)[0].lower())
     if match:
         return match[1]

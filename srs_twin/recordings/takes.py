@@ -1,4 +1,4 @@
-"""Recordings with their valve logs, for fits and for scenarios that replay them.
+"""Recordings with logs, for fits and for scenarios that replay the recordings.
 
 The default log of ``walk.csv`` is ``walk.valves.csv`` in the same folder.
 """
@@ -48,7 +48,7 @@ from srs_twin.trajectory import Trajectory
 _LOG = ".valves.csv"
 NO_MARKERS = "bends alone do not tell where a robot crawled; markers are wanted"
 _ROUNDING_S = 1e-6
-"""Tolerance for rounding if a run is longer than its recording, s."""
+"""Rounding tolerance when the durations of a run and a recording are compared, s."""
 Result = TypeVar("Result")
 
 
@@ -57,16 +57,16 @@ class RecordingReader:
     """Reader of recordings and logs with common settings.
 
     Attributes:
-        up: axis of the file that points up, one of `floor.UPS`.
+        up: vertical axis of the file, one of `floor.UPS`.
         layout: marker layout, one of `body.layout.LAYOUTS`.
-        head: column name of the marker at the head, or None for the end in the
-            direction of motion.
+        head: column name of the marker at the head. If `head` is None, the head is the
+            end in the direction of motion.
         map: recording map, which states what markers and columns measure.
-        longest_gap_s: maximum duration of a gap that is filled, s.
-        offset_s: clock offset added to the times of the log, s, or None to estimate the
-            offset.
-        gait_frequency_hz: gait frequency, Hz, or None to compute it from the valve
-            states.
+        longest_gap_s: maximum duration of a gap that is interpolated, s.
+        offset_s: clock offset that is added to the times of the log, s, or None to
+            estimate the offset.
+        gait_frequency_hz: gait frequency, Hz, or None to compute the frequency from the
+            valve states.
     """
 
     up: str = "auto"
@@ -82,10 +82,8 @@ class RecordingReader:
     ) -> Recording:
         """Read a captured motion with `read_motion`.
 
-        Args:
-            path: recording file.
-            spec: recorded robot.
-            frequency: gait frequency that applies if the reader has none, Hz.
+        `frequency` is the gait frequency (Hz) that is used if the reader has no gait
+        frequency.
         """
         return read_motion(
             path,
@@ -101,7 +99,7 @@ class RecordingReader:
     def body(
         self, path: str, spec: RobotSpec, frequency: float | None = None
     ) -> Recording:
-        """Read the measured motion from markers, like `motion`, or from a bend log."""
+        """Read a motion from a file with markers or from a bend log."""
         if not is_bend_log(path, self.map):
             return self.motion(path, spec, frequency)
         gap = self.longest_gap_s
@@ -118,28 +116,21 @@ class RecordingReader:
     def joined(
         self, body: Recording, log: ValveLog, spec: RobotSpec, *, one_file: bool
     ) -> Recording:
-        """Join a motion with a log on one clock.
+        """Synchronise a motion with a log.
 
-        No clock offset is needed if both come from one file.
-
-        Raises:
-            InputError: `join` cannot synchronise the clocks.
+        If motion and log are from one file, the clock offset is 0.
         """
         offset = 0.0 if one_file and self.offset_s is None else self.offset_s
         return join(body, log, spec, offset=offset)
 
     def take(self, path: str, valves: str, spec: RobotSpec) -> Recording:
-        """Read a recording and its log, and synchronise their clocks.
-
-        Raises:
-            InputError: `body`, `read_valves` or `joined` fails.
-        """
+        """Read a recording and its log, and synchronise their clocks."""
         try:
             log = read_valves(valves, spec, self.map)
         except InputError:
-            self.body(
-                path, spec
-            )  # errors of the motion come first, because its path names the default log
+            # An error of the motion has priority, because the path of the motion
+            # determines the default path of the log.
+            self.body(path, spec)
             raise
         return self.joined(
             self.body(path, spec, log.gait_frequency()),
@@ -150,14 +141,10 @@ class RecordingReader:
 
 
 def logs_of(takes: Sequence[str], given: Sequence[str]) -> list[str]:
-    """Return the log of each take.
+    """Return the path of the log of each recording.
 
-    Args:
-        takes: motion files.
-        given: paths of the logs in the order of the takes, or empty for default logs.
-
-    Raises:
-        InputError: the number of logs differs from the number of takes.
+    `given` contains the paths of the logs in the order of the recordings. If `given` is
+    empty, the default paths are returned.
     """
     if not given:
         return [_log_of(Path(take)) for take in takes]
@@ -173,7 +160,7 @@ def logs_of(takes: Sequence[str], given: Sequence[str]) -> list[str]:
 
 def _log_of(take: Path) -> str:
     if not take.name:
-        return str(take)  # an empty path would be the current folder
+        return str(take)  # an empty path would mean the current folder
     beside = take.with_name(take.stem + _LOG)
     own = take.suffix.lower() in BAG_SUFFIXES or take.is_dir()
     return str(take if own and not os.path.lexists(beside) else beside)
@@ -338,7 +325,7 @@ def _read(document: Document, key: str, read: Callable[[], Result]) -> Result | 
     try:
         return read()
     except UnknownNameError as error:
-        # The file exists, so the error is about a missing marker or column.
+        # The file exists, so the error concerns a missing marker or column.
         document.report(
             ("recording", "head" if document.get("recording", "head") else "map"),
             str(error),

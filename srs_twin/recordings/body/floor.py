@@ -1,20 +1,22 @@
-"""Floor plane of a recording: vertical axis and transformation to floor coordinates.
+"""Detection of the floor plane, and transformation of markers to floor coordinates.
 
-**Vertical axis.** Each marker of a crawling snake keeps its height, so the marker's
-displacements d over time are parallel to the floor. Candidate normals n are cross
-products d₁ × d₂. The candidate with the smallest median |n·d| is refined by a principal
-component analysis of the displacements close to its plane. If the snake does not move,
-the plane is fitted to the marker positions, although unequal heights of the markers
-tilt it. The axis of the file closest to the normal is taken as the upward axis.
+**Vertical axis.** Each marker of a crawling snake has a nearly constant height, so the
+displacements d of a marker over time are parallel to the floor. Candidates for the
+normal n of the floor are the cross products d₁ × d₂ of two displacements. The candidate
+with the smallest median |n·d| is refined by a principal component analysis of the
+displacements close to its plane. If the snake does not move, the plane is fitted to the
+marker positions, although unequal heights of the markers then tilt the plane. The
+vertical axis is the file axis closest to the normal.
 
-**Levelling.** The tilt of a recording is removed only if it is certain. The gradients
-of the floor are found by a robust fit of marker heights over marker positions. A snake
-that lifts in phase with its motion produces an apparent gradient L/S, where L is the
-RMS lift and S the RMS displacement. A gradient therefore counts as a tilt only if it
-exceeds twice the gradient due to a lift of 1 % of the body length. Each principal
-direction of the motion is tested separately.
+**Levelling.** A tilt of the floor in the recording is removed only if the tilt is
+certain. The gradients of the floor are computed by a robust fit of marker heights to
+marker positions. If the snake lifts its body in phase with its motion, the apparent
+gradient is L/S, where L is the RMS lift and S the RMS displacement. A gradient is
+therefore interpreted as a tilt only if it exceeds twice the gradient due to a lift of 1
+% of the body length. Each principal direction of the motion is tested separately.
 
-Each transformation is a rotation, so left and right are preserved:
+The following transformations of the file axes X, Y and Z are rotations, so left and
+right are preserved:
 
 | up | x    | y    |
 |----|------|------|
@@ -52,36 +54,37 @@ MAPS = {
 UPS = ("auto", *MAPS)
 
 _SAMPLES = 20_000
-"""Maximum number of positions or displacements that are used."""
+"""Maximum number of positions or displacements that are evaluated."""
 _LAG_FRACTIONS = (60, 30, 10)
-"""Divisors of the duration of a recording that give the durations of displacements."""
+"""Ratios of the duration of a recording to the duration of a displacement."""
 _NORMALS = 400
 """Number of candidate normals."""
 _LIFT_FRACTION = 0.01
-"""RMS lift of a snake in phase with the motion, relative to the body length."""
+"""Assumed RMS lift of a snake in phase with the motion, relative to the body length."""
 _CERTAIN_RATIO = 2.0
-"""Minimum gradient of a certain tilt, relative to the gradient due to a lift."""
+"""Minimum ratio of the gradient of a certain tilt to the gradient due to a lift."""
 _EXTENT_FRAMES = 200
 """Number of sampled frames from which the body length is computed."""
 _FIT_ITERATIONS = 8
 """Number of iterations of the robust fit of the gradients."""
 _MAX_SHIFT = 1e-3
-"""Displacement of high against low markers above which a tilt is removed, m."""
+"""Maximum displacement of high relative to low markers due to an ignored tilt, m."""
 _PLANE_RATIO = 3.0
 """Minimum ratio of the spread in a plane to the spread normal to the plane."""
 _MAX_TILT = np.radians(3.0)
-"""Tilt above which the recording is levelled."""
+"""Maximum ignored tilt, rad."""
 _MAX_AXIS_TILT = np.radians(30.0)
-"""Maximum tilt at which a file axis counts as vertical."""
+"""Maximum angle between the floor normal and the vertical axis of the file, rad."""
 
 
 @dataclass(frozen=True)
 class FloorPlane:
-    """Markers in floor coordinates, with the detected vertical axis.
+    """Marker positions in floor coordinates, and the detected vertical axis.
 
     Attributes:
-        points: coordinates x and y on the floor and height above the origin of the file
-            (0 if the file has no heights), shape (frames, columns, 3), m.
+        points: coordinates x and y on the floor and height above the origin of the
+            file, shape (frames, columns, 3), m. The height is 0 if the file has no
+            heights.
     """
 
     up: str
@@ -97,13 +100,10 @@ def map_to_floor(
     Args:
         points: marker positions, shape (frames, columns, 3) or (…, 2), m.
         up: vertical axis, one of `UPS`.
-        usual: usual vertical axis of the file format, used if the markers do not
-            determine the axis.
-        level: whether the tilt of the floor is removed. None removes a certain tilt.
-
-    Raises:
-        InputError: the file has only two coordinates and lacks the axis, or the
-            vertical axis cannot be determined.
+        usual: usual vertical axis of the file format, for files whose markers do not
+            determine the vertical axis.
+        level: whether the tilt of the floor is removed. If `level` is None, the tilt is
+            removed only if the tilt is certain.
     """
     notes: list[str] = []
     planar = points.shape[-1] == 2
@@ -162,8 +162,8 @@ def _find_floor(
             f"the plane of the markers is tilted by {np.degrees(tilt):.0f}° from all"
             " axes; rotate the recording, or give --up x, y or z, or `up` in a map"
         )
-    # The origin is set by a calibration square on the floor, so all markers must be
-    # above it.
+    # A calibration square on the floor defines the origin, so all markers must be above
+    # the origin.
     height = float(np.median(visible[:, axis]))
     up = ("-" if height < -1e-3 else "") + "xyz"[axis]
     notes = [f"up is {up}: markers stay within {1e3 * spread[0]:.1f} mm of a plane"]
@@ -220,7 +220,7 @@ def _rotated(points: np.ndarray, normal: np.ndarray, axis: int) -> np.ndarray:
 def _fit_slopes(place: np.ndarray, height: np.ndarray) -> tuple[np.ndarray, float]:
     """Return the gradients of the floor and the residual of the heights, m.
 
-    Markers that move up and down, such as a cap on a head, get little weight.
+    Markers that move up and down, such as a marker on the head, have a small weight.
     """
     x, y = (place - np.nanmean(place, axis=0)).reshape(-1, 2).T
     z = (height - np.nanmean(height, axis=0)).ravel()
@@ -248,7 +248,7 @@ class _Spreads(NamedTuple):
 
 
 def _spreads(place: np.ndarray) -> _Spreads:
-    """Return standard deviations from the median of the covariances of all markers."""
+    """Return principal standard deviations of the median covariance of all markers."""
     moved = place - np.nanmean(place, axis=0)
     products = moved[..., :, None] * moved[..., None, :]
     covariance = np.nanmedian(np.nanmean(products, axis=0), axis=0)
@@ -272,8 +272,8 @@ def _displacements(points: np.ndarray) -> np.ndarray:
     moved = moved[np.isfinite(moved).all(axis=1)]
     moved = moved[:: len(moved) // _SAMPLES + 1]
     distance = np.linalg.norm(moved, axis=1)
-    # A displacement has noise at both ends, so its spread is √2 times the spread of
-    # positions.
+    # A displacement contains the noise of two positions, so its standard deviation is
+    # √2 times the standard deviation of a position.
     return np.asarray(moved[distance >= np.median(distance)] / np.sqrt(2))
 
 
@@ -282,7 +282,10 @@ def _is_plane(spread: np.ndarray) -> bool:
 
 
 def _principal_axes(moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return ascending spreads about the origin and the axes, without outliers."""
+    """Return RMS values along the principal axes in ascending order, and the axes.
+
+    Outliers are excluded.
+    """
     pairs = np.random.default_rng(0).integers(len(moved), size=(2, _NORMALS))
     normals = np.cross(*moved[pairs])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-18)

@@ -1,14 +1,14 @@
 r"""Least-squares fit of pose, bends and segment lengths to single frames.
 
 **Model.** A *station* is a point along the body. The even stations 0, 2, 4, … are the
-connectors, head first, and the odd stations are the middles of the segments between
-them. A marker m at station k has the position
+connectors, head first, and the odd stations are the middles of the segments. A marker m
+at station k has the position
 
 $$ p_m = P_k + a_m\,e^{i\theta_k}, $$
 
-where a_m is its offset in the frame of the station. Points are complex numbers, so that
-a rotation is a multiplication. Adjacent connectors are joined by an arc of length ℓ_j
-and bend q_j, with half of the rigid gap g at both ends,
+where a_m is the offset of the marker in the frame of the station. Points are complex
+numbers, so that a rotation is a multiplication. Adjacent connectors are joined by an
+arc of length ℓ_j and bend q_j, with half of the rigid gap g at each end of the arc,
 
 $$ P_{j+1} = P_j - e^{i\theta_j}\Bigl(\tfrac g2 + \ell_j E(q_j) + \tfrac g2 e^{-iq_j}\Bigr),
    \qquad E(\varphi) = \int_0^1 e^{-i\varphi u}\,du, \qquad \connector_heading_{j+1} = \theta_j -
@@ -20,11 +20,11 @@ $$ \sum_m \frac{|p_m - \hat p_m|^2}{\sigma^2} + \sum_j \frac{(\ell_j - \bar\ell_
    + \frac{\varepsilon^2}{\sigma_\varepsilon^2} + \sum_j \frac{(q_j - \hat
    q_j)^2}{\sigma_q^2}. $$
 
-The minimum is found by the Gauss-Newton method. The standard errors follow from the
-inverse of the Gauss-Newton matrix. The last term applies only to frames with hidden
-markers, whose bends it keeps close to a spline through the bends of the other frames.
-The term with ε, the mean alternating bend, applies only if the segment lengths are
-fixed (`shape`).
+The minimum is found by the Gauss-Newton method. The standard errors are computed from
+the inverse of the Gauss-Newton matrix. The last term is included only in frames with
+hidden markers. In frames with hidden markers, the last term keeps the bends close to a
+spline through the bends of the remaining frames. The term with the alternating bend ε
+is included only if the segment lengths are assumed to be constant (see `shape`).
 """
 
 from __future__ import annotations
@@ -43,34 +43,37 @@ SIDE_DIRECTIONS = {"": 0, "ahead": 1, "behind": -1, "left": 1j, "right": -1j}
 """Direction from a station to a marker on each side, in the frame of the station."""
 
 _MAX_PAIR_ANGLE = np.radians(25.0)
-"""Maximum angle between a marker pair and the direction along or across the body."""
+"""Maximum angle between a marker pair and the body axis or its normal, rad."""
 _BEND_STD = 0.15
-"""Standard deviation σ_q of bends from the spline in frames with hidden markers, rad.
+"""Standard deviation σ_q of bends in frames with hidden markers from the spline, rad.
 """
 _HIDDEN_STD = 1e-2
-"""Assumed error of the interpolated position of a hidden marker, m."""
+"""Assumed standard deviation of the interpolated position of a hidden marker, m."""
 _FLAT_PRIOR_STD = 1e3
 """Prior standard deviation of headings and bends, rad.
 
-The prior is so weak that it only prevents singular matrices.
+This weak prior prevents singular matrices.
 """
 _MAX_ANGLE_STEP = 0.3
 """Maximum change of heading and bends in a Gauss-Newton step, rad."""
 _MAX_STEPS = 15
 """Maximum number of Gauss-Newton steps."""
 _CONVERGED_STEP = 1e-5
-"""Step size below which the iteration stops, rad and m.
+"""Maximum last step of a converged iteration, rad and m.
 
 Convergence is quadratic, so the next step would be negligible.
 """
 _MAX_LENGTH = 1e3
-"""Maximum segment length, m. Fits of wrong marker assignments may diverge."""
-_ALTERNATING_STARTS = np.linspace(-0.6, 0.6, 13)
-"""Initial values of ε, rad."""
-_SWAP_NOISE = 4.0
-"""Distance from the body, divided by the noise, that suggests swapped markers.
+"""Maximum segment length, m.
 
-The sample is then assigned to the other marker of the pair for comparison.
+The bound is needed because the fit of a wrong marker assignment may diverge.
+"""
+_ALTERNATING_STARTS = np.linspace(-0.6, 0.6, 13)
+"""Initial values of the alternating bend ε, rad."""
+_SWAP_NOISE = 4.0
+"""Minimum distance of a possibly swapped marker from the body, divided by the noise.
+
+The sample is also assigned to the second marker of the pair for comparison.
 """
 
 
@@ -87,8 +90,8 @@ class MarkerPlacement:
 
     Attributes:
         station: station of each marker, shape (markers,).
-        offset: offset of each marker in the frame of the station, shape (markers,),
-            complex, m.
+        offset: complex offset of each marker in the frame of the station, m, shape
+            (markers,).
     """
 
     station: np.ndarray
@@ -98,12 +101,13 @@ class MarkerPlacement:
     def kinematics(self, state: np.ndarray) -> _Kinematics:
         """Return positions, headings and the Jacobian of the markers.
 
-        Args:
-            state: x, y, θ_1, bends and lengths, shape (frames, 3 + 2 segments).
+        `state` contains the position x, y, the heading θ_1, the bends and the segment
+        lengths, shape (frames, 3 + 2 segments).
         """
         count = self.geometry.connectors - 1
-        # The middle station divides every segment into two halves. The rigid gap is
-        # split before the first half and behind the second half.
+        # The middle station divides every segment into two halves. Half of the rigid
+        # gap is in front of the first half of a segment, and half of the gap is behind
+        # the second half.
         turn, length = np.split(np.repeat(state[:, 3:] / 2, 2, axis=1), 2, axis=1)
         before, after = (
             np.tile(ends, count) * self.geometry.rigid_gap / 2
@@ -125,8 +129,9 @@ class MarkerPlacement:
         jacobian[..., 0] = 1
         jacobian[..., 1] = 1j
         jacobian[..., 2] = 1j * (marker - station[:, :1])
-        # The bend of a half segment rotates all stations behind it about its rear end
-        # and changes its chord. The length displaces the stations behind it.
+        # The bend of a half segment rotates all stations behind the half segment about
+        # its rear end and changes its chord. The length of a half segment displaces the
+        # stations behind the half segment.
         moved = self.station[:, None] > np.arange(2 * count)
         chord_derivative = front_direction * (
             length * arc_derivative - 1j * after * rotation
@@ -137,7 +142,7 @@ class MarkerPlacement:
         by_length = -(front_direction * arc)[:, None]
         for k, by_half in ((3, by_turn), (3 + count, by_length)):
             derivative = np.where(moved, by_half, 0)
-            # Each half has half of the segment's bend and length.
+            # Each half has half of the bend and half of the length of the segment.
             jacobian[..., k : k + count] = (
                 derivative[..., ::2] + derivative[..., 1::2]
             ) / 2
@@ -145,7 +150,7 @@ class MarkerPlacement:
 
 
 def _mean_direction(turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return E(φ) and dE/dφ of an arc with the bend φ, rad."""
+    """Return E(φ) and dE/dφ for the bend φ (rad)."""
     cosine, sine, arc, derivative, _ = half_angle_terms(turn)
     rotation = cosine - 1j * sine
     return arc * rotation, (derivative - 0.5j * arc) * rotation
@@ -157,22 +162,12 @@ def marker_offsets(
     places: Sequence[tuple[int, str]],
     names: Sequence[str],
 ) -> np.ndarray:
-    """Return the offsets of markers from their stations, shape (markers,), complex, m.
+    """Return the complex offsets of markers from their stations, m, shape (markers,).
 
-    A single marker at a station has the offset 0. Two markers without a side lie on
-    both sides of the station, along or across the body. Two markers with one name
-    replace a rigid body and may lie in any direction.
-
-    Args:
-        points: marker positions, interpolated where hidden, shape (frames, markers, 2),
-            m.
-        missing: mask of hidden markers, shape (frames, markers).
-        places: station and side of each marker.
-        names: marker names.
-
-    Raises:
-        InputError: a station has more than two markers or two on one side, or a pair is
-            oblique to the body.
+    A single marker at a station has the offset 0. Two markers without a stated side are
+    placed symmetrically about the station, along or across the body. Two markers with
+    the same name replace a rigid body and may have any direction. The positions of
+    hidden markers must be interpolated.
     """
     offsets = np.zeros(len(places), dtype=complex)
     position = points @ [1, 1j]
@@ -203,8 +198,8 @@ def marker_offsets(
             side_distance = abs(sides[0] - sides[1]) if all(sides) else 1
             offsets[group] = [distance * side / side_distance for side in sides]
             continue
-        # The argument of the ratio is the angle between the pair and the line that
-        # joins the adjacent stations.
+        # The argument of this ratio is the angle between the marker pair and the line
+        # through the adjacent stations.
         ratio = line / (centres[max(k - 1, 0)] - centres[min(k + 1, len(centres) - 1)])
         visible = ~missing[:, group].any(axis=1)
         ratio = ratio[visible] if visible.any() else ratio
@@ -224,11 +219,11 @@ def marker_offsets(
 
 @dataclass
 class StatePrior:
-    """Noise of the markers and prior of the state.
+    """Noise of the markers and prior distribution of the state.
 
     Attributes:
         noise: standard deviation σ of a marker coordinate, m.
-        length_mean: mean segment lengths, shape (segments,), m.
+        length_mean: mean segment lengths, m, shape (segments,).
         alternating_std: standard deviation σ_ε, rad, or None if the markers determine
             ε.
     """
@@ -240,12 +235,12 @@ class StatePrior:
 
     @property
     def bends(self) -> slice:
-        """Slice of the bends in the state."""
+        """Slice that selects the bends in the state."""
         return slice(3, 3 + len(self.length_mean))
 
     @property
     def lengths(self) -> slice:
-        """Slice of the lengths in the state."""
+        """Slice that selects the segment lengths in the state."""
         return slice(3 + len(self.length_mean), None)
 
     @property
@@ -255,7 +250,7 @@ class StatePrior:
         return np.asarray((-1.0) ** np.arange(count) / (2 * count))
 
     def information(self) -> np.ndarray:
-        """Return the information matrix of the prior over the state."""
+        """Return the information matrix of the prior distribution."""
         count = len(self.length_mean)
         matrix = np.diag(
             np.repeat(
@@ -277,8 +272,8 @@ class FrameFit:
     Attributes:
         covariance: inverse of the Gauss-Newton matrix, shape (frames, 3 + 2 segments, 3
             + 2 segments).
-        distance: distances of the markers from their fitted positions, shape (frames,
-            markers), m.
+        distance: distances of the markers from their fitted positions, m, shape
+            (frames, markers).
         chi2: sum of the squared normalised marker residuals over all frames.
     """
 
@@ -305,14 +300,13 @@ def fit_frames(
 ) -> FrameFit:
     """Fit the states of frames by the Gauss-Newton method.
 
-    Hidden markers have interpolated positions. In frames with hidden markers the bends
-    are kept close to the initial bends q̂.
-
     Args:
-        state: initial states, shape (frames, 3 + 2 segments).
-        measured: marker positions, shape (frames, markers), complex, m.
-        placement: marker placement.
-        prior: state prior.
+        state: initial states, shape (frames, 3 + 2 segments). In frames with hidden
+            markers, the fit keeps the bends close to the initial bends q̂.
+        measured: complex marker positions, m, shape (frames, markers). The positions of
+            hidden markers are interpolated.
+        placement: positions of the markers on the body.
+        prior: prior distribution of the state.
         missing: mask of hidden markers, shape (frames, markers), or None if all markers
             are visible.
     """
@@ -335,22 +329,22 @@ def fit_frames(
     for _ in range(_MAX_STEPS):
         body = placement.kinematics(state[active])
         residual[active] = difference = measured[active] - body.marker
-        # `inner` is the Gauss-Newton matrix of the markers alone; the prior adds its
-        # information matrix.
+        # The matrix `inner` is the Gauss-Newton matrix without the information matrix
+        # of the prior.
         weighted = (body.jacobian.conj() * weight[active][..., None]).transpose(0, 2, 1)
         data[active] = inner = (weighted @ body.jacobian).real
         gradient = (weighted @ difference[..., None])[..., 0].real
         gradient = gradient + (prior_mean - state)[active] @ information
         step = np.linalg.solve(inner + information, gradient[..., None])[..., 0]
         step = np.clip(step, -max_step, max_step)
-        # The bound keeps the numbers finite when a wrong marker assignment diverges.
+        # The bound keeps the values finite if the fit of a wrong marker assignment
+        # diverges.
         state[active] = np.clip(state[active] + step, -bound, bound)
         active = active[np.abs(step).max(axis=1) > _CONVERGED_STEP]
         if not active.size:
             break
     covariance = np.linalg.inv(data + information)
-    # The trace is the number of parameters that the markers determine. The prior
-    # determines the others.
+    # The trace is the effective number of parameters that the markers determine.
     parameters = np.einsum("fuv,fvu->", covariance, data)
     squares = weight * np.abs(residual) ** 2
     deviation = prior_mean - state
@@ -369,10 +363,11 @@ def fit_incomplete_frames(
     placement: MarkerPlacement,
     prior: StatePrior,
 ) -> FrameFit:
-    """Fit the states of frames with hidden markers, with arguments as in `fit_frames`.
+    """Fit the states of frames with hidden markers.
 
-    If only one marker of a pair is visible, tracking may have mistaken it for the other
-    marker. Both assignments are fitted, and the one with the smaller cost is used.
+    If only one marker of a pair is visible, the tracking may have confused the two
+    markers. The fit is performed for the two possible assignments of the visible
+    marker, and the fit with the smaller cost is returned.
     """
     best = fit_frames(state, measured, placement, prior, missing)
     for station in np.unique(placement.station):
@@ -403,8 +398,8 @@ def initial_states(
 ) -> np.ndarray:
     """Return approximate states of frames.
 
-    Headings are interpolated along the body between the directions of marker pairs and
-    the directions from one station to the next.
+    The headings are interpolated along the body. The known directions are the
+    directions of marker pairs and the directions from one station to the next.
     """
     from scipy.interpolate import make_interp_spline
 
@@ -427,7 +422,7 @@ def initial_states(
     between = (stations[1:] + stations[:-1]) / 2
     directions += zip(between.tolist(), np.angle(-np.diff(centre).T), strict=True)
     positions, angles = zip(*sorted(directions, key=lambda item: item[0]), strict=True)
-    # The linear spline is extrapolated beyond the first and the last direction.
+    # The linear spline is extrapolated beyond the first and the last known direction.
     heading = make_interp_spline(positions, np.unwrap(angles, axis=0), k=1)
     theta = heading(2 * np.arange(len(prior.length_mean) + 1)).T
     origin = np.zeros((len(measured), 2))
@@ -444,10 +439,10 @@ def initial_states(
 def _fixed_length_states(
     measured: np.ndarray, placement: MarkerPlacement, prior: StatePrior
 ) -> np.ndarray:
-    """Return approximate states for fixed lengths, with ε from a coarse grid.
+    """Return approximate states for constant lengths, with the best ε of a coarse grid.
 
     Each connector has one marker. By symmetry, the direction α_j from one connector to
-    the next is the mean of the two headings, so θ_{j+1} = 2α_j − θ_j.
+    the next is the mean of the headings of the two connectors, so θ_{j+1} = 2α_j − θ_j.
     """
     count = len(prior.length_mean)
     order = np.argsort(placement.station)
@@ -457,12 +452,12 @@ def _fixed_length_states(
         "one marker at each connector"
     )
     alpha = np.unwrap(np.angle(span), axis=1)
-    # (−1)^j θ_j changes by −2 (−1)^j α_j from connector to connector.
+    # The value (−1)^j θ_j changes by −2 (−1)^j α_j from one connector to the next.
     alternating = np.cumsum(
         np.column_stack([alpha[:, 0], -2 * sign[:-1] * alpha]), axis=1
     )
     bend = -np.diff(sign * alternating)
-    # The mean alternating bend is 2 ε. Each value of the grid replaces it in turn.
+    # The mean of (−1)^j q_j is ±2 ε. Each value of the grid is used as ε in turn.
     mean = (bend * sign[:-1]).mean(axis=1, keepdims=True)
     costs = []
     bends = [bend - sign[:-1] * (mean - 2 * epsilon) for epsilon in _ALTERNATING_STARTS]

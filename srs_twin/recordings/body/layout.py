@@ -9,9 +9,10 @@ The layouts are:
 - ``middles``: one marker per connector, and one at the middle of each segment.
 - ``head_middles``: like ``middles``, with one more marker in front of the head.
 
-Markers on adjacent connectors are never farther apart than the length of a straight
-segment, while other markers sometimes are. The order along the body is therefore the
-minimum spanning tree of the maximum distances.
+The distance of markers on adjacent connectors never exceeds the length of a straight
+segment, whereas markers on more distant connectors are sometimes farther apart. The
+minimum spanning tree of the maximum distances therefore yields the order of the markers
+along the body.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from srs_twin.robot.spec import RobotSpec
 
 
 class LayoutSize(NamedTuple):
-    """Number of markers of a layout: per_connector · N + extra for N connectors."""
+    """Number of markers of a layout with N connectors: per_connector · N + extra."""
 
     per_connector: int
     extra: int
@@ -44,41 +45,39 @@ LAYOUT_SIZES: dict[str, LayoutSize] = {
     "middles": LayoutSize(2, -1),
     "head_middles": LayoutSize(2, 0),
 }
-"""Number of markers of each layout."""
+"""Number of markers for each layout."""
 
 LAYOUTS = ("auto", *LAYOUT_SIZES)
-"""Names of the layouts. "auto" determines the layout from the markers."""
+"""Names of the layouts. With "auto", the layout is detected from the markers."""
 
 MIN_COVERAGE = 0.2
 """Minimum fraction of the frames on which a marker of the robot is visible."""
 _MAX_NEIGHBOUR_PITCH = 2.0
-"""Maximum distance of a marker from the nearest marker, in segment lengths."""
+"""Maximum distance from a robot marker to the nearest marker, in segment lengths."""
 _MIN_EXTENT = 0.1
-"""Minimum extent of all markers, in lengths of the straight body."""
+"""Minimum extent of all markers, divided by the length of the straight body."""
 _MAX_NEAREST_PITCH = 2.5
-"""Maximum distance of the two nearest markers, in segment lengths."""
+"""Maximum distance between the two closest markers, in segment lengths."""
 _DISTANCE_FRAMES = 2000
 """Number of sampled frames from which distances are computed."""
 _NEIGHBOUR_FRAMES = 300
-"""Number of sampled frames on which the nearest marker is searched."""
+"""Number of sampled frames in which the nearest marker is determined."""
 _SAME_HEIGHT = 0.05
-"""Maximum difference of height of a robot marker from most markers, m."""
+"""Maximum difference between the height of a robot marker and the usual height, m."""
 _CONSTANT_HEIGHT = 0.02
-"""Maximum range of the height of a robot marker at an unusual height, m."""
+"""Maximum range of the height of a robot marker that has an unusual height, m."""
 _MAX_DISTANCE_RANGE = 0.5
-"""Maximum relative range of the distance of such a marker from a robot marker."""
+"""Maximum relative range of the distance between two markers that move together."""
 _MIN_MOTION_RATIO = 0.2
-"""Minimum motion of such a marker, divided by the motion of the robot marker."""
+"""Minimum ratio of the motions of two markers that move together."""
 
 
 def foreign_tracks(tracks: np.ndarray) -> dict[int, str]:
     """Return the tracks that do not belong to the robot, with reasons.
 
-    A marker at an unusual but constant height, for example on a mast, belongs to the
-    robot if it moves with a robot marker at a nearly constant distance.
-
-    Args:
-        tracks: floor coordinates, shape (frames, tracks, 3), m.
+    A marker may have an unusual but constant height, for example on a mast. Such a
+    marker belongs to the robot if its distance from a moving robot marker is nearly
+    constant. Positions are floor coordinates in m.
     """
     visible = np.isfinite(tracks[..., 0])
     if visible.any():
@@ -96,8 +95,8 @@ def foreign_tracks(tracks: np.ndarray) -> dict[int, str]:
     ]
     height_range = {k: _range(heights[k]) for k in different}
     candidates = [k for k in different if height_range[k] <= _CONSTANT_HEIGHT]
-    # The search is repeated because a marker may move with a marker that has just been
-    # accepted.
+    # The search is repeated because a marker may move together with a marker that has
+    # just been accepted.
     while accepted := [
         k
         for k in candidates
@@ -139,29 +138,22 @@ def _move_together(pair: np.ndarray) -> bool:
 def robot_markers(
     points: np.ndarray, connectors: int, pitch: float, layout: str, named: int
 ) -> tuple[list[str], np.ndarray]:
-    """Select the markers of the robot.
+    """Return the possible layouts and the indices of the robot markers.
 
     Args:
-        points: positions of all tracks, shape (frames, tracks, 2), m.
+        points: positions of all tracks, m, shape (frames, tracks, 2).
         connectors: number N of connectors.
         pitch: length of a straight segment, m.
-        layout: layout, one of `LAYOUTS`. "auto" selects the layouts with the visible
-            number of markers.
+        layout: layout, one of `LAYOUTS`. With "auto", all layouts that have the visible
+            number of markers are possible.
         named: number of columns whose names state a place on the robot.
-
-    Returns:
-        Possible layouts (["named"] for named columns), and the tracks of the robot
-        markers.
-
-    Raises:
-        InputError: there are too few or too many markers.
     """
     visible = ~np.isnan(points[..., 0])
     coverage = visible.mean(axis=0)
     candidates = np.flatnonzero(coverage >= MIN_COVERAGE)
     if len(candidates) > connectors and not named:
-        # A robot marker is close to another marker on most frames on which it is
-        # visible.
+        # A robot marker is close to another marker in most frames in which the robot
+        # marker is visible.
         limit = _MAX_NEIGHBOUR_PITCH * pitch
         has_neighbour = (
             pairwise_distances(points[:, candidates], _NEIGHBOUR_FRAMES) < limit
@@ -177,8 +169,8 @@ def robot_markers(
         counts = {"named": named}
     possible = [layout]
     if layout == "auto":
-        # Markers are counted per frame, because a marker that was hidden for long may
-        # have become two tracks.
+        # Markers are counted per frame, because a marker that was hidden for a long
+        # time may have two tracks.
         visible_count = visible[:, candidates].sum(axis=1)
         if candidates.size:
             count = int(np.quantile(visible_count, 0.95, method="lower"))
@@ -208,18 +200,11 @@ def _wrong_number(
 
 
 def body_order(points: np.ndarray) -> np.ndarray:
-    """Return the markers in their order along the body, starting at either end.
-
-    Args:
-        points: marker positions, shape (frames, markers, 2), m.
-
-    Raises:
-        InputError: the markers are not along one line.
-    """
+    """Return the markers in their order along the body, starting at either end."""
     from scipy.sparse.csgraph import depth_first_order, minimum_spanning_tree
 
-    # A quantile replaces the maximum, because a few frames may be wrong. The offset
-    # keeps distances of 0, which a sparse graph would drop.
+    # A high quantile is used instead of the maximum, because a few frames may be wrong.
+    # The offset prevents distances of 0, which a sparse graph would omit.
     tree = minimum_spanning_tree(
         np.quantile(pairwise_distances(points, _DISTANCE_FRAMES), 0.98, axis=0) + 1.0
     )
@@ -236,11 +221,7 @@ def body_order(points: np.ndarray) -> np.ndarray:
 
 
 def rigid_pairs(points: np.ndarray, connectors: int) -> np.ndarray:
-    """Return the pairs of markers with a constant distance, shape (connectors, 2).
-
-    Raises:
-        InputError: no pairs have a constant distance.
-    """
+    """Return the pairs of markers with a constant distance, shape (connectors, 2)."""
     median, spread = distance_statistics(points)
     score = spread + 0.02 * median
     pairs: list[tuple[int, int]] = []
@@ -252,8 +233,9 @@ def rigid_pairs(points: np.ndarray, connectors: int) -> np.ndarray:
         if {a, b} <= free:
             pairs.append((a, b))
             free -= {a, b}
-    # Distances between pairs may be as small and as constant as within pairs. The order
-    # along the body then tells which markers form a pair.
+    # The distance between markers of two pairs may be as small and as constant as the
+    # distance within a pair. If the distances are ambiguous, the order along the body
+    # determines the pairs.
     try:
         in_order = [(int(a), int(b)) for a, b in body_order(points).reshape(-1, 2)]
     except InputError:
@@ -269,33 +251,24 @@ def rigid_pairs(points: np.ndarray, connectors: int) -> np.ndarray:
 
 
 def distance_statistics(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return medians and standard deviations of distances, shape (markers, markers), m.
+    """Return medians and standard deviations of distances, m, shape (markers, markers).
 
-    Standard deviations are computed from quartiles, so a few wrong frames have no
-    effect.
+    The standard deviations are computed from quartiles, so that a few wrong frames have
+    no effect.
     """
     distance = pairwise_distances(points, _DISTANCE_FRAMES)
-    # A distance is NaN between a marker and itself, and between two markers that are
-    # never visible on a common frame.
+    # The distance from a marker to itself is NaN, and so is the distance between two
+    # markers that are never visible in the same frame.
     distance[:, np.isnan(distance).all(axis=0)] = np.inf
     with np.errstate(invalid="ignore"):
         low, median, high = np.nanquantile(distance, [0.25, 0.5, 0.75], axis=0)
-        # 0.74 converts the interquartile range of normal values to their standard
-        # deviation.
+        # The factor 0.74 converts the interquartile range of normally distributed
+        # values to their standard deviation.
         return median, np.nan_to_num(0.74 * (high - low), nan=np.inf)
 
 
 def check_scale(points: np.ndarray, spec: RobotSpec) -> None:
-    """Check before tracking that the distances of the markers fit the robot.
-
-    Args:
-        points: marker positions in slots, shape (frames, slots, 2), m.
-        spec: recorded robot.
-
-    Raises:
-        InputError: even the two nearest markers are too far apart for the robot, or all
-            markers are too close together.
-    """
+    """Raise an error if the distances of the markers do not match the robot."""
     pitch = spec.geometry.pitch
     straight = spec.segments * spec.geometry.pitch
     distance = pairwise_distances(points, _DISTANCE_FRAMES)
@@ -328,11 +301,8 @@ def unit_hint(ratio: float) -> str:
 def forward_distance(period: float, points: np.ndarray) -> float:
     """Return the distance travelled towards the first marker, m.
 
-    Motion towards the last marker counts as negative.
-
-    Args:
-        period: time between frames, s.
-        points: marker positions along the body, shape (frames, N, 2), m.
+    A motion towards the last marker is negative. `period` is the time between two
+    frames (s), and `points` contains the marker positions along the body (m).
     """
     stride = max(1, round(0.25 / period))
     if len(points) > stride:

@@ -31,22 +31,22 @@ from srs_twin.robot.spec import RobotSpec
 Places = dict[int, tuple[int, str]]
 """Station and side of each marker.
 
-Stations 0, 2, 4, … are the connectors, head first, and odd stations are the middles
-of segments.
+The even stations 0, 2, 4, … are the connectors, ordered from the head. The odd stations
+are the middles of the segments.
 """
 
 _MIN_CRAWLED = 0.1
-"""Minimum forward distance that determines which end is the head, in body lengths."""
+"""Minimum distance travelled that identifies the head, in body lengths."""
 _NOTED_LENGTH = 0.02
-"""Relative deviation of the median segment length above which a note is given."""
+"""Maximum relative deviation of the median segment length without a note."""
 _NOTED_STRETCH = 0.05
-"""Relative range of a segment length above which a note is given."""
+"""Maximum relative range of a segment length without a note to the user."""
 _MAX_FIXED_STD = 0.03
-"""Maximum standard deviation of constant lengths, relative to a segment."""
+"""Maximum standard deviation of constant segment lengths, relative to their mean."""
 _COMPARED_FRAMES = 600
-"""Number of frames on which alternative assignments are compared."""
+"""Number of frames in which alternative assignments are compared."""
 _CLEAR_NOISE_RATIO = 1.3
-"""Minimum ratio of the second-best to the best residual noise for a clear decision."""
+"""Minimum ratio of the second smallest to the smallest noise for a clear decision."""
 _MAX_LENGTH_RATIO = 1.15
 """Upper bound on the minimum length of a segment, relative to the nominal length."""
 _MIN_LENGTH_RATIO = 0.85
@@ -55,14 +55,14 @@ _MIN_LENGTH_RATIO = 0.85
 
 @dataclass(frozen=True)
 class CapturedMarkers:
-    """Markers of the robot on the frames that are kept.
+    """Markers of the robot in the frames of the trajectory.
 
     Attributes:
-        table: marker file.
-        points: marker positions, interpolated where hidden, shape (frames, markers, 2),
-            m.
-        columns: column of the file that contains each sample, −1 for hidden markers,
-            shape (frames, markers).
+        table: markers in the file.
+        points: marker positions, m, shape (frames, markers, 2). The positions of hidden
+            markers are interpolated.
+        columns: column of the file that contains each sample, shape (frames, markers).
+            The column of a hidden marker is −1.
         other: number of samples in the file that do not belong to the robot.
     """
 
@@ -81,13 +81,13 @@ class CapturedMarkers:
 
     @cached_property
     def main_columns(self) -> list[int]:
-        """Most frequent column of each marker."""
+        """Column that contains most of the samples of each marker."""
         return [
             int(np.bincount(column[column >= 0]).argmax()) for column in self.columns.T
         ]
 
     def thinned(self) -> CapturedMarkers:
-        """Return the markers on a sample of the frames."""
+        """Return the markers in a sample of the frames."""
         frames = sample_frames(len(self.time), _COMPARED_FRAMES)
         return replace(
             self,
@@ -97,7 +97,7 @@ class CapturedMarkers:
         )
 
     def name(self, marker: int) -> str:
-        """Return the name of the most frequent column of a marker."""
+        """Return the name of the column with most of the samples of a marker."""
         return self.table.labels[self.main_columns[marker]]
 
 
@@ -107,8 +107,8 @@ class TrackedBody:
 
     Attributes:
         missing: mask of connectors with a hidden marker, shape (frames, N).
-        spacing: 98 % quantile of the distance of adjacent connectors, shape
-            (segments,), m.
+        spacing: 98 % quantile of the distance between adjacent connectors, m, shape
+            (segments,).
     """
 
     layout: str
@@ -128,17 +128,10 @@ class _Assignment(NamedTuple):
 def tracked_body(
     markers: CapturedMarkers, spec: RobotSpec, head: str | None
 ) -> TrackedBody:
-    """Assign markers to the body and fit its shape.
+    """Assign markers to the body and fit the shape of the body.
 
-    Args:
-        markers: captured markers.
-        spec: recorded robot.
-        head: column name of a marker at the head, or None.
-
-    Raises:
-        InputError: the markers do not fit this robot or do not determine its shape, or
-            layout or head cannot be determined.
-        UnknownNameError: no column has the name given as the head.
+    `head` is the column name of a marker at the head. If `head` is None, the head is
+    detected.
     """
     options: list[_Assignment] = []
     refused: list[str] = []
@@ -155,7 +148,8 @@ def tracked_body(
         chosen = _best_fit(markers, spec, options, refused)
     shape, station, notes = _fit_body(markers, spec, chosen.places)
     spacing = np.quantile(np.abs(np.diff(shape.connector, axis=1)), 0.98, axis=0)
-    # Both connectors of a segment are uncertain if the marker at its middle is hidden.
+    # If the marker at the middle of a segment is hidden, the connectors at the two ends
+    # of the segment are uncertain.
     missing = np.zeros(shape.theta.shape, dtype=bool)
     for k, number in enumerate(station):
         for connector in {int(number) // 2, (int(number) + 1) // 2}:
@@ -218,7 +212,7 @@ def _length_notes(shape: BodyShape, spec: RobotSpec, model: LengthModel) -> list
     low, median, high = (
         np.quantile(shape.length, [0.02, 0.5, 0.98], axis=0) + geometry.rigid_gap
     )
-    # Segments may stretch by more than a quarter, but not during the whole recording.
+    # A segment may stretch by more than a quarter, but not during the whole recording.
     wrong = np.flatnonzero(
         (low > _MAX_LENGTH_RATIO * geometry.pitch)
         | (high < _MIN_LENGTH_RATIO * geometry.pitch)

@@ -1,17 +1,17 @@
 """Shape of the body over a recording: bends, segment lengths, and standard errors.
 
-`frame_fit` defines the model of the body and fits single frames.
-
-**Lengths.** If the markers alone determine the bends, the segment lengths are free, and
-their means and standard deviation σ_ℓ are estimated by expectation-maximisation. With
-one marker per connector, one quantity ε per frame is not observable: adjacent headings
-may turn in opposite directions, q_j = q_j⁰ + 2(−1)^{j−1} ε. Only the assumption of
-constant segment lengths determines ε, and only poorly if the body is nearly straight.
-Recordings of a stretching body are then rejected.
+**Lengths.** If the markers determine the bends without assumptions on the segment
+lengths, the segment lengths are free parameters. The means and the standard deviation
+σ_ℓ of the segment lengths are estimated by expectation-maximisation. With one marker
+per connector, the alternating bend ε in q_j = q_j⁰ + 2(−1)^{j−1} ε is not observable
+without an assumption, because adjacent headings may turn in opposite directions. The
+assumption of constant segment lengths determines ε. The accuracy of ε is low if the
+body is nearly straight. Recordings with one marker per connector are rejected if the
+body stretches.
 
 **Noise.** The noise σ is estimated from high-order differences of the marker positions,
-in which the motion vanishes. With redundant markers, σ is the residual of the fit
-instead, which includes deviations of the segments from arcs.
+in which the motion vanishes. If there are redundant markers, σ is computed from the
+residual of the fit, which includes deviations of the segments from arcs.
 """
 
 from __future__ import annotations
@@ -37,55 +37,57 @@ from srs_twin.recordings.body.tracking import sample_frames
 from srs_twin.robot.spec import Geometry
 
 _MIN_NOISE = 1e-7
-"""Minimum value of σ, m. Simulated recordings have no noise."""
+"""Minimum value of the noise σ, m. Simulated recordings contain no noise."""
 _DEFAULT_NOISE = 5e-4
-"""Value of σ for a recording that is too short for an estimate, m."""
+"""Noise σ assumed for a recording that is too short for an estimate, m."""
 _MAX_DIFFERENCE_ORDER = 8
 """Maximum order of the differences from which the noise is estimated."""
 _NOISE_FRAMES = 20_000
 """Number of frames from which the noise is estimated."""
 _MIN_REDUNDANCY = 0.3
-"""Minimum number of redundant coordinates per frame for noise from the residual."""
+"""Minimum number of redundant coordinates per frame for computing the noise."""
 _MIN_MOTION_RATIO = 0.5
-"""Ratio of residual to noise below which the differences still contain motion."""
+"""Minimum ratio of residual to noise if the differences contain no motion."""
 
 _INITIAL_LENGTH_STD = 0.1
-"""Initial value of σ_ℓ, relative to the segment length."""
+"""Initial value of the standard deviation σ_ℓ, relative to the segment length."""
 _INITIAL_ALTERNATING_STD = 0.3
-"""Initial value of σ_ε, rad."""
+"""Initial value of the standard deviation σ_ε, rad."""
 _EM_FRAMES = 400
 """Number of frames used in the expectation-maximisation."""
 _EM_ITERATIONS = 12
 """Number of iterations of the expectation-maximisation."""
 
 _MAX_BEND_STD = 0.15
-"""Standard error up to which a bend counts as determined, rad (noise `_TEST_NOISE`).
-"""
+"""Maximum standard error of a bend that the markers determine, rad."""
 _TEST_NOISE = 2e-4
-"""Noise assumed in the test of `length_model`, m."""
+"""Noise assumed in `length_model`, m."""
 _FREE_LENGTH_STD = 0.3
-"""Value of σ_ℓ for free lengths in `length_model`, relative to the segment length."""
+"""Standard deviation of free lengths in `length_model`, relative to the length."""
 _FIXED_LENGTH_STD = 0.01
-"""Value of σ_ℓ for fixed lengths in `length_model`, relative to the segment length."""
+"""Standard deviation of constant lengths in `length_model`, relative to the length."""
 
 _CHUNK_FRAMES = 2048
-"""Number of frames that are fitted at once."""
+"""Number of frames in a block that is fitted at once."""
 
 _OUTLIER_NOISE = 8.0
 """Minimum distance of an outlier from the body, divided by the noise."""
 _MAX_OUTLIERS = 0.01
-"""Maximum fraction of outliers. With more outliers, the model does not fit."""
+"""Maximum fraction of outliers. A larger fraction means that the model is wrong."""
 _MIN_OUTLIER_DISTANCE = 1e-4
 """Minimum distance of an outlier from the body, m."""
 
 
 class LengthModel(Enum):
-    """Assumption on the segment lengths under which the markers determine the bends."""
+    """Assumption on the segment lengths."""
 
     FREE = "free"
-    """Lengths may vary, and the markers determine the bends for any lengths."""
+    """Segment lengths may vary. The markers determine the bends for any lengths."""
     FIXED = "fixed"
-    """Lengths are constant, which the markers need to determine the bends."""
+    """Segment lengths are constant.
+
+    Otherwise the markers do not determine the bends.
+    """
 
 
 @dataclass(frozen=True)
@@ -93,12 +95,12 @@ class BodyShape:
     """Shape of the body over time.
 
     Attributes:
-        connector: connector positions, shape (frames, N), complex, m.
-        theta: unwrapped connector headings, shape (frames, N), rad.
-        bend_error: standard errors of the bends, shape (frames, segments), rad.
-        length: arc lengths of the segments, shape (frames, segments), m.
+        connector: complex connector positions, m, shape (frames, N).
+        theta: unwrapped connector headings, rad, shape (frames, N).
+        bend_error: standard errors of the bends, rad, shape (frames, segments).
+        length: arc lengths of the segments, m, shape (frames, segments).
         noise: standard deviation σ of a marker coordinate, m.
-        residual: RMS distance of the visible markers from the body, shape (frames,), m.
+        residual: RMS distance of the visible markers from the body, m, shape (frames,).
         missing: mask of markers that were hidden or outliers, shape (frames, markers).
     """
 
@@ -125,14 +127,10 @@ class BodyShape:
 def length_model(
     station: np.ndarray, offset: np.ndarray, geometry: Geometry
 ) -> LengthModel | None:
-    """Return the weakest assumption on lengths for which markers determine the bends.
+    """Return the weakest length assumption under which markers determine the bends.
 
-    The standard errors of the bends are computed for one typical shape.
-
-    Args:
-        station: station of each marker, shape (markers,).
-        offset: offset from the station, shape (markers,), complex, m.
-        geometry: robot geometry.
+    The standard errors of the bends are computed for one typical shape. If the markers
+    do not determine the bends under any assumption, the result is None.
     """
     placement = MarkerPlacement(station, offset, geometry)
     count = geometry.connectors - 1
@@ -164,20 +162,19 @@ def length_model(
 def marker_noise(points: np.ndarray) -> float:
     """Return the standard deviation of the noise of a coordinate, m.
 
-    Differences of order n of white noise with variance σ² have the variance σ² (2n
-    over n). Motion increases the estimate, mostly at low orders, so the minimum over
-    all orders is returned. A median removes the effect of outliers.
-
-    Args:
-        points: marker positions, NaN where hidden, shape (frames, markers, 2), m.
+    The n-th differences of white noise with variance σ² have the variance C(2n, n) σ²,
+    where C is the binomial coefficient. Motion increases the estimate of σ, mainly at
+    low orders n, so the result is the minimum over all orders. The use of a median
+    removes the effect of outliers. In `points` (m), the positions of hidden markers are
+    NaN.
     """
     estimates = []
     for order in range(1, min(_MAX_DIFFERENCE_ORDER, len(points) - 2) + 1):
         difference = np.diff(points, order, axis=0)
         known = np.abs(difference[np.isfinite(difference)])
         if known.size >= 50:
-            # 1.4826 converts the median magnitude of normal values to their standard
-            # deviation.
+            # The factor 1.4826 converts the median magnitude of normally distributed
+            # values to their standard deviation.
             estimates.append(
                 1.4826 * np.median(known) / np.sqrt(comb(2 * order, order))
             )
@@ -191,15 +188,9 @@ def fit_shape(
     placement: MarkerPlacement,
     model: LengthModel,
 ) -> BodyShape:
-    """Fit the body shape to markers.
+    """Fit the body shape to marker positions (m).
 
-    Args:
-        time: times of the frames, shape (frames,), s.
-        points: marker positions, interpolated where hidden, shape (frames, markers, 2),
-            m.
-        missing: mask of hidden markers, shape (frames, markers).
-        placement: marker placement.
-        model: assumption on the segment lengths, as returned by `length_model`.
+    The positions of hidden markers must be interpolated.
     """
     measured = points @ [1, 1j]
     missing = missing.copy()
@@ -207,8 +198,8 @@ def fit_shape(
     noise = marker_noise(np.where(missing[first, :, None], np.nan, points[first]))
     complete = np.flatnonzero(~missing.any(axis=1))
     if len(complete) < 4:
-        # The spline of the bends needs every frame, so hidden markers have interpolated
-        # positions here.
+        # The spline of the bends needs some frames without hidden markers. If too few
+        # frames are complete, the interpolated positions of hidden markers are used.
         complete = np.arange(len(time))
         missing = np.zeros_like(missing)
     sampled = complete[sample_frames(len(complete), _EM_FRAMES)]
@@ -229,8 +220,8 @@ def fit_shape(
     else:
         scale = 1.0
     if prior.alternating_std is not None:
-        # With fixed lengths the fit has little redundancy, so a small residual must not
-        # reduce the standard errors.
+        # With constant lengths the fit has little redundancy, so a small residual must
+        # not reduce the standard errors.
         scale = max(scale, 1.0)
     outlier = fits.distance[complete] > max(
         _OUTLIER_NOISE * prior.noise * scale, _MIN_OUTLIER_DISTANCE
@@ -301,7 +292,7 @@ class _RecordingFits:
     def update(
         self, frames: np.ndarray, fit: Callable[[np.ndarray], FrameFit]
     ) -> np.ndarray:
-        """Fit frames in chunks, and return the sums of χ² and degrees of freedom."""
+        """Fit frames in blocks, and return the sums of χ² and degrees of freedom."""
 
         def work(rows: np.ndarray) -> tuple[float, float]:
             fitted = fit(rows)
@@ -338,8 +329,8 @@ def _estimated_prior(
             prior.length_mean = np.median(length, axis=0)
         else:
             prior.length_mean = length.mean(axis=0)
-        # The variance of the fitted lengths does not include their uncertainty, so it
-        # is added.
+        # The variance of the fitted lengths does not include the uncertainty of each
+        # length, so this uncertainty is added.
         prior.length_std = float(
             np.sqrt(((length - prior.length_mean) ** 2 + variance).mean())
         )
@@ -354,16 +345,16 @@ def _estimated_prior(
             )
         if fit.freedom > _MIN_REDUNDANCY * len(measured):
             scale = float(np.sqrt(fit.chi2 / fit.freedom))
-            # With fixed lengths, noise and length variation have nearly equal effects
-            # on the residual. The noise is therefore updated only if the residual shows
-            # that the differences contain motion, and only after the first iterations
-            # of the lengths.
+            # With constant lengths, the noise and the variation of the lengths have
+            # nearly equal effects on the residual. The noise is therefore updated only
+            # if the residual shows that the differences contain motion, and only in the
+            # second half of the iterations.
             if not fixed or (
                 scale < _MIN_MOTION_RATIO and 2 * iteration >= _EM_ITERATIONS
             ):
                 prior.noise = max(prior.noise * scale, _MIN_NOISE)
-        # With fixed lengths a new prior may change the best ε, so the search restarts
-        # from the coarse grid.
+        # With constant lengths a new prior may change the best ε, so the search starts
+        # again from the coarse grid.
         if fixed:
             start = initial_states(measured, placement, prior)
         else:

@@ -1,22 +1,24 @@
 r"""Tracking of markers through swaps and gaps.
 
-1. *Slots*: some formats start a new column each time a marker reappears. Columns that
-   never contain a marker on a common frame are joined into one slot.
+1. *Slots*: in some formats, a marker that reappears is stored in a new column. Columns
+   that never contain a marker in the same frame are combined to one slot.
 2. *Tracklets*: a tracklet is an interval of a slot during which all samples certainly
-   belong to one marker. The expected position of a marker on the next frame is
+   belong to one marker. The expected position of a marker in the next frame is
 
    $$ \hat p_k = p_a + (k - a)(p_a - p_{a-1}), $$
 
-   A link to a sample is certain if the sample lies within the gate around this position
-   and all other samples are at least twice as far away.
-3. *Tracks*: the tracklets that begin on a frame are assigned to the markers that were
-   lost before this frame. The Hungarian method minimises the sum of the distances from
-   the expected positions. After a gap of a few frames, a marker is expected to have
-   kept its velocity. After a longer gap, it is expected at its last position or
-   displaced with the markers around it, whichever is closer.
+   A sample in the next frame certainly belongs to the tracklet if its distance from the
+   expected position is less than the gate, and if all other samples are at least twice
+   as far away. 3. *Tracks*: tracklets that begin in a frame are assigned to the markers
+   that were lost before this frame. The Hungarian method minimises the sum of the
+   distances from the expected positions. After a gap of a few frames, a marker is
+   expected at the position extrapolated with its velocity. After a longer gap, two
+   positions are considered: the last position of the marker, and this position
+   displaced by the motion of the surrounding markers. The position closer to the new
+   tracklet is used.
 
-Of 65 synthetic recordings with swaps, gaps and markers that return in new columns, 16
-can be read without tracking and all 65 with tracking.
+Of 65 synthetic recordings with swaps, gaps and markers that reappear in new columns,
+only 16 can be read without tracking, whereas all 65 can be read with tracking.
 """
 
 from __future__ import annotations
@@ -29,40 +31,41 @@ import numpy as np
 from srs_twin.errors import InputError
 
 MAX_MARKERS = 64
-"""Maximum number of markers and reflections on one frame."""
+"""Maximum number of markers and reflections in one frame."""
 
 GATE_RATIO = 0.4
-"""Gate of a certain link, divided by the distance of the two closest markers."""
+"""Gate of a certain assignment, divided by the distance between the closest markers."""
 
 _DISTANCE_FRAMES = 500
-"""Number of frames from which the distance of the closest markers is computed."""
+"""Number of frames from which the distance between the closest markers is computed."""
 _MIN_SAMPLES = 3
-"""Minimum number of samples of a track. Shorter tracks are reflections."""
+"""Minimum number of samples of a track. A shorter track is treated as a reflection."""
 _MAX_SHORT = 0.03
-"""Fraction of samples in short tracklets above which short tracklets are kept.
+"""Maximum fraction of samples in short tracklets that are treated as reflections.
 
-So many short tracklets are due to fast markers and not to reflections.
+If the fraction is larger, short tracklets are probably due to fast markers.
 """
 _VELOCITY_FRAMES = 4
-"""Number of frames for which a marker is expected to keep its velocity."""
+"""Maximum number of frames over which the velocity of a marker is extrapolated."""
 _MAX_REACH_RATIO = 6.0
-"""Maximum reach after a long gap, divided by the reach after a short gap."""
+"""Maximum ratio of the reach after a long gap to the reach after a short gap."""
 _PAST_SAMPLES = 100
-"""Number of past samples that define the range of distances to other markers."""
+"""Number of past samples from which the range of marker distances is computed."""
 _RANGE_COST = 3.0
-"""Weight of the excess of a distance over the past range in the assignment cost."""
+"""Weight of distances outside their past ranges in the assignment cost."""
 _FORBIDDEN_COST = 1e6
-"""Cost of an assignment beyond the reach, m."""
+"""Cost of an assignment whose distance exceeds the reach, m."""
 
 
 class Tracks(NamedTuple):
-    """Markers in tracks, or in slots before they are tracked.
+    """Marker positions sorted by tracks, or by slots before the tracking.
 
     Attributes:
-        points: marker positions, NaN where hidden, shape (frames, tracks, 2 or 3), m.
-        columns: column of the file that contains each sample, −1 for hidden markers,
-            shape (frames, tracks).
-        unassigned: number of samples that belong to no track.
+        points: marker positions, m, shape (frames, tracks, 2 or 3). The position of a
+            hidden marker is NaN.
+        columns: column of the file that contains each sample, shape (frames, tracks).
+            The column of a hidden marker is −1.
+        unassigned: number of samples that do not belong to a track.
     """
 
     points: np.ndarray
@@ -71,22 +74,15 @@ class Tracks(NamedTuple):
 
 
 def pack_slots(points: np.ndarray) -> Tracks:
-    """Join columns into as few slots as possible.
-
-    Args:
-        points: marker positions, shape (frames, columns, 2 or 3), m.
-
-    Raises:
-        InputError: the file contains no marker.
-    """
+    """Combine columns to the smallest possible number of slots."""
     visible = ~np.isnan(points[..., 0])
     used = np.flatnonzero(visible.any(axis=0))
     if not used.size:
         raise InputError("no marker is visible in any frame")
     first = visible[:, used].argmax(axis=0)
     last = len(visible) - 1 - visible[::-1, used].argmax(axis=0)
-    # The heap contains (last frame, slot). The slot that has been free for the longest
-    # time is reused first.
+    # Each heap entry contains the last frame of a slot and the slot index. The slot
+    # that has been free for the longest time is reused first.
     ends: list[tuple[int, int]] = []
     slot_of = np.empty(len(used), dtype=int)
     for k in np.lexsort((used, first)):
@@ -106,10 +102,10 @@ def pack_slots(points: np.ndarray) -> Tracks:
 
 
 def sample_frames(count: int, limit: int) -> np.ndarray:
-    """Return all frames, or a sample of at most `limit` of them.
+    """Return the indices of all frames, or of a sample of at most `limit` frames.
 
-    The sample is stratified and random, because equal spacing could alias a periodic
-    gait.
+    The sample is stratified and random, because a sample with equal spacing could cause
+    aliasing with a periodic gait.
     """
     if count <= limit:
         return np.arange(count)
@@ -122,9 +118,10 @@ def sample_frames(count: int, limit: int) -> np.ndarray:
 
 
 def pairwise_distances(points: np.ndarray, frames: int) -> np.ndarray:
-    """Return all distances on sampled frames, shape (frames, points, points), m.
+    """Return all distances in sampled frames, m, shape (frames, points, points).
 
-    Distances are NaN between a point and itself and between hidden points.
+    The distance from a point to itself is NaN, and so are the distances to hidden
+    points.
     """
     sampled = points[sample_frames(len(points), frames)]
     distance = np.asarray(
@@ -153,20 +150,14 @@ def track_markers(
 ) -> Tracks:
     """Track markers over all frames.
 
-    Args:
-        points: marker positions in slots, shape (frames, slots, 2 or 3), m.
-        columns: column of the file from which each sample comes, shape (frames, slots).
-        longest: maximum gap that is filled, frames.
-        reach: maximum distance of a marker from its expected position, m.
-
-    Raises:
-        InputError: markers jump too often to be tracked.
+    `longest` is the maximum length of a gap that is interpolated, in frames. `reach` is
+    the maximum distance of a marker from its expected position, in m.
     """
     distance = pairwise_distances(points, _DISTANCE_FRAMES)
     nearest = np.where(np.isnan(distance), np.inf, distance).min(axis=(1, 2))
     nearest = nearest[np.isfinite(nearest)]
-    # A quantile replaces the minimum, because a few frames may have reflections close
-    # to markers.
+    # A low quantile is used instead of the minimum, because a few frames may contain
+    # reflections close to markers.
     if nearest.size:
         gate = min(GATE_RATIO * float(np.quantile(nearest, 0.05)), reach)
     else:
@@ -199,9 +190,10 @@ class _Tracker:
     """Tracks up to the current frame.
 
     Attributes:
-        slots: slot of each track, −1 where it is hidden, shape (frames, `MAX_MARKERS`).
-        samples: number of samples of each track, 0 for an unused track, shape
-            (`MAX_MARKERS`,).
+        slots: slot of each track, shape (frames, `MAX_MARKERS`). The slot of a hidden
+            marker is −1.
+        samples: number of samples of each track, shape (`MAX_MARKERS`,). An unused
+            track has 0 samples.
         shortest: minimum number of samples of a tracklet that begins a new track.
     """
 
@@ -226,8 +218,8 @@ class _Tracker:
         )
         self.slots[:, reflections & (self.samples > 0)] = -1
         self.samples[reflections] = 0
-        # Tracklets at their expected positions are assigned first, because their
-        # distances help to identify the others.
+        # Tracklets close to their expected positions are assigned first, because their
+        # distances help to identify the remaining tracklets.
         for reach, longest in ((self._gate, _VELOCITY_FRAMES), (self._reach, first)):
             free = np.flatnonzero(
                 (self._end < first)
@@ -276,9 +268,10 @@ class _Tracker:
     def _costs(
         self, tracks: np.ndarray, frame: int, starts: np.ndarray, near: float
     ) -> np.ndarray:
-        """Return the cost of each assignment, shape (tracklets, tracks), m.
+        """Return the cost of each assignment, m, shape (tracklets, tracks).
 
-        The reach increases with the duration of a gap, up to `_MAX_REACH_RATIO`.
+        The maximum assignment distance increases with the duration of a gap, up to the
+        factor `_MAX_REACH_RATIO`.
         """
         gap = frame - self._end[tracks]
         moved = (
@@ -310,7 +303,7 @@ class _Tracker:
     def _range_violation(
         self, track: int, frame: int, starts: np.ndarray
     ) -> np.ndarray:
-        """Return the excess of distances over past ranges, shape (tracklets,), m."""
+        """Return the excess of distances over their past ranges, m."""
         others = np.flatnonzero(self.slots[frame] >= 0)
         past = np.flatnonzero(self.slots[: self._end[track] + 1, track] >= 0)
         past = past[:: len(past) // _PAST_SAMPLES + 1][:, None]
@@ -330,7 +323,7 @@ class _Tracker:
 def _move_rigidly(
     point: np.ndarray, before: np.ndarray, after: np.ndarray
 ) -> np.ndarray:
-    """Move a point with the rigid motion of other points, weighted by distance."""
+    """Move a point with the rigid motion of other points. Closer points weigh more."""
     weight = 1.0 / (((before - point)[:, :2] ** 2).sum(axis=1) + 1e-6) ** 2
     weight /= weight.sum()
     centre = weight @ before

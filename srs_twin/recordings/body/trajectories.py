@@ -1,17 +1,18 @@
-r"""Columns, metadata and summary of a measured trajectory.
+r"""Conversion of a tracked body to a measured trajectory with metadata and summary.
 
-A velocity is the slope of a moving line (Section 3.4.1). The line is a least-squares
-fit to a sample and the n samples before and after it, with n = 5 in the dissertation:
+The velocity v_k at frame k is the slope of a line that is fitted by least squares to
+the samples y_m at the times t_m of the frames k − n to k + n (Section 3.4.1). In the
+dissertation n = 5:
 
 $$ v_k = \frac{\sum_m (t_m - \bar t)(y_m - \bar y)}{\sum_m (t_m - \bar t)^2}, \qquad m = k-n \ldots k+n. $$
 
-The slope has no lag. The amplitude of an oscillation with the angular frequency ω is
-multiplied by the factor
+The slope v_k has no phase lag. The amplitude of an oscillation with the angular
+frequency ω is multiplied by the factor
 
 $$ \frac{3 \sum_{m=1}^{n} m \sin(m \omega \Delta t)}{n (n + 1)(n + \tfrac12)\, \omega \Delta t}. $$
 
-At 120 frames per second, this factor is 0.97 for 2 Hz. At the 15 frames per second of
-the dissertation, it is 0 for 2 Hz and 0.82 for 0.6 Hz.
+At 120 frames per second, the factor is 0.97 for an oscillation at 2 Hz. At the 15
+frames per second of the dissertation, the factor is 0 at 2 Hz and 0.82 at 0.6 Hz.
 """
 
 from __future__ import annotations
@@ -31,14 +32,15 @@ from srs_twin.trajectory import Trajectory
 
 @dataclass(frozen=True)
 class MarkerCounts:
-    """Numbers and errors of the markers in a recording.
+    """Counts and errors of the markers in a recording.
 
     Attributes:
-        header_frames: number of frames that the header states, or None.
-        frames_missing: number of frames that the file skips and that were inserted.
+        header_frames: number of frames stated in the header, or None if the header
+            states none.
+        frames_missing: number of frames that are missing in the file and were inserted.
         samples_other: number of positions that do not belong to the robot, such as
             reflections, other markers and short tracks.
-        longest_filled_s: duration of the longest gap that was filled, s.
+        longest_filled_s: duration of the longest gap that was interpolated, s.
         spacing_m: 98 % quantile of the distance of each pair of adjacent connectors,
             ordered from the head, m.
         residual_m: RMS distance of the markers from the fitted body, m.
@@ -65,13 +67,13 @@ class MarkerCounts:
 
 @dataclass(frozen=True)
 class LogSummary:
-    """Summary of a measured file that accounts for every unused sample.
+    """Summary of a measured file, with the numbers of used and unused samples.
 
     Attributes:
         kind: file format, for example "Motive CSV 1.21", "plain CSV" or "bend log".
         frames_read: number of rows of the file that were used.
         samples_filled: number of interpolated positions or bends in the trajectory.
-        markers: numbers and errors of the markers, or None for a bend log.
+        markers: counts and errors of the markers, or None for a bend log.
     """
 
     source: str
@@ -97,16 +99,10 @@ class LogSummary:
         corrections: Iterable[str],
         markers: MarkerCounts | None = None,
     ) -> LogSummary:
-        """Return the summary of a file for the frames that are kept.
+        """Return the summary of a file.
 
-        Args:
-            source: recorded file.
-            kind: file format.
-            frames: frame grid.
-            time: times of the kept frames, s.
-            filled: number of interpolated samples.
-            corrections: notes on changes.
-            markers: numbers on the markers, or None for a bend log.
+        `time` contains the times (s) of the frames in the trajectory, and `filled` is
+        the number of interpolated samples.
         """
         head = (
             source.name,
@@ -126,7 +122,7 @@ class LogSummary:
         )
 
     def text(self) -> str:
-        """Return the summary as text, one fact per line."""
+        """Return the summary as text with one fact per line."""
         lines = [f"{self.source}: {self.kind}, SHA-256 {self.sha256[:16]}…"]
         span = f"{self.start:.4g} s to {self.end:.4g} s"
         if (counts := self.markers) is None:
@@ -178,27 +174,21 @@ class LogSummary:
 
 
 HALF_WIDTH = 5
-"""Number n of frames before and after a sample in the moving line (Section 3.4.1)."""
+"""Number n of frames on each side of a sample to which the line is fitted."""
 
 
 def moving_slope(
     time: np.ndarray, values: np.ndarray, half_width: int = HALF_WIDTH
 ) -> np.ndarray:
-    """Return the derivatives of signals as slopes of a moving least-squares line.
+    """Return the time derivatives of signals as slopes of fitted lines.
 
-    Args:
-        time: ascending times, shape (frames,), s.
-        values: finite signals, shape (frames, …).
-        half_width: number n of samples on each side. Near the ends of the signal, the
-            line uses fewer samples.
-
-    Returns:
-        Time derivatives, with the shape of `values`.
+    The line for a sample is fitted to this sample and to `half_width` samples on each
+    side. Near the ends of a signal, the line is fitted to fewer samples.
     """
     n = half_width
     frames = len(time)
     flat = np.asarray(values, dtype=float).reshape(frames, -1)
-    # Times and values are taken relative to the middle sample to avoid rounding errors
+    # Times and values are relative to the middle sample, which avoids rounding errors
     # of large times.
     sums = np.zeros((frames, 3 + 2 * flat.shape[1]))
     for shift in range(-n, n + 1):
@@ -207,7 +197,7 @@ def moving_slope(
         t = (time[shifted] - time[middle])[:, None]
         y = flat[shifted] - flat[middle]
         sums[middle] += np.concatenate([np.ones_like(t), t, t * t, y, t * y], axis=1)
-    # The sums over each window are named after their terms: t, t², y and t y.
+    # Each sum over a window is named after its terms t, t², y or t y.
     count = sums[:, :1]
     t = sums[:, 1:2]
     tt = sums[:, 2:3]
@@ -224,10 +214,10 @@ _UNITS = {
     "bend_rate_": "rad/s",
 }
 _UNITS |= {"bend_error_": "rad", "length_": "m"}
-"""Units of columns that no plant has, by name prefix."""
+"""Units of the columns that only measured trajectories contain, by name prefix."""
 
 MEASURED = "measured"
-"""Value of `plant` in the metadata of a measured trajectory."""
+"""Value of the key `plant` in the metadata of a measured trajectory."""
 
 
 def body_trajectory(
@@ -265,13 +255,10 @@ def body_trajectory(
 def pose_columns(
     com: np.ndarray, heading: np.ndarray, connector: np.ndarray, theta: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Return the columns of poses.
+    """Return the columns of a trajectory that contain poses.
 
-    Args:
-        com: centre of mass x + i y, shape (frames,), m.
-        heading: heading of the body, shape (frames,), rad.
-        connector: connector positions x + i y, shape (frames, N), m.
-        theta: connector headings, shape (frames, N), rad.
+    The positions of the centre of mass and of the connectors are complex numbers x + i
+    y in m. The headings are in rad.
     """
     columns = {"com_x": com.real, "com_y": com.imag, "heading": heading}
     columns |= numbered_columns("x", connector.real) | numbered_columns(
@@ -281,12 +268,12 @@ def pose_columns(
 
 
 def name_of(path: str) -> str:
-    """Return the file name of a path of any operating system."""
+    """Return the file name in a path of any operating system."""
     return path.replace("\\", "/").rpartition("/")[2]
 
 
 def numbered_columns(name: str, values: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the columns of a (frames, n) array, named name_1 to name_n."""
+    """Return the columns of an array of shape (frames, n), named name_1 to name_n."""
     return {
         f"{name}_{i}": np.ascontiguousarray(column)
         for i, column in enumerate(values.T, start=1)
@@ -301,11 +288,7 @@ def measured_trajectory(
 ) -> Trajectory:
     """Return measured columns as a trajectory with metadata.
 
-    Args:
-        columns: signals by name.
-        spec: recorded robot.
-        summary: file summary.
-        gait_frequency_hz: gait frequency, Hz, or None if it is unknown.
+    `gait_frequency_hz` is None if the gait frequency is unknown.
     """
     units = {
         name: unit

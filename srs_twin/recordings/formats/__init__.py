@@ -1,8 +1,9 @@
-"""File formats of motion recordings: identification and readers.
+"""File formats of motion recordings: detection of the format, and readers.
 
-A format is a `base.Format` or, for containers of messages, a `topics.Bag`.
-`extensions.FORMATS` lists all formats. Formats of plug-ins are tried before plain
-tables. Bags need the library `rosbags`, which the extra `recordings` installs.
+A format is a subclass of `base.Format`. Containers of messages are subclasses of
+`topics.Bag`. `extensions.FORMATS` lists all formats. Plain tables are tried after the
+formats of plug-ins. Bags need the library `rosbags`, which the extra `recordings`
+installs.
 """
 
 from __future__ import annotations
@@ -27,17 +28,17 @@ from srs_twin.recordings.recorded_file import (
 _FORMATS: tuple[Format, ...] = tuple(
     kind() for _, kind in extensions.objects(extensions.FORMATS)
 )
-"""Formats in the order in which they are tried."""
+"""Formats in the order in which they are compared with a file."""
 FORMATS = tuple(form.name for form in _FORMATS)
 """Names of the formats."""
 BAG_SUFFIXES = tuple(form.suffix for form in _FORMATS if isinstance(form, Bag))
-"""Usual suffixes of bags, which may contain logs as well as positions."""
+"""Usual suffixes of bags. A bag may contain both positions and logs."""
 
 _NOTHING = Unstated()
 _TABLE = "save a table with the first line time,NAME_x,NAME_y,… as CSV"
 _EXPORT = "export CSV or C3D instead"
-# Each entry contains a suffix or a pattern of the first bytes, a description and a
-# remedy.
+# Each entry contains a suffix or a pattern of the first bytes, a description of the
+# format, and a remedy.
 _OTHERS: tuple[tuple[str | bytes, str, str], ...] = (
     (".tak", "a take of Motive", "export it there (File, Export Tracking Data, CSV)"),
     (".qtm", "a measurement of Qualisys", "export it there (File, Export, To TSV)"),
@@ -76,18 +77,13 @@ _OTHERS: tuple[tuple[str | bytes, str, str], ...] = (
 
 
 class UnknownFormatError(InputError):
-    """Error for a file whose format is unknown."""
+    """Error for a file in an unknown format."""
 
 
 def identify(path: StrPath, dialect: Dialect = AS_FOUND) -> str:
-    """Return the format of a recording, usually one of `FORMATS`, from its first bytes.
+    """Return the name of the format of a recording, detected from the first bytes.
 
-    Args:
-        path: recording file.
-        dialect: layout of a plain table, if it cannot be detected.
-
-    Raises:
-        InputError: the file is missing, a folder, empty, or in another format.
+    `dialect` describes the layout of a plain table whose layout cannot be detected.
     """
     return _format(path, dialect).name
 
@@ -95,12 +91,7 @@ def identify(path: StrPath, dialect: Dialect = AS_FOUND) -> str:
 def read_markers(path: StrPath, unstated: Unstated = _NOTHING) -> MarkerTable:
     """Read the markers of a recording in any of `FORMATS`.
 
-    Args:
-        path: recording file.
-        unstated: information that the file does not state.
-
-    Raises:
-        InputError: the file cannot be read.
+    `unstated` contains information that the file does not state.
     """
     form = _format(path, unstated.dialect)
     file = read_bytes(path) if form.binary else read_file(path)
@@ -153,10 +144,9 @@ def _format(path: StrPath, dialect: Dialect) -> Format:
 
 
 def read_topics(path: StrPath) -> RecordedTopics | None:
-    """Read poses, points and signals of a bag, or return None for another file.
+    """Read poses, points and signals of a bag.
 
-    Raises:
-        InputError: the bag is damaged or too large, or the libraries are not installed.
+    The result is None if the file is not a bag.
     """
     start = start_of(path)
     for form in _formats():

@@ -1,4 +1,4 @@
-"""Bags: containers of messages that are read within size limits."""
+"""Readers of bags, which are containers of messages, with limits on the size."""
 
 from __future__ import annotations
 
@@ -32,18 +32,18 @@ class _McapRecord(IntEnum):
 
 
 _RECORD_HEAD = struct.Struct("<BQ")
-"""Header of a record: kind and length."""
+"""Header of a record, with the kind and the length."""
 
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
-"""Header of a message: channel, sequence, log time, publish time."""
+"""Header of a message, with channel, sequence number, log time and publish time."""
 
 _CHUNK_HEAD = struct.Struct("<QQQI")
-"""Header of a chunk: first and last time, unpacked size and its checksum."""
+"""Header of a chunk, with first time, last time, unpacked size and checksum."""
 
 
 @final
 class Mcap(Bag):
-    """MCAP file with messages of ROS 2, Foxglove or ROS 1 (`mcap convert`)."""
+    """MCAP file with messages of ROS 2, Foxglove, or ROS 1 after `mcap convert`."""
 
     name = "MCAP"
     suffix = ".mcap"
@@ -53,12 +53,7 @@ class Mcap(Bag):
         return start.data.startswith(MCAP_MAGIC)
 
     def messages(self, file: RecordedFile) -> Iterator[BagMessage]:
-        """Yield the messages of a file in file order.
-
-        Raises:
-            InputError: the unpacked chunks are larger than allowed.
-            ChunkError: the file is damaged. If the end is missing, it is a `CutError`.
-        """
+        """Yield the messages in the order of the file."""
         data = memoryview(file.data)
         chunks = (
             content
@@ -123,7 +118,7 @@ def _text(content: memoryview, place: int) -> tuple[str, int]:
 
 
 _ROS1_MAGIC = b"#ROSBAG V2.0\n"
-# The field "op" of a record has one of these values.
+# The field "op" of a record has one of three values.
 _ROS1_MESSAGE = b"\2"
 _ROS1_CHUNK = b"\5"
 _ROS1_CONNECTION = b"\7"
@@ -131,25 +126,20 @@ _ROS1_CONNECTION = b"\7"
 
 @final
 class Ros1Bag(Bag):
-    """ROS 1 bag (V2.0).
+    """ROS 1 bag (version 2.0).
 
-    The index is not used, so that truncated bags can be read.
+    The index is not read, so that truncated bags are readable.
     """
 
     name = "ROS 1 bag"
     suffix = ".bag"
 
     def recognizes(self, start: RecordedFile) -> bool:
-        """Return whether a file starts with the magic line of a bag."""
+        """Return whether a file starts with the first line of a ROS 1 bag."""
         return start.data.startswith(_ROS1_MAGIC)
 
     def messages(self, file: RecordedFile) -> Iterator[BagMessage]:
-        """Yield the messages of a bag in file order.
-
-        Raises:
-            InputError: the unpacked chunks are larger than allowed.
-            ChunkError: the bag is damaged. If the end is missing, it is a `CutError`.
-        """
+        """Yield the messages in the order of the bag."""
         data = memoryview(file.data)[len(_ROS1_MAGIC) :]
         connections = dict[str, Topic]()
         sizes = (
@@ -213,7 +203,7 @@ def _number(data: bytes | memoryview) -> int:
 
 _SQLITE_MAGIC = b"SQLite format 3\0"
 _JOURNALS = slice(18, 20)
-"""Header bytes that request a write-ahead log, which is impossible in memory."""
+"""Header bytes that select a write-ahead log, which is not possible in memory."""
 
 _ZSTD = b"\x28\xb5\x2f\xfd"
 
@@ -230,17 +220,12 @@ class Ros2Bag(Bag):
         return start.data.startswith(_SQLITE_MAGIC)
 
     def messages(self, file: RecordedFile) -> Iterator[BagMessage]:
-        """Yield the messages of a bag in file order.
-
-        Raises:
-            InputError: the database does not have the tables of a bag.
-            ChunkError: the tables contain more data than the file.
-        """
+        """Yield the messages in the order of the bag."""
         data = bytearray(file.data)
         data[_JOURNALS] = b"\1\1"
         with closing(sqlite3.connect(":memory:")) as base:
             base.deserialize(bytes(data))
-            # In a manipulated database, computed columns may be larger than the file.
+            # In a manipulated database, a computed column may be larger than the file.
             base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, len(data))
             tables = base.execute(
                 "SELECT name FROM sqlite_master WHERE type = 'table' AND rootpage > 0"

@@ -1,4 +1,4 @@
-"""Abstract base of the file formats, marker tables, and axis and unit functions."""
+"""Base class of file formats, marker tables, and functions for axes and units."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from srs_twin.recordings.recorded_file import AS_FOUND, Dialect, RecordedFile
 from srs_twin.recordings.signals.units import LENGTHS, bracketed, clean, symbol
 
 MAX_DISTANCE = 1e3
-"""Maximum coordinate of a marker, m. Larger values are not positions."""
+"""Maximum coordinate of a marker, m. A larger value is not a position."""
 
 _MIN_ZEROS = 3
-"""Number of frames at 0, 0, 0 from which on these positions mean "hidden"."""
+"""Minimum number of frames at 0, 0, 0 if this position marks a hidden marker."""
 
 _UNIT = r"(?P<unit>mm|cm|m|in|ft|um)"
 _AXIS_LAST = re.compile(
@@ -42,11 +42,11 @@ _NOT_A_POSITION = re.compile(
     r"residual|imu",
     re.IGNORECASE,
 )
-"""Words in names of columns that name an axis but do not contain positions."""
+"""Words in names of columns that have an axis but are not positions."""
 
 
 class Unstated(NamedTuple):
-    """Information that a file may lack and that a map or options provide.
+    """Information that a file may lack and that a map or options then provide.
 
     Attributes:
         rate_hz: frame rate, Hz, for DeepLabCut, plain CSV without times, and Qualisys
@@ -63,24 +63,23 @@ class Unstated(NamedTuple):
 
 @dataclass(frozen=True)
 class MarkerTable:
-    """Markers of a file over time, in the axes of the file and SI units.
+    """Markers of a file over time, in SI units and in the axes of the file.
 
     Attributes:
-        name: name of the file in messages.
-        kind: file format, with the version if the format has versions.
-        points: marker positions, NaN where hidden, shape (frames, columns, 3), or (…,
-            2) in a plane, m.
-        labels: column names.
-        places: station on the body and side of each column (`body.markers.Places`)
-            whose name states them.
-        header_frames: number of frames that the header states, or None.
-        rotations: quaternions x, y, z, w of rigid bodies in the axes of the file, shape
-            (frames, columns, 4), or None without rigid bodies. Rotations of other
-            columns are NaN.
+        kind: file format, including the version if there are several versions.
+        points: marker positions, m, shape (frames, columns, 3), or (…, 2) for positions
+            in a plane. The position of a hidden marker is NaN.
+        places: station and side of each column (see `body.markers.Places`). The tuple
+            is empty if the column names do not state the places.
+        header_frames: number of frames stated in the header, or None if the header
+            states none.
+        rotations: quaternions (x, y, z, w) of rigid bodies in the axes of the file,
+            shape (frames, columns, 4), or None if there are no rigid bodies. The
+            rotations of other columns are NaN.
         bodies: whether the columns are rigid bodies. The two points that replace a
             rigid body are adjacent columns with the name of the body.
-        epoch_ns: time since 1970 at 0 s, ns, or None if the clock of the file has
-            another origin.
+        epoch_ns: time since 1970 that corresponds to 0 s, ns, or None if the clock of
+            the file has another origin.
         unit: unit of length of the file, as stated, given or assumed.
     """
 
@@ -100,14 +99,14 @@ class MarkerTable:
 
     @property
     def usual_up(self) -> str:
-        """Axis that usually points up in files of this format."""
+        """Usual vertical axis in files of this format."""
         if self.kind.startswith(("Motive", "TRC")):
             return "y"
         return "z"
 
 
 class Format(ABC):
-    """File format of motion recordings.
+    """Base class of a file format of motion recordings.
 
     A reader converts lengths to m and times to s, and keeps the axes of the file.
     """
@@ -117,15 +116,14 @@ class Format(ABC):
 
     @abstractmethod
     def recognizes(self, start: RecordedFile) -> bool:
-        """Return whether the first bytes of a file belong to this format."""
+        """Return whether the first bytes of a file match this format."""
 
     @abstractmethod
     def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
         """Read the markers of a whole file.
 
-        Args:
-            file: recorded file.
-            unstated: frame rate and unit of a file that does not state them.
+        `unstated` contains the frame rate and the unit of a file that does not state
+        them.
 
         Raises:
             InputError: the file is damaged, or needs information that is not given.
@@ -133,14 +131,11 @@ class Format(ABC):
 
 
 def axis_columns(cells: Sequence[str]) -> dict[str, dict[str, CsvColumn]]:
-    """Find the column of each axis of each marker by name.
+    """Return the column index of each axis of each marker, by marker name and axis.
 
-    Names end or begin with the axis, for example ``base_x``, ``Tip X (mm)`` or
-    ``x_LED1``. Markers without x and y are left out. Columns of other quantities, such
-    as rotations (``c1_rot_x``), are left out too.
-
-    Returns:
-        Column index by marker name and axis.
+    A column name ends or begins with the axis, for example ``base_x``, ``Tip X (mm)``
+    or ``x_LED1``. Markers without x or y are excluded, and so are columns of other
+    quantities, such as rotations (``c1_rot_x``).
     """
     markers: dict[str, dict[str, CsvColumn]] = {}
     for index, cell in enumerate(cells):
@@ -162,10 +157,10 @@ def axis_columns(cells: Sequence[str]) -> dict[str, dict[str, CsvColumn]]:
 
 
 def counted_times(frame: np.ndarray, time: np.ndarray, rate: float) -> np.ndarray:
-    """Compute exact times from frame numbers, because printed times are rounded.
+    """Compute exact times from frame numbers, because written times are rounded.
 
-    If computed and printed times differ by more than half a frame, for example in a
-    partly exported recording, the printed times are used.
+    If the computed and the written times differ by more than half a frame, for example
+    in an incomplete export, the written times are returned.
     """
     if not np.isfinite(frame).all():
         return time
@@ -178,11 +173,7 @@ def counted_times(frame: np.ndarray, time: np.ndarray, rate: float) -> np.ndarra
 def length_unit(
     file: RecordedFile, text: str, line: int | None = None, column: int | None = None
 ) -> str:
-    """Return the symbol of a unit of length.
-
-    Raises:
-        InputError: the unit is unknown.
-    """
+    """Return the symbol of a unit of length."""
     if not (found := symbol(text, LENGTHS)):
         hint = did_you_mean(text, LENGTHS)
         allowed = ", ".join(LENGTHS)
@@ -192,11 +183,7 @@ def length_unit(
 
 
 def frame_rate(file: RecordedFile, given: str, line: int | None = None) -> float:
-    """Return the frame rate that a file or a map states, Hz.
-
-    Raises:
-        InputError: the frame rate is not a positive number.
-    """
+    """Return the frame rate (Hz) that a file or a map states."""
     with suppress(ValueError):
         if 0 < float(given) < 1e6:
             return float(given)
@@ -210,7 +197,7 @@ class Rows(NamedTuple):
 
     Attributes:
         points: marker positions in the unit of the file, shape (frames, markers, 3).
-        others: values of other columns, shape (frames, others).
+        others: values of the additional columns, shape (frames, columns).
     """
 
     time: np.ndarray
@@ -237,13 +224,11 @@ def marker_rows(
         header_lines: number of header lines.
         width: number of cells per row.
         first: index of the first of the three columns of each marker.
-        clock: columns of frame number and time. Without both, the rows are counted.
+        clock: columns of frame number and time. If `clock` is empty, the rows are
+            counted.
         rate: frame rate, Hz, or None if a column contains times.
-        others: indices of other columns to read.
+        others: indices of additional columns.
         section: whether the rows end at an empty line.
-
-    Raises:
-        InputError: `RecordedFile.rows` fails, or a row has no time.
     """
     columns = [*clock, *(k + axis for k in first for axis in range(3)), *others]
     values, notes = file.rows(header_lines, columns, width, section=section)
@@ -271,7 +256,7 @@ def marker_rows(
 
 
 def announced(text: str) -> int | None:
-    """Return the number of frames that a header states, or None without a number."""
+    """Return the number of frames stated in a header, or None if there is no number."""
     if text.isdecimal() and len(text) < 10:
         return int(text)
     return None
@@ -288,20 +273,10 @@ def marker_table(
     unit: str | Sequence[str] = "m",
     rotations: np.ndarray | None = None,
 ) -> MarkerTable:
-    """Build a marker table in m, without implausible points and with printable names.
+    """Build a marker table in m, with implausible points removed.
 
-    Args:
-        file: recorded file.
-        kind: file format.
-        time: times of the frames, shape (frames,), s.
-        points: marker positions in `unit`, shape (frames, markers, 2 or 3).
-        names: marker names.
-        notes: notes on the file.
-        unit: one unit for all lengths, or the unit of each marker.
-        rotations: quaternions as in `MarkerTable`.
-
-    Raises:
-        InputError: there are no frames.
+    `unit` is the unit of the given positions, or a sequence with the unit of each
+    marker.
     """
     if not len(time):
         raise file.error("the recording has no frames; record or export it again")
@@ -344,10 +319,10 @@ def marker_table(
 
 
 def _unseen(points: np.ndarray, rotations: np.ndarray | None) -> np.ndarray:
-    """Return the mask of positions 0, 0, 0 that some programs write for hidden markers.
+    """Return the mask of hidden markers that some programs write as 0, 0, 0.
 
-    A measured position is never exactly 0 on several frames. A rigid body may stay at
-    the origin, because odometry begins there.
+    A measured position is never exactly 0 in several frames. A rigid body may stay at
+    the origin, because odometry starts there.
     """
     zero = (points == 0).all(axis=-1)
     zero[:, zero.sum(axis=0) < _MIN_ZEROS] = False
@@ -359,11 +334,7 @@ def _unseen(points: np.ndarray, rotations: np.ndarray | None) -> np.ndarray:
 
 
 def in_unit(table: MarkerTable, given: str | None) -> MarkerTable:
-    """Return the table after checking that the file states no other unit of length.
-
-    Raises:
-        InputError: the file states another unit.
-    """
+    """Check that the file states no other unit of length, and return the table."""
     if given not in (None, table.unit):
         raise InputError(
             f"{table.name}: lengths are in {table.unit} according to the file, but in"
@@ -386,7 +357,7 @@ def decoding(file: RecordedFile, kind: str) -> Iterator[None]:
         raise file.error(
             f"{kind} needs the package {error.name}, which is an extra: {how}"
         ) from error
-    except Exception as error:  # for damaged files, libraries raise errors of all kinds
+    except Exception as error:  # libraries raise errors of all kinds for damaged files
         message = escape_unprintable(" ".join(str(error).split()))[:120]
         if isinstance(error, ValueError):
             reason = f" ({message})"

@@ -1,9 +1,9 @@
 """C3D files of motion capture systems.
 
 A file has a header of one block, a parameter section, and a data section of whole
-frames. The processor type in the parameter section decides the byte order and the
-float format. Parameters are named arrays in groups. If a name occurs twice with
-different capitals, the first one is used.
+frames. The processor type in the parameter section determines the byte order and the
+float format. Parameters are named arrays in groups. If two names differ only in capital
+letters, the first parameter is used.
 """
 
 from __future__ import annotations
@@ -26,22 +26,21 @@ from srs_twin.recordings.recorded_file import RecordedFile
 from srs_twin.recordings.signals.units import LENGTHS, symbol
 
 _BLOCK = 512
-"""Size of a block, bytes."""
+"""Size of a block in bytes."""
 _DEC = 85
-"""Processor type of DEC (VAX) floats, with swapped words and an exponent offset of 2.
-"""
+"""Processor type of DEC (VAX) floats, which have swapped words and other exponents."""
 _BIG_ENDIAN = 86
 """Processor type for big-endian numbers (MIPS)."""
 
 _MAX_FRAMES = 1 << 22
 """Maximum number of frames of a C3D file (one hour at 1 kHz)."""
 _MAX_COUNTED = 65_535
-"""Maximum number of frames in the 16-bit fields of the header."""
+"""Maximum number of frames that a 16-bit field of the header can contain."""
 _MAX_PARAMETERS = 20_000
 """Maximum number of groups and parameters."""
 
 _OTHER_KINDS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS")
-"""Parameters that label model outputs of Vicon, which are not positions."""
+"""Parameters that name Vicon model outputs, which are not positions."""
 
 _ELEMENT_BYTES: Final = {-1: 1, 1: 1, 2: 2, 4: 4}
 """Bytes per element of each parameter type (characters, bytes, integers, floats)."""
@@ -146,7 +145,7 @@ def _parameter(data: bytes, place: int) -> _Parameter:
 
 @final
 class C3d(Format):
-    """C3D file with marker positions. Analog channels are skipped."""
+    """C3D file with marker positions. Analog channels are ignored."""
 
     name = "C3D"
     binary = True
@@ -159,10 +158,7 @@ class C3d(Format):
     def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
         """Read the points of a C3D file.
 
-        Frame 1 is at 0 s, and a negative residual marks a missing point.
-
-        Raises:
-            InputError: the file is damaged or has no points, rate or unit.
+        The time of frame 1 is 0 s, and a negative residual denotes a missing point.
         """
         with decoding(file, self.name):
             contents = _contents(file)
@@ -236,10 +232,11 @@ class _Frames(NamedTuple):
 def _frames(file: RecordedFile, contents: _Contents) -> _Frames:
     """Return the frames of a file.
 
-    The frame numbers in the header have only 16 bits. Longer recordings state the
-    number of frames in TRIAL:ACTUAL_START_FIELD and ACTUAL_END_FIELD (two 16-bit words
-    each) or in POINT:LONG_FRAMES, which may be wrong. The largest number that fits into
-    the file is used. If no number exceeds 65,535, the file is read to the end.
+    The frame numbers in the header have only 16 bits. For longer recordings, the number
+    of frames is stated in TRIAL:ACTUAL_START_FIELD and ACTUAL_END_FIELD (two 16-bit
+    words each) or in POINT:LONG_FRAMES. Stated numbers of frames may be wrong, so the
+    largest number that is possible for the file size is used. If no number exceeds
+    65,535, the file is read to the end.
     """
     scale = contents.number("POINT:SCALE", 12)
     is_float = scale < 0
@@ -282,7 +279,7 @@ def _frames(file: RecordedFile, contents: _Contents) -> _Frames:
         .astype(float)
     )
     samples[..., :3] *= max(scale, 0.0) or 1.0
-    if overflow:  # the last block is padded with zeros
+    if overflow:  # zeros fill the rest of the last block
         padding = int(samples[::-1].any(axis=(1, 2)).argmax())
         samples = samples[: frames - min(padding, _BLOCK // width)]
         announced = max(announced, len(samples))
@@ -294,11 +291,8 @@ def _analog_values(
 ) -> int:
     """Return the number of analog values per frame.
 
-    If header and parameters contradict each other, the number with which the frames
-    fill the data section is used.
-
-    Raises:
-        InputError: none or several of the numbers fill the data section.
+    If the header and the parameters contradict each other, the number that matches the
+    size of the data section is used.
     """
     by_header = contents.header_word(4)
     if "ANALOG:USED" not in contents.parameters:

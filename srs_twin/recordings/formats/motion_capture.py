@@ -41,10 +41,10 @@ class _Column(NamedTuple):
 class Motive(Format):
     """CSV export of OptiTrack Motive, formats 1.0 to 1.2x.
 
-    The first line contains pairs of key and value. After an empty line, rows describe
-    the columns (Type, Name, ID, Parent from 1.24 on, and Position or Rotation). The
-    last header row is ``Frame,Time (Seconds),X,…``. An unlabelled marker that
-    disappears returns in another column.
+    The first line contains pairs of key and value. After an empty line, several rows
+    describe the columns (Type, Name, ID, Position or Rotation, and Parent since version
+    1.24). The last header row is ``Frame,Time (Seconds),X,…``. An unlabelled marker
+    that disappears and reappears is stored in another column.
     """
 
     name = "Motive CSV"
@@ -56,12 +56,9 @@ class Motive(Format):
     def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
         """Read the markers of an export.
 
-        Columns of other types are skipped and counted. Without a column of type Marker,
-        the markers of rigid bodies are used, or else the rigid bodies with their
-        quaternions.
-
-        Raises:
-            InputError: the file is damaged or of another version.
+        Columns of other types are counted and ignored. If there is no column of type
+        Marker, the markers of rigid bodies are read. Without markers of rigid bodies,
+        the rigid bodies are read with their quaternions.
         """
         lines = file.head(_MOTIVE_HEADER_LINES)
         header = dict(pairwise(lines[0]))
@@ -156,7 +153,7 @@ def _columns(file: RecordedFile, lines: list[list[str]]) -> _Columns:
         raise file.error(
             "the header is cut: it must have rows Type, Name, ID and Position", last + 1
         )
-    # Older versions do not name the header rows, so the rows are identified by order.
+    # Older versions do not name the header rows, so their order identifies the rows.
     kinds, names = (
         next((row for row in rows if name in row[:2]), rows[k])
         for k, name in enumerate(("Type", "Name"))
@@ -183,7 +180,7 @@ _SECTIONS = (
     "Forces",
 )
 _VICON_AXES = {"Trajectories": ["X", "Y", "Z"], "Objects": ["TX", "TY", "TZ"]}
-"""Axis names of each section with positions, in order of preference."""
+"""Axis names of each section that contains positions, in order of preference."""
 _SECTION = re.compile(
     rb'^"?(%s)"?[ \t,]*\r?$' % "|".join(_SECTIONS).encode(), re.MULTILINE
 )
@@ -191,9 +188,9 @@ _SECTION = re.compile(
 
 @final
 class Vicon(Format):
-    """CSV export of Vicon: Trajectories from Nexus, or Objects from Tracker.
+    """CSV export of Vicon, with Trajectories from Nexus or Objects from Tracker.
 
-    Frame 1 is at 0 s.
+    The time of frame 1 is 0 s.
     """
 
     name = "Vicon CSV"
@@ -203,11 +200,7 @@ class Vicon(Format):
         return start.title in _SECTIONS
 
     def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
-        """Read the section Trajectories, or the section Objects with rotations.
-
-        Raises:
-            InputError: the file cannot be read.
-        """
+        """Read the section Trajectories, or the section Objects with rotations."""
         section, above, notes = _vicon_section(file)
         position_axes = _VICON_AXES[section]
         lines = file.head(4, above)
@@ -270,7 +263,7 @@ def _object_rotations(
 
 
 def _rotation_columns(axes: list[str], positions: list[int]) -> dict[int, range]:
-    """Return the columns RX, RY, RZ or RX, RY, RZ, RW that precede a position."""
+    """Return the columns RX, RY, RZ or RX, RY, RZ, RW in front of each position."""
     return {
         k: range(axes.index("RX", max(k - 4, 2), k), k)
         for k in positions
@@ -333,15 +326,10 @@ class Qualisys(Format):
         )
 
     def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
-        """Read a 3D export, in which 0,0,0 marks a missing marker.
+        """Read a 3D export, in which 0,0,0 denotes a missing marker.
 
-        Args:
-            file: tab-separated file with a header, with or without the columns Frame
-                and Time.
-            unstated: frame rate, if FREQUENCY is EXT and the column Time is missing.
-
-        Raises:
-            InputError: the file is damaged, or it is a 2D or 6D export.
+        The columns Frame and Time are optional. The frame rate in `unstated` is used if
+        FREQUENCY is EXT and there is no column Time.
         """
         file = replace(file, separator="\t")
         *above, row = file.head(_qtm_header_lines(file) + 1)
@@ -365,7 +353,7 @@ class Qualisys(Format):
             )
         width = len(row)
         count = 3 * len(names)
-        # A row may begin with frame and time and may end in a tab.
+        # A row may begin with the frame number and the time, and may end with a tab.
         if not 0 <= width - count <= 3:
             required = (
                 f"rows must have {count} cells, or {count + 2} with Frame and Time"
@@ -386,7 +374,7 @@ class Qualisys(Format):
             clock=range(first),
             rate=None if timed else frame_rate(file, given),
         )
-        # The format defines 0,0,0 as missing, even on a single frame.
+        # In Qualisys files, 0,0,0 denotes a missing marker even in a single frame.
         points[(points == 0).all(axis=-1)] = np.nan
         notes.append("0,0,0 read as missing")
         table = marker_table(file, self.name, time, points, names, notes, unit="mm")

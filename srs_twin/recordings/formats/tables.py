@@ -1,4 +1,4 @@
-"""Tables of positions: TRC, TUM trajectories, DeepLabCut, and plain CSV."""
+"""Tables of positions in the formats TRC, TUM, DeepLabCut and plain CSV."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ from srs_twin.recordings.recorded_file import Dialect, RecordedFile, laid_out
 from srs_twin.recordings.signals.units import LENGTHS, is_clock
 
 _AXES_LINE = 5
-"""Number of the line X1, Y1, Z1, …, which an empty line may follow."""
+"""Line number of the line X1, Y1, Z1, …, after which an empty line is allowed."""
 
 
 @final
 class Trc(Format):
-    """TRC: tab-separated marker positions with five header lines (OpenSim, Cortex)."""
+    """TRC file with tab-separated marker positions (OpenSim, Cortex)."""
 
     name = "TRC"
 
@@ -46,11 +46,7 @@ class Trc(Format):
         return start.title.split(maxsplit=1)[:1] == ["PathFileType"]
 
     def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
-        """Read the markers of a TRC file, in which an empty cell is a missing marker.
-
-        Raises:
-            InputError: the file is damaged, or its unit is unknown.
-        """
+        """Read the markers of a TRC file. Empty cells denote missing markers."""
         file = replace(file, separator="\t")
         lines = file.head(_AXES_LINE + 2)
         if len(lines) <= _AXES_LINE or lines[3][:1] != ["Frame#"]:
@@ -65,7 +61,7 @@ class Trc(Format):
         row = lines[min(header, len(lines) - 1)]
         width = len(row)
         required = 2 + 3 * len(names)
-        # A row may end in additional tabs.
+        # A row may end with additional tabs.
         if not names or width < required or any(row[required:]):
             raise file.error(
                 f"{width} cells for {len(names)} markers; rows must have {required}"
@@ -93,9 +89,9 @@ _MAX_NORM_ERROR = 0.01
 
 @final
 class Tum(Format):
-    """TUM trajectory of one body from SLAM tools, in s and m.
+    """TUM trajectory of one body, written by SLAM tools, in s and m.
 
-    Each line is ``timestamp tx ty tz qx qy qz qw``.
+    Each line contains ``timestamp tx ty tz qx qy qz qw``.
     """
 
     name = "TUM trajectory"
@@ -105,11 +101,7 @@ class Tum(Format):
         return bool(_TUM_START.match(start.data.removeprefix(b"\xef\xbb\xbf")))
 
     def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
-        """Read the poses of one body.
-
-        Raises:
-            InputError: the file is damaged.
-        """
+        """Read the poses of one body."""
         file = laid_out(file, _TUM_POSE)
         _, points, quaternions, notes = marker_rows(
             file, file.header_lines, 8, [1], others=range(4, 8)
@@ -133,14 +125,15 @@ class Tum(Format):
 
 
 MIN_LIKELIHOOD = 0.6
-"""Minimum likelihood of a used sample (default of `pcutoff` in DeepLabCut)."""
+"""Minimum likelihood of a valid sample (default of `pcutoff` in DeepLabCut)."""
 
 
 @final
 class DeepLabCut(Format):
     """CSV file of DeepLabCut with coordinates in pixels or lengths.
 
-    It has three header rows for one animal, and four for several animals.
+    The file has three header rows for one animal, and four header rows for several
+    animals.
     """
 
     name = "DeepLabCut CSV"
@@ -152,13 +145,7 @@ class DeepLabCut(Format):
     def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
         """Read the tracks in the image plane.
 
-        Args:
-            file: CSV file.
-            unstated: frame rate of the video, size of a pixel, and unit of coordinates
-                that are lengths (None or "px" for pixels).
-
-        Raises:
-            InputError: frame rate or scale are not given, or the file is damaged.
+        The coordinates are in pixels if the unit in `unstated` is None or "px".
         """
         factor = _dlc_scale(file, unstated)
         rate = frame_rate(file, str(unstated.rate_hz))
@@ -224,24 +211,20 @@ _CONNECTOR = re.compile(r"\d+[A-Za-z]?")
 class PlainCsv(Format):
     """Plain CSV file, usually with the columns ``time`` and ``x_1,y_1…``.
 
-    Markers are numbered from the head. Two markers on a connector are named
-    ``x_1a,y_1a,x_1b,y_1b``, and ``z_1`` is optional. A name may state a unit
-    (``time_ms``, ``x_1_mm`` or ``x_1 (mm)``). The default units are s and m.
+    The markers are numbered from the head. Two markers on one connector have the
+    columns ``x_1a,y_1a,x_1b,y_1b``. The column ``z_1`` is optional. A column name may
+    contain a unit (``time_ms``, ``x_1_mm`` or ``x_1 (mm)``). The default units are s
+    and m.
     """
 
     name = "plain CSV"
 
     def recognizes(self, start: RecordedFile) -> bool:
-        """Return whether the first line names a time or positions."""
+        """Return whether the first line contains the name of a time or a position."""
         return any(map(is_clock, start.names)) or bool(axis_columns(start.names))
 
     def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
-        """Read the markers of a plain CSV file.
-
-        Raises:
-            InputError: the file is damaged, has no positions, or its units contradict
-                each other.
-        """
+        """Read the markers of a plain CSV file."""
         file = laid_out(file, unstated.dialect)
         numbered = any(map(_NUMBERED.match, file.names))
         table = read_table(file, CLOCK)

@@ -1,9 +1,10 @@
 """Poses, points and signals from the messages of bags (ROS 1, ROS 2, JSON).
 
-A container (`bags`) yields messages with topics and log times. The library `rosbags`
-decodes known ROS message types with its own definitions, and definitions in the file
-are ignored. The declared sizes of chunks are checked before the chunks are unpacked,
-because a malicious file may unpack to ten thousand times its size.
+A container (see `bags`) yields messages with topics and log times. The library
+`rosbags` decodes known ROS message types with its own definitions. Definitions in the
+file are ignored. The declared sizes of chunks are checked before the chunks are
+unpacked, because the contents of a malicious file may be ten thousand times as large as
+the file.
 """
 
 from __future__ import annotations
@@ -43,18 +44,18 @@ if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
 Decoded = Any
-"""Decoded message, which is an object of `rosbags` or a namespace for JSON."""
+"""Decoded message: an object of `rosbags`, or a namespace for a JSON message."""
 
 _MIN_EPOCH_NS = 10**17
-"""Minimum log time that counts as a time since 1970, ns."""
+"""Minimum log time that is interpreted as a time since 1970, ns."""
 _OTHER_CLOCK_S = 1e6
-"""Minimum difference of stamps and log times that indicates a simulated clock, s."""
+"""Minimum difference between stamp and log time that indicates a simulated clock, s."""
 _NOTED_DIFFERENCE_S = 1.0
-"""Difference of stamps and log times above which a note is given, s."""
+"""Maximum difference between stamp and log time without a note to the user, s."""
 _MAX_UNPACKED = 4 * MAX_BYTES
 """Maximum unpacked size of a file, bytes."""
 _MIN_ALLOWED = 16 << 20
-"""Unpacked size that is always allowed, bytes."""
+"""Unpacked size that is allowed for a file of any size, bytes."""
 _MAX_RATIO = 32
 """Maximum ratio of unpacked to packed size. Repetitive JSON reaches 20."""
 _MAX_MESSAGES = 1 << 23
@@ -76,13 +77,14 @@ class ChunkError(ValueError):
 
 
 class CutError(ChunkError):
-    """Error for a file that ends inside a record."""
+    """Error for a truncated file, which ends inside a record."""
 
 
 class Topic(NamedTuple):
-    """Topic with its name, message type such as "geometry_msgs/Pose", and encoding.
+    """Topic with its name, message type and encoding.
 
-    The encoding is "cdr", "ros1" or "json".
+    The message type is a string such as "geometry_msgs/Pose". The encoding is "cdr",
+    "ros1" or "json".
     """
 
     name: str
@@ -91,7 +93,7 @@ class Topic(NamedTuple):
 
 
 class BagMessage(NamedTuple):
-    """Message before decoding, with the log time in ns."""
+    """Encoded message with its topic and log time (ns)."""
 
     topic: Topic
     log_time: int
@@ -99,14 +101,10 @@ class BagMessage(NamedTuple):
 
 
 def check_unpacked(file: RecordedFile, sizes: Iterable[int]) -> None:
-    """Check the declared unpacked sizes of the chunks of a file.
-
-    Raises:
-        InputError: the sum of the sizes exceeds the limit.
-    """
+    """Check the declared unpacked sizes of the chunks of a file."""
     allowed = min(_MAX_UNPACKED, _MIN_ALLOWED + _MAX_RATIO * len(file.data))
     total = 0
-    with suppress(CutError):  # a missing end ends the reading
+    with suppress(CutError):  # a truncated file is allowed
         for size in sizes:
             total += size
     if total > allowed:
@@ -122,10 +120,7 @@ def unpacked(
 ) -> bytes | memoryview:
     """Unpack data.
 
-    Args:
-        data: packed data.
-        compression: name of the compression.
-        size: declared unpacked size, bytes, or None for a single message.
+    `size` is the declared unpacked size in bytes, or None for a single message.
 
     Raises:
         ChunkError: the data are damaged, too large, or not of the declared size.
@@ -147,14 +142,14 @@ def unpacked(
 
 @dataclass(frozen=True)
 class RecordedTopics:
-    """Topics of a file on one clock, which is 0 at the first message.
+    """Topics of a file on one clock, whose time is 0 at the first message.
 
     Attributes:
         name: name of the file in messages.
         origin_ns: log time of the first message, ns.
-        signals: times (s) and recorded values of each signal, both of shape (samples,).
-            Names are for example ``/joy.axes[0]``, ``/joints.NAME.position``,
-            ``/topic.fluid_pressure`` (Pa), or ``/topic.dotted.path`` for JSON.
+        signals: times (s) and recorded values of each signal, each of shape (samples,).
+            Examples of signal names are ``/joy.axes[0]``, ``/joints.NAME.position``,
+            ``/topic.fluid_pressure`` (Pa) and, for JSON, ``/topic.dotted.path``.
     """
 
     name: str
@@ -166,26 +161,22 @@ class RecordedTopics:
 
 
 class Bag(Format):
-    """Container of messages, whose end may be missing."""
+    """Container of messages, which may be truncated."""
 
     binary = True
     suffix: ClassVar[str]
 
     @abstractmethod
     def messages(self, file: RecordedFile) -> Iterator[BagMessage]:
-        """Yield the messages of a file in file order.
+        """Yield the messages in the order of the file.
 
         Raises:
-            InputError: the unpacked messages are larger than allowed.
-            ChunkError: the file is damaged. If the end is missing, it is a `CutError`.
+            InputError: the total size of the unpacked messages exceeds the limit.
+            ChunkError: the file is damaged. A truncated file raises a `CutError`.
         """
 
     def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
-        """Read the topics with positions.
-
-        Raises:
-            InputError: `read_topics` fails, or no topic has positions.
-        """
+        """Read the topics that contain positions."""
         recorded = self.read_topics(file, signals=False)
         if recorded.markers is None:
             types = (
@@ -201,15 +192,12 @@ class Bag(Format):
     def read_topics(
         self, file: RecordedFile, *, signals: bool = True
     ) -> RecordedTopics:
-        """Read poses, points and signals.
+        """Read poses and points, and signals unless `signals` is false.
 
-        Times are header stamps if messages have them, or else log times. The times of
-        the frames are the times of the body with the most messages. For each other
-        body, the nearest message within half a frame is used.
-
-        Args:
-            file: message file.
-            signals: whether topics without positions are read.
+        The time of a message is the header stamp, or the log time if the message has no
+        header stamp. The times of the frames are the times of the body with the most
+        messages. The pose of each other body is taken from the nearest message within
+        half a frame.
 
         Raises:
             InputError: the file is damaged or too large, or the libraries are not
@@ -229,7 +217,7 @@ class Bag(Format):
 
 _Numbers = tuple[float, ...]
 _Series = dict[str, "array[float]"]
-"""Rows of time (ns since the first message) and one or seven numbers, by label."""
+"""Rows with a time (ns since the first message) and one or seven numbers, by label."""
 
 
 @dataclass
@@ -242,13 +230,13 @@ class _Topics:
     bodies: dict[str, _Series] = field(default_factory=dict)  # by topic
     parents: dict[str, str] = field(
         default_factory=dict
-    )  # label of a transform → its parent frame
+    )  # parent frame by label of the transform
     skipped: Counter[str] = field(default_factory=Counter)  # number of messages
     messages: int = 0
     numbers: int = 0
     clock_differences: dict[str, float] = field(
         default_factory=dict
-    )  # topic → stamp minus log time, s
+    )  # stamp minus log time by topic, s
     notes: list[str] = field(default_factory=list)
 
     def add(self, message: BagMessage) -> None:
@@ -364,8 +352,8 @@ class _Topics:
             notes.append(f"bodies are in different frames: {listed}")
         rotated = _has_rotation(poses)
         quaternions = np.where(rotated[..., None], poses[..., 3:], np.nan)
-        # Stamps of a simulated clock may begin at any time, so times are shifted to
-        # start at 0.
+        # A simulated clock may start at any time, so the times are shifted to start at
+        # 0.
         time = frames.time
         other_clock = abs(time[0]) > _OTHER_CLOCK_S
         if other_clock:
@@ -393,14 +381,14 @@ def _unique_names(bodies: Iterable[tuple[str, str]]) -> list[str]:
 
 
 class _Frames(NamedTuple):
-    """Times of the frames and half the frame period, s."""
+    """Times of the frames and half of the frame period, s."""
 
     time: np.ndarray
     half_period: float
 
 
 def _frames(bodies: Mapping[str, np.ndarray], main: str) -> _Frames:
-    """Return the frames of the body `main`, and further frames of its topic."""
+    """Return the frames of the body `main`, and additional frames of its topic."""
     time = np.unique(bodies[main][:, 0])
     half = 0.5 * float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     every = np.unique(np.concatenate([rows[:, 0] for rows in bodies.values()]))
@@ -431,7 +419,7 @@ def _has_rotation(poses: np.ndarray) -> np.ndarray:
 def _compose(
     poses: np.ndarray, names: list[str], parents: Mapping[str, str]
 ) -> list[str]:
-    """Convert transforms relative to another body to the parent frame of that body."""
+    """Convert transforms relative to another body to the parent frame of this body."""
     from scipy.spatial.transform import Rotation
 
     index = {name: k for k, name in enumerate(names)}
@@ -444,8 +432,8 @@ def _compose(
             and len(chain) <= len(names)
         ):
             chain.append(parents[chain[-1]])
-        # A base is processed before the bodies attached to it, so the base is already
-        # in the root frame.
+        # A base is converted before the bodies attached to the base, so its pose is
+        # already relative to the root frame.
         for inner, outer in zip(chain[-2::-1], chain[::-1], strict=False):
             composed[inner] = None
             child = poses[:, index[inner]]
@@ -464,7 +452,7 @@ _SIGNALS = re.compile(
     r"std_msgs/(Bool|(Float|U?Int)\d+(MultiArray)?)|sensor_msgs/(Joy|JointState|FluidPressure)"
 )
 _METADATA = ("header", "layout")
-"""Fields of messages that contain no signals."""
+"""Fields of messages without signals."""
 _BODIES: dict[str, Callable[[str, Decoded], list[tuple[str, Decoded, Decoded]]]] = {
     "geometry_msgs/PoseStamped": lambda topic, message: [
         (topic, message, message.pose)
@@ -492,8 +480,7 @@ _BODIES: dict[str, Callable[[str, Decoded], list[tuple[str, Decoded, Decoded]]]]
         for stamped in message.transforms
     ],
 }
-"""Function that yields label, stamped part and pose, per message type with positions.
-"""
+"""Functions that return label, stamped part and pose, by message type."""
 
 
 @lru_cache(1000)
@@ -519,7 +506,10 @@ def _decoder(topic: Topic) -> tuple[str, str, Callable[[bytes], Decoded] | None]
 
 @cache
 def _definitions(encoding: str) -> Typestore:
-    """Return ROS message definitions, as compiling definitions in files is unsafe."""
+    """Return the ROS message definitions of `rosbags`.
+
+    Compiling definitions from a file would be unsafe.
+    """
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(

@@ -1,16 +1,18 @@
 r"""Synchronisation of a motion with a valve or pressure log through their bends.
 
-The chamber model of the robot converts the valve states or pressures of the log to free
-bends b̂_j. For each delay τ, they are compared with the measured bends b_j by the loss
+The chamber model of the robot computes free bends b̂_j from the valve states or
+pressures of the log. The loss function for a delay τ compares the free bends with the
+measured bends b_j:
 
 $$ S(\tau) = \sum_j \min_{a_j, c_j} \sum_t \bigl(b_j(t) - a_j\,\hat b_j(t - \tau) - c_j\bigr)^2, $$
 
-where a_j > 0 is a gain and c_j an offset of each segment, and the sum runs over the
-times that both recordings cover. Fourier transforms give S for all τ at once. The clock
-offset is the minimum of the parabola through the smallest S and its two neighbours. The
-standard error is √(2 s²/S''), where s² is the variance of the residual per independent
-sample. Because a gait is periodic, another τ may fit nearly as well. The offset is then
-ambiguous, and an error is raised.
+where a_j > 0 is a gain and c_j an offset of each segment, and the sum over t includes
+the times at which motion and log overlap. S is computed for all τ at once by Fourier
+transforms. A parabola is fitted to the smallest value of S and its two neighbours. The
+clock offset is the minimum of the parabola. The standard error of the offset is √(2
+s²/S''), where s² is the variance of the residual per independent sample. Because a gait
+is periodic, the loss may have several minima of similar size. An error is raised if the
+offset is ambiguous for this reason.
 """
 
 from __future__ import annotations
@@ -30,10 +32,10 @@ from srs_twin.recordings.signals.logs import SIDES
 from srs_twin.robot.spec import RobotSpec
 
 MIN_OVERLAP = 0.5
-"""Minimum common interval, as a fraction of the shorter recording."""
+"""Minimum overlap of two recordings, as a fraction of the shorter recording."""
 
 MIN_RIVAL_RATIO = 1.5
-"""Minimum ratio of S at the second-best offset to S at a unique best offset."""
+"""Minimum ratio of the second smallest minimum of S to a unique minimum."""
 
 MIN_EXPLAINED = 0.5
 """Minimum fraction of the variance of the bends that the best offset explains."""
@@ -43,7 +45,7 @@ _MIN_STEP = 1 / 500
 _MAX_SAMPLES = 1 << 20
 """Maximum number of samples in the Fourier transforms."""
 _MODEL_STEP = 0.002
-"""Step of the modelled bends, s."""
+"""Time step of the modelled bends, s."""
 _SETTLED_TIME_CONSTANTS = 5.0
 """Number of time constants after which unknown initial pressures have no effect."""
 
@@ -54,10 +56,10 @@ class Offset:
 
     Attributes:
         seconds: value to add to the times of the log, s.
-        error: standard error without errors of the modelled chamber lag, s. The value
-            is 0 for a given offset.
-        explained: fraction of the variance of the bends that the log explains, or 1 for
-            a given offset.
+        error: standard error, s, which does not include errors of the modelled lag of
+            the chambers. The standard error is 0 if the offset was given.
+        explained: fraction of the variance of the bends that the log explains. The
+            fraction is 1 if the offset was given.
     """
 
     seconds: float
@@ -71,15 +73,8 @@ def estimate_offset(
 ) -> Offset:
     """Estimate the offset between the clocks of a motion and a log.
 
-    Args:
-        time: ascending times of the motion, shape (frames,), s.
-        measured: measured bends, shape (frames, segments), rad.
-        log_time: evenly spaced times of the log, shape (rows,), s.
-        driven: bends modelled from the log, shape (rows, segments), rad.
-
-    Raises:
-        InputError: the recordings are too short or contain no motion, or not exactly
-            one offset fits.
+    The times (s) of the log must be evenly spaced. `driven` contains the bends (rad)
+    computed from the log.
     """
     step = max(_MIN_STEP, float(np.median(np.diff(time))) / 2)
     spans = (time[-1] - time[0], log_time[-1] - log_time[0])
@@ -110,7 +105,7 @@ def estimate_offset(
     _check_unambiguous(loss, lags * step + start_difference, best)
     error = float("inf")
     shift = 0.0
-    # A parabola through the smallest S and its neighbours refines the minimum.
+    # A parabola through the smallest value of S and its neighbours refines the minimum.
     left, middle, right = np.pad(loss, 1, constant_values=np.inf)[best : best + 3]
     if np.isfinite(left + right):
         curvature = float(left - 2 * middle + right)
@@ -120,7 +115,7 @@ def estimate_offset(
         shift = float(np.clip((left - right) / (2 * curvature), -0.5, 0.5))
         fraction = _independent_fraction(bends, model, int(lags[best]))
         independent = max(1.0, count[best] * bends.shape[1] * fraction)
-        # The loss is S divided by the variance, so this is √(2 s²/S'').
+        # The loss is S divided by the variance, so this expression equals √(2 s²/S'').
         error = float(step * np.sqrt(2 * loss[best] / independent / curvature))
     return Offset(
         float(start_difference + (lags[best] + shift) * step), error, explained, True
@@ -135,7 +130,7 @@ def _resampled(time: np.ndarray, values: np.ndarray, step: float) -> np.ndarray:
 def _losses(
     bends: np.ndarray, model: np.ndarray, min_count: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return S over the variance, delays in steps, and numbers of common samples."""
+    """Return S divided by the variance, delays (steps), and counts of common samples."""
     from scipy.signal import fftconvolve
 
     def correlate(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -148,15 +143,15 @@ def _losses(
     count = np.rint(correlate(ones, other_ones))[:, 0]
     enough = count >= min_count
     n = np.maximum(count, 1.0)[:, None]
-    # These are sums over the common samples of each delay. Squares and products are
-    # taken about the means.
-    # In the names, b is the measured bend, m the modelled bend and s a sum.
+    # The sums for each delay include the common samples of motion and log. Squares and
+    # products are computed about the means. In the names, b is the measured bend, m the
+    # modelled bend and s a sum.
     sb = correlate(bends, other_ones)
     sm = correlate(ones, model)
     bb = correlate(bends**2, other_ones) - sb**2 / n
     mm = correlate(ones, model**2) - sm**2 / n
     bm = correlate(bends, model) - sb * sm / n
-    # A segment that does not move in the model explains nothing, and gains are
+    # A segment that does not move in the model explains no variance. Gains must be
     # positive.
     moving = mm > 1e-9 * np.maximum(mm.max(axis=0), 1e-30)
     explained = np.where(moving & (bm > 0), bm**2 / np.where(moving, mm, 1.0), 0.0)
@@ -175,12 +170,12 @@ def _losses(
 
 def _check_unambiguous(loss: np.ndarray, offsets: np.ndarray, best: int) -> None:
     low = (loss[1:-1] <= loss[:-2]) & (loss[1:-1] <= loss[2:]) & np.isfinite(loss[1:-1])
-    # The added constant accounts for noise and for the step of the delays if S is close
-    # to 0.
+    # If S is close to 0, the added constant accounts for noise and for the step of the
+    # delays.
     limit = MIN_RIVAL_RATIO * loss[best] + 1e-6
 
     others = [int(k) for k in np.flatnonzero(low) + 1 if loss[k] < limit and k != best]
-    # Minima without a higher value between them count as one.
+    # Two minima without a higher value between them are counted as one minimum.
     rivals = [k for k in others if loss[min(k, best) : max(k, best) + 1].max() > limit]
     if rivals:
         nearest = sorted(
@@ -213,25 +208,22 @@ def _independent_fraction(bends: np.ndarray, model: np.ndarray, lag: int) -> flo
 def join(
     recording: Recording, log: ValveLog, spec: RobotSpec, *, offset: float | None = None
 ) -> Recording:
-    """Add the columns of a log to a motion.
+    """Synchronise a log with a motion, and add the columns of the log.
 
-    If `offset` is None and both files have overlapping times since 1970, these times
-    are used. Otherwise `estimate_offset` determines the clock offset.
+    If `offset` is None and both files have overlapping times since 1970, the clock
+    offset is computed from these times. Otherwise `estimate_offset` estimates the clock
+    offset.
 
     Args:
         recording: recorded motion.
         log: valve or pressure log.
-        spec: robot whose chamber model converts valve states to bends for the estimate.
-        offset: value to add to the times of the log, s, or None to determine it.
+        spec: robot whose chamber model computes bends from the log.
+        offset: value to add to the times of the log, s, or None to determine the value.
 
     Returns:
-        Part of the motion that the log covers, with columns ``valve_plus_1…`` or
-        ``pressure_plus_1…``, the offset in the metadata, and the log on the clock of
-        the motion.
-
-    Raises:
-        InputError: motion and log have no time in common, or the offset cannot be
-            determined.
+        Interval of the motion in which the log has values. The trajectory has the
+        columns ``valve_plus_1…`` or ``pressure_plus_1…``, and its metadata contain the
+        offset. The log is on the clock of the motion.
     """
     trajectory = recording.trajectory
     segments = {log.values.shape[1], trajectory.stack("bend").shape[1]}
@@ -321,16 +313,16 @@ def _find_offset(
 
 
 def driven_bends(log: ValveLog, spec: RobotSpec) -> tuple[np.ndarray, np.ndarray]:
-    """Return times (times,), s, and modelled free bends (times, segments), rad.
+    """Return the times (s) and the free bends (rad) computed from a log.
 
-    If a valve log begins while chambers fill, the initial pressures are unknown. The
-    modelled bends then begin after the effect of the initial pressures has decayed.
+    If chambers fill at the start of a valve log, the initial pressures are unknown. The
+    bends then start after the effect of the initial pressures has decayed.
     """
     span = float(log.time[-1] - log.time[0])
     step = max(_MODEL_STEP, span / 1e6)
     clock = step * np.arange(int(span / step + 1e-9) + 1)
     if log.kind == "pressure":
-        # For slow signals, the lag τ₂ of the bends acts as a delay.
+        # For slow signals, the lag of the bends is a delay of τ₂.
         bends = air_bend(spec, log.at(log.time[0] + clock))
         return log.time[0] + clock + spec.actuator.tau_mode, np.asarray(bends)
     chambers = LagPneumatics(spec, supply_pa=spec.supply.nominal, layout="in_out")

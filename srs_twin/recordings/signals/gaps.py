@@ -1,4 +1,4 @@
-"""Frame grid, outliers and gaps of tracks."""
+"""Frame grid of a recording, and outliers and gaps of tracks."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import numpy as np
 from srs_twin.errors import InputError
 
 MIN_FRAMES = 12
-"""Minimum number of frames of a recording (one more than the moving line spans)."""
+"""Minimum number of frames of a recording."""
 
 _GRID_TOLERANCE = 0.2
-"""Maximum deviation of times from multiples of the frame period, in periods."""
+"""Maximum deviation of a time from a multiple of the frame period, in periods."""
 _MAX_FRAMES_PER_ROW = 10
-"""Maximum number of frames on the grid, divided by the number of rows."""
+"""Maximum ratio of the number of frames on the grid to the number of rows."""
 _MAX_TIME = 1e9
-"""Maximum time, s. Longer times are in a wrong unit."""
+"""Maximum time, s. A larger value indicates a wrong unit."""
 
 
 @dataclass(frozen=True)
@@ -25,9 +25,10 @@ class FrameGrid:
     """Successive frames of a recording.
 
     Attributes:
-        time: ascending times, shape (frames,), s.
-        rows: row of the file for each frame, −1 for a missing frame, shape (frames,).
-        corrections: texts on changes.
+        time: times in ascending order, s, shape (frames,).
+        rows: row of the file for each frame, shape (frames,). The row of a missing
+            frame is −1.
+        corrections: notes on changes to the data.
     """
 
     time: np.ndarray
@@ -37,11 +38,7 @@ class FrameGrid:
 
 
 def check_times(time: np.ndarray) -> None:
-    """Check that times are plausible.
-
-    Raises:
-        InputError: the times are too large, so their unit is probably wrong.
-    """
+    """Raise an error if times are so large that their unit is probably wrong."""
     largest = float(np.abs(time).max())
     if largest > _MAX_TIME:
         raise InputError(
@@ -52,7 +49,7 @@ def check_times(time: np.ndarray) -> None:
 
 
 def time_order(time: np.ndarray) -> tuple[np.ndarray, list[str]]:
-    """Return the chronological order of the rows, and notes."""
+    """Return the indices of the rows in chronological order, and notes."""
     backward = int((np.diff(time) < 0).sum())
     if backward:
         notes = [f"rows were not in the order of time ({backward} steps back): sorted"]
@@ -64,11 +61,7 @@ def time_order(time: np.ndarray) -> tuple[np.ndarray, list[str]]:
 def frame_grid(time: np.ndarray) -> FrameGrid:
     """Sort rows by time and insert the missing frames.
 
-    Args:
-        time: finite time of each row, shape (rows,), s.
-
-    Raises:
-        InputError: there are too few frames, or the times are implausible.
+    `time` contains the finite time of each row, s, shape (rows,).
     """
     check_times(time)
     order, notes = time_order(time)
@@ -122,7 +115,7 @@ def _on_grid(
 
 
 def at_frames(values: np.ndarray, frames: FrameGrid) -> np.ndarray:
-    """Return the values of all frames, with NaN for missing frames."""
+    """Return the values of all frames. The values of a missing frame are NaN."""
     picked = values[frames.rows]
     picked[frames.rows < 0] = np.nan
     return np.asarray(picked)
@@ -137,14 +130,9 @@ _STD_PER_MAD = 1.4826
 
 
 def outliers(points: np.ndarray, min_jump: float) -> np.ndarray:
-    """Return the mask of single samples that are far away from the track.
+    """Return the mask of single outliers, shape (frames, tracks).
 
-    Args:
-        points: marker positions, shape (frames, tracks, 2), m.
-        min_jump: minimum jump of an outlier, m.
-
-    Returns:
-        Mask of shape (frames, tracks).
+    `min_jump` is the minimum distance of an outlier from the track (m).
     """
     result = np.zeros(points.shape[:2], dtype=bool)
     for track in range(points.shape[1]):
@@ -161,19 +149,21 @@ def _track_outliers(
 ) -> np.ndarray:
     """Return the mask of outliers in one track, shape (samples,).
 
-    The residuals r = A p are deviations of samples from the cubic through the two
-    samples before and the two samples after. The error of a cubic is proportional to
-    the product of its four distances in time (4 frames⁴ without gaps), so each row is
-    weighted by the inverse of the product. An outlier of size d at sample k adds d a_k
-    to the residuals, where a_k is column k of A. Therefore |a_k·r| / |a_k| is maximum
-    at the outlier itself, and |a_k·r| / |a_k|² is the size of the outlier.
+    The residuals r = A p are deviations of the samples p from cubic polynomials. Each
+    polynomial passes through the two samples before a sample and the two samples after
+    it. The error of the polynomial is proportional to the product of the four time
+    differences between these samples and the sample in the middle. The product is 4
+    frames⁴ if there are no gaps. Each row of A is divided by the product. An outlier of
+    size d at sample k adds d a_k to the residuals, where a_k is column k of A.
+    Therefore |a_k·r| / |a_k| has its maximum at the outlier, and |a_k·r| / |a_k|² is
+    the size of the outlier.
     """
     from scipy.sparse import csr_array
 
     middle = np.arange(2, len(frames) - 2)
     neighbours = middle[:, None] + _NEIGHBOURS
     time = (frames[neighbours] - frames[middle, None]).astype(float)
-    # Lagrange interpolation at time 0 gives the weights.
+    # The weights are computed by Lagrange interpolation at time 0.
     weight = -np.ones_like(time)
     for k, other in permutations(range(len(_NEIGHBOURS)), 2):
         weight[:, k] *= time[:, other] / (time[:, other] - time[:, k])
@@ -186,7 +176,8 @@ def _track_outliers(
         (rows.ravel(), columns.ravel(), 5 * np.arange(len(middle) + 1)),
         (len(middle), len(frames)),
     )
-    # With the matrix A = `cubics`, these are |a_k·r| and |a_k| for every sample k.
+    # For every sample k, `projection` is |a_k·r| and `size` is |a_k|, with A =
+    # `cubics`.
     projection = np.linalg.norm(cubics.T @ (cubics @ points), axis=1)
     size = np.sqrt((cubics**2).sum(axis=0))
     score = projection / size
@@ -200,14 +191,18 @@ def _track_outliers(
     )
     large = projection > min_jump * size**2
     outlier = large & (score > _OUTLIER_RATIO * _STD_PER_MAD * usual) & (score >= peak)
-    # The two outermost samples at each end cannot be judged, because few cubics contain
-    # them. They stay in the score, so that their errors do not affect their neighbours.
+    # The first two and the last two samples are in too few cubic polynomials to be
+    # tested. The score includes these samples, so that their errors do not affect other
+    # samples.
     outlier[[0, 1, -2, -1]] = False
     return np.asarray(outlier)
 
 
 def runs(missing: np.ndarray) -> np.ndarray:
-    """Return start and end (exclusive) of each run of True values, shape (runs, 2)."""
+    """Return the start and the end (exclusive) of each interval of True values.
+
+    The result has the shape (intervals, 2).
+    """
     edges = np.flatnonzero(
         np.diff(np.concatenate([[False], missing, [False]]).astype(np.int8))
     )
@@ -217,12 +212,8 @@ def runs(missing: np.ndarray) -> np.ndarray:
 def longest_complete(time: np.ndarray, points: np.ndarray, longest: float) -> slice:
     """Return the longest interval without long gaps.
 
-    All tracks are visible on the first and the last frame of the interval.
-
-    Args:
-        time: times of the frames, shape (frames,), s.
-        points: positions, NaN where unknown, shape (frames, tracks, axes).
-        longest: maximum time between the samples on both sides of a gap, s.
+    All tracks are visible in the first and the last frame of the interval. `longest` is
+    the maximum time between the samples before and after a gap (s).
     """
     allowed = np.ones(len(time), dtype=bool)
     visible = ~np.isnan(points[..., 0])
@@ -241,12 +232,9 @@ def longest_complete(time: np.ndarray, points: np.ndarray, longest: float) -> sl
 
 
 def fill_gaps(time: np.ndarray, points: np.ndarray, degree: int) -> np.ndarray:
-    """Interpolate the gaps of tracks whose first and last frame are known.
+    """Interpolate the gaps of tracks whose first and last position are known.
 
-    Args:
-        time: times of the frames, shape (frames,), s.
-        points: positions, NaN where unknown, shape (frames, tracks, axes).
-        degree: degree of the spline, 3 or 1. Tracks with few samples have degree 1.
+    The degree of the spline is 1 for tracks with few samples.
     """
     from scipy.interpolate import make_interp_spline
 

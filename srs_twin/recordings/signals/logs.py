@@ -1,14 +1,14 @@
 """Logs of a robot: measured bends, and valve states, duties or pressures.
 
-A bend log has the columns ``time,bend_1,…`` of a robot on a bench. Bends are in rad, or
-in the unit stated by the name (``bend_1_deg``). A bend is positive if the front end is
-turned to the left of the rear end. The body position is computed from the bends and the
-pose of the clamped head.
+A bend log contains the bends of a robot on a bench, in the columns ``time,bend_1,…``.
+Bends are in rad unless the column name states another unit (``bend_1_deg``). A bend is
+positive if the front end of the segment is turned to the left relative to the rear end.
+The position of the body is computed from the bends and the pose of the clamped head.
 
-A valve log has the column ``time`` and either ``valve_plus_1, valve_minus_1, …`` (+1
-fill, 0 hold, −1 vent) or ``pressure_plus_1, pressure_minus_1, …``. Pressures are gauge
-pressures in Pa, or in the unit stated by the name (``pressure_plus_1_kpa``). The clock
-of the log may differ from the clock of the motion.
+A valve log has the column ``time`` and either ``valve_plus_1, valve_minus_1, …`` (1 to
+fill, 0 to hold, −1 to vent) or ``pressure_plus_1, pressure_minus_1, …``. Pressures are
+gauge pressures in Pa unless the column name states another unit
+(``pressure_plus_1_kpa``). The clock of the log may differ from the clock of the motion.
 """
 
 from __future__ import annotations
@@ -66,29 +66,25 @@ from srs_twin.robot.spec import RobotSpec
 SIDES = ("plus", "minus")
 """Sides of a segment in column names."""
 AIR = ("pressure", "setpoint")
-"""Kinds of logs that contain pressures. Other kinds are valve and duty."""
+"""Kinds of logs that contain pressures. The other kinds are "valve" and "duty"."""
 
 _MAX_BEND = 2 * np.pi
 """Maximum bend, rad (a full circle)."""
 _MAX_PRESSURE = 2e6
 """Maximum gauge pressure of a chamber, Pa."""
 _MIN_PRESSURE = -1.1e5
-"""Minimum gauge pressure, Pa (slightly below vacuum)."""
+"""Minimum gauge pressure of a chamber, Pa (slightly below vacuum)."""
 _BEND = re.compile(r"bend_1(?!\d)")
 _MAX_PERIODS = 1_000_000
 """Maximum number of carrier periods in a log of duties."""
 _MAX_CLAMP_SHIFT = 0.05
-"""Maximum motion of a clamped head, relative to the length of a segment."""
+"""Maximum displacement of a clamped head, relative to the length of a segment."""
 _MAX_CLAMP_TURN = np.radians(5.0)
 """Maximum rotation of a clamped head, rad."""
 
 
 def is_bend_log(path: StrPath, recording_map: RecordingMap = NO_MAP) -> bool:
-    """Return whether a file or its map names columns of bends.
-
-    Raises:
-        InputError: the file cannot be read.
-    """
+    """Return whether a file or its map contains column names of bends."""
     start = start_of(path, recording_map.dialect)
     if "\0" in start.first_line:
         return False
@@ -105,22 +101,10 @@ def read_bends(
     gait_frequency_hz: float | None = None,
     map: RecordingMap = NO_MAP,  # noqa: A002
 ) -> Recording:
-    """Read a bend log.
+    """Read the longest interval of a bend log in which all bends are known.
 
-    Args:
-        path: bend log.
-        spec: recorded robot.
-        longest_gap_s: maximum gap that is filled, s.
-        gait_frequency_hz: gait frequency, Hz, or None for a motion that is not
-            periodic.
-        map: recording map with column names and layout of the file.
-
-    Returns:
-        Longest interval in which all bends are known, with the head at the origin
-        and its heading along x.
-
-    Raises:
-        InputError: the file cannot be used.
+    In the returned recording, the head is at the origin with the heading 0. The gait
+    frequency (Hz) is None if the motion is not periodic.
     """
     table = _table(path, map, ("bend",))
     clock = table.clock("no column 'time'; a bend log has time,bend_1,…")
@@ -173,7 +157,7 @@ def _table(
     mapped = recording_map.meanings([*kinds, "time"])
     if kinds == ("bend",):
         known = {"bend": QUANTITIES["bend"]}
-        # A time column in the map may belong to another file of the same recording.
+        # A time column in the map may belong to another file of the recording.
         mapped = {
             name: meaning
             for name, meaning in mapped.items()
@@ -206,16 +190,9 @@ def read_valves(
     spec: RobotSpec,
     map: RecordingMap = NO_MAP,  # noqa: A002
 ) -> ValveLog:
-    """Read a log of valves, duties or pressures.
+    """Read a log of valve states, duties or pressures from a CSV file or a bag.
 
-    Args:
-        path: CSV file or bag.
-        spec: recorded robot.
-        map: recording map with the meanings of columns and the carrier frequency of
-            duties.
-
-    Raises:
-        InputError: the file or columns are missing, or values are impossible.
+    `map` states the meanings of columns and the carrier frequency of duties.
     """
     if (topics := read_topics(path)) is not None:
         return log_of_topics(topics, spec, map)
@@ -256,12 +233,8 @@ def log_of_topics(
 ) -> ValveLog:
     """Read a log from topics.
 
-    Measured pressures are interpolated. Other signals hold their values until the next
-    message.
-
-    Raises:
-        InputError: signals are missing, or have impossible values.
-        UnknownNameError: the map names a signal that does not exist.
+    Measured pressures are interpolated. A valve state, duty or set point is valid until
+    the next message.
     """
     meanings = recording_map.meanings(("valve", "duty", *AIR))
     names = {meaning.key: signal for signal, meaning in meanings.items()}
@@ -291,7 +264,7 @@ def log_of_topics(
             factors.append(units.get(unit, 1.0))
     series = [topics.signals[signal] for signal in chosen]
     time = np.unique(np.concatenate([times for times, _ in series]))
-    # The log begins at the time from which on every signal has a value.
+    # The log starts when every signal has a value.
     time = time[time >= max(times[0] for times, _ in series)]
     sample = np.interp if kind == "pressure" else held_values
     values = np.stack([sample(time, *own) for own in series], axis=1) * factors
@@ -311,7 +284,7 @@ def _checked_values(
     notes: list[str],
     error: Callable[[int, int, str], InputError],
 ) -> np.ndarray:
-    """Return valve states, duties or gauge pressures after checking them."""
+    """Check and return valve states, duties or gauge pressures."""
     if kind in AIR:
         if ambient:
             notes.append(f"absolute pressures: {ambient / 1e3:g} kPa subtracted")
@@ -357,8 +330,7 @@ def _log(
     with named_in_errors(source.name):
         check_times(time)
         order, moved = time_order(time)
-        # A valve obeys the last of several commands with one time, so the last row
-        # counts.
+        # If several commands have the same time, a valve executes the last command.
         kept = np.append(np.diff(time[order]) > 0, True)
         notes += moved
         if not kept.all():
@@ -397,7 +369,7 @@ def _log(
 def _switched_valves(
     time: np.ndarray, duty: np.ndarray, carrier_hz: float | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Convert duties (0 to 1) to times, s, and valve states (rows, segments, 2)."""
+    """Convert duties (0 to 1) to times (s) and valve states."""
     if carrier_hz is None:
         raise InputError(
             "duties need their carrier frequency; give log: {carrier_hz: 30} in a map"
@@ -418,16 +390,12 @@ def _switched_valves(
 def on_bench(recording: Recording, spec: RobotSpec) -> Recording:
     """Transform a recording to the frame of its clamp.
 
-    In this frame, the head is clamped so that the centre of mass of a straight body is
-    at the origin.
-
-    Raises:
-        InputError: the head moves, so it is not clamped.
+    The origin of this frame is the centre of mass that a straight body would have.
     """
     trajectory = recording.trajectory
     head = trajectory.position[:, 0]
     head_heading = trajectory["connector_heading_1"]
-    # The medians are not affected by a few wrong frames.
+    # A few wrong frames do not affect the medians.
     clamp = np.median(head, axis=0)
     heading = float(np.median(head_heading))
     shift = float(np.quantile(np.linalg.norm(head - clamp, axis=1), 0.95))
@@ -440,8 +408,8 @@ def on_bench(recording: Recording, spec: RobotSpec) -> Recording:
             " the other end is clamped, give --head"
         )
     mass = spec.mass.array()
-    # The points are rotated by −heading about the clamp, which is then on the positive
-    # x axis.
+    # The points are rotated by −heading about the clamp. The clamp is then moved to the
+    # positive x axis.
     distance = pitch * float(np.arange(len(mass)) @ mass) / float(mass.sum())
     rotation = np.exp(-1j * heading)
     origin = clamp @ [1, 1j]

@@ -1,4 +1,4 @@
-"""Units of recorded quantities, and their spellings in column names."""
+"""Units of recorded quantities, and spellings of the units in column names."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ QUANTITIES: dict[str, dict[str, float]] = {
 """Units of each quantity of a log."""
 
 _UNIT_REQUIRED = ("pressure", "setpoint", "bend")
-"""Quantities that need a stated unit in a column with a custom name."""
+"""Quantities whose unit must be stated if the column has a custom name."""
 
 _SPELLED = (
     'm meter metre,cm centimeter centimetre,mm millimeter millimetre,in inch inche ",ft'
@@ -59,9 +59,9 @@ _SYMBOLS = {
     word: line.split()[0] for line in _SPELLED.split(",") for word in line.split()[1:]
 }
 _MEGA = ("mbar", "mm", "mrad")
-"""Symbols whose capital M would mean mega, which no recorded quantity needs."""
+"""Symbols that are invalid with a capital M, which would mean mega."""
 _AMBIENT = (7e4, 1.1e5)
-"""Range of ambient pressures, Pa, from 3000 m altitude to a high at sea level."""
+"""Range of ambient pressures up to an altitude of 3000 m, Pa."""
 _BRACKETS = re.compile(r"(.*?)\s*[(\[{<]([^()\[\]{}<>]*)[)\]}>]")
 _WORD = re.compile(r"(?:[^\W\d_]|°)+(?:/[^\W_]+)?|%")
 _CAMEL = re.compile(r"(?<=[a-z])[A-Z]+[a-z]*$")
@@ -73,9 +73,10 @@ def clean(text: str) -> str:
 
 
 def symbol(text: str, units: Mapping[str, float]) -> str:
-    """Return the symbol of a unit, which may be spelled in any way.
+    """Return the symbol of a unit, given in any spelling.
 
-    The result is empty if `units` lacks the unit or the spelling is ambiguous (mpa).
+    The result is an empty string if `units` does not contain the unit, or if the
+    spelling is ambiguous (mpa).
     """
     word = re.sub(r"[\s^]", "", clean(text).replace("μ", "u"))
     if word in units:
@@ -101,8 +102,8 @@ def bracketed(name: str) -> tuple[str, str]:
 def stated_unit(name: str, units: Mapping[str, float]) -> str | None:
     """Return the unit in a column name such as P1 (bar), time_ms, P1/bar or timeMs.
 
-    The result is an empty string if the name has no unit, and None if the unit is
-    unknown or the name has two units.
+    The result is an empty string if the name contains no unit. The result is None if
+    the unit is unknown or the name contains two units.
     """
     name = clean(name)
     bare, inside = bracketed(name)
@@ -110,7 +111,7 @@ def stated_unit(name: str, units: Mapping[str, float]) -> str | None:
         return symbol(inside, units) or None
     words: list[str] = _WORD.findall(bare)
     if [word.lower() for word in words] == ["pa"]:
-        return ""  # the letters name a chamber or port, such as pb
+        return ""  # the letters are the name of a chamber or port, such as pb
     stated = {unit for word in words if (unit := _unit_in_word(word, units)) != ""}
     if len(stated) > 1 or None in stated:
         return None
@@ -129,13 +130,13 @@ def _unit_in_word(word: str, units: Mapping[str, float]) -> str | None:
 
 
 class Meaning(NamedTuple):
-    """Meaning of a column with a custom name, from a map.
+    """Meaning of a column with a custom name, as stated in a recording map.
 
     Attributes:
-        kind: quantity (time, valve, duty, pressure, setpoint or bend).
+        kind: quantity: time, valve, duty, pressure, setpoint or bend.
         name: quantity and side, such as "pressure_plus".
-        default: unit in the key of the map, used if the column name states none.
-        unit: unit of this column in the map, or an empty string.
+        default: unit in the map key, which is used if the column name contains no unit.
+        unit: unit of this column in the map, or an empty string if the map states none.
     """
 
     kind: str
@@ -153,17 +154,9 @@ class Meaning(NamedTuple):
 def unit_of(
     column: str, stated: str | None, units: Mapping[str, float], meaning: Meaning
 ) -> tuple[str, str]:
-    """Return the unit of a mapped column, and a note if the key has another unit.
+    """Return the unit of a column in a map, and a note if the map key has another unit.
 
-    Args:
-        column: column name.
-        stated: unit in the column name, as `stated_unit` returns it.
-        units: allowed units.
-        meaning: meaning of the column in the map.
-
-    Raises:
-        InputError: stated units differ, or the unit of a pressure or an angle is
-            missing or unknown.
+    `stated` is the unit in the column name, as returned by `stated_unit`.
     """
     allowed = f"allowed: {', '.join(units) or 'none'}"
     given = symbol(meaning.unit, units)
@@ -190,15 +183,15 @@ def unit_of(
 
 
 _CLOCK = re.compile("time|timestamps?|stamp|t|epoch|elapsed")
-"""Words that name a time."""
+"""Words for a time in column names."""
 _CLOCK_QUALIFIER = re.compile(
     "since|start|unix|ros|system|host|header|field|log|relative|absolute"
 )
-"""Further words that a name of a time may contain."""
+"""Additional words that the column name of a time may contain."""
 
 
 def is_clock(name: str) -> bool:
-    """Return whether a column name such as t_ms or timestamp [ns] denotes a time."""
+    """Return whether a column name, such as t_ms or timestamp [ns], denotes a time."""
     bare, _ = bracketed(clean(name))
     if re.search(r"\d", bare):
         return False
@@ -216,7 +209,7 @@ def is_clock(name: str) -> bool:
 
 
 def looks_absolute(pressures: np.ndarray) -> bool:
-    """Return whether the minimum pressure (Pa) is close to ambient pressure."""
+    """Return whether the minimum pressure (Pa) is close to the ambient pressure."""
     return bool(_AMBIENT[0] <= np.nanmin(pressures, initial=np.inf) <= _AMBIENT[1])
 
 
@@ -224,4 +217,4 @@ ABSOLUTE = (
     "they look absolute: subtract the ambient pressure (log: {ambient_kpa: 101.3} in a"
     " map)"
 )
-"""Hint for pressures that look absolute."""
+"""Hint for pressures that are probably absolute pressures."""
