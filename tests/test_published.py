@@ -130,7 +130,7 @@ def test_table_8_is_that_of_the_claims():
     assert {row["offset"] for row in rows} == set(by_offset())
     for row in rows:
         run = by_offset()[row["offset"]]
-        assert (row["speed"], row["left"], row["right"], row["radius"]) == (
+        assert (row["speed"], -row["left"], row["right"], row["radius"]) == (
             run.speed_m_s,
             run.left_m,
             run.right_m,

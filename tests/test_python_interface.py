@@ -431,7 +431,7 @@ def test_wrong_names_have_the_messages_of_the_commands(call, words):
         ),
         (
             lambda: srs.calibrate_design("gen2", "friction.mu_t=5%"),
-            "calibrate_design: want",
+            "calibrate_design: target_accuracy",
         ),
     ],
 )

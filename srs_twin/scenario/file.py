@@ -266,7 +266,7 @@ class ScenarioFile(Section):
     robot: Annotated[
         Any, WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}]})
     ]
-    """Robot of the experiment; a shipped name (gen1 to gen4, gen4_module) or the path
+    """Robot; a shipped name (gen1 to gen4, gen4_module) or the path
     of a robot file. It may also be {base: a name or path} with fields to change, or a
     whole robot."""
     duration_s: float = quantity(0.001, 3600.0)

@@ -59,7 +59,7 @@ _SPATIAL_ALGEBRA = (
     "point_jacobian",
     "spatial_velocities",
     "project",
-    "project_slopes",
+    "project_jacobian",
     "factor",
     "substitute",
 )
@@ -95,7 +95,7 @@ _OBJECT_FUNCTIONS = (
     "apply_object_friction",
     "locate_objects",
     "add_object_impulses",
-    "add_object_slopes",
+    "add_object_jacobian",
     "couple_objects",
 )
 """Functions of the friction solve that do nothing without movable objects."""

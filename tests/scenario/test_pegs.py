@@ -68,7 +68,7 @@ def test_plants_touch_pegs_with_the_stated_friction():
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"jitter_m": 0.06}, "the pitch must be above 0.15 m"),
+        ({"jitter_m": 0.06}, "the spacing must be above 0.15 m"),
         ({"y_m": 0.065}, "overlaps the body at the start by"),
         ({"rows": 100, "columns": 11}, "1100 pegs are too many"),
         ({"plants": {"analytical": {}}}, "set model: compliant and contact: true"),
@@ -76,7 +76,7 @@ def test_plants_touch_pegs_with_the_stated_friction():
             {"plants": {"analytical": {"contact": True}}},
             "touches no obstacles; use 'compliant'",
         ),
-        ({"pitch": 0.1}, "did you mean spacing_m?"),
+        ({"spacing": 0.1}, "did you mean spacing_m?"),
     ],
 )
 def test_bad_fields_are_refused(changes, words):

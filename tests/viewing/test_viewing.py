@@ -687,7 +687,7 @@ def test_report_contains_results_and_expectations(report, parsed):
     ]
     assert rows["missed"][1:3] == ["CoM speed, relative difference", "comparison"]
     assert rows["missed"][3:] == ["-0.09", "above 0", "", "", ""]
-    assert rows["expected_failure"][1:] == [
+    assert rows["expected failure"][1:] == [
         "yaw rate, size of difference",
         "comparison",
         "0.3",

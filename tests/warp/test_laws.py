@@ -73,9 +73,9 @@ def evaluated():
         )
         out[i, 0] = traction.along
         out[i, 1] = traction.across
-        out[i, 2] = traction.slope_along
-        out[i, 3] = traction.slope_mixed
-        out[i, 4] = traction.slope_across
+        out[i, 2] = traction.derivative_along
+        out[i, 3] = traction.off_diagonal
+        out[i, 4] = traction.derivative_across
         out[i, 5] = rim
 
     def evaluate(constants, state, force):
