@@ -50,9 +50,6 @@ def check_positive(name: str, value: Any, unit: str = "") -> None:
         name: name of the quantity.
         value: number or array.
         unit: unit of the quantity.
-
-    Raises:
-        InputError: a number is not finite or not above 0.
     """
     if not (np.isfinite(value).all() and (np.asarray(value) > 0).all()):
         shown = f"{value!r} {unit}".strip()

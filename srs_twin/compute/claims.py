@@ -77,11 +77,7 @@ _CLAIMING = _claiming(id).__code__
 
 @contextmanager
 def claim(item: object) -> Iterator[None]:
-    """Claim an object within a `with` block.
-
-    Raises:
-        InputError: another thread has claimed it.
-    """
+    """Claim an object within a `with` block."""
     key = id(item)
     thread = get_ident()
     ours = _HOLDERS.get(key) == thread

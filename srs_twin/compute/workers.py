@@ -54,9 +54,6 @@ class Workers:
         Args:
             threads: number of threads, by default one per processor. With 1, tasks run
                 on the calling thread.
-
-        Raises:
-            InputError: the number of threads is less than 1.
         """
         self.threads = processor_count() if threads is None else threads
         if self.threads < 1:
@@ -236,12 +233,6 @@ def run_tasks(
         workers: number of processes, by default one per processor and at most one per
             task.
         attempts: number of workers that may die on a task before it fails.
-
-    Raises:
-        InputError: fewer than one worker or attempt was requested, or the task or an
-            argument cannot be pickled or is defined only in the main program.
-        TaskFailedError: the task cannot be imported.
-        WorkerDiedError: ``attempts`` workers in a row died before their first task.
     """
     count = processor_count() if workers is None else workers
     for name, value in (("workers", count), ("attempts", attempts)):
@@ -305,12 +296,7 @@ class _TaskRun:
                     worker.number = self._waiting.popleft()
 
     def _wait(self) -> None:
-        """Wait until workers report or die, and handle these events.
-
-        Raises:
-            SrsError: the task cannot be imported, or workers died before their first
-                task.
-        """
+        """Wait until workers report or die, and handle these events."""
         handles = [
             handle
             for worker in self._workers
@@ -375,11 +361,7 @@ class _Worker:
         remote_pipe.close()
 
     def receive(self) -> tuple[object, Exception | None]:
-        """Return the result and the error of a task, of which one is None.
-
-        Raises:
-            EOFError, OSError: the worker has died.
-        """
+        """Return the result and the error of a task, of which one is None."""
         # If the fork server has died, the pipe does not report the end of the file.
         if not self.pipe.poll():
             raise EOFError

@@ -51,12 +51,7 @@ _DESCRIPTIONS = {
 
 
 def checked(function: Function) -> Function:
-    """Return a function that checks the types of its arguments against its annotations.
-
-    Raises:
-        InputError: (by the returned function) an argument has another type; the message
-            says what is allowed.
-    """
+    """Return a function that checks the types of its arguments against its annotations."""
     names = tuple(signature(function).parameters)
     owner = function.__qualname__.removesuffix(".__init__")
 
@@ -79,9 +74,6 @@ def check_types(
         owner: name of the function or class in messages.
         annotated: function or class whose annotations are importable at run time.
         values: values by name. Names without annotation are ignored.
-
-    Raises:
-        InputError: a value has another type.
     """
     kinds = _kinds(annotated)
     for name, value in values.items():

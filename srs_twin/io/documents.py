@@ -81,12 +81,7 @@ class Override:
 
     @classmethod
     def parse(cls, label: str, field: str, value: str) -> Override:
-        """Return the override for a dotted field name and a value in YAML.
-
-        Raises:
-            InputFileError: the value is not YAML.
-            InputError: the field name is empty.
-        """
+        """Return the override for a dotted field name and a value in YAML."""
         if not (loc := parse_path(field)):
             raise InputError(
                 f"{label}: must be FIELD=VALUE, as in controller.frequency_hz=1.5"
@@ -285,11 +280,7 @@ class Document:
             self.report(loc, str(error))
 
     def raise_problems(self, other_files: Iterable[str] = ()) -> None:
-        """Raise one error with all problems, after messages about other files.
-
-        Raises:
-            InputFileError: there is at least one problem.
-        """
+        """Raise one error with all problems, after messages about other files."""
         lines = list(other_files)
         # The alternatives of a union report equal messages, which are shown only once.
         for position, message in sorted(
@@ -301,12 +292,7 @@ class Document:
 
 
 def load_yaml(path: Path, *, limit: int = MAX_BYTES) -> Document:
-    """Read and parse a YAML file with at most `limit` bytes.
-
-    Raises:
-        InputError: the file cannot be read.
-        InputFileError: the file is not YAML.
-    """
+    """Read and parse a YAML file with at most `limit` bytes."""
     document = parse_yaml(read_text(path, limit=limit), display_path(path))
     document.folder = path.parent
     return document
@@ -320,10 +306,6 @@ def parse_yaml(text: str, name: str) -> Document:
     Args:
         text: YAML text.
         name: name for messages.
-
-    Raises:
-        InputFileError: the text has a syntax error or a second document, or its nesting
-            or data exceed the limits.
     """
     with suppress(yaml.YAMLError, ValueError):
         return _Reader(yaml.parse(text, yaml.CSafeLoader), Document(name)).read()

@@ -65,9 +65,6 @@ def replace_files(folder: Path, products: Sequence[str]) -> Iterator[Path]:
         folder: folder of the files.
         products: names of all files of the set, or patterns such as ``best/*.yaml``.
             The first is the completion mark, which exists only in a complete set.
-
-    Raises:
-        InputError: the files cannot be written.
     """
     try:
         with make_folder(folder), _staging_folder(folder, products) as staging:
@@ -88,11 +85,7 @@ def replace_files(folder: Path, products: Sequence[str]) -> Iterator[Path]:
 
 
 def remove_completion_mark(mark: Path) -> None:
-    """Remove the completion mark of a set that is out of date.
-
-    Raises:
-        InputError: the file cannot be removed.
-    """
+    """Remove the completion mark of a set that is out of date."""
     try:
         mark.unlink(missing_ok=True)
     except OSError as error:
@@ -202,9 +195,6 @@ def _lock(folder: Path, timeout_s: float = _LOCK_TIMEOUT_S) -> Iterator[bool]:
     """Lock a folder for a `with` block, and yield whether the lock was obtained.
 
     The value is False if the file system has no locks.
-
-    Raises:
-        BlockingIOError: another process holds the lock for longer than `timeout_s`.
     """
     deadline = time.monotonic() + timeout_s
     locked = False

@@ -75,9 +75,6 @@ def place_of(text: str, folder: Path, kind: str = "") -> str:
         text: relative or absolute path.
         folder: folder of the file that contains the path.
         kind: kind of shipped files to suggest.
-
-    Raises:
-        InputError: there is nothing at either place.
     """
     beside: Path | None = folder / text
     with suppress(OSError):  # a folder may have been removed
@@ -111,10 +108,6 @@ def find_file(kind: str, name_or_path: StrPath) -> Path:
     Args:
         kind: "robot", "footprint", "scenario", "sweep", "study" or "table".
         name_or_path: name or path as the user wrote it.
-
-    Raises:
-        InputError: the path is not a file of this kind.
-        UnknownNameError: no shipped file has the name.
     """
     text = os.fspath(name_or_path)
     names = shipped_names(kind)
@@ -144,9 +137,6 @@ def check_file_name(name: str, source: str) -> str:
     Args:
         name: name of lower-case letters, digits and _.
         source: option or argument that gave the name.
-
-    Raises:
-        InputError: the name is not allowed.
     """
     if not re.fullmatch(r"[a-z][a-z0-9_]{0,59}", name):
         allowed = (
@@ -177,11 +167,7 @@ def _escape(character: str) -> str:
 
 
 def check_printable(argument: StrPath) -> None:
-    """Check that a path or argument can be written to result files in UTF-8 YAML.
-
-    Raises:
-        InputError: it is not UTF-8 or has control characters.
-    """
+    """Check that a path or argument can be written to result files in UTF-8 YAML."""
     text = os.fspath(argument)
     if match := _UNPRINTABLE.search(text):
         reason = "a control character in it"
@@ -206,9 +192,6 @@ def read_text(path: Path, *, limit: int = MAX_BYTES) -> str:
     Args:
         path: file path.
         limit: maximum size, bytes.
-
-    Raises:
-        InputError: the file is missing, a folder, not readable, too large or not UTF-8.
     """
     try:
         with require_file(path).open("rb") as stream:
@@ -231,9 +214,6 @@ def decode_text(raw: bytes, name: str) -> str:
     Args:
         raw: file contents.
         name: name for messages.
-
-    Raises:
-        InputError: the bytes are not UTF-8.
     """
     try:
         return raw.decode("utf-8").removeprefix("\ufeff")
@@ -249,11 +229,7 @@ MAX_NEW_FOLDERS = 100
 
 
 def missing_folders(folder: Path) -> list[Path]:
-    """Return a folder and its parents that do not exist, innermost first.
-
-    Raises:
-        OSError: there are more than `MAX_NEW_FOLDERS`.
-    """
+    """Return a folder and its parents that do not exist, innermost first."""
     missing = [path for path in (folder, *folder.parents) if not os.path.lexists(path)]
     if len(missing) > MAX_NEW_FOLDERS:
         raise OSError(
@@ -285,9 +261,6 @@ def make_folder(folder: Path) -> Iterator[None]:
     """Create a folder and its parents for a `with` block.
 
     After an error the new folders that are still empty are removed.
-
-    Raises:
-        OSError: a folder cannot be created.
     """
     missing = missing_folders(folder)
     try:
@@ -305,9 +278,6 @@ def atomic_write(path: StrPath) -> Iterator[Path]:
     Missing folders are created. Readers of ``path`` see either the old file or the
     complete new file. After an error the temporary file and the new folders are
     removed.
-
-    Raises:
-        InputError: the file cannot be written.
     """
     target = Path(path)
     try:
@@ -357,9 +327,6 @@ def create_numbered_file(folder: Path, name: str) -> Path:
     """Create an empty file with the lowest free number in its name.
 
     Concurrent processes get different files. The name has the form "journal-{}.mcap".
-
-    Raises:
-        InputError: the file cannot be created.
     """
     number = 0
     while True:
@@ -382,11 +349,7 @@ def create_numbered_file(folder: Path, name: str) -> Path:
 
 
 def write_text(path: StrPath, text: str) -> None:
-    """Write a text file atomically.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
+    """Write a text file atomically."""
     with atomic_write(path) as temporary:
         temporary.write_text(text, "utf-8")
 
@@ -409,9 +372,6 @@ def require_file(
         remedy: text for the message if no similar file exists.
         names: names of shipped files to suggest.
         beside: other path at which the file was expected.
-
-    Raises:
-        InputError: the file is missing or not regular, or the name is not allowed.
     """
     check_printable(path)
     try:
@@ -459,9 +419,6 @@ def check_output_folder(
         folder: output folder, which is left unchanged.
         products: file names.
         option: option that sets the folder, or an empty string.
-
-    Raises:
-        InputError: the folder cannot be written, or a folder has the name of a file.
     """
     check_printable(folder)
     try:
@@ -484,11 +441,7 @@ def check_output_folder(
 
 
 def check_not_folders(folder: Path, products: Sequence[str]) -> None:
-    """Check that no folder has the name of a product.
-
-    Raises:
-        InputError: a folder has the name of a product.
-    """
+    """Check that no folder has the name of a product."""
     for product in products:
         if (folder / product).is_dir():
             raise InputError(

@@ -65,11 +65,7 @@ class DeepCopied:
         return copy.deepcopy(self)
 
     def __reduce_ex__(self, protocol: SupportsIndex) -> str | tuple[Any, ...]:
-        """Return the class and the attributes, for `copy` and `pickle`.
-
-        Raises:
-            InputError: an attribute can be neither copied nor pickled.
-        """
+        """Return the class and the attributes, for `copy` and `pickle`."""
         for name, value in vars(self).items():
             if (kind := _why_not_copyable(value)) is not None:
                 raise InputError(
@@ -109,12 +105,7 @@ class Stateful(DeepCopied):
         return {name: _copy_state(getattr(self, name)) for name in self._state_names()}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Set the state to a state that `state_dict` returned.
-
-        Raises:
-            InputError: an attribute is missing, or its kind differs from the current
-                kind.
-        """
+        """Set the state to a state that `state_dict` returned."""
         missing = [name for name in self._state_names() if name not in state]
         if missing:
             raise InputError(
@@ -138,10 +129,6 @@ class Stateful(DeepCopied):
         Args:
             base: base class whose own `state_attributes` are not sufficient.
             label: name for messages.
-
-        Raises:
-            InputError: no subclass of `base` has `state_attributes`, or the object was
-                never reset.
         """
         subclasses = [
             cls
@@ -166,11 +153,7 @@ class Stateful(DeepCopied):
 
 
 def check_kind(label: str, saved: object, present: object) -> None:
-    """Check that a saved value can replace the current array or nested state.
-
-    Raises:
-        InputError: the saved value has another kind or number of dimensions.
-    """
+    """Check that a saved value can replace the current array or nested state."""
     if isinstance(present, np.ndarray):
         if not isinstance(saved, np.ndarray) or saved.ndim != present.ndim:
             raise InputError(

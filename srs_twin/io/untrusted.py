@@ -45,11 +45,7 @@ MAX_ARCHIVE_BYTES = 256 << 20
 
 
 def read_json(path: Path) -> Any:
-    """Read a JSON file.
-
-    Raises:
-        InputError: the file is missing, not readable, too large, or not JSON.
-    """
+    """Read a JSON file."""
     try:
         with require_file(path, suffix=".json").open("rb") as stream:
             raw = stream.read(MAX_JSON_BYTES + 1)
@@ -68,10 +64,6 @@ def parse_json(text: str, name: str) -> Any:
     Args:
         text: JSON text.
         name: name for messages.
-
-    Raises:
-        InputError: the text is not JSON, is nested beyond the limit, has a number out
-            of range, or repeats a key.
     """
     try:
         data = json.loads(
@@ -167,9 +159,6 @@ def read_table(
         path: path or file-like object.
         kind: expected kind of file, such as "a trajectory written by srs-twin".
         check: function that raises TypeError or ValueError for an unexpected schema.
-
-    Raises:
-        InputError: the file is missing, damaged, not Parquet, or larger than a limit.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -260,12 +249,7 @@ def _read(file: ParquetFile) -> pyarrow.Table:
 
 
 def read_arrays(path: Path, what: str) -> dict[str, np.ndarray]:
-    """Return the arrays of a NumPy archive (npz) of numbers and texts, by name.
-
-    Raises:
-        InputError: the file is missing, not readable, damaged or too large, or contains
-            objects.
-    """
+    """Return the arrays of a NumPy archive (npz) of numbers and texts, by name."""
     try:
         with require_file(path, suffix=".npz").open("rb") as file:
             size = os.fstat(file.fileno()).st_size
@@ -307,11 +291,7 @@ _PACKING = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
 def _parse_array(raw: bytes) -> np.ndarray:
-    """Return the array of a .npy file.
-
-    Raises:
-        ValueError: the header is damaged, or declares another size than the file has.
-    """
+    """Return the array of a .npy file."""
     stream = io.BytesIO(raw)
     try:
         version = np.lib.format.read_magic(stream)

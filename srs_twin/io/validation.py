@@ -131,10 +131,6 @@ def load_model(model: type[Model], path: Path, paths: Mapping[Loc, str] = {}) ->
         path: file path.
         paths: keys that name other files, with the kind of shipped files (see
             `Document.locate`).
-
-    Raises:
-        InputError: the file cannot be read.
-        InputFileError: the file is not valid. The message lists all problems.
     """
     document = load_yaml(path)
     for loc, kind in paths.items():

@@ -102,11 +102,7 @@ class FollowFile(ControllerSection):
             )
 
     def controller(self, context: ControllerContext) -> Controller:
-        """See `ControllerSection.controller`. The first call computes the plan.
-
-        Raises:
-            InputError: start or goal is not possible.
-        """
+        """See `ControllerSection.controller`. The first call computes the plan."""
         planner: ScenarioPlanner = context.products["planner"]
         body = planner.footprint
         problem = planner.problem

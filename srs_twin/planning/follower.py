@@ -166,9 +166,6 @@ class Follower(Controller):
         finished: whether the run has ended.
         ending: key of `ENDINGS`, or None before the end.
         plans: time (s) and plan for each plan, where the first time is 0.
-
-    Raises:
-        InputError: the gait has no offset or no frequency.
     """
 
     kind = "follow"

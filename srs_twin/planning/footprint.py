@@ -343,11 +343,7 @@ def find_problems(footprint: Footprint) -> list[tuple[str, str]]:
 
 
 def validate_footprint(footprint: Footprint) -> Footprint:
-    """Return a footprint unchanged if it is valid.
-
-    Raises:
-        InputError: the footprint is inconsistent, or a number is not finite.
-    """
+    """Return a footprint unchanged if it is valid."""
     columns = (getattr(footprint, name) for name in COLUMNS)
     numbers = [*chain.from_iterable(columns), footprint.ahead, footprint.behind]
     if not np.isfinite(numbers).all():

@@ -293,12 +293,7 @@ class FootprintFile(StrictModel):
 
 
 def load_footprint_file(name_or_path: StrPath) -> FootprintFile:
-    """Load and check a footprint file by its shipped name (gen4_table8) or path.
-
-    Raises:
-        InputError: the file is not found or cannot be read.
-        InputFileError: the file is not valid.
-    """
+    """Load and check a footprint file by its shipped name (gen4_table8) or path."""
     return load_model(FootprintFile, find_file("footprint", name_or_path))
 
 
@@ -320,10 +315,6 @@ def save_footprint(
         file: footprint file.
         path: output path.
         header: lines of a comment at the top of the file.
-
-    Raises:
-        InputFileError: the table is not a valid footprint.
-        InputError: the file cannot be written.
     """
     document = Document(os.fspath(path))
     for loc, message in file.contradictions():
@@ -351,11 +342,7 @@ class Margin:
 
 
 def excursion_quantile(excursions: Sequence[float], probability: float) -> float:
-    """Return the excursion (m) that a new run does not exceed with a probability.
-
-    Raises:
-        InputError: there are too few runs, or too many runs did not arrive.
-    """
+    """Return the excursion (m) that a new run does not exceed with a probability."""
     count = len(excursions)
     # The tolerance absorbs the rounding error of products such as 20 · 0.95.
     rank = math.ceil((count + 1) * probability - 1e-9)
@@ -385,10 +372,6 @@ def margin_for(
         measured: measured excursions.
         probability: probability that a whole run stays within the margin.
         conditions: conditions of the run, one per plant.
-
-    Raises:
-        InputError: no measurement covers the conditions, or a measurement has too few
-            runs.
     """
     paths = [0.0]
     lead_ins = [0.0]

@@ -171,9 +171,6 @@ def plan_with_transitions(
 
     Returns:
         Plan with the total nodes and time of all searches.
-
-    Raises:
-        InputError: the problem is refused by `plan`.
     """
     plans: list[Plan] = []
 

@@ -92,11 +92,7 @@ class ArcState(NamedTuple):
 def make_motion_primitives(
     primitives: Primitives, footprint: Footprint
 ) -> MotionPrimitives:
-    """Return the primitives, the tightest and wider turns, and the straight line.
-
-    Raises:
-        InputError: a primitive is tighter than the footprint allows.
-    """
+    """Return the primitives, the tightest and wider turns, and the straight line."""
     right, left = footprint.tightest
     both = min(right, left)
     # The method `at` raises an error if a primitive is too tight for the footprint.

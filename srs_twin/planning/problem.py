@@ -140,12 +140,7 @@ class Problem:
 
 
 def check_problem(problem: Problem) -> None:
-    """Check that a problem can be solved as stated.
-
-    Raises:
-        InputError: start or goal is in an obstacle or outside the bounds, or a number
-            is not allowed.
-    """
+    """Check that a problem can be solved as stated."""
     validate_footprint(problem.footprint)
     start = problem.start
     goal = problem.goal

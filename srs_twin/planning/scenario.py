@@ -147,11 +147,7 @@ class PlannerSection(ExtensionSection):
         product.plan()
 
     def goal(self, start: Pose, goal: Goal | None, footprint: Footprint) -> Goal:
-        """Return the goal of the plan.
-
-        Raises:
-            InputError: the scenario has no goal.
-        """
+        """Return the goal of the plan."""
         if goal is None:
             raise InputError("the scenario has no goal; set world.goal")
         return goal
@@ -166,9 +162,6 @@ class PlannerSection(ExtensionSection):
             problem: planning problem.
             wider: additional width of the footprint on the straight lead-in, m.
             limits: limits of leaning on obstacles, or None to keep clear of them.
-
-        Raises:
-            InputError: start or goal is not possible.
         """
 
 
@@ -329,11 +322,7 @@ class ScenarioPlanner:
     touch_limits: TouchLimits | None = None
 
     def plan(self) -> Plan:
-        """Return the plan, which is computed only once for both plants and the report.
-
-        Raises:
-            InputError: start or goal is not possible.
-        """
+        """Return the plan, which is computed only once for both plants and the report."""
         return _plan(self)
 
     def plan_uncached(self) -> Plan:

@@ -24,9 +24,6 @@ class RunContent:
         comparison: differences between the plants over time, or None.
         measured: differences from the measured robot, keyed by plant.
         world: obstacles and objects.
-
-    Raises:
-        InputError: a trajectory is missing or empty.
     """
 
     spec: RobotSpec

@@ -306,12 +306,6 @@ def load_study(
         study: name or path of the study. A loaded study is returned unchanged.
         set: scenario fields to fix by dotted path, in addition to the fixed fields of
             the file. `seed` sets the random seed of the study.
-
-    Raises:
-        InputError: the file does not exist or cannot be read, or a loaded study is to
-            be changed.
-        InputFileError: the file is invalid. The message lists all problems, one per
-            line.
     """
     if isinstance(study, OptimizationStudy):
         refuse_changes("study", set)

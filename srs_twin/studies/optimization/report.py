@@ -164,11 +164,7 @@ BOUND_MARK = "†"
 
 
 def write_result(result: StudyResult, folder: Path) -> tuple[str, ...]:
-    """Write all output files into a folder, all or none, and return their names.
-
-    Raises:
-        InputError: a file cannot be written.
-    """
+    """Write all output files into a folder, all or none, and return their names."""
     with replace_files(folder, PRODUCTS) as fresh:
         return _write(result, fresh)
 
@@ -204,11 +200,7 @@ def _write(result: StudyResult, folder: Path) -> tuple[str, ...]:
 
 
 def write_report(folder: Path, result: StudyResult) -> list[str]:
-    """Write plots and HTML page and return their names.
-
-    Raises:
-        InputError: a file cannot be written.
-    """
+    """Write plots and HTML page and return their names."""
     document = result.document()
     figures = _figures(result, document)
     pictures = []

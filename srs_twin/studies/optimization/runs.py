@@ -82,10 +82,6 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
             on_row: callback for each newly finished run.
             changed: whether `folder` may belong to another study. Valid runs are then
                 kept.
-
-        Raises:
-            InputError: the folder cannot be written, is locked, or belongs to another
-                study.
         """
         self._study = study
         self._engine = engine
@@ -114,9 +110,6 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
         Args:
             part: fidelity, "compliant" or "twin".
             fractions: designs as fractions of the ranges, shape (designs, d).
-
-        Raises:
-            InputError: a row cannot be written.
         """
         runs = []
         rows = self.rows(
@@ -130,11 +123,7 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
         return runs
 
     def rows(self, part: str, changes: Sequence[Changes]) -> list[Row]:
-        """Return the rows of changed scenarios after running the missing ones.
-
-        Raises:
-            InputError: a row cannot be written.
-        """
+        """Return the rows of changed scenarios after running the missing ones."""
         experiment = self._study.experiments[part]
         plant = PLANTS[part]
         points = [

@@ -126,9 +126,6 @@ def search(study: OptimizationStudy, runs: StudyRuns) -> Optimum:
     Args:
         study: study with variables, objectives, constraints and budget.
         runs: store that runs the designs.
-
-    Raises:
-        InputError: no run of the twin has a result, or a row cannot be written.
     """
     state = _Search(study, runs)
     if "compliant" in study.experiments:

@@ -80,10 +80,6 @@ def on_ray(address: str | None = None, workers: int | None = None) -> Engine:
         address: address of a cluster as in `ray.init`, or None for a local instance
             that ends with the sweep.
         workers: number of processors of the local instance, or None for all.
-
-    Raises:
-        InputError: Ray is not installed, or both an address and a number of workers are
-            given.
     """
     settings = dict(_RAY_SETTINGS)
     if address is None:
@@ -168,11 +164,6 @@ def make_engine(
         engine: name of the engine ("local", "ray" or "warp"), or an engine object.
         workers: number of parallel runs, or None for one per processor.
         address: address of a Ray cluster, or name of a Warp device.
-
-    Raises:
-        InputError: the arguments do not suit the engine, or the engine is not
-            available.
-        UnknownNameError: the engine does not exist.
     """
     if not isinstance(engine, str):
         return engine
@@ -193,9 +184,6 @@ def select_points(swept: Sweep, exclude: Sequence[str]) -> set[str]:
     Args:
         swept: sweep whose points are selected.
         exclude: excluded values, each as `field=value`.
-
-    Raises:
-        UnknownNameError: a field is not varied, or never has this value.
     """
     selected = {point.key: point.changes for point in swept.points}
     for excluded in exclude:
@@ -303,10 +291,6 @@ def open_sweep(
         folder: folder of rows and results, which is created if missing.
         changed: whether the folder may belong to another version of the sweep. Rows
             that still apply are kept.
-
-    Raises:
-        InputError: the folder cannot be written, is locked, or belongs to another
-            version of the sweep.
     """
     check_output_folder(folder, _PRODUCTS)
     with RowStore(folder) as store:
@@ -351,11 +335,7 @@ class OpenSweep:
         )
 
     def finish(self) -> Summary:
-        """Write table, plots, report and summary of the stored rows, all or none.
-
-        Raises:
-            InputError: a file cannot be written.
-        """
+        """Write table, plots, report and summary of the stored rows, all or none."""
         with replace_files(self.folder, _PRODUCTS) as fresh:
             return self._write(fresh)
 
@@ -504,9 +484,6 @@ def on_device(device: str | None = None, workers: int | None = None) -> Engine:
         device: Warp device, or None for an accelerator. Without an accelerator, `local`
             runs all points.
         workers: number of workers of `local`.
-
-    Raises:
-        InputError: MuJoCo Warp is not installed.
     """
     batch_class = warp_batch()
     if device is None and not batch_class.accelerated():

@@ -68,12 +68,6 @@ def load_sweep(
         set: scenario fields to fix by dotted path, in addition to the fixed fields of
             the file.
         plants: plants that run instead of the plants of the file.
-
-    Raises:
-        InputError: the file does not exist or cannot be read, or a loaded sweep is to
-            be changed.
-        InputFileError: the file is invalid. The message lists all problems, one per
-            line.
     """
     if isinstance(sweep, Sweep):
         refuse_changes("sweep", set, plants)
@@ -184,11 +178,7 @@ def locate_files(document: Document) -> bool:
 
 
 def refuse_changes(kind: str, *changes: object) -> None:
-    """Refuse changes of a sweep or study that is already loaded.
-
-    Raises:
-        InputError: a change is given.
-    """
+    """Refuse changes of a sweep or study that is already loaded."""
     if any(changes):
         raise InputError(
             f"a loaded {kind} cannot be changed; give its name or path instead"

@@ -56,9 +56,6 @@ def draw(plot: Plot, results: SweepTable) -> Figure:
     Args:
         plot: plot of a sweep.
         results: results of the sweep, whose order of rows does not matter.
-
-    Raises:
-        InputError: a column does not exist.
     """
     owners = results.owners(plot.metric)
     # The comparison is shown only if no plant has the metric.

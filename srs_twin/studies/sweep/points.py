@@ -360,12 +360,7 @@ Varied = Mapping[str, Sequence[Value] | RangeFile]
 
 
 def sample(vary: Varied, sampling: SamplingFile) -> list[tuple[Value, ...]]:
-    """Return the points, one row each with a value per field.
-
-    Raises:
-        InputError: lists have different lengths, a range has no count, or there are too
-            many points.
-    """
+    """Return the points, one row each with a value per field."""
     if sampling.kind in ("latin_hypercube", "sobol"):
         return _space_filling_points(list(vary.values()), sampling)
     lists = [_value_list(name, values) for name, values in vary.items()]

@@ -190,9 +190,6 @@ def write_report(
         sweep: sweep to report.
         summary: summary of the sweep.
         pictures: PNG image by title.
-
-    Raises:
-        InputError: the path cannot be written.
     """
     results = summary.results
     metrics = shown_metrics(sweep)

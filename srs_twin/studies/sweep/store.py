@@ -106,12 +106,7 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
     """
 
     def __init__(self, folder: Path) -> None:
-        """Open the file, and create the file and the folder if they are missing.
-
-        Raises:
-            InputError: the folder cannot be written, another sweep works in it, or the
-                file is not a store.
-        """
+        """Open the file, and create the file and the folder if they are missing."""
         self._path = folder / FILE
         self._is_new = not os.path.lexists(self._path)
         try:
@@ -144,11 +139,7 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
         remove_empty_folders(self._missing)
 
     def identity(self) -> SweepIdentity | None:
-        """Return the stored identity, or None if the store has no identity.
-
-        Raises:
-            InputError: the stored identity is damaged.
-        """
+        """Return the stored identity, or None if the store has no identity."""
         rows = self._read("SELECT value FROM about WHERE name = 'sweep'")
         if rows:
             return self._parse(_IDENTITY, rows[0][0])
@@ -162,11 +153,7 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
         )
 
     def add(self, row: Row) -> None:
-        """Store a row and its files, and replace a row with an equal key.
-
-        Raises:
-            InputError: the row or a file cannot be written.
-        """
+        """Store a row and its files, and replace a row with an equal key."""
         # The files are written first, because the row marks the point as finished.
         for plant, parquet in row.files.items():
             with atomic_write(self.trajectory_file(row.key, plant)) as part:
@@ -191,9 +178,6 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
             finished: results of tasks.
             keys: key of each task.
             on_row: callback for each stored row.
-
-        Raises:
-            InputError: a row cannot be stored.
         """
         with contextlib.closing(finished) as results:  # type: ignore[type-var]
             for done in results:

@@ -236,11 +236,7 @@ class SweepTable:
 
 
 def write_table(path: Path, table: pa.Table) -> None:
-    """Write a table as a Parquet file atomically.
-
-    Raises:
-        InputError: the path cannot be written.
-    """
+    """Write a table as a Parquet file atomically."""
     import pyarrow.parquet as pq
 
     with atomic_write(path) as part:

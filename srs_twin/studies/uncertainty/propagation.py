@@ -129,11 +129,7 @@ class Swing:
 
 
 def check_can_be_kept(scenario: Scenario) -> None:
-    """Check that the intervals of a scenario can be written for expectations.
-
-    Raises:
-        InputError: the scenario is modified, or the folder cannot be written.
-    """
+    """Check that the intervals of a scenario can be written for expectations."""
     if scenario.left_out:
         fields = ", ".join(
             dict.fromkeys(
@@ -456,9 +452,6 @@ def propagate(
         progress: callback that reports the missing runs of each fidelity.
         changed: whether the folder may belong to another version of the study, as in
             `open_sweep`.
-
-    Raises:
-        InputError: a folder cannot be written, or there is no result.
     """
     rows = {}
     for part in study.parts:

@@ -58,9 +58,6 @@ class Canvas:
             height: image height, pixels.
             opengl: OpenGL backend, named as in MUJOCO_GL, or an empty string for the
                 first working backend.
-
-        Raises:
-            InputError: no backend works.
         """
         model.vis.global_.offwidth = width
         model.vis.global_.offheight = height

@@ -93,9 +93,6 @@ class LiveSnake:
             spec: robot.
             scenario: scenario, instead of a robot.
             modified: overridden fields, shown in the window.
-
-        Raises:
-            InputError: the twin or its controller cannot be built.
         """
         self.scenario = scenario
         self._modified = modified
@@ -130,11 +127,7 @@ class LiveSnake:
         self._keys.append(key)
 
     def advance(self) -> SnakeState:
-        """Handle the queued keys, simulate one control tick and return the state.
-
-        Raises:
-            DivergedError: the simulation diverged.
-        """
+        """Handle the queued keys, simulate one control tick and return the state."""
         while self._keys:
             self._handle(self._keys.popleft())
         if self.paused or self.finished:
@@ -254,9 +247,6 @@ def steer(
         window: window.
         clock: function that returns the time, s.
         sleep: function that waits for a given time, s.
-
-    Raises:
-        DivergedError: the simulation diverged.
     """
     tick = snake.twin.tick
     due = clock()
@@ -287,11 +277,7 @@ class MujocoWindow:
     """Window of MuJoCo's viewer that shows a snake and forwards keys to it."""
 
     def __init__(self, snake: LiveSnake) -> None:
-        """Open the window.
-
-        Raises:
-            InputError: there is no display, or the viewer cannot be opened.
-        """
+        """Open the window."""
         require_display()
         import mujoco
         import mujoco.viewer
@@ -356,11 +342,7 @@ class MujocoWindow:
 
 
 def require_display() -> None:
-    """Check that a window can be opened.
-
-    Raises:
-        InputError: the display is missing or does not respond.
-    """
+    """Check that a window can be opened."""
     if lacks_display():
         raise InputError(
             "no display found (neither DISPLAY nor WAYLAND_DISPLAY is set); run this"

@@ -54,9 +54,6 @@ def usable_opengl() -> str:
 
     A backend selected in MUJOCO_GL is the only candidate. Otherwise the candidates of
     the platform are tested in turn (egl, then osmesa on Linux).
-
-    Raises:
-        InputError: no backend works.
     """
     selected = os.environ.get("MUJOCO_GL", "").lower().strip()
     candidates: tuple[str, ...] = (selected,)
@@ -123,9 +120,6 @@ def draw_box(name: str) -> None:
 
     Args:
         name: backend name.
-
-    Raises:
-        InputError: all pixels have the same colour.
     """
     import mujoco
 

@@ -34,11 +34,7 @@ AddFrame = Callable[[np.ndarray], None]
 
 
 def encoder() -> Any:
-    """Return the video encoder, the module `av` (PyAV).
-
-    Raises:
-        InputError: PyAV is not installed.
-    """
+    """Return the video encoder, the module `av` (PyAV)."""
     try:
         import av
     except ImportError as error:
@@ -62,9 +58,6 @@ def video_writer(
         width: even width, pixels.
         height: even height, pixels.
         fps: frame rate, Hz.
-
-    Raises:
-        InputError: the encoder is missing, or the file cannot be written.
     """
     av = encoder()
     with atomic_write(path) as temporary:
@@ -209,10 +202,6 @@ def write_video(
         speed: simulated time per playback time; 0.25 gives slow motion.
         ghost: another plant.
         progress: callback that receives the completed fraction, 0 to 1.
-
-    Raises:
-        InputError: the run cannot be drawn, OpenGL or the encoder is missing, or the
-            file cannot be written.
     """
     encoder()  # report a missing encoder before the frames are rendered
     stage, camera = _scene(scenario, run, ghost)
@@ -247,10 +236,6 @@ def write_image(
         time: time of the image, s; the nearest sample is drawn.
         size: image size.
         ghost: another plant.
-
-    Raises:
-        InputError: the time is outside the run, the run cannot be drawn, OpenGL is
-            missing, or the file cannot be written.
     """
     stage, camera = _scene(scenario, run, ghost)
     first = float(run.time[0])
@@ -277,11 +262,7 @@ def _scene(
 
 @drawing
 def write_png(path: Path, pixels: np.ndarray) -> None:
-    """Write an image of shape (height, width, 3) and type uint8 as PNG.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
+    """Write an image of shape (height, width, 3) and type uint8 as PNG."""
     from matplotlib.image import imsave
 
     with atomic_write(path) as temporary:
@@ -318,10 +299,6 @@ def write_strobe(
         scenario: simulated scenario.
         run: twin's trajectory.
         width: figure width, pixels.
-
-    Raises:
-        InputError: the run cannot be drawn, OpenGL is missing, or the file cannot be
-            written.
     """
     stage = Stage(scenario, run)
     times = strobe_times({"twin": run}, scenario.robot.geometry)

@@ -86,10 +86,6 @@ class Stage:
             scenario: simulated scenario.
             run: trajectory with ``qpos`` columns.
             ghost: another plant.
-
-        Raises:
-            InputError: the run has no samples or no ``qpos`` columns, or the columns
-                belong to another robot.
         """
         if not run.has("qpos") or not len(run):
             raise InputError(

@@ -288,9 +288,6 @@ def save(figure: Figure, path: str | Path, dpi: float = 130) -> None:
         figure: figure.
         path: output file.
         dpi: PNG resolution, pixels per inch.
-
-    Raises:
-        InputError: the suffix is not supported, or the file cannot be written.
     """
     target = Path(path)
     if target.suffix not in FORMATS:

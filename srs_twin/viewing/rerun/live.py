@@ -206,9 +206,6 @@ def live_view(
         recording: output file.
         window: whether to open the native viewer.
         web: whether to serve the web viewer on this machine.
-
-    Raises:
-        InputError: Rerun does not start, or there is no display for a window.
     """
     log = rr.RecordingStream(APPLICATION)
     sinks: list[rr.FileSink | rr.GrpcSink] = []

@@ -420,10 +420,6 @@ def write_side_by_side(path: str | Path, recordings: Mapping[str, Path]) -> None
     Args:
         path: output file.
         recordings: recordings, by run.
-
-    Raises:
-        InputError: a file is not a recording of srs-twin, or the output file cannot be
-            written.
     """
     from rerun.chunk import RrdReader
 

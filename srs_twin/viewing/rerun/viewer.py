@@ -30,11 +30,7 @@ from srs_twin.errors import InputError
 
 
 def rerun_executable() -> Path:
-    """Return the path of `rerun` in the environment of the running Python.
-
-    Raises:
-        InputError: the program is missing.
-    """
+    """Return the path of `rerun` in the environment of the running Python."""
     program = Path(sys.executable).parent / (
         "rerun.exe" if os.name == "nt" else "rerun"
     )
@@ -53,11 +49,7 @@ def lacks_display() -> bool:
 
 
 def open_recording(path: str | Path) -> None:
-    """Open a recording in the native viewer, and wait until the viewer is closed.
-
-    Raises:
-        InputError: the recording or the display is missing, or the viewer failed.
-    """
+    """Open a recording in the native viewer, and wait until the viewer is closed."""
     recording = _recording(path)
     program = rerun_executable()
     if lacks_display():
@@ -78,11 +70,7 @@ def open_recording(path: str | Path) -> None:
 
 
 def verify_recording(path: str | Path) -> None:
-    """Verify a recording with `rerun rrd verify`.
-
-    Raises:
-        InputError: the recording is missing, incomplete or damaged.
-    """
+    """Verify a recording with `rerun rrd verify`."""
     recording = _recording(path)
     command = [str(rerun_executable()), "rrd", "verify", str(recording)]
     done = subprocess.run(command, check=False, capture_output=True, text=True)
@@ -116,11 +104,7 @@ Rerun = subprocess.Popen[bytes]
 
 @contextmanager
 def running_rerun(*arguments: str) -> Iterator[tuple[Rerun, IO[bytes]]]:
-    """Run Rerun, and yield the process and the file with its output.
-
-    Raises:
-        InputError: Rerun is not installed.
-    """
+    """Run Rerun, and yield the process and the file with its output."""
     command = [str(rerun_executable()), "--bind", HOST, *arguments]
     with tempfile.TemporaryFile() as output:
         # The script `rerun` starts the actual program. A process group allows stopping
@@ -193,9 +177,6 @@ def serve_recordings(
         port: page port, or 0 for a free port.
         data_port: port to which a running program may stream data, or None for a free
             port.
-
-    Raises:
-        InputError: the port is in use, or Rerun does not start.
     """
     data_port = data_port or free_port()
     viewer_port = free_port()
