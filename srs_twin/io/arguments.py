@@ -51,7 +51,7 @@ _DESCRIPTIONS = {
 
 
 def checked(function: Function) -> Function:
-    """Return a function that checks the types of its arguments against its annotations."""
+    """Return a function that checks the types of its arguments."""
     names = tuple(signature(function).parameters)
     owner = function.__qualname__.removesuffix(".__init__")
 

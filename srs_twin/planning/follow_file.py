@@ -144,13 +144,14 @@ class FollowFile(ControllerSection):
         robot: RobotFile,
         planner: PlannerSection,
     ) -> ConditionsFile:
-        """Return the conditions of following, for margins with a probability.
+        """Return the conditions for which a margin is selected from measurements.
 
         Args:
             plant: name of the plant, "analytical" or "twin".
-            contact: contact of the twin, or None for the analytical model.
-            chambers: kind of pneumatics.
-            robot: robot file, which contains the spreads of the modules.
+            contact: contact model of the twin, or None for the analytical model.
+            chambers: kind of the chamber model.
+            robot: robot file, which contains the standard deviations of the module
+                parameters.
             planner: planner section.
         """
         spreads = {name: getattr(robot.modules, name, None) for name in SPREADS}

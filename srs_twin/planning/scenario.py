@@ -143,7 +143,7 @@ class PlannerSection(ExtensionSection):
         ]
 
     def check_run(self, product: ScenarioPlanner) -> None:
-        """See `ExtensionSection.check_run`. The check computes the plan."""
+        """See `ExtensionSection.check_run`. This check computes the plan."""
         product.plan()
 
     def goal(self, start: Pose, goal: Goal | None, footprint: Footprint) -> Goal:
@@ -161,7 +161,8 @@ class PlannerSection(ExtensionSection):
         Args:
             problem: planning problem.
             wider: additional width of the footprint on the straight lead-in, m.
-            limits: limits of leaning on obstacles, or None to keep clear of them.
+            limits: limits of leaning on obstacles, or None if the body must not touch
+                obstacles.
         """
 
 
@@ -250,7 +251,7 @@ class BestFirstFile(PlannerSection):
                     f"the straight lead-in of {self.lead_in_m:g} m touches {hit}; set a"
                     " shorter lead_in_m"
                 )
-            # The lead-in is fixed, so the search starts at its end.
+            # The lead-in is fixed, so the search starts at the end of the lead-in.
             problem = replace(problem, start=begin[-1].end)
         settings = replace(self.build(), touch_limits=limits)
         if self.shape_changes:
@@ -273,7 +274,7 @@ class GivenFile(PlannerSection):
 
     def goal(self, start: Pose, goal: Goal | None, footprint: Footprint) -> Goal:
         """Return the end of the path."""
-        # The path is given, so its end replaces the scenario's goal.
+        # The end of the given path replaces the goal of the scenario.
         end = self._path(start, footprint)[-1].end
         return Goal(end.x, end.y, end.heading, goal.radius if goal else 0.05)
 
@@ -309,10 +310,12 @@ class ScenarioPlanner:
 
     Attributes:
         file: planner section.
-        footprint: footprint of the robot with all its turns and without margin.
-        problem: problem whose footprint has fewer turns and includes the margin.
-        margin: footprint margin.
-        touch_limits: limits of leaning on obstacles, or None to keep clear of them.
+        footprint: footprint of the robot with all turns and without margin.
+        problem: problem whose footprint has a smaller range of turns and includes the
+            margin.
+        margin: margin of the footprint.
+        touch_limits: limits of leaning on obstacles, or None if the body must not touch
+            obstacles.
     """
 
     file: PlannerSection
@@ -322,11 +325,11 @@ class ScenarioPlanner:
     touch_limits: TouchLimits | None = None
 
     def plan(self) -> Plan:
-        """Return the plan, which is computed only once for both plants and the report."""
+        """Return the plan, which is computed once for the plants and the report."""
         return _plan(self)
 
     def plan_uncached(self) -> Plan:
-        """Compute the plan without the cache; see `plan`."""
+        """Compute the plan without using the cache."""
         wider = max(self.margin.lead_in - self.margin.path, 0.0)
         return self.file.find(self.problem, wider, self.touch_limits)
 

@@ -1,27 +1,27 @@
 r"""Plans that lean on obstacles (`planner: {contact: allowed}`).
 
-A footprint contains the side-to-side motion of the gait. Where an edge of the footprint
+A footprint contains the lateral motion of the gait. Where an edge of the footprint
 overlaps an obstacle, the obstacle limits this motion, and the body presses against the
 obstacle. The planner may therefore reduce the edges to
 
 $$ e_{hard} = c + (1 - σ)(e - c), $$
 
-where e is the edge of the footprint, c half the width of the body and σ =
+where e is the edge of the footprint, c is half the width of the body and σ is
 `TOUCH_FRACTION`. Since e_hard ≥ c, the body itself never passes through an obstacle.
 
 The estimated contact force limits the overlap δ. A connector that is displaced by δ
-between two fixed neighbours bends both adjacent segments by 2δ/L, where L is the
-distance between connectors. The elastic energy 4kδ²/L² of both bends, where k is the
-bending stiffness, gives the force Kδ with K = 8k/L². The obstacle displaces the body as
-soon as this force exceeds the friction on the floor, μ_n m g. The lateral wave of
-amplitude A = e − c reaches the obstacle in a fraction arccos(1 − δ/A)/π of the period.
-The mean force on one side is therefore
+between two fixed neighbours bends each of the two adjacent segments by 2δ/L, where L is
+the distance between connectors. The elastic energy 4kδ²/L² of the two bends, where k is
+the bending stiffness, gives the force Kδ with K = 8k/L². The obstacle displaces the
+body when this force exceeds the friction on the floor, μ_n m g. The lateral wave with
+the amplitude A = e − c reaches the obstacle during a fraction arccos(1 − δ/A)/π of the
+period. The mean force on one side is therefore
 
 $$ F = \frac1π \arccos\Bigl(1 - \frac{δ}{A}\Bigr) \min(Kδ,\, μ_n m g), $$
 
-and a metre of path with the forces F_l and F_r on both sides costs 1 + (F_l + F_r)/(μ_n
-m g) metres. Edges and overlaps include the margin of the plan, because the body may
-deviate from its path by this margin.
+and a metre of path with the forces F_l and F_r on the left and on the right costs 1 +
+(F_l + F_r)/(μ_n m g) metres. Edges and overlaps include the margin of the plan, because
+the body may deviate from its path by this margin.
 """
 
 from __future__ import annotations
@@ -47,14 +47,14 @@ from srs_twin.robot.world import Bounds
 TOUCH_FRACTION = 0.5
 """Maximum fraction σ of the space between body and edge that may overlap an obstacle.
 
-Generation 2 passes gaps of 0.75 footprint widths on both plants, but does not reliably
-pass gaps of 0.6 widths (docs/planning.md).
+A snake of generation 2 passes gaps of 0.75 footprint widths on each of the two plants,
+but does not reliably pass gaps of 0.6 footprint widths (docs/planning.md).
 """
 
 _LEVELS = (0.0, 0.25, 0.5, 0.75, 1.0)
-"""Overlaps that are tried in turn, as fractions of the maximum overlap."""
+"""Overlaps as fractions of the maximum overlap, tried in this order."""
 _MAX_NODES = 10_000
-"""Maximum number of nodes of the search for each overlap below the maximum."""
+"""Maximum number of expanded nodes in the search for each overlap below the maximum."""
 _SPACING_M = 0.01
 """Maximum distance between points of a path at which the overlap is evaluated, m."""
 _MIN_DEPTH_M = 1e-4
@@ -78,9 +78,10 @@ def touch_limits(spec: RobotSpec, footprint: Footprint) -> TouchLimits:
 
 
 def narrowed(problem: Problem, limits: TouchLimits, level: float) -> Problem:
-    """Return a problem whose edges overlap by a fraction of the maximum overlap.
+    """Return a problem whose edges may overlap obstacles by a fraction of the maximum.
 
-    The body cannot lean on the bounds of the world, so they are narrowed as well.
+    The body cannot lean on the bounds of the world, so the bounds are reduced by the
+    overlap.
     """
     body = problem.footprint
     world = problem.world
@@ -99,7 +100,7 @@ def plan_with_touch(search: Search, problem: Problem, settings: Settings) -> Pla
 
     Args:
         search: planner for one footprint.
-        problem: start, goal, world and body with its full edges.
+        problem: planning problem with the full edges of the body.
         settings: search settings.
     """
     limits = settings.touch_limits
@@ -125,7 +126,7 @@ def plan_with_touch(search: Search, problem: Problem, settings: Settings) -> Pla
                     reason = result.reason
                 best = replace(result, touches=touches, reason=reason)
                 lowest = cost
-    # Without a path, the reason is taken from the search with the narrowest edges.
+    # If no path is found, the reason is taken from the search with the narrowest edges.
     if best is None:
         return replace(result, touches=())
     return best
@@ -139,7 +140,7 @@ class _Overlaps:
         names: obstacle names.
         s: path length in the middle of each step, m, shape (steps,).
         steps: step lengths, m, shape (steps,).
-        depth, force: overlap (m) with each obstacle, and mean contact force (N), shape
+        depth, force: overlap (m) with each obstacle and mean contact force (N), shape
             (obstacles, steps).
     """
 
