@@ -1,7 +1,7 @@
 """Type checks of the arguments of public functions against their annotations.
 
-A check runs once per call and never per time step. It reports a wrong type in the words
-of the command line.
+The types are checked once per call, not once per time step. The error messages use the
+terms of the command line.
 """
 
 from __future__ import annotations
@@ -27,7 +27,9 @@ from srs_twin.errors import InputError
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 _CONVERSIONS = {float: "__float__", int: "__index__"}
-"""Number type → method of all objects that convert to it, such as NumPy numbers."""
+"""Method of all objects that can be converted to a number type, such as NumPy
+numbers.
+"""
 
 _DESCRIPTIONS = {
     "float": "a number",
@@ -47,7 +49,7 @@ _DESCRIPTIONS = {
     "Scenario": "a Scenario, such as load_scenario('gen2_straight')",
     "Problem": "a Problem; plan_scenario plans a scenario",
 }
-"""Name of a type → its description in messages."""
+"""Description of each type in messages."""
 
 
 def checked(function: Function) -> Function:
@@ -72,7 +74,7 @@ def check_types(
 
     Args:
         owner: name of the function or class in messages.
-        annotated: function or class whose annotations are importable at run time.
+        annotated: function or class whose annotations can be evaluated at run time.
         values: values by name. Names without annotation are ignored.
     """
     kinds = _kinds(annotated)
@@ -92,7 +94,7 @@ def _kinds(annotated: Callable[..., Any]) -> dict[str, Any]:
 def _accepts(kind: Any, value: object) -> bool:
     """Return whether a value has the annotated type.
 
-    Elements of sequences are checked, elements of mappings are not.
+    Elements of sequences are checked, but elements of mappings are not.
     """
     origin = get_origin(kind) or kind
     parts = get_args(kind)

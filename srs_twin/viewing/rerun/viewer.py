@@ -1,9 +1,9 @@
 """Run the Rerun viewer in a child process or a browser, and verify recordings.
 
-The viewer accepts connections from this machine only. Rerun's page loads fonts from
-the internet, which delays the page offline and discloses its use online. A proxy
-server therefore removes these links and adds a Content-Security-Policy that makes the
-browser block all requests to other hosts.
+The viewer accepts connections from this machine only. Rerun's web page loads fonts from
+the internet. The download delays the page without a network connection, and discloses
+its use with a connection. A proxy server therefore removes the links to the fonts and
+adds a Content-Security-Policy that makes the browser block all requests to other hosts.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from srs_twin.errors import InputError
 
 
 def rerun_executable() -> Path:
-    """Return the path of `rerun` in the environment of the running Python."""
+    """Return the path of `rerun` in the environment of the running Python interpreter."""
     program = Path(sys.executable).parent / (
         "rerun.exe" if os.name == "nt" else "rerun"
     )
@@ -97,18 +97,18 @@ HOST = "127.0.0.1"
 """Address on which the viewer accepts connections."""
 
 _STOP_TIMEOUT_S = 10.0
-"""Time between SIGTERM and killing the viewer, s."""
+"""Time between SIGTERM and SIGKILL for the viewer, s."""
 
 Rerun = subprocess.Popen[bytes]
 
 
 @contextmanager
 def running_rerun(*arguments: str) -> Iterator[tuple[Rerun, IO[bytes]]]:
-    """Run Rerun, and yield the process and the file with its output."""
+    """Run Rerun, and yield the process and the file with the output of Rerun."""
     command = [str(rerun_executable()), "--bind", HOST, *arguments]
     with tempfile.TemporaryFile() as output:
-        # The script `rerun` starts the actual program. A process group allows stopping
-        # both processes.
+        # The script `rerun` starts the actual program. With a process group, the script
+        # and the program can be stopped together.
         rerun = subprocess.Popen(
             command,
             stdin=subprocess.DEVNULL,
@@ -174,9 +174,9 @@ def serve_recordings(
 
     Args:
         recordings: recordings.
-        port: page port, or 0 for a free port.
-        data_port: port to which a running program may stream data, or None for a free
-            port.
+        port: port of the page, or 0 to select a free port.
+        data_port: port to which a running program may stream data, or None to select a
+            free port.
     """
     data_port = data_port or free_port()
     viewer_port = free_port()
@@ -203,7 +203,7 @@ def serve_recordings(
 
 
 class _ProxyHandler(BaseHTTPRequestHandler):
-    """Request handler that forwards Rerun's files without links to other hosts."""
+    """Request handler that removes links to other hosts from the files of Rerun."""
 
     def __init__(self, source: str, query: str, *request: Any) -> None:
         self.source = source
@@ -233,7 +233,7 @@ class _ProxyHandler(BaseHTTPRequestHandler):
         self.send_header("Content-Length", str(len(content)))
         self.send_header("Content-Security-Policy", _POLICY)
         self.end_headers()
-        with suppress(ConnectionError):  # the page was closed while loading
+        with suppress(ConnectionError):  # the page was closed while it was loading
             self.wfile.write(content)
 
     def log_message(self, format: str, *args: object) -> None:  # noqa: A002
@@ -241,7 +241,7 @@ class _ProxyHandler(BaseHTTPRequestHandler):
 
 
 def _opener() -> urllib.request.OpenerDirector:
-    """Return an opener without proxies, for requests to this machine."""
+    """Return a URL opener that uses no proxy, for requests to this machine."""
     return urllib.request.build_opener(urllib.request.ProxyHandler({}))
 
 
