@@ -63,7 +63,7 @@ class _PartLibrary(JITCodeLibrary):
     """Code of a part of a kernel. The code remains in intermediate representation."""
 
     def finalize(self) -> None:
-        """Declare the global variables that Numba sets. No machine code is generated."""
+        """Declare the global variables that Numba sets, but no machine code."""
         self._raise_if_finalized()
         names = [variable.name for variable in self._final_module.global_variables]
         lines = [

@@ -280,7 +280,7 @@ def atomic_write(path: StrPath) -> Iterator[Path]:
 
 @contextmanager
 def _temporary_file(target: Path) -> Iterator[Path]:
-    """Yield a hidden file in the folder of a target. The file is removed after an error.
+    """Yield a hidden file in the folder of a target, and remove it after an error.
 
     All processes that write a target use the same temporary name. The next process
     therefore overwrites the file that a killed process has left. While a process

@@ -188,7 +188,7 @@ def validate(
 
 
 def _adopt_current_names(error: ValidationError, data: Any) -> bool:
-    """Rename old keys and kinds in the data with a warning; return whether any existed."""
+    """Rename old keys and kinds in the data, warn, and return whether any existed."""
     adopted: dict[str, str] = {}
     for item in error.errors(include_url=False):
         *parents, key = _existing_path(item["loc"], data) or ("",)

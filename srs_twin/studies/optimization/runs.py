@@ -1,7 +1,8 @@
 """Storage of finished runs, so that no design is simulated twice.
 
 The sequence of designs depends only on the seed and on earlier results. A resumed
-search therefore requests identical designs and reads finished runs from the store.
+search therefore requests identical designs and reads the results of finished runs from
+the store.
 """
 
 from __future__ import annotations
@@ -24,10 +25,10 @@ from srs_twin.studies.sweep.store import RowStore, SweepIdentity
 from srs_twin.studies.sweep.task import DONE, Row
 
 PLANTS = {"compliant": "analytical", "twin": "twin"}
-"""Plant that simulates each fidelity."""
+"""Name of the plant that simulates each fidelity."""
 
 RowCallback = Callable[[str, Row], None]
-"""Callback that is called with the fidelity and the row of each newly finished run."""
+"""Callback that receives the fidelity and the row of each newly finished run."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,7 @@ class Run:
     """Run of a design at one fidelity.
 
     Attributes:
-        part: fidelity, "compliant" or "twin".
+        part: fidelity, which is "compliant" or "twin".
         fractions: design variables as fractions of their ranges, shape (d,).
         row: stored result.
     """
@@ -50,7 +51,7 @@ class Run:
 
 
 def metric_of(row: Row, part: str, name: str) -> float:
-    """Return a metric of a row, or NaN if the run failed or has no value."""
+    """Return a metric of a row, or NaN if the run failed or the metric has no value."""
     value = row.values.get(f"{PLANTS[part]}.{name}")
     if value is None or row.status != DONE:
         return float("nan")
@@ -61,7 +62,7 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
     """Runs of a study in a locked folder.
 
     Attributes:
-        requested: distinct runs in the order of their first request.
+        requested: runs in the order of their first request, without duplicates.
     """
 
     def __init__(
@@ -76,12 +77,12 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
         """Open the folder.
 
         Args:
-            study: study whose designs are run.
-            folder: folder of the runs, which is created if missing.
+            study: study whose designs are simulated.
+            folder: folder of the runs, which is created if it does not exist.
             engine: engine for new runs.
             on_row: callback for each newly finished run.
-            changed: whether `folder` may belong to another study. Valid runs are then
-                kept.
+            changed: whether the runs in `folder` may belong to another study. Valid
+                runs are then kept.
         """
         self._study = study
         self._engine = engine
@@ -108,7 +109,7 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
         """Return the runs of designs at one fidelity.
 
         Args:
-            part: fidelity, "compliant" or "twin".
+            part: fidelity, which is "compliant" or "twin".
             fractions: designs as fractions of the ranges, shape (designs, d).
         """
         runs = []
@@ -123,7 +124,7 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
         return runs
 
     def rows(self, part: str, changes: Sequence[Changes]) -> list[Row]:
-        """Return the rows of changed scenarios after running the missing ones."""
+        """Return the rows of scenarios after the missing rows have been computed."""
         experiment = self._study.experiments[part]
         plant = PLANTS[part]
         points = [
@@ -137,7 +138,8 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
             if self._on_row is not None:
                 self._on_row(part, row)
 
-        # Starting an engine may take seconds, so it starts only if a run is missing.
+        # Starting an engine may take seconds, so the engine starts only if a run is
+        # missing.
         if missing:
             self._stores[part].collect(
                 self._engine(experiment, missing), [p.key for p in missing], on_row

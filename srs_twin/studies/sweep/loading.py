@@ -67,7 +67,7 @@ def load_sweep(
         sweep: name or path of the sweep. A loaded sweep is returned unchanged.
         set: scenario fields to fix by dotted path, in addition to the fixed fields of
             the file.
-        plants: plants that run instead of the plants of the file.
+        plants: plants to simulate instead of the plants in the file.
     """
     if isinstance(sweep, Sweep):
         refuse_changes("sweep", set, plants)
@@ -111,7 +111,7 @@ def _with_changes(
     if not changes:
         return sweep
     title = marked(sweep.title, changes)
-    # The document becomes sweep.yaml, which must be loadable.
+    # The document is written to sweep.yaml, which must be loadable.
     document = {**sweep.document, "title": title[:200]}
     return replace(sweep, title=title, changes=changes, document=document)
 
@@ -139,11 +139,9 @@ def changed_base(
 def problems_at(
     points: Iterable[tuple[Loc, Experiment, Mapping[str, Value]]],
 ) -> Iterator[tuple[Loc, str]]:
-    """Yield each distinct problem of scenarios at some points with its location.
+    """Yield each distinct problem of the scenarios at some points with its location.
 
-    Args:
-        points: location in the file, experiment, and changes of the scenario for each
-            point.
+    Each point has a location in the file, an experiment, and changes of the scenario.
     """
     reported: set[str] = set()
     for loc, experiment, changes in points:
@@ -156,13 +154,13 @@ def problems_at(
 
 
 def with_suggestion(problem: str, field: str, known: Iterable[str]) -> str:
-    """Return a problem, followed by a similar name if it reports an unknown key."""
+    """Return a problem. If it reports an unknown key, a similar key is suggested."""
     needs_hint = "unknown key" in problem and "did you mean" not in problem
     return problem + (did_you_mean(field, known) if needs_hint else "")
 
 
 def locate_files(document: Document) -> bool:
-    """Resolve the paths in a sweep or study; return whether all files exist."""
+    """Resolve the paths in a sweep or study, and return whether all files exist."""
     before = len(document.problems)
     document.locate(("scenario",), "scenario")
     kinds = {format_path(loc): kind for loc, kind in path_fields(SECTIONS).items()}
@@ -178,7 +176,7 @@ def locate_files(document: Document) -> bool:
 
 
 def refuse_changes(kind: str, *changes: object) -> None:
-    """Refuse changes of a sweep or study that is already loaded."""
+    """Refuse to change a sweep or study that is already loaded."""
     if any(changes):
         raise InputError(
             f"a loaded {kind} cannot be changed; give its name or path instead"
@@ -342,7 +340,7 @@ class _Loader:
     def _test_points(
         self, sweep: Sweep
     ) -> Iterator[tuple[Loc, Experiment, Mapping[str, Value]]]:
-        """Yield a point for each varied value, with first values of other fields."""
+        """Yield a point for each varied value. Other fields have their first values."""
         experiment = sweep.experiment
         rows = [dict(zip(sweep.fields, row, strict=True)) for row in sweep.values]
         if self._file.sampling.kind == "list":

@@ -21,7 +21,7 @@ The default size of MuJoCo, 4096 pixels, makes rendering of small images slow.
 """
 
 _FONT_PIXELS = 180
-"""Image height (pixels) for which the font scale of MuJoCo increases by 50 %."""
+"""Image height per 50 % of the font scale of MuJoCo, pixels."""
 
 _LABEL_HEIGHT = 0.065
 """Height of the labels as a fraction of the image height."""

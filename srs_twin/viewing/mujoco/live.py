@@ -48,15 +48,13 @@ _KEY_STEPS = {
     PAGE_UP: ("pressure", 14),
     PAGE_DOWN: ("pressure", -14),
 }
-"""Command changed by each key, and the number of steps between the limits of the command.
+"""Command that each key changes, and the number of steps between the limits.
 
 One step is 0.05 (offset), 0.1 Hz (frequency) or about 1 kPa (pressure).
 """
 
 MAX_LAG_S = 0.25
-"""Maximum delay of the simulation relative to real time. A larger delay is not
-caught up, s.
-"""
+"""Maximum delay of the simulation relative to real time, s."""
 
 
 class LiveSnake:
@@ -272,7 +270,7 @@ _ELEVATION_DEG = -35.0
 
 
 class MujocoWindow:
-    """Window of MuJoCo's viewer that shows a snake and passes pressed keys to the snake."""
+    """Window of MuJoCo's viewer that shows a snake and passes keys to the snake."""
 
     def __init__(self, snake: LiveSnake) -> None:
         """Open the window."""

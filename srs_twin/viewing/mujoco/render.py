@@ -223,7 +223,7 @@ def write_image(
     size: Size = Size(),  # noqa: B008
     ghost: tuple[str, Trajectory] | None = None,
 ) -> None:
-    """Write an image of a run at a given time as PNG, seen from the camera of the video.
+    """Write an image of a run as PNG, seen from the camera of the video.
 
     Args:
         path: output file.

@@ -149,7 +149,7 @@ class Stage:
     def add_lines(
         self, scene: mujoco.MjvScene, row: int, half_width: float = _LINE_M
     ) -> None:
-        """Add the path of the centre of mass up to a sample, and the lines on the floor.
+        """Add the path of the centre of mass up to a sample and the lines on the floor.
 
         `half_width` is half the width of the lines (m).
         """

@@ -29,9 +29,7 @@ _MAX_BODIES = 6
 """Maximum number of bodies in a plan view."""
 
 _MIN_SPACING = 1.35
-"""Minimum distance between drawn bodies in body lengths, below which they would
-overlap.
-"""
+"""Ratio of the minimum distance between drawn bodies to the body length."""
 
 
 @drawing
@@ -139,7 +137,7 @@ def obstacle_patches(
 def object_outlines(
     run: Trajectory, times: list[float], world: World
 ) -> list[np.ndarray]:
-    """Return the outlines of the movable objects at the given times (s), each (k, 2), m.
+    """Return outlines of the movable objects at the given times (s), each (k, 2), m.
 
     The outline of a cylinder includes a radius, which shows the rotation of the
     cylinder.

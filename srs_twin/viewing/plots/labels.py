@@ -131,7 +131,7 @@ def _schema() -> dict[str, Any]:
 
 
 def _options(node: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
-    """Yield a schema node, the schema it refers to, and its alternatives recursively."""
+    """Yield a schema node, its reference and its alternatives recursively."""
     yield node
     if "$ref" in node:
         yield from _options(_schema()["$defs"][node["$ref"].rsplit("/", 1)[1]])

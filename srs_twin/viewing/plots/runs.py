@@ -123,7 +123,7 @@ def speed_plot(trajectories: Runs) -> Figure:
 
 @drawing
 def error_plot(comparison: Comparison, spec: RobotSpec) -> Figure:
-    """Plot the differences of shape and path in mm and in per cent of the body length."""
+    """Plot the differences of shape and path in mm and per cent of the body length."""
     figure, (shape, path) = panels(4.0, 2, right=0.75)
     length = 1e3 * spec.geometry.body_length
     conversions = (
@@ -219,11 +219,11 @@ def _common_window(trajectories: Runs) -> _Window:
 
 @drawing
 def learning_plot(trajectories: Runs) -> Figure:
-    """Plot bend amplitudes with targets and duty cycles of the valves, one row per module.
+    """Plot bend amplitudes with targets and duty cycles, one row per module.
 
     The left column contains the amplitudes, and the right column contains the duty
-    cycles. The colour shows the chamber, and the dash pattern shows the plant. Targets
-    are thin dotted lines.
+    cycles of the valves. The colour shows the chamber, and the dash pattern shows the
+    plant. Targets are thin dotted lines.
     """
     runs = [
         (style, PeriodAmplitudes.from_trajectory(run))
@@ -287,7 +287,7 @@ def _plot_learning(
 
 @drawing
 def tracking_plot(trajectories: Runs) -> Figure:
-    """Plot the reference, the bends and measurements of the first segment, and valve states.
+    """Plot reference, bends and measurements of the first segment, and valve states.
 
     For a periodic reference, the plot shows the last four periods, otherwise the whole
     run. As in the dissertation, the valve state is 1 if the valves drive positive

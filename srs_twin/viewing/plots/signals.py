@@ -60,7 +60,7 @@ def pressure_difference(trajectory: Trajectory) -> Array:
 
 
 def kind_of(trajectories: Mapping[str, Trajectory]) -> str:
-    """Return the kind of experiment: gait, bench, learning, or the kind of an extension."""
+    """Return the kind of experiment: gait, bench, learning or an extension's kind."""
     runs = trajectories.values()
     for run in runs:
         if run.has("reference_1") or run.metadata.get("base") == "clamped":
@@ -96,7 +96,7 @@ def reference_period(trajectory: Trajectory) -> float | None:
 
 
 def forward_speed(trajectory: Trajectory) -> Array:
-    """Return the velocity of the centre of mass along the heading, m/s, shape (samples,)."""
+    """Return the velocity of the centre of mass along the heading, m/s, (samples,)."""
     if len(trajectory) < 2:
         return np.zeros(len(trajectory))
     velocity = np.gradient(trajectory.com, trajectory.time, axis=0)

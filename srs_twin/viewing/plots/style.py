@@ -88,7 +88,7 @@ class Style:
 
     @property
     def zorder(self) -> float:
-        """Drawing order. Dashed lines are drawn above solid lines, so that all lines are visible."""
+        """Drawing order. Dashed lines are drawn above solid lines."""
         if self.dash == "-":
             return 2.0
         return 2.1

@@ -248,7 +248,7 @@ def _coms(trajectories: Mapping[str, Trajectory]) -> tuple[np.ndarray, np.ndarra
 
 
 def _separation(coms: np.ndarray) -> float:
-    """Return twice the maximum distance of a plant from the mean position of all plants."""
+    """Return twice the maximum distance of a plant from the mean of all plants."""
     return 2 * float(np.linalg.norm(coms - coms.mean(axis=0), axis=-1).max())
 
 
@@ -361,14 +361,14 @@ class _StoredRun:
 
     @property
     def snakes(self) -> list[str]:
-        """Names of the plants, which are the entities in `world/` with a centre of mass."""
+        """Names of the plants, read from the entities with a centre of mass."""
         paths = (chunk.entity_path.split("/") for chunk in self.chunks)
         return list(
             dict.fromkeys(path[2] for path in paths if path[1::2] == ["world", "com"])
         )
 
     def points(self, entity: str, component: str, rows: int | None = 1) -> np.ndarray:
-        """Return the first rows of a point component, shape (n, 3). None selects all rows."""
+        """Return the first rows (or all rows) of a point component, shape (n, 3)."""
         for chunk in self.chunks:
             if chunk.entity_path == entity and not chunk.is_static:
                 batch = chunk.to_record_batch()

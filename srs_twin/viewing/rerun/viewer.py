@@ -30,7 +30,7 @@ from srs_twin.errors import InputError
 
 
 def rerun_executable() -> Path:
-    """Return the path of `rerun` in the environment of the running Python interpreter."""
+    """Return the path of `rerun` in the environment of the Python interpreter."""
     program = Path(sys.executable).parent / (
         "rerun.exe" if os.name == "nt" else "rerun"
     )
