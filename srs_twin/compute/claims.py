@@ -33,12 +33,7 @@ if hasattr(os, "register_at_fork"):
 
 
 class Claimable(DeepCopied):
-    """Base class of objects that only one thread may use at a time.
-
-    Attributes:
-        claiming_methods: names of the methods that claim the object while they run,
-            including overriding methods of subclasses.
-    """
+    """Base class of objects that only one thread may use at a time."""
 
     claiming_methods: ClassVar[tuple[str, ...]] = (
         *("reset", "step", "advance", "play", "place", "save", "restore", "render"),

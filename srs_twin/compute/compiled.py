@@ -388,7 +388,7 @@ def _value_parts(
     for value in values:
         function = getattr(value, "py_func", value)
         if isinstance(function, FunctionType):
-            yield (  # machine code contains this name
+            yield (  # the machine code contains this name
                 f"{function.__module__}.{function.__qualname__}"
             )
             yield from _code_parts(function.__code__, function.__globals__, seen)

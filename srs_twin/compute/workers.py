@@ -43,11 +43,7 @@ IsCancelled = Callable[[], bool]
 
 
 class Workers:
-    """Pool of threads for tasks that release the interpreter's lock.
-
-    Attributes:
-        threads: number of threads.
-    """
+    """Pool of threads for tasks that release the interpreter's lock."""
 
     def __init__(self, threads: int | None = None) -> None:
         """Create the pool. The threads start with the first task.
@@ -202,8 +198,6 @@ class TaskResult(Generic[Result]):
     """Result or error of one task.
 
     Attributes:
-        number: index of the argument.
-        result: return value, or None if the task failed.
         error: exception if the task failed, otherwise None. An `SrsError` is the
             exception of the task, a `TaskFailedError` stands for another exception, and
             a `WorkerDiedError` means that the workers of the task died.
@@ -350,7 +344,6 @@ class _Worker:
         start_time: start time on the monotonic clock, s.
         ready: whether the worker has reported that it can execute tasks.
         number: number of the current task, or None if the worker is idle.
-        pipe: connection for pickled arguments and results.
     """
 
     def __init__(self, program: bytes) -> None:

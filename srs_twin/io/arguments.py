@@ -70,13 +70,7 @@ def checked(function: Function) -> Function:
 def check_types(
     owner: str, annotated: Callable[..., Any], values: Mapping[str, object]
 ) -> None:
-    """Check the types of values against the annotations of a function or class.
-
-    Args:
-        owner: name of the function or class in messages.
-        annotated: function or class whose annotations can be evaluated at run time.
-        values: values by name. Names without annotation are ignored.
-    """
+    """Check the types of values against the annotations of a function or class."""
     kinds = _kinds(annotated)
     for name, value in values.items():
         if name in kinds and not _accepts(kinds[name], value):

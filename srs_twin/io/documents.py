@@ -73,8 +73,6 @@ class Override:
 
     Attributes:
         label: origin of the value, such as "--set controller.frequency_hz=1.5".
-        loc: path of the replaced value.
-        value: new value.
     """
 
     label: str
@@ -110,17 +108,12 @@ class Document:
     """Data of one file with the positions of its values, and the problems found so far.
 
     Attributes:
-        name: name of the file.
-        data: parsed data.
         values: line and column of each value, by the path of the value. Data in memory
             have no positions.
         keys: line and column of each key, by the path of the key.
-        problems: positions and messages.
         refused: positions at which no further problems are reported.
         override_labels: labels of the applied overrides. Values of the k-th override
             have the position (−k, 0).
-        folder: folder of the file, or None for data in memory.
-        warnings: warnings about the file.
     """
 
     name: str
@@ -134,7 +127,7 @@ class Document:
     warnings: list[str] = field(default_factory=list)
 
     def apply(self, override: Override) -> None:
-        """Set the value of an override.
+        """Set a value of the document to the value of an override.
 
         If the path of the override leads through the name of a file, the name becomes
         the key `base` of a mapping.

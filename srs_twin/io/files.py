@@ -354,13 +354,6 @@ def require_file(
     """Return a path after checking that it is a regular file.
 
     Devices and pipes are refused, because reading them may never end.
-
-    Args:
-        path: path as the user wrote it.
-        suffix: suffix of the files that the error message suggests.
-        remedy: text for the error message if no similar file exists.
-        names: names of shipped files that the error message may suggest.
-        beside: alternative path at which the file was expected.
     """
     check_printable(path)
     try:

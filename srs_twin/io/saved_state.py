@@ -124,13 +124,7 @@ class Stateful(DeepCopied):
                 setattr(self, name, copy.deepcopy(state[name]))
 
     def check_saveable(self, base: type, label: str) -> None:
-        """Check that the class defines its state and that the object has been reset.
-
-        Args:
-            base: base class. A subclass must extend the `state_attributes` of this
-                class.
-            label: name for messages.
-        """
+        """Check that the class defines its state and that the object has been reset."""
         subclasses = [
             cls
             for cls in type(self).__mro__

@@ -124,14 +124,7 @@ class StrictModel(BaseModel):
 
 
 def load_model(model: type[Model], path: Path, paths: Mapping[Loc, str] = {}) -> Model:
-    """Load and validate a YAML file.
-
-    Args:
-        model: subclass of `StrictModel`.
-        path: file path.
-        paths: keys that contain names of other files, with the kind of shipped files
-            (see `Document.locate`).
-    """
+    """Load and validate a YAML file."""
     document = load_yaml(path)
     for loc, kind in paths.items():
         document.locate(loc, kind)
@@ -144,14 +137,7 @@ def load_model(model: type[Model], path: Path, paths: Mapping[Loc, str] = {}) ->
 def validate(
     model: type[Model], document: Document, data: object, *, prefix: Loc = ()
 ) -> Model | None:
-    """Return plain data as a model, or report all problems and return None.
-
-    Args:
-        model: subclass of `StrictModel`.
-        document: document to which the problems are added.
-        data: plain data, which is ``document.data`` or a value inside it.
-        prefix: path of `data` in the document.
-    """
+    """Return plain data as a model, or report all problems and return None."""
     try:
         file = model.model_validate_json(json.dumps(data), strict=True)
     except ValidationError as error:

@@ -91,7 +91,6 @@ class PathFrame(NamedTuple):
     Attributes:
         x, y: position, m.
         heading: heading, rad.
-        cosine, sine: cosine and sine of the heading.
     """
 
     x: float
@@ -139,15 +138,10 @@ def _local(frame, x, y):  # type: ignore[no-untyped-def]
 
 @compiled
 def arc_collides(pose, curvature, length, extent, grid):  # type: ignore[no-untyped-def]
-    """Return whether the swept area of an arc touches an obstacle or leaves the bounds.
+    """Return whether the swept area of an arc hits an obstacle or leaves the bounds.
 
-    Args:
-        pose: position (m) and heading (rad) of the centre of mass at the start of the
-            arc.
-        curvature: arc curvature, 1/m.
-        length: arc length, m.
-        extent: extent of the body about its centre of mass.
-        grid: obstacles and bounds of the world.
+    `pose` is the pose of the centre of mass at the start (m, rad). The curvature is in
+    1/m, and the length is in m.
     """
     h = (length + extent.ahead + extent.behind) / 2 + ROUNDING_MARGIN
     x, y, heading = arc_end(

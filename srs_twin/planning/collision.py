@@ -46,7 +46,6 @@ class ObstacleGrid(NamedTuple):
     Attributes:
         circles: x, y and radius of the circles, m, shape (n, 3).
         sides: x and y of the two ends of the polygon sides, m, shape (m, 4).
-        bounds: world bounds.
         west, south: x of the left edge and y of the lower edge of the grid, m.
         cell: cell size, m.
         cell_ranges: first and last index in `cell_items` for each grid cell, shape
@@ -205,10 +204,8 @@ class Checker:
     ) -> str:
         """Describe an obstacle or bound that a straight path touches, if any.
 
-        Args:
-            pose: initial pose of the centre of mass.
-            length: path length, m.
-            wider: width added to each edge of the footprint, m.
+        The path has a length in m. `wider` is a width (m) added to each edge of the
+        footprint.
         """
         both = (wider, wider)
         # One test of the whole world is faster, and the name of an obstacle is needed

@@ -144,16 +144,7 @@ class FollowFile(ControllerSection):
         robot: RobotFile,
         planner: PlannerSection,
     ) -> ConditionsFile:
-        """Return the conditions for which a margin is selected from measurements.
-
-        Args:
-            plant: name of the plant, "analytical" or "twin".
-            contact: contact model of the twin, or None for the analytical model.
-            chambers: kind of the chamber model.
-            robot: robot file, which contains the standard deviations of the module
-                parameters.
-            planner: planner section.
-        """
+        """Return the conditions for which a margin is selected from measurements."""
         spreads = {name: getattr(robot.modules, name, None) for name in SPREADS}
         return ConditionsFile.model_validate(
             {

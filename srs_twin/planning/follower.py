@@ -89,7 +89,6 @@ class ReplanResult(NamedTuple):
     """Result of a request for a new plan.
 
     Attributes:
-        plan: new plan, or None if no plan was found.
         reason: reason why no plan with the full margin was found.
         fraction: fraction of the margin that the new plan keeps.
     """
@@ -121,12 +120,10 @@ class Conditions:
     """Sensing, delays and limits of a follower.
 
     Attributes:
-        camera: motion capture.
         delay: command delay, s.
         response_length: response length ℓ of the curvature, m.
         max_cross_track_error: cross-track error at which a new plan is requested, m.
             With None, no new plan is requested.
-        max_replans: maximum number of new plans.
         lead_in: length of the straight lead-in of the first path, m. At the end of the
             lead-in, the rest of the path is planned again from the measured pose, if
             possible.
@@ -149,11 +146,8 @@ class Follower(Controller):
 
     Attributes:
         gait: controller with an `offset`, which is a `Gait` or an `ILC`.
-        steering: steering law.
         plan: plan to follow. If the plan has no path, the run ends immediately.
-        goal: goal of the centre of mass.
         footprint: footprint of the snake, which limits the offset.
-        conditions: camera, delays and limits.
         body: footprint with which the plan was computed. This footprint is recorded
             with the run, and its default is `footprint`.
         world: world, which is recorded with the run.
@@ -165,7 +159,6 @@ class Follower(Controller):
             or when the body approaches an obstacle and no further plan is allowed.
         allows_contact: whether the body may lean on obstacles. If so, an approaching
             obstacle causes no new plan.
-        finished: whether the run has ended.
         ending: key of `ENDINGS`, or None if the run has not ended.
         plans: time (s) and plan for each plan. The time of the first plan is 0.
     """

@@ -190,7 +190,7 @@ class Footprint:
         )
 
     def at(self, curvature: float) -> FootprintRow:
-        """Return the interpolated row at a curvature (1/m).
+        """Interpolate the table at a curvature (1/m).
 
         Raises:
             InputError: the curvature is outside the table.

@@ -327,12 +327,7 @@ def save_footprint(
 
 @dataclass(frozen=True)
 class Margin:
-    """Width added to the edges of a footprint, m.
-
-    Attributes:
-        path: margin on the whole path.
-        lead_in: margin on the straight lead-in.
-    """
+    """Width added to the edges of a footprint, m."""
 
     path: float = 0.0
     lead_in: float = 0.0

@@ -78,19 +78,14 @@ def following(trajectory: Trajectory) -> Mapping[str, Any] | None:
 
 @dataclass(frozen=True)
 class Leg:
-    """Part of a run under one plan.
-
-    Attributes:
-        samples: indices of the samples of the trajectory.
-        segments: path of the plan.
-    """
+    """Part of a run that follows one plan."""
 
     samples: slice
     segments: tuple[Segment, ...]
 
 
 def legs(trajectory: Trajectory) -> Iterator[Leg]:
-    """Yield the part of a run under each plan that has a path."""
+    """Yield the part of a run for each plan that has a path."""
     metadata = following(trajectory)
     plans = metadata["plans"] if metadata else []
     begins = [

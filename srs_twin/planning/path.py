@@ -104,7 +104,7 @@ class PathSteps(NamedTuple):
 def path_steps(
     segments: Sequence[Segment], footprint: Footprint, spacing: float
 ) -> PathSteps:
-    """Return steps of at most `spacing` (m) along a path."""
+    """Divide a path into steps of at most `spacing` (m)."""
     rows: list[tuple[float, ...]] = []
     for segment in segments:
         count = max(math.ceil(segment.length / spacing), 1)

@@ -50,11 +50,8 @@ def segment_points(
 ) -> np.ndarray:
     """Return points along a segment at a spacing of about 1 cm, m, shape (n, 2).
 
-    Args:
-        segment: segment of a plan.
-        offset: distance of the points to the left of the segment, m.
-        behind: length of the extension before the start, m.
-        ahead: length of the extension beyond the end, m.
+    The points lie at the distance `offset` (m) to the left of the segment. The segment
+    is extended by the lengths `behind` and `ahead` (m).
     """
     low = -behind
     high = segment.length + ahead

@@ -158,11 +158,7 @@ class PlannerSection(ExtensionSection):
     ) -> Plan:
         """Return the plan of a problem.
 
-        Args:
-            problem: planning problem.
-            wider: additional width of the footprint on the straight lead-in, m.
-            limits: limits of leaning on obstacles, or None if the body must not touch
-                obstacles.
+        `wider` is an additional width (m) of the footprint on the straight lead-in.
         """
 
 
@@ -309,13 +305,9 @@ class ScenarioPlanner:
     """Planner of a scenario.
 
     Attributes:
-        file: planner section.
         footprint: footprint of the robot with all turns and without margin.
         problem: problem whose footprint has a smaller range of turns and includes the
             margin.
-        margin: margin of the footprint.
-        touch_limits: limits of leaning on obstacles, or None if the body must not touch
-            obstacles.
     """
 
     file: PlannerSection

@@ -229,7 +229,6 @@ class Target(NamedTuple):
     Attributes:
         x, y: position, m.
         heading: heading, rad. The heading is ignored if `any_heading` is set.
-        any_heading: whether the arrival heading is free.
         radius: position tolerance, m.
         heading_tolerance: heading tolerance, rad.
         bound_radius: minimum of the turning radii to the left and to the right, for the
@@ -252,9 +251,6 @@ class SearchSpec(NamedTuple):
     """Parameters of a search.
 
     Attributes:
-        primitives: arcs that the snake can follow.
-        target: goal of the search.
-        grid: obstacles and bounds.
         cell: side of a cell of poses, m.
         sector: heading range of a cell, by which 2π is divisible, rad.
         weight: weight w of the lower bound.

@@ -55,13 +55,7 @@ def make_target(goal: Goal, footprint: Footprint) -> Target:
 
 
 class SearchTree:
-    """Best-first search that can be paused and resumed.
-
-    Args:
-        roots: start poses.
-        spec: search parameters.
-        backward: whether the tree searches from the goal to the start.
-    """
+    """Best-first search that can be paused and resumed."""
 
     def __init__(
         self, roots: list[Pose], spec: SearchSpec, *, backward: bool = False

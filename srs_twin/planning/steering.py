@@ -105,14 +105,7 @@ class Predictor(Stateful):
     def __init__(
         self, footprint: Footprint, period: float, delay: float, response_length: float
     ) -> None:
-        """Start a run.
-
-        Args:
-            footprint: footprint with the curvature and speed at each offset.
-            period: gait period, s.
-            delay: command delay, s.
-            response_length: response length ℓ, m.
-        """
+        """Start a run with the period (s), command delay (s) and response length (m)."""
         self._offsets = np.array(footprint.offsets)
         self._curvatures = np.array(footprint.curvatures)
         self._period = period
@@ -240,8 +233,8 @@ class Predictor(Stateful):
             time: time of the prediction, at most the command delay after the current
                 time, s.
         """
-        # The motion of the model since the mean pose is rotated into the frame of the
-        # mean pose.
+        # The motion of the model since the time of the mean pose is rotated into the
+        # frame of the mean pose.
         _, x0, y0, heading0, _ = self._at(middle)
         _, x, y, heading, _ = self._at(time)
         turn = mean.heading - heading0
@@ -317,7 +310,7 @@ class Steering(Stateful, ABC):
 
     @abstractmethod
     def begin(self, path: ReferencePath) -> None:
-        """Start on a new path."""
+        """Initialise the law for a new path."""
 
     @abstractmethod
     def offset(self, state: SteeringInput) -> float:
@@ -440,7 +433,8 @@ class PathTracking(Steering):
     def predict_cross_track(self, n: float, slope: float, ahead: float) -> float:
         """See `Steering.predict_cross_track`.
 
-        The result solves n'' = −2 n'/L − n/L², the closed loop for ζ = 1.
+        The result solves n'' = −2 n'/L − n/L², the equation of the closed loop for ζ =
+        1.
         """
         return (n + (n / self._length + slope) * ahead) * math.exp(
             -ahead / self._length

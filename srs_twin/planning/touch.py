@@ -1,4 +1,4 @@
-r"""Plans that lean on obstacles (`planner: {contact: allowed}`).
+r"""Plans in which the body leans on obstacles (`planner: {contact: allowed}`).
 
 A footprint contains the lateral motion of the gait. Where an edge of the footprint
 overlaps an obstacle, the obstacle limits this motion, and the body presses against the
@@ -64,7 +64,10 @@ Search = Callable[[Problem, Settings], Plan]
 
 
 def touch_limits(spec: RobotSpec, footprint: Footprint) -> TouchLimits:
-    """Return the limits of leaning for a robot and its footprint without margin."""
+    """Return the limits of leaning on obstacles for a robot and its footprint.
+
+    The footprint must not include a margin.
+    """
     core = spec.geometry.width / 2
     hard_left, hard_right = (
         tuple(core + (1 - TOUCH_FRACTION) * max(edge - core, 0.0) for edge in edges)
@@ -96,13 +99,7 @@ def narrowed(problem: Problem, limits: TouchLimits, level: float) -> Problem:
 
 
 def plan_with_touch(search: Search, problem: Problem, settings: Settings) -> Plan:
-    """Return the plan with the lowest cost among plans with increasing overlap.
-
-    Args:
-        search: planner for one footprint.
-        problem: planning problem with the full edges of the body.
-        settings: search settings.
-    """
+    """Return the plan with the lowest cost among plans with increasing overlap."""
     limits = settings.touch_limits
     assert limits is not None, "the caller plans with touch"
     best = None
@@ -137,7 +134,6 @@ class _Overlaps:
     """Overlaps of the footprint with obstacles along a path.
 
     Attributes:
-        names: obstacle names.
         s: path length in the middle of each step, m, shape (steps,).
         steps: step lengths, m, shape (steps,).
         depth, force: overlap (m) with each obstacle and mean contact force (N), shape
@@ -190,7 +186,7 @@ def _overlaps(
             np.cos(heading) * dy > np.sin(heading) * dx, path.left, path.right
         )
         depth[k] = np.maximum(edge - (np.hypot(dx, dy) - radius), 0.0)
-        # The body touches the obstacle in this fraction of the gait period.
+        # The body touches the obstacle during this fraction of the gait period.
         fraction = (
             np.arccos(
                 np.clip(1 - depth[k] / np.maximum(edge - limits.core, 1e-9), -1, 1)

@@ -20,7 +20,6 @@ class FloorLine(NamedTuple):
     """Line drawn on the floor.
 
     Attributes:
-        name: entity name.
         strips: polylines, each of shape (n, 2), m.
         color: colour, #rrggbb.
         radius: half the line width, m.
@@ -36,10 +35,7 @@ class FollowedSignal(NamedTuple):
     """Recorded signal that is plotted separately.
 
     Attributes:
-        column: trajectory column.
-        entity: entity name.
         factor: factor that converts the SI value to the plotted unit.
-        title: plot title.
     """
 
     column: str
@@ -54,9 +50,7 @@ class RunPictures:
     The base class adds nothing.
 
     Attributes:
-        kind: kind of experiment.
         legend: colour (#rrggbb) of each line on the floor, by label.
-        signals: additional plotted signals.
     """
 
     kind: ClassVar[str] = ""

@@ -18,12 +18,10 @@ class RunContent:
     """Contents of the report and the recording of a run.
 
     Attributes:
-        spec: robot.
         trajectories: trajectory of each plant. If one of the plants is a twin, a
             recording draws all other plants as ghosts.
         comparison: differences between the plants over time, or None.
         measured: differences from the measured robot for each plant.
-        world: obstacles and objects.
     """
 
     spec: RobotSpec

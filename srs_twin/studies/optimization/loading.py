@@ -274,12 +274,8 @@ class OptimizationStudy:
 
     Attributes:
         name: name of the study and of the output folder.
-        file: validated file.
-        scenario: scenario that the study varies.
-        space: design space.
         experiments: experiment of the twin, and experiment of the model "compliant" if
             this model can simulate the scenario.
-        document: study file as plain data.
         changes: fields that differ from the study file, as text.
     """
 

@@ -48,15 +48,7 @@ def draw_convergence(
     *,
     maximize: bool,
 ) -> CaptionedFigure:
-    """Plot the objective of the runs of the twin and the best feasible value so far.
-
-    Args:
-        values: objective of each run, shape (runs,).
-        feasible: mask of the runs that satisfy the constraints, shape (runs,).
-        label: axis label of the objective.
-        initial: value of the unmodified scenario.
-        maximize: whether a higher objective is better.
-    """
+    """Plot the objective of the runs of the twin and the best feasible value so far."""
     figure = Figure(figsize=(6.5, 3.4), layout="constrained")
     axes = figure.subplots()
     number = np.arange(1, len(values) + 1)
@@ -112,14 +104,7 @@ def draw_front(
 def draw_parallel(
     space: DesignSpace, runs: Sequence[Run], ranks: np.ndarray, best: Sequence[Run]
 ) -> CaptionedFigure:
-    """Plot designs as parallel coordinates, with thicker lines for better designs.
-
-    Args:
-        space: design space.
-        runs: runs of the twin.
-        ranks: rank of each run, shape (runs,).
-        best: best designs, whose variables on bounds are marked.
-    """
+    """Plot designs as parallel coordinates, with thicker lines for better designs."""
     places = np.arange(space.size)
     figure = Figure(figsize=(max(6.5, 1.1 * space.size), 3.6), layout="constrained")
     axes = figure.subplots()

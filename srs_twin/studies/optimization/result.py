@@ -94,7 +94,6 @@ class EvaluatedDesign:
     """Design with additional runs that show the accuracy of its result.
 
     Attributes:
-        run: run of the twin.
         refined: run with half the time step and run with twice the number of hinges.
             The initial scenario has no such runs.
         samples: runs with random robots, if any. All designs use the same random

@@ -38,7 +38,6 @@ class Run:
     Attributes:
         part: fidelity, which is "compliant" or "twin".
         fractions: design variables as fractions of their ranges, shape (d,).
-        row: stored result.
     """
 
     part: str
@@ -74,16 +73,7 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
         *,
         changed: bool = False,
     ) -> None:
-        """Open the folder.
-
-        Args:
-            study: study whose designs are simulated.
-            folder: folder of the runs, which is created if it does not exist.
-            engine: engine for new runs.
-            on_row: callback for each newly finished run.
-            changed: whether the runs in `folder` may belong to another study. Valid
-                runs are then kept.
-        """
+        """Open the folder."""
         self._study = study
         self._engine = engine
         self._on_row = on_row

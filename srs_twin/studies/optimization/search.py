@@ -121,7 +121,6 @@ class Optimum:
         best: best runs of the twin in descending order of quality, at a minimum
             distance from each other. With two objectives, these runs are the Pareto
             front, sorted by the first objective.
-        runs: all runs in order.
         improvement: maximum expected improvement by one more run, as a fraction of the
             best result. The value is None if there are two objectives or no feasible
             runs.
@@ -133,12 +132,7 @@ class Optimum:
 
 
 def search(study: OptimizationStudy, runs: StudyRuns) -> Optimum:
-    """Find the best designs within the budget.
-
-    Args:
-        study: study with variables, objectives, constraints and budget.
-        runs: store that simulates the designs.
-    """
+    """Find the best designs within the budget."""
     state = _Search(study, runs)
     if "compliant" in study.experiments:
         state.search_compliant()

@@ -61,9 +61,6 @@ def local(workers: int | None = None) -> Engine:
 
     Threads, or batches of twins of one model (`mujoco.batch`), would not be faster (see
     benchmarks/sweeps.py). In addition, a crash would end all runs.
-
-    Args:
-        workers: number of processes, or None for one per processor.
     """
 
     def run(
@@ -325,13 +322,7 @@ class OpenSweep:
         points: tuple[Point, ...],
         finished: Callable[[Row], object] | None = None,
     ) -> None:
-        """Run points and store each row when its run finishes.
-
-        Args:
-            engine: engine for the runs.
-            points: points to run.
-            finished: callback for each stored row.
-        """
+        """Run points and store each row when its run finishes."""
         self._store.collect(
             engine(self.sweep.experiment, points), [p.key for p in points], finished
         )

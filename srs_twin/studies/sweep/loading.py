@@ -122,14 +122,7 @@ def changed_base(
     written: Mapping[str, Any],
     locs: Iterable[Loc],
 ) -> list[dict[str, Any]]:
-    """Return the fields of an experiment that differ from its file.
-
-    Args:
-        experiment: experiment including the changes.
-        scenario: unmodified scenario.
-        written: sweep or study file as plain data.
-        locs: paths of the changed scenario fields.
-    """
+    """Return the fields of an experiment that differ from its file."""
     fixed = written.get("fixed")
     original = replace(experiment, base=scenario.document)
     before = original.with_fixed(fixed if isinstance(fixed, dict) else {})

@@ -143,8 +143,6 @@ class _Colors:
 
     Attributes:
         column: values of the first owner, or zeros if no field distinguishes the runs.
-        groups: distinct values.
-        few: whether the plot has a legend.
         norm: function from values to positions on the colour map.
         by_group: colour of each value. The dict is empty if the owners determine the
             colours.

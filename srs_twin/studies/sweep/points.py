@@ -193,7 +193,6 @@ class Point:
 
     Attributes:
         key: SHA-256 of all inputs that affect the results.
-        changes: value of each changed field.
     """
 
     key: str
@@ -210,7 +209,6 @@ class Experiment:
         periods: simulated time in periods of the gait or the reference. If it is None,
             the field duration_s of the scenario sets the simulated time.
         robots: robot as plain data for each value of the field `robot`.
-        trajectories: whether to store trajectories.
     """
 
     base: Mapping[str, Any] = field(repr=False)
@@ -261,15 +259,11 @@ class Sweep:
 
     Attributes:
         name: name of the sweep and of the output folder.
-        title: title of reports.
-        experiment: common inputs of all points.
         fields: dotted names of the varied fields.
         values: values of the fields, one row per point.
         metrics: metrics that become columns, or None for all metrics.
-        plots: plots to draw.
         versions: version of each package that affects the results.
         document: sweep file as plain data.
-        warnings: warnings for reports.
         changes: fields that differ from the sweep file.
     """
 

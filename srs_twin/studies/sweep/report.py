@@ -176,14 +176,7 @@ _MAX_REASONS = 20
 def write_report(
     path: Path, sweep: Sweep, summary: Summary, pictures: Mapping[str, bytes]
 ) -> None:
-    """Write the self-contained HTML page atomically.
-
-    Args:
-        path: file to write or replace.
-        sweep: sweep to report.
-        summary: summary of the sweep.
-        pictures: PNG image for each title.
-    """
+    """Write the self-contained HTML page atomically."""
     results = summary.results
     metrics = shown_metrics(sweep)
     versions = [("results sha256", summary.sha256), *sweep.versions.items()]

@@ -46,9 +46,6 @@ class SweepIdentity:
 
     Attributes:
         keys: hash of the keys of all points.
-        scenario: scenario of the experiment.
-        fields: varied fields.
-        versions: package versions.
         sources: hash of the source code of each module that computes rows.
         files: hash of the contents of each file that points read.
     """
@@ -102,11 +99,7 @@ _ROW = TypeAdapter(tuple[dict[str, Any], float, str | None, int])
 
 
 class RowStore(contextlib.AbstractContextManager["RowStore"]):
-    """Stored rows of one sweep, and a context manager that locks the folder.
-
-    Attributes:
-        database: open SQLite database.
-    """
+    """Stored rows of one sweep, and a context manager that locks the folder."""
 
     def __init__(self, folder: Path) -> None:
         """Open the file. The file and the folder are created if they do not exist."""
@@ -176,11 +169,6 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
 
         A task that raised an error is stored as a failed row. The rows that finished
         before an interrupt are kept.
-
-        Args:
-            finished: results of tasks.
-            keys: key of each task.
-            on_row: callback for each stored row.
         """
         with contextlib.closing(finished) as results:  # type: ignore[type-var]
             for done in results:

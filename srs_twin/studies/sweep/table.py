@@ -55,7 +55,6 @@ class ColumnValues:
     """Values of one column as numbers, for an axis or a colour scale.
 
     Attributes:
-        label: axis label.
         numbers: values, or indices of the texts in `names`, shape (rows,). A missing
             value is NaN.
         names: distinct texts in order. A column of numbers has no texts.
@@ -253,7 +252,7 @@ def write_table(path: Path, table: pa.Table) -> None:
 
 
 def shown_metrics(sweep: Sweep) -> tuple[str, ...]:
-    """Return the metrics of the sweep file, by default plotted and summary metrics."""
+    """Return the metrics to show, by default the plotted and summary metrics."""
     if sweep.metrics is not None:
         return sweep.metrics
     summary = _SUMMARY_METRICS if sweep.experiment.plants else _PLAN_SUMMARY_METRICS

@@ -74,11 +74,6 @@ def run_point(
     """Run the plants of a point, or only plan its path, and compute the metrics.
 
     If an `SrsError` is raised, the result is a failed row.
-
-    Args:
-        experiment: common inputs of the sweep.
-        point: point to run.
-        ran: trajectories or errors of plants that have already been simulated.
     """
     start = time.perf_counter()
     trajectories: dict[str, Trajectory] = {}
@@ -163,10 +158,6 @@ def flat_metrics(prefix: str, metrics: Mapping[str, object]) -> dict[str, float 
 
     The elements of a list metric are numbered from 1. The two chambers of a segment are
     named plus and minus.
-
-    Args:
-        prefix: owner of the metrics, which is a plant, "comparison" or "plan".
-        metrics: metrics by name, as in metrics.json.
     """
     scalars: dict[str, float | None] = {}
     for name, value in metrics.items():

@@ -117,7 +117,6 @@ class MetricUncertainty:
             surrogate, shape (4,).
         indices: sensitivity indices, or None if the metric is constant or the
             parameters are correlated.
-        published: published value, or None.
     """
 
     value: float
@@ -156,7 +155,7 @@ class MetricUncertainty:
         return 2 * abs(self.value - self.half_timestep)
 
     def warnings(self) -> list[str]:
-        """Return a sentence for each error that is too large."""
+        """Return a warning for each error that is too large."""
         low, high = self.interval("interval_95")
         if not high > low:
             return []
@@ -190,7 +189,7 @@ class MetricUncertainty:
 
     @property
     def verdict(self) -> IntervalVerdict | None:
-        """Whether the published value lies in the 95 % interval, if a value was published."""
+        """Whether the published value lies in the 95 % interval, if it is known."""
         if self.published is None:
             return None
         return interval_verdict(

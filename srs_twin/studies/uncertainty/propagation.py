@@ -103,7 +103,6 @@ class Measurement:
     """Effect of measuring one parameter on the interval of the target metric.
 
     Attributes:
-        parameter: path of the parameter.
         interval_95: 95 % interval after a measurement at the median of the prior.
         width: mean width of the interval after measurements at several quantiles of the
             prior.
@@ -123,7 +122,6 @@ class Swing:
     All other quantities have their medians.
 
     Attributes:
-        parameter: name of the quantity.
         low: metric at the lower end of the quantity's 95 % interval.
         high: metric at the upper end of the quantity's 95 % interval.
         error: two standard deviations of the leave-one-out residuals.
@@ -451,16 +449,7 @@ def propagate(
     *,
     changed: bool = False,
 ) -> Propagation:
-    """Run the missing rows of a study in a folder and return the result.
-
-    Args:
-        study: study to run.
-        folder: output folder with one subfolder per fidelity.
-        engine: engine for the runs.
-        progress: callback that reports the missing runs of each fidelity.
-        changed: whether the folder may belong to another version of the study, as in
-            `open_sweep`.
-    """
+    """Run the missing rows of a study in a folder and return the result."""
     rows = {}
     for part in study.parts:
         sweep = study.sweep(part)

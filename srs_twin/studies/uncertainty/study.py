@@ -37,14 +37,10 @@ class UncertaintyStudy:
     """Scenario with uncertain robot parameters and discrete choices.
 
     Attributes:
-        scenario: scenario to study.
-        priors: robot parameter priors.
         discrete_choices: equally likely values of scenario fields, such as two chamber
             models.
-        plants: plants to simulate.
         samples: number of samples of each plant that simulates all samples.
         twin_samples: number of samples of the twin if a low-fidelity model is used.
-        seed: random seed of the samples.
     """
 
     scenario: Scenario

@@ -24,11 +24,7 @@ class Table(NamedTuple):
     """Table of a page.
 
     Attributes:
-        headings: headings with units.
-        rows: rows of strings or `Markup`.
         numbers: indices of right-aligned columns.
-        note: remark below the table.
-        title: table title.
     """
 
     headings: Sequence[str]

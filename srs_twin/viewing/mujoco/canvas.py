@@ -95,15 +95,7 @@ class Canvas:
         decorate: Decorate | None = None,
         labels: Sequence[Label] = (),
     ) -> np.ndarray:
-        """Render an image, shape (height, width, 3), uint8.
-
-        Args:
-            data: state whose positions have been computed (`mj_kinematics`,
-                `mj_comPos`).
-            camera: camera.
-            decorate: function that adds geoms to the scene.
-            labels: labels.
-        """
+        """Render an image, shape (height, width, 3), uint8."""
         all_categories = mujoco.mjtCatBit.mjCAT_ALL.value
         mujoco.mjv_updateScene(
             self._model, data, self._option, None, camera, all_categories, self._scene

@@ -63,11 +63,6 @@ class LiveSnake:
     Attributes:
         scenario: scenario to simulate. With None, the keys steer a robot on an empty
             floor.
-        twin: plant.
-        state: plant state.
-        limits: command limits.
-        command: current command.
-        paused: whether the simulation is paused.
         floor_lines: goal of the scenario and current plan of the controller as lines on
             the floor.
     """
@@ -89,11 +84,6 @@ class LiveSnake:
         """Create the twin from a robot or from a scenario.
 
         Without a scenario, the gait starts with values in the middle of its limits.
-
-        Args:
-            spec: robot, if no scenario is given.
-            scenario: scenario, if no robot is given.
-            modified: overridden fields, which the window shows.
         """
         self.scenario = scenario
         self._modified = modified

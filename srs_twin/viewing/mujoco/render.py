@@ -114,14 +114,7 @@ class FollowCamera:
         bench: bool,
         ghost: Trajectory | None = None,
     ) -> None:
-        """Compute the camera path of a run.
-
-        Args:
-            run: trajectory of the twin.
-            body_length: body length, m.
-            bench: whether the head is clamped.
-            ghost: trajectory of another plant, or None.
-        """
+        """Compute the camera path of a run."""
         setup = "bench" if bench else "floor"
         distance = _DISTANCE_LENGTHS[setup] * body_length
         if bench:

@@ -62,11 +62,7 @@ class Stage:
     of the centre of mass and the lines on the floor that extensions add.
 
     Attributes:
-        run: trajectory of the twin.
-        model: MuJoCo model.
-        data: current state.
         bench: whether the head is clamped.
-        ghost: another plant, or None.
     """
 
     def __init__(
@@ -282,11 +278,7 @@ def make_obstacles_translucent(model: mujoco.MjModel) -> None:
 
 
 class Skins:
-    """Visible geoms of the segments, coloured by pressure.
-
-    Attributes:
-        geoms: geom indices of each segment.
-    """
+    """Visible geoms of the segments, coloured by pressure."""
 
     def __init__(self, model: mujoco.MjModel, segments: int) -> None:
         """Find the geoms, and reduce the light so that colours are not overexposed."""

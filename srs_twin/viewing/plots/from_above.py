@@ -121,12 +121,7 @@ def obstacle_patches(
     circles: Iterable[tuple[float, float, float]],
     polygons: Iterable[Iterable[tuple[float, float]]],
 ) -> list[Patch]:
-    """Return Matplotlib patches of obstacles.
-
-    Args:
-        circles: x, y and radius of each circle, m.
-        polygons: corners of each polygon, m.
-    """
+    """Return Matplotlib patches of circles (x, y and radius, m) and polygons (m)."""
     style: dict[str, Any] = {"facecolor": "0.35", "zorder": 1}
     return [
         *(Circle((x, y), radius, **style) for x, y, radius in circles),

@@ -58,11 +58,9 @@ class Style:
     """Style of a plant or another data source, with the palette of Okabe and Ito.
 
     Attributes:
-        label: legend label.
         color: colour, #rrggbb.
         dash: Matplotlib line style, which distinguishes the plants in greyscale prints.
         width: line width, points.
-        marker: marker of points.
     """
 
     label: str

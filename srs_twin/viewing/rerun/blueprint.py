@@ -26,9 +26,7 @@ class Layout:
     """Parameters of the layout of a recording.
 
     Attributes:
-        plants: plant names.
         camera_target: entity inside `world/` that the camera follows.
-        segments: number of segments.
         start: start position, m, shape (2,).
         heading: initial heading, rad.
         body_length: body length, m.
@@ -36,7 +34,6 @@ class Layout:
         period: gait period, s. Plots show a few periods around the time cursor. If the
             period is None, plots show the whole run.
         compared: whether plants are compared.
-        kind: kind of experiment.
         signals: signals that are plotted before the other signals.
         speeds: limits of the speed axis, m/s, or None for automatic limits.
         events: whether the run has events.

@@ -196,12 +196,6 @@ def live_view(
 
     The block receives the view and the URL of the web page. The URL is an empty string
     if there is no page.
-
-    Args:
-        spec: robot.
-        recording: output file, or None to write no file.
-        window: whether to open the native viewer.
-        web: whether to serve the web viewer on this machine.
     """
     log = rr.RecordingStream(APPLICATION)
     sinks: list[rr.FileSink | rr.GrpcSink] = []

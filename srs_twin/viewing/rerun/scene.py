@@ -40,7 +40,6 @@ class Entities:
     """Writer of entities with common sample times.
 
     Attributes:
-        log: recording stream.
         time: sample times, s.
         root: prefix of all entity names.
     """
